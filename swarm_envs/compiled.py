@@ -1,0 +1,75 @@
+"""Compilation of the inner loops with numba: one decorator, one cache, one message.
+
+The cache lies beside the modules, or in the user's cache directory when the installation is
+read-only. Numba ties a cached kernel to the one file that defines it; ours call each other across
+files, so `kernel` ties them to all files that hold kernels, and an edit to any recompiles.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numba
+from numba.core.caching import FunctionCache
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+_PACKAGE = Path(__file__).parent
+_KERNEL_FOLDERS = ("physics", "interactions", "control", "envs", "tasks")
+
+
+@cache
+def _sources_stamp() -> str:
+    files = [_PACKAGE / "state.py", _PACKAGE / "compiled.py"]
+    for folder in _KERNEL_FOLDERS:
+        files += sorted((_PACKAGE / folder).glob("*.py"))
+    digest = hashlib.sha256(numba.__version__.encode())
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+class _KernelCache(FunctionCache):
+    """Numba's on-disk cache, stale as soon as any file with kernels has changed."""
+
+    def __init__(self, py_func: Callable[..., Any]) -> None:
+        super().__init__(py_func)
+        self._cache_file._source_stamp = _sources_stamp()
+
+    def holds_anything(self) -> bool:
+        """Whether a compiled version of the function, of the current sources, is on disk."""
+        return bool(self._cache_file._load_index())
+
+
+def kernel(function: F) -> F:
+    """Compile a function to machine code at its first call and keep the result on disk.
+
+    Division by zero follows IEEE arithmetic; sums are never reordered, so the same input gives the
+    same bytes on the same machine.
+    """
+    dispatcher = numba.njit(error_model="numpy")(function)
+    if not numba.config.DISABLE_JIT:
+        try:
+            dispatcher._cache = _KernelCache(function)
+        except RuntimeError:  # no writable folder for a cache: compile anew in each process
+            pass
+    return dispatcher  # type: ignore[no-any-return]
+
+
+_announced = False
+
+
+def announce_compilation(entry: Any) -> None:
+    """Say on stderr, once a process, that the first call of an uncached kernel takes a while."""
+    global _announced
+    if _announced or numba.config.DISABLE_JIT or entry.signatures:
+        return
+    _announced = True
+    if not (isinstance(entry._cache, _KernelCache) and entry._cache.holds_anything()):
+        message = "swarm_envs: compiling kernels, once after installation (about 15 s) ..."
+        print(message, file=sys.stderr, flush=True)

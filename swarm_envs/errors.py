@@ -1,0 +1,58 @@
+"""Messages of exceptions: the value that was given, the rule it broke, and the fix."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+
+def unknown_name(kind: str, name: object, valid: Iterable[str], where: str = "") -> str:
+    """Message for a name that is not among the valid ones, with the nearest of them.
+
+    Args:
+        kind: what is named, such as `"action"`.
+        name: what was given.
+        valid: every name that would do.
+        where: where it was given, appended to the first clause.
+    """
+    names = sorted(valid)
+    near = difflib.get_close_matches(str(name), names, n=1, cutoff=0.4)
+    place = f" {where}" if where else ""
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return f"unknown {kind} {name!r}{place}; {hint}valid: {', '.join(map(repr, names))}"
+
+
+def check_name(kind: str, name: object, valid: Iterable[str]) -> str:
+    """Return `name` if it is among the valid ones.
+
+    Raises:
+        ValueError: it is not; the message names the nearest valid one.
+    """
+    names = tuple(valid)
+    if not isinstance(name, str) or name not in names:
+        raise ValueError(unknown_name(kind, name, names))
+    return name
+
+
+def check_array(
+    name: str, value: npt.ArrayLike, shape: tuple[int, ...], rule: str = ""
+) -> npt.NDArray[np.float64]:
+    """Return `value` as a finite float64 array of exactly the given shape.
+
+    Raises:
+        ValueError: the shape is another, or an entry is NaN or infinite; the message names the
+            value, the rule and where it was broken.
+    """
+    array = np.asarray(value, dtype=np.float64)
+    if array.shape != shape:
+        extra = f" ({rule})" if rule else ""
+        raise ValueError(f"{name} has shape {array.shape}, but must have shape {shape}{extra}")
+    if not np.isfinite(array).all():
+        index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(
+            f"{name} is {array[index]} at index {index}; every entry must be a finite number"
+        )
+    return array

@@ -1,0 +1,126 @@
+"""What changes over time, and what each drone is made of: named arrays that lead with (E, N).
+
+E counts environments, N drones. Both classes are named tuples, so that compiled kernels take them
+as they are; the arrays inside are the storage, written in place by physics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.vehicles import Team, Vehicle
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+class SwarmState(NamedTuple):
+    """State of every drone. World frame (x, y horizontal, z up, origin on the ground), SI units."""
+
+    position: FloatArray
+    """(E, N, 3) position p of the centre of mass, m."""
+    velocity: FloatArray
+    """(E, N, 3) velocity v, m/s."""
+    quaternion: FloatArray
+    """(E, N, 4) attitude, body to world, in the order (x, y, z, w), of unit length."""
+    angular_velocity: FloatArray
+    """(E, N, 3) angular velocity in the *world* frame, rad/s."""
+    rotor_thrust: FloatArray
+    """(E, N, 4) thrust that each rotor gives now, N."""
+    battery: FloatArray
+    """(E, N) charge left, from 1 (full) to 0 (empty)."""
+
+    def copy(self) -> SwarmState:
+        """Return a state whose arrays are independent of this one's."""
+        return SwarmState(*(array.copy() for array in self))
+
+    def read_only(self) -> SwarmState:
+        """Return views of the same arrays that refuse to be written."""
+        views = SwarmState(*(array.view() for array in self))
+        for view in views:
+            view.flags.writeable = False
+        return views
+
+    def assign(self, other: SwarmState, mask: BoolArray | None = None) -> None:
+        """Copy another state's values into these arrays, in the environments of the (E,) mask."""
+        where = slice(None) if mask is None else mask
+        for mine, theirs in zip(self, other, strict=True):
+            mine[where] = theirs[where]
+
+
+class Parameters(NamedTuple):
+    """What each drone is made of: (E, N, ...) so that randomised teams may differ."""
+
+    mass: FloatArray
+    """(E, N) mass m, kg."""
+    inertia: FloatArray
+    """(E, N, 3) principal moments of inertia, kg m^2."""
+    motor_rate: FloatArray
+    """(E, N) motor rate lambda, 1/s."""
+    max_rotor_thrust: FloatArray
+    """(E, N) largest thrust of one rotor at a full battery, N."""
+    rotor_offset: FloatArray
+    """(E, N) distance of each rotor from the body x and y axes, m: arm / sqrt 2 in an X."""
+    thrust_to_torque: FloatArray
+    """(E, N) yaw torque per newton of rotor thrust, m."""
+    radius: FloatArray
+    """(E, N) radius of the collision sphere, m."""
+
+    def copy(self) -> Parameters:
+        """Return parameters whose arrays are independent of these."""
+        return Parameters(*(array.copy() for array in self))
+
+
+def parameters(team: Sequence[Vehicle], num_envs: int = 1) -> Parameters:
+    """Nominal parameters of a team, the same in every environment."""
+
+    def table(values: Sequence[object]) -> FloatArray:
+        row = np.array(values, dtype=np.float64)
+        return np.repeat(row[None], num_envs, axis=0)
+
+    return Parameters(
+        mass=table([v.mass for v in team]),
+        inertia=table([v.inertia for v in team]),
+        motor_rate=table([v.motor_rate for v in team]),
+        max_rotor_thrust=table([v.max_rotor_thrust for v in team]),
+        rotor_offset=table([v.arm / np.sqrt(2.0) for v in team]),
+        thrust_to_torque=table([v.thrust_to_torque for v in team]),
+        radius=table([v.radius for v in team]),
+    )
+
+
+def hover_state(team: Team, position: npt.ArrayLike) -> SwarmState:
+    """State of a team at rest, level, its rotors at hover thrust, with full batteries.
+
+    Args:
+        team: the vehicles, N of them.
+        position: (E, N, 3) or (N, 3) positions, m; the latter makes one environment.
+
+    Raises:
+        ValueError: the positions do not fit the team.
+    """
+    p = np.array(position, dtype=np.float64)
+    if p.ndim == 2:
+        p = p[None]
+    if p.ndim != 3 or p.shape[1:] != (len(team), 3):
+        raise ValueError(
+            f"position has shape {np.shape(position)}, but a team of {len(team)} needs "
+            f"({len(team)}, 3) or (E, {len(team)}, 3)"
+        )
+    envs, drones = p.shape[:2]
+    quaternion = np.zeros((envs, drones, 4))
+    quaternion[..., 3] = 1.0
+    hover = np.array([v.hover_rotor_thrust for v in team])
+    return SwarmState(
+        position=p,
+        velocity=np.zeros((envs, drones, 3)),
+        quaternion=quaternion,
+        angular_velocity=np.zeros((envs, drones, 3)),
+        rotor_thrust=np.repeat(np.repeat(hover[None, :, None], envs, axis=0), 4, axis=2),
+        battery=np.ones((envs, drones)),
+    )

@@ -1,0 +1,165 @@
+"""The vehicles: what the papers flew, with the source of every number.
+
+`SMALL` and `LARGE` are the quadrotors of Neural-Swarm2, Table I; `SMALL_STRONG` (written `S*`)
+is the small one with stronger motors, used in its ring flights (Fig. 9).
+
+Rotors stand in an X, numbered as on the Crazyflie, seen from above with x forward and y left:
+1 front right, 2 back right, 3 back left, 4 front left. Rotors 1 and 3 turn counter-clockwise.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from swarm_envs.errors import unknown_name
+
+GRAVITY = 9.80665
+"""Standard gravity, m/s^2. World z points up, so gravity is (0, 0, -GRAVITY)."""
+
+GRAM_FORCE = GRAVITY * 1e-3
+"""Newton per gram-force: the papers give forces in grams."""
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One type of quadrotor. SI units; body frame x forward, y left, z up along thrust."""
+
+    token: str
+    """How team strings write it: `S`, `L`, `S*`."""
+    mass: float
+    """Mass m, kg."""
+    inertia: tuple[float, float, float]
+    """Principal moments of inertia, the diagonal of J, kg m^2."""
+    max_thrust: float
+    """Largest total thrust of the four rotors at a full battery, N."""
+    diameter: float
+    """Diameter of the collision sphere, m."""
+    arm: float
+    """Distance from the centre to a rotor's axis, m."""
+    rotor_radius: float
+    """Radius of one propeller, m."""
+    thrust_to_torque: float
+    """Yaw torque per newton of rotor thrust, m."""
+    motor_rate: float
+    """First-order motor rate lambda of eq. (1c), 1/s: thrust follows its command with 1/lambda."""
+    interaction_type: str
+    """The name under which interaction models know its airframe: `S` or `L`."""
+    pwm_to_force: tuple[float, float, float, float, float]
+    """psi1 of Table I: coefficients of 1, p, v, p^2, p v; gives grams of one rotor."""
+    force_to_pwm: tuple[float, float, float, float, float]
+    """psi2 of Table I: coefficients of 1, f, v, f^2, f v; f in grams of one rotor."""
+    pwm_to_max_force: tuple[float, float, float]
+    """psi3 of Table I: coefficients of 1, p, v; gives the largest grams of one rotor."""
+
+    @property
+    def radius(self) -> float:
+        """Radius of the collision sphere, m."""
+        return self.diameter / 2
+
+    @property
+    def max_rotor_thrust(self) -> float:
+        """Largest thrust of one rotor at a full battery, N."""
+        return self.max_thrust / 4
+
+    @property
+    def hover_rotor_thrust(self) -> float:
+        """Thrust of one rotor that carries a quarter of the weight, N."""
+        return self.mass * GRAVITY / 4
+
+    @property
+    def thrust_to_weight(self) -> float:
+        """Largest thrust over weight."""
+        return self.max_thrust / (self.mass * GRAVITY)
+
+
+SMALL = Vehicle(
+    token="S",
+    mass=0.034,  # Neural-Swarm2, Table I
+    inertia=(16.572e-6, 16.656e-6, 29.262e-6),  # Foerster 2015, Crazyflie 2.0
+    max_thrust=65 * GRAM_FORCE,  # Table I
+    diameter=0.12,  # Table I
+    arm=0.046,  # Crazyflie 2.X: 92 mm between opposite rotors
+    rotor_radius=0.0231,  # Crazyflie 2.X propeller
+    thrust_to_torque=0.005965,  # Foerster 2015
+    motor_rate=16.0,  # Table I
+    interaction_type="S",
+    pwm_to_force=(11.0934, -39.0810, -9.5256, 20.5733, 38.4289),  # Table I, identified digits
+    force_to_pwm=(0.5, 0.12, -0.41, -0.002, -0.043),  # Table I
+    pwm_to_max_force=(-9.86, 3.02, 26.72),  # Table I, sign of the last misprinted there
+)
+"""The small quadrotor: a Crazyflie 2.X."""
+
+
+def _scaled_inertia(mass: float, diameter: float) -> tuple[float, float, float]:
+    """Inertia of a vehicle like SMALL, scaled by mass and by diameter squared, kg m^2."""
+    scale = mass / SMALL.mass * (diameter / SMALL.diameter) ** 2
+    x, y, z = SMALL.inertia
+    return (x * scale, y * scale, z * scale)
+
+
+_LARGE_SCALE = 0.19 / SMALL.diameter
+
+LARGE = Vehicle(
+    token="L",
+    mass=0.067,  # Table I
+    inertia=_scaled_inertia(0.067, 0.19),  # not published: SMALL's, by mass and diameter squared
+    max_thrust=145 * GRAM_FORCE,  # Table I
+    diameter=0.19,  # Table I
+    arm=SMALL.arm * _LARGE_SCALE,  # not published: SMALL's, by diameter
+    rotor_radius=SMALL.rotor_radius * _LARGE_SCALE,  # not published: SMALL's, by diameter
+    thrust_to_torque=SMALL.thrust_to_torque * _LARGE_SCALE,  # not published: a length, as the arm
+    motor_rate=16.0,  # Table I
+    interaction_type="L",
+    pwm_to_force=(44.1039, -122.5115, -36.1848, 53.1077, 107.6819),  # Table I, identified digits
+    force_to_pwm=(0.56, 0.06, -0.6, -0.0007, -0.015),  # Table I
+    pwm_to_max_force=(-29.91, 8.1, 65.2),  # Table I
+)
+"""The large quadrotor: a Crazyflie 2.1 board on a larger frame with brushed motors."""
+
+SMALL_STRONG = replace(SMALL, token="S*", max_thrust=2.6 * SMALL.mass * GRAVITY)
+"""SMALL with motors for a thrust-to-weight ratio of 2.6 (Neural-Swarm2, Sec. VII-E)."""
+
+VEHICLES: dict[str, Vehicle] = {v.token: v for v in (SMALL, LARGE, SMALL_STRONG)}
+"""Every shipped vehicle by its token."""
+
+_TOKEN = re.compile(r"[A-Z]\*?|.")
+
+Team = tuple[Vehicle, ...]
+
+
+def parse_team(team: str | Sequence[Vehicle]) -> Team:
+    """Read a team such as `"SSL"`, `"S*S*LL"` or `"L2S"` as a tuple of vehicles.
+
+    The tokens are `S`, `L` and `S*`. A `2` separates the upper drones from the lowest in the
+    notation of Neural-Swarm2 (`"SL2S"`: small and large above small); the order is kept, so the
+    lowest drone comes last. A sequence of vehicles is returned as a tuple.
+
+    Raises:
+        ValueError: the team is empty, or holds an unknown token.
+    """
+    if not isinstance(team, str):
+        vehicles = tuple(team)
+    else:
+        vehicles = tuple(_vehicle(token, team) for token in _TOKEN.findall(team) if token != "2")
+    if not vehicles:
+        raise ValueError(f"team {team!r} has no drones; name at least one, such as 'S' or 'SSL'")
+    return vehicles
+
+
+def team_string(team: Sequence[Vehicle]) -> str:
+    """Write a team as the string that `parse_team` reads: the inverse of it."""
+    return "".join(vehicle.token for vehicle in team)
+
+
+def _vehicle(token: str, team: str) -> Vehicle:
+    if token not in VEHICLES:
+        raise ValueError(unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}"))
+    return VEHICLES[token]
+
+
+def disk_loading(vehicle: Vehicle) -> float:
+    """Weight over swept rotor area, N/m^2: what sets the speed of the downwash."""
+    return vehicle.mass * GRAVITY / (4 * math.pi * vehicle.rotor_radius**2)
