@@ -1,0 +1,171 @@
+"""What a tracking controller is told: gains, filters, limits, and the forces it believes in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from swarm_envs.interactions.base import InteractionModel
+
+STEP = 1.0 / 240.0
+"""Length of one controller step, which is one physics step, s."""
+
+
+def _check_positive(owner: object, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(owner, name)
+        if not (math.isfinite(value) and value > 0.0):
+            raise ValueError(f"{name} is {value!r}, but must be positive and finite")
+
+
+@dataclass(frozen=True)
+class PositionGains:
+    """Gains of the position loop, 1/s, the same in x, y and z (Neural-Swarm2, eqs. 18 and 19).
+
+    Raises:
+        ValueError: a gain is not positive and finite; its message names the gain.
+    """
+
+    position: float
+    """Lambda_p: velocity asked for per metre of position error."""
+    velocity: float
+    """K_v / m: acceleration per velocity error."""
+    integral: float
+    """Gamma_v: rate at which the velocity error is integrated."""
+
+    def __post_init__(self) -> None:
+        _check_positive(self, tuple(field.name for field in fields(self)))
+
+
+SOFT = PositionGains(position=1.0, velocity=2.0, integral=0.5)
+"""Slow and smooth: tolerates noisy positions."""
+MID = PositionGains(position=1.5, velocity=2.5, integral=0.5)
+"""The default: a step of 10 cm in height rises in 1.3 s."""
+STIFF = PositionGains(position=2.0, velocity=3.0, integral=1.0)
+"""Tight tracking, for good state estimates."""
+
+GAINS: dict[str, PositionGains] = {"soft": SOFT, "mid": MID, "stiff": STIFF}
+"""The presets by name."""
+
+
+@dataclass(frozen=True)
+class ControllerConfig:
+    """Configuration of the tracking controller of Neural-Swarm2, Sec. VI.
+
+    Attitude gains come in two parts: `tilt` for roll and pitch, `yaw` for the weak axis, whose
+    torque is small. With `lag_compensation` off, both lead terms of eq. (22) are left out.
+
+    Raises:
+        ValueError: a number is not positive and finite, or a fraction is not below one.
+    """
+
+    gains: PositionGains = MID
+    """Gains of the position loop, eqs. (18) and (19)."""
+    feedforward: InteractionModel | None = None
+    """The interaction model that the controller believes, or None: no compensation."""
+    lag_compensation: bool = True
+    """Whether the motors' lag is compensated, eq. (22)."""
+
+    attitude_tilt: float = 20.0
+    """Lambda_q in roll and pitch, 1/s: rate asked for per unit of the error quaternion's vector."""
+    attitude_yaw: float = 6.0
+    """Lambda_q in yaw, 1/s."""
+    rate_tilt: float = 25.0
+    """K_omega / J in roll and pitch, 1/s."""
+    rate_yaw: float = 6.0
+    """K_omega / J in yaw, 1/s."""
+    rate_integral_tilt: float = 20.0
+    """Gamma_omega / J in roll and pitch, 1/s^2."""
+    rate_integral_yaw: float = 6.0
+    """Gamma_omega / J in yaw, 1/s^2."""
+
+    thrust_rate_cutoff_hz: float = 20.0
+    """Cut-off of the low-pass on the derivative of the desired thrust, Hz."""
+    rate_error_cutoff_hz: float = 40.0
+    """Cut-off of the low-pass on the derivative of the body-rate error, Hz."""
+    desired_rate_cutoff_hz: float = 10.0
+    """Cut-off of the low-pass on the desired body rate, Hz."""
+
+    velocity_integral_limit: float = 0.05
+    """Largest |integral of the velocity error| per axis, m: anti-windup."""
+    rate_integral_limit: float = 0.2
+    """Largest |integral of the body-rate error| per axis, rad: anti-windup."""
+    min_vertical_thrust_fraction: float = 0.2
+    """Lower limit of the desired force's vertical part, as a fraction of the weight."""
+
+    def __post_init__(self) -> None:
+        skip = ("gains", "feedforward", "lag_compensation")
+        _check_positive(self, tuple(f.name for f in fields(self) if f.name not in skip))
+        if self.min_vertical_thrust_fraction >= 1.0:
+            raise ValueError(
+                f"min_vertical_thrust_fraction is {self.min_vertical_thrust_fraction!r}, but must "
+                "be below 1: a drone that may never pull less than its weight cannot descend"
+            )
+
+
+class ControlGains(NamedTuple):
+    """A configuration as compiled kernels take it: numbers only, filters made discrete."""
+
+    step: float
+    """Length of a controller step, s."""
+    position: float
+    velocity: float
+    integral: float
+    attitude_tilt: float
+    attitude_yaw: float
+    rate_tilt: float
+    rate_yaw: float
+    rate_integral_tilt: float
+    rate_integral_yaw: float
+    velocity_integral_limit: float
+    rate_integral_limit: float
+    min_vertical_thrust_fraction: float
+    thrust_rate_blend: float
+    """Share of the new value in the low-pass on the derivative of the desired thrust."""
+    rate_error_blend: float
+    """Share of the new value in the low-pass on the derivative of the body-rate error."""
+    desired_rate_blend: float
+    """Share of the new value in the low-pass on the desired body rate."""
+    lead: float
+    """1 with lag compensation, 0 without."""
+
+
+def low_pass_blend(cutoff_hz: float, step: float) -> float:
+    """Share of the new sample in a first-order low-pass, exact for an input held over the step.
+
+    Args:
+        cutoff_hz: frequency at which the gain has fallen by 3 dB, Hz.
+        step: time between samples, s.
+    """
+    return -math.expm1(-2.0 * math.pi * cutoff_hz * step)
+
+
+def compile_gains(config: ControllerConfig, dt: float = STEP) -> ControlGains:
+    """Turn a configuration into the numbers that kernels take, for a controller step of dt.
+
+    Raises:
+        ValueError: dt, in s, is not positive and finite.
+    """
+    if not (math.isfinite(dt) and dt > 0.0):
+        raise ValueError(f"dt is {dt!r} s, but must be positive and finite")
+    return ControlGains(
+        step=float(dt),
+        position=float(config.gains.position),
+        velocity=float(config.gains.velocity),
+        integral=float(config.gains.integral),
+        attitude_tilt=float(config.attitude_tilt),
+        attitude_yaw=float(config.attitude_yaw),
+        rate_tilt=float(config.rate_tilt),
+        rate_yaw=float(config.rate_yaw),
+        rate_integral_tilt=float(config.rate_integral_tilt),
+        rate_integral_yaw=float(config.rate_integral_yaw),
+        velocity_integral_limit=float(config.velocity_integral_limit),
+        rate_integral_limit=float(config.rate_integral_limit),
+        min_vertical_thrust_fraction=float(config.min_vertical_thrust_fraction),
+        thrust_rate_blend=low_pass_blend(config.thrust_rate_cutoff_hz, dt),
+        rate_error_blend=low_pass_blend(config.rate_error_cutoff_hz, dt),
+        desired_rate_blend=low_pass_blend(config.desired_rate_cutoff_hz, dt),
+        lead=1.0 if config.lag_compensation else 0.0,
+    )
