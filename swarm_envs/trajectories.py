@@ -1,0 +1,237 @@
+"""Reference trajectories with exact derivatives: pure functions of time, over any leading axes.
+
+Positions are (..., 3); times broadcast against their leading axes, so that a (3,) start with (T,)
+times gives (T, 3), and (N, 3) starts with one time give (N, 3).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.state import FloatArray
+
+
+class Reference(NamedTuple):
+    """A desired motion at given times. World frame, SI units."""
+
+    position: FloatArray
+    """(..., 3) position, m."""
+    velocity: FloatArray
+    """(..., 3) its derivative, m/s."""
+    acceleration: FloatArray
+    """(..., 3) its second derivative, m/s^2."""
+    jerk: FloatArray
+    """(..., 3) its third derivative, m/s^3."""
+
+
+class _Profile(NamedTuple):
+    """A scalar function of time with its first three derivatives, each of the same shape."""
+
+    value: FloatArray
+    first: FloatArray
+    second: FloatArray
+    third: FloatArray
+
+
+def rest_to_rest(
+    start: npt.ArrayLike, goal: npt.ArrayLike, duration: npt.ArrayLike, t: npt.ArrayLike
+) -> Reference:
+    """Straight minimum-snap motion between two points at rest: a polynomial of 7th order in time.
+
+    Velocity, acceleration and jerk are zero at both ends; before the start and after the end the
+    motion rests there.
+
+    Args:
+        start: (..., 3) where it starts, m.
+        goal: (..., 3) where it ends, m.
+        duration: (...) time from start to goal, s.
+        t: (...) times since the start, s.
+
+    Raises:
+        ValueError: a position does not end in three finite numbers, or the duration is not
+            positive and finite.
+    """
+    time = _positive("duration", duration)
+    u = np.clip(np.asarray(t, dtype=np.float64) / time, 0.0, 1.0)
+    value = u**4 * (35.0 - 84.0 * u + 70.0 * u**2 - 20.0 * u**3)
+    first = 140.0 * u**3 * (1.0 - u) ** 3
+    second = 420.0 * u**2 * (1.0 - u) ** 2 * (1.0 - 2.0 * u)
+    third = 840.0 * u * (1.0 - u) * (1.0 - 5.0 * u + 5.0 * u**2)
+    return _along_line(start, goal, _scale_time(_Profile(value, first, second, third), time))
+
+
+def ramped_line(
+    start: npt.ArrayLike,
+    goal: npt.ArrayLike,
+    duration: npt.ArrayLike,
+    t: npt.ArrayLike,
+    ramp: float = 0.2,
+) -> Reference:
+    """Straight motion at constant speed, with quintic ramps of the speed at both ends.
+
+    Jerk is continuous; before the start and after the end the motion rests there.
+
+    Args:
+        start: (..., 3) where it starts, m.
+        goal: (..., 3) where it ends, m.
+        duration: (...) time from start to goal, s.
+        t: (...) times since the start, s.
+        ramp: share of the duration that each of the two ramps takes, in (0, 0.5].
+
+    Raises:
+        ValueError: a position does not end in three finite numbers, the duration is not positive
+            and finite, or the ramp lies outside (0, 0.5].
+    """
+    time = _positive("duration", duration)
+    if not 0.0 < ramp <= 0.5:
+        raise ValueError(f"ramp is {ramp!r}, but must be a share of the duration in (0, 0.5]")
+    u = np.clip(np.asarray(t, dtype=np.float64) / time, 0.0, 1.0)
+    up = _ramped_time(u, ramp)
+    down = _ramped_time(1.0 - u, ramp)
+    late = u > 0.5
+    full = 1.0 - ramp  # what the two halves of the warped time sum to
+    profile = _Profile(
+        np.where(late, full - down.value, up.value) / full,
+        np.where(late, down.first, up.first) / full,
+        np.where(late, -down.second, up.second) / full,
+        np.where(late, down.third, up.third) / full,
+    )
+    return _along_line(start, goal, _scale_time(profile, time))
+
+
+def circle(
+    center: npt.ArrayLike,
+    radius: npt.ArrayLike,
+    angular_rate: npt.ArrayLike,
+    phase: npt.ArrayLike,
+    t: npt.ArrayLike,
+    *,
+    axes: tuple[npt.ArrayLike, npt.ArrayLike] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    ramp_time: float = 0.0,
+) -> Reference:
+    """Motion on a circle at constant angular rate, optionally from rest.
+
+    Args:
+        center: (..., 3) centre, m.
+        radius: (...) radius, m.
+        angular_rate: (...) rad/s; positive turns from the first axis to the second.
+        phase: (...) angle at time zero, rad.
+        t: (...) times, s.
+        axes: two orthogonal unit vectors (3,) that span the plane; by default the horizontal one.
+        ramp_time: time in which the rate grows smoothly from rest at t = 0, with continuous jerk,
+            s; the motion rests before. Zero: at full rate at all times.
+
+    Raises:
+        ValueError: the axes are not orthogonal unit vectors, the radius is not positive, or an
+            argument of `ellipse` is bad.
+    """
+    size = _positive("radius", radius)[..., None]
+    pair = np.array([_points("axes[0]", axes[0]), _points("axes[1]", axes[1])])
+    if pair.shape != (2, 3) or not np.allclose(pair @ pair.T, np.eye(2), atol=1e-9):
+        raise ValueError(f"axes are {pair.tolist()}, but must be two orthogonal unit vectors (3,)")
+    first, second = size * pair[0], size * pair[1]
+    return ellipse(center, first, second, angular_rate, phase, t, ramp_time=ramp_time)
+
+
+def ellipse(
+    center: npt.ArrayLike,
+    first: npt.ArrayLike,
+    second: npt.ArrayLike,
+    angular_rate: npt.ArrayLike,
+    phase: npt.ArrayLike,
+    t: npt.ArrayLike,
+    *,
+    ramp_time: float = 0.0,
+) -> Reference:
+    """Motion center + first cos(angle) + second sin(angle), the angle growing at a constant rate.
+
+    Args:
+        center: (..., 3) centre, m.
+        first: (..., 3) half axis that angle zero points to, m.
+        second: (..., 3) half axis that a quarter turn points to, m.
+        angular_rate: (...) rad/s.
+        phase: (...) angle at time zero, rad.
+        t: (...) times, s.
+        ramp_time: as for `circle`, s.
+
+    Raises:
+        ValueError: a vector does not end in three finite numbers, the rate is not finite, or the
+            ramp time is negative or not finite.
+    """
+    speed = np.asarray(angular_rate, dtype=np.float64)
+    if not np.isfinite(speed).all():
+        raise ValueError(f"angular_rate is {angular_rate!r}, but must be finite")
+    if not (math.isfinite(ramp_time) and ramp_time >= 0.0):
+        raise ValueError(f"ramp_time is {ramp_time!r} s, but must be zero or positive and finite")
+    middle, a, b = _points("center", center), _points("first", first), _points("second", second)
+    time = np.asarray(t, dtype=np.float64)
+    if ramp_time > 0.0:
+        warp = _ramped_time(time, ramp_time)
+    else:
+        none = np.zeros_like(time)
+        warp = _Profile(time, none + 1.0, none, none)
+    angle = (np.asarray(phase, dtype=np.float64) + speed * warp.value)[..., None]
+    rate, second_rate, third_rate = (
+        (speed * part)[..., None] for part in (warp.first, warp.second, warp.third)
+    )
+    radial = a * np.cos(angle) + b * np.sin(angle)
+    tangent = b * np.cos(angle) - a * np.sin(angle)
+    velocity = tangent * rate
+    acceleration = tangent * second_rate - radial * rate**2
+    jerk = tangent * (third_rate - rate**3) - 3.0 * radial * rate * second_rate
+    return _reference(middle + radial, velocity, acceleration, jerk)
+
+
+def _ramped_time(t: FloatArray, ramp_time: float) -> _Profile:
+    """Time that stands still before zero and runs at full rate after ramp_time."""
+    x = np.clip(t / ramp_time, 0.0, 1.0)
+    begun = np.where(t < ramp_time, x**4 * (2.5 - 3.0 * x + x**2), x - 0.5) * ramp_time
+    value = begun + np.maximum(t - ramp_time, 0.0)
+    first = x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
+    second = 30.0 * x**2 * (1.0 - x) ** 2 / ramp_time
+    third = 60.0 * x * (1.0 - x) * (1.0 - 2.0 * x) / ramp_time**2
+    return _Profile(value, first, second, third)
+
+
+def _scale_time(profile: _Profile, duration: FloatArray) -> _Profile:
+    """The derivatives by time of a profile given over the share of a duration."""
+    return _Profile(
+        profile.value,
+        profile.first / duration,
+        profile.second / duration**2,
+        profile.third / duration**3,
+    )
+
+
+def _along_line(start: npt.ArrayLike, goal: npt.ArrayLike, profile: _Profile) -> Reference:
+    origin, end = _points("start", start), _points("goal", goal)
+    way = end - origin
+    value = profile.value[..., None]
+    # Weighted so that the end is met to the last bit.
+    position = origin * (1.0 - value) + end * value
+    return _reference(position, *(part[..., None] * way for part in profile[1:]))
+
+
+def _reference(*parts: FloatArray) -> Reference:
+    """Arrays of one shape, each with its own memory."""
+    return Reference(*(np.array(part) for part in np.broadcast_arrays(*parts)))
+
+
+def _points(name: str, value: npt.ArrayLike) -> FloatArray:
+    array = np.asarray(value, dtype=np.float64)
+    if array.ndim == 0 or array.shape[-1] != 3:
+        raise ValueError(f"{name} has shape {array.shape}, but must end in 3: x, y, z")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} is {array.tolist()}, but must be finite")
+    return array
+
+
+def _positive(name: str, value: npt.ArrayLike) -> FloatArray:
+    array = np.asarray(value, dtype=np.float64)
+    if not (np.isfinite(array) & (array > 0.0)).all():
+        raise ValueError(f"{name} is {value!r}, but must be positive and finite")
+    return array
