@@ -1,0 +1,252 @@
+"""Motors on a battery: the identified polynomials of Table I, and how thrust falls with charge.
+
+Voltages are normalised as in the paper, v = Vbat / 4.2 V, and so are motor signals, p = PWM / 65536
+(Neural-Swarm2, Sec. VII-A). The battery is one lithium-polymer cell behind a resistance:
+
+- current: I = I_idle + k T, with T the total thrust, a line through Bitcraze's measurement;
+- charge: counts the current, dq = -I dt / capacity;
+- voltage: the open-circuit voltage at that charge less R I. R is what Table I itself implies: psi3
+  gives the largest force at the voltage *measured under a signal p*, so its term in p is the sag
+  which that signal has caused already;
+- largest force of a rotor: psi3 at that voltage and signal, never above the vehicle's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.compiled import kernel
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
+
+FULL_VOLTAGE = 4.2
+"""The voltage of a full cell, by which Table I normalises, V."""
+
+
+_LITHIUM_POLYMER_V = (3.27, 3.69, 3.73, 3.77, 3.80, 3.84, 3.87, 3.95, 4.02, 4.11, 4.20)
+
+
+def rotor_force_g(
+    vehicle: Vehicle, pwm: npt.ArrayLike, voltage: npt.ArrayLike
+) -> np.float64 | FloatArray:
+    """Force of one rotor, psi1 of Table I.
+
+    Args:
+        vehicle: whose rotor.
+        pwm: motor signal PWM / 65536, any shape.
+        voltage: battery voltage under that signal over 4.2 V, broadcast against `pwm`.
+
+    Returns:
+        Force in grams. The fit has its minimum near p = 0.2 and is meant for the signals of flight,
+        above 0.3; at p = 0 it gives some grams where a rotor at rest gives none.
+    """
+    a, b, c, d, e = vehicle.pwm_to_force
+    p, v = np.asarray(pwm, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
+    return a + b * p + c * v + d * p * p + e * p * v
+
+
+def pwm_for_force(
+    vehicle: Vehicle, force_g: npt.ArrayLike, voltage: npt.ArrayLike
+) -> np.float64 | FloatArray:
+    """Motor signal that makes a rotor give a force, psi2 of Table I.
+
+    A fit of its own, not the exact inverse of psi1: between half and one and a half times the
+    force of hover, at 3.4 to 4.0 V, psi1 of the signal misses the force that was asked for by at
+    most 1.0 g (small) and 3.7 g (large), in the mean square by 0.5 g and 1.6 g.
+
+    Args:
+        vehicle: whose rotor.
+        force_g: force wanted of one rotor, grams, any shape.
+        voltage: battery voltage over 4.2 V, broadcast against `force_g`.
+
+    Returns:
+        PWM / 65536; the polynomial is not limited to [0, 1].
+    """
+    a, b, c, d, e = vehicle.force_to_pwm
+    f, v = np.asarray(force_g, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
+    return a + b * f + c * v + d * f * f + e * f * v
+
+
+def max_rotor_force_g(
+    vehicle: Vehicle, pwm: npt.ArrayLike, voltage: npt.ArrayLike
+) -> np.float64 | FloatArray:
+    """Largest force that one rotor could give now, psi3 of Table I.
+
+    Args:
+        vehicle: whose rotor.
+        pwm: present motor signal PWM / 65536, any shape.
+        voltage: battery voltage measured under that signal over 4.2 V, broadcast against `pwm`.
+
+    Returns:
+        Force in grams.
+    """
+    a, b, c = vehicle.pwm_to_max_force
+    return a + b * np.asarray(pwm, dtype=np.float64) + c * np.asarray(voltage, dtype=np.float64)
+
+
+class BatteryArrays(NamedTuple):
+    """The batteries of a team as compiled kernels take them; one row a drone."""
+
+    open_circuit: FloatArray
+    """(K,) voltage without load over 4.2 V, at K evenly spaced charges from 0 to 1."""
+    idle_current: float
+    """Current with the rotors at rest, A."""
+    current_per_newton: float
+    """Current for a newton of total thrust, A/N."""
+    capacity: FloatArray
+    """(N,) charge of a full battery, A s."""
+    resistance: FloatArray
+    """(N,) fall of the voltage with the current, over 4.2 V, 1/A."""
+    force_to_pwm: FloatArray
+    """(N, 5) psi2."""
+    pwm_to_max_force: FloatArray
+    """(N, 3) psi3."""
+
+
+@dataclass(frozen=True)
+class BatteryModel:
+    """How batteries empty. The defaults are a Crazyflie's: six minutes of hover at 34 g."""
+
+    capacity_ah: float = 0.25
+    """Capacity of the battery of `SMALL`, ampere-hours: what a Crazyflie 2.X is sold with. Other
+    vehicles carry the same share of their mass, an assumption: theirs are not published."""
+    idle_current_a: float = 0.24
+    """Current with the rotors at rest, A (Bitcraze, "PWM to thrust", at 0 % PWM)."""
+    current_per_newton: float = 7.0
+    """Current for a newton of total thrust, A/N: least squares through the 16 rows of the same
+    table, which it meets within 0.25 A. Taken for every vehicle."""
+    open_circuit_v: tuple[float, ...] = _LITHIUM_POLYMER_V
+    """Voltage without load at evenly spaced charges from empty to full, V: a typical
+    lithium-polymer cell, rising with charge."""
+
+    def __post_init__(self) -> None:
+        """Refuse values that no battery has.
+
+        Raises:
+            ValueError: naming the value, the rule and the fix.
+        """
+        if not 0.0 < self.capacity_ah < np.inf:
+            raise ValueError(
+                f"capacity_ah is {self.capacity_ah}, but must be above 0, such as 0.25"
+            )
+        for name in ("idle_current_a", "current_per_newton"):
+            value = getattr(self, name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{name} is {value}, but must be a finite number of at least 0")
+        volts = np.array(self.open_circuit_v, dtype=np.float64)
+        if volts.size < 2 or not (np.diff(volts) > 0.0).all() or not 0.0 < volts[0]:
+            raise ValueError(
+                f"open_circuit_v is {self.open_circuit_v}, but must list at least two voltages "
+                "that rise from empty to full, such as (3.3, 3.8, 4.2)"
+            )
+
+    def compile(self, team: Sequence[Vehicle]) -> BatteryArrays:
+        """Arrays of a team's batteries for the kernels."""
+        sag = np.array([v.pwm_to_max_force[1] / v.pwm_to_max_force[2] for v in team])
+        full_load = self.current_per_newton * np.array([v.max_thrust for v in team])
+        return BatteryArrays(
+            open_circuit=np.array(self.open_circuit_v, dtype=np.float64) / FULL_VOLTAGE,
+            idle_current=float(self.idle_current_a),
+            current_per_newton=float(self.current_per_newton),
+            capacity=3600.0 * self.capacity_ah * np.array([v.mass / SMALL.mass for v in team]),
+            resistance=np.divide(sag, full_load, out=np.zeros_like(sag), where=full_load > 0.0),
+            force_to_pwm=np.array([v.force_to_pwm for v in team], dtype=np.float64),
+            pwm_to_max_force=np.array([v.pwm_to_max_force for v in team], dtype=np.float64),
+        )
+
+
+def no_battery(team: Sequence[Vehicle]) -> BatteryArrays:
+    """Batteries that stay full and limit nothing, for physics in which they do not count."""
+    arrays = BatteryModel(idle_current_a=0.0, current_per_newton=0.0).compile(team)
+    arrays.pwm_to_max_force[:] = (np.inf, 0.0, 0.0)
+    return arrays
+
+
+@kernel
+def current(rotor_thrust_total_n: float, model: BatteryArrays) -> float:
+    """Current that a vehicle draws, A, while its rotors give a total thrust, N."""
+    return model.idle_current + model.current_per_newton * rotor_thrust_total_n
+
+
+@kernel
+def voltage(
+    charge: float, rotor_thrust_total_n: float, model: BatteryArrays, vehicle_index: int
+) -> float:
+    """Voltage of a battery under load, over 4.2 V.
+
+    Args:
+        charge: from 0 (empty) to 1 (full).
+        rotor_thrust_total_n: thrust of the four rotors together, N.
+        model: the team's batteries.
+        vehicle_index: which drone of the team.
+    """
+    last = model.open_circuit.shape[0] - 1
+    place = charge * last
+    k = min(int(place), last - 1)
+    low, high = model.open_circuit[k], model.open_circuit[k + 1]
+    load = current(rotor_thrust_total_n, model)
+    return low + (place - k) * (high - low) - model.resistance[vehicle_index] * load
+
+
+@kernel
+def rotor_limit(
+    charge: float,
+    rotor_thrust_total_n: float,
+    max_thrust_n: float,
+    model: BatteryArrays,
+    vehicle_index: int,
+) -> float:
+    """Largest force of one rotor at a charge and under a load, N: psi3, within the vehicle's own.
+
+    The signal that psi3 asks for is psi2 of the mean force, within [0, 1] as PWM is. An empty
+    battery turns no rotor.
+
+    Args:
+        charge: from 0 (empty) to 1 (full).
+        rotor_thrust_total_n: thrust of the four rotors together, N.
+        max_thrust_n: the vehicle's own largest thrust, four rotors together, N.
+        model: the team's batteries.
+        vehicle_index: which drone of the team.
+    """
+    if charge <= 0.0:
+        return 0.0
+    v = voltage(charge, rotor_thrust_total_n, model, vehicle_index)
+    f = rotor_thrust_total_n / (4.0 * GRAM_FORCE)
+    a = model.force_to_pwm[vehicle_index]
+    p = a[0] + a[1] * f + a[2] * v + a[3] * f * f + a[4] * f * v
+    b = model.pwm_to_max_force[vehicle_index]
+    limit_g = b[0] + b[1] * min(max(p, 0.0), 1.0) + b[2] * v
+    return max(min(limit_g * GRAM_FORCE, max_thrust_n / 4.0), 0.0)
+
+
+@kernel
+def battery_step(
+    charge: float,
+    rotor_thrust_total_n: float,
+    max_thrust_n: float,
+    model: BatteryArrays,
+    vehicle_index: int,
+    dt: float,
+) -> tuple[float, float]:
+    """Advance one battery by a time step.
+
+    Args:
+        charge: before the step, from 0 (empty) to 1 (full).
+        rotor_thrust_total_n: thrust of the four rotors together during the step, N.
+        max_thrust_n: the vehicle's own largest thrust, four rotors together, N.
+        model: the team's batteries.
+        vehicle_index: which drone of the team.
+        dt: the step, s.
+
+    Returns:
+        The charge after the step, and the largest force of one rotor there, N.
+    """
+    used = current(rotor_thrust_total_n, model) * dt / model.capacity[vehicle_index]
+    left = max(charge - used, 0.0)
+    limit = rotor_limit(left, rotor_thrust_total_n, max_thrust_n, model, vehicle_index)
+    return left, limit
