@@ -58,7 +58,7 @@ def rotation_matrix(quaternion: npt.ArrayLike) -> FloatArray:
     """Rotation matrix (3, 3), body to world, of a unit quaternion (x, y, z, w)."""
     q = np.asarray(quaternion, dtype=np.float64)
     vector, w = q[:3], q[3]
-    cross = np.cross(np.eye(3), vector).T  # cross @ a = vector x a
+    cross = np.cross(vector, np.eye(3)).T  # cross @ a = vector x a
     return np.asarray(np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross)
 
 
@@ -81,7 +81,7 @@ def quaternion_vector(rotation: FloatArray) -> tuple[float, FloatArray]:
 def rotation_between(direction: FloatArray) -> FloatArray:
     """Shortest rotation (3, 3) that turns the z axis to a unit vector that points upwards."""
     axis = np.cross(UP, direction)
-    cross = np.cross(np.eye(3), axis).T
+    cross = np.cross(axis, np.eye(3)).T  # cross @ a = axis x a
     return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + direction[2]))
 
 
@@ -238,14 +238,35 @@ class PlainTrackingController:
         span = tilting.max() - tilting.min()
         if span > largest:
             tilting = tilting * (largest / span)
-        lowest_base, highest_base = -tilting.min(), largest - tilting.max()
-        rotors = tilting + max(lowest_base, min(thrust / 4.0, highest_base))
-
         turning = from_wrench @ np.array([0.0, 0.0, 0.0, torque[2]])
-        fraction = 1.0
-        for rotor, change in zip(rotors, turning, strict=True):
-            if change > 0.0:
-                fraction = min(fraction, (largest - rotor) / change)
-            elif change < 0.0:
-                fraction = min(fraction, rotor / -change)
-        return np.asarray(np.clip(rotors + max(fraction, 0.0) * turning, 0.0, largest))
+        base, share = nearest_base(thrust / 4.0, tilting, turning, largest)
+        return np.asarray(np.clip(base + tilting + share * turning, 0.0, largest))
+
+
+def nearest_base(
+    wanted: float, tilting: FloatArray, turning: FloatArray, largest: float
+) -> tuple[float, float]:
+    """Base thrust of all rotors, N, nearest to a wanted one, and the largest share of yaw with it.
+
+    Rotor i gives base + tilting[i] + share * turning[i], which must lie in [0, largest], with a
+    share in [0, 1]. In the plane of share and base these are straight lines; what is sought lies
+    where two of them, or one and the wanted base, cross. So every crossing is tried.
+    """
+    heights = np.concatenate([-tilting, largest - tilting, [wanted]])
+    slopes = np.concatenate([-turning, -turning, [0.0]])
+    shares = {0.0, 1.0}
+    for i in range(9):
+        for j in range(i):
+            if slopes[i] != slopes[j]:
+                shares.add(float((heights[j] - heights[i]) / (slopes[i] - slopes[j])))
+    best = (math.inf, 0.0, wanted)
+    rounding = 1e-12 * largest
+    for share in sorted(share for share in shares if 0.0 <= share <= 1.0):
+        lowest = float(np.max(heights[:4] + share * slopes[:4]))
+        highest = float(np.min(heights[4:8] + share * slopes[4:8]))
+        if lowest > highest + rounding:
+            continue
+        base = max(lowest, min(wanted, highest))
+        if abs(base - wanted) <= best[0] + rounding:
+            best = (abs(base - wanted), share, base)
+    return best[2], best[1]

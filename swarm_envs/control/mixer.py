@@ -5,6 +5,8 @@ Rotors: 1 front right, 2 back right, 3 back left, 4 front left; body x forward, 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import numpy.typing as npt
 
@@ -25,9 +27,10 @@ def mix_row(
 ) -> None:
     """Write the rotor thrusts of one drone that give a wrench, each in [0, max_rotor_thrust].
 
-    What the rotors cannot give is given up in the order yaw, thrust, roll and pitch: yaw is scaled
-    down as far as the rest needs; if that is not enough the thrust is shifted; only when roll and
-    pitch alone ask for more than the rotors' range are they scaled, both alike.
+    A wrench that the rotors can give is given exactly. Otherwise parts of it are given up in the
+    order yaw, thrust, roll and pitch: yaw is scaled down as far as the rest needs; if that is not
+    enough the thrust is shifted, as little as possible; only when roll and pitch alone ask for
+    more than the rotors' range are they scaled, both alike.
 
     Args:
         thrust: total thrust T, N.
@@ -70,16 +73,19 @@ def mix_scalars(
         diagonal_1 *= scale
         diagonal_2 *= scale
         largest = 0.5 * max_rotor_thrust
-    base = min(max(0.25 * thrust, largest), max_rotor_thrust - largest)
 
+    # Positive yaw takes thrust from rotors 1 and 3 and gives it to 2 and 4, so it narrows the range
+    # of thrusts that fit on one side and may widen it on the other.
     yaw = torque_z / (4.0 * thrust_to_torque)
-    # Rotors 1 and 3 lose what 2 and 4 gain; the tighter rotor of each pair limits the turn.
-    if yaw > 0.0:
-        room = min(base - abs(diagonal_1), max_rotor_thrust - base - abs(diagonal_2))
-        yaw = min(yaw, max(room, 0.0))
-    else:
-        room = min(max_rotor_thrust - base - abs(diagonal_1), base - abs(diagonal_2))
-        yaw = max(yaw, -max(room, 0.0))
+    losing, gaining = abs(diagonal_1), abs(diagonal_2)
+    if yaw < 0.0:
+        losing, gaining = gaining, losing
+    size = abs(yaw)
+    lowest = largest - min(max(0.5 * (gaining - losing), 0.0), size)
+    highest = max_rotor_thrust - largest + min(max(0.5 * (losing - gaining), 0.0), size)
+    base = min(max(0.25 * thrust, lowest), highest)
+    size = max(min(size, base - losing, max_rotor_thrust - gaining - base), 0.0)
+    yaw = math.copysign(size, yaw)
 
     out[0] = min(max(base + diagonal_1 - yaw, 0.0), max_rotor_thrust)
     out[1] = min(max(base + diagonal_2 + yaw, 0.0), max_rotor_thrust)

@@ -1,0 +1,331 @@
+"""The tracking loop in flight, on a small rigid-body simulator written here in numpy.
+
+Expected numbers are those of an independent prototype of the same loop: rise and overshoot of a
+step, worst height error under a wake, overshoot after a long push.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from swarm_envs.control.config import GAINS, ControllerConfig
+from swarm_envs.control.state import Setpoint
+from swarm_envs.control.tracking import TrackingController
+from swarm_envs.state import FloatArray, Parameters, SwarmState, hover_state, parameters
+from swarm_envs.trajectories import Reference, circle, ramped_line, rest_to_rest
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team, parse_team
+
+DT = 1.0 / 240.0
+
+Force = Callable[[float, FloatArray], FloatArray]
+"""Time, s, and positions (N, 3), m, to the force on each drone (N, 3), N."""
+
+# Fits to measured flights (upper drone, lower drone): grams, width m, widening, power.
+WAKES = {
+    ("S", "S"): (19.94, 0.0278, 0.0789, 1.17),
+    ("L", "S"): (29.20, 0.0447, 0.0452, 2.34),
+    ("S", "L"): (15.19, 0.0675, 0.0460, 1.54),
+    ("L", "L"): (29.95, 0.0693, 0.0079, 8.58),
+}
+
+
+def wake(team: Team) -> Force:
+    """Downwash of every drone on those below it, in closed form."""
+
+    def force(_: float, position: FloatArray) -> FloatArray:
+        total = np.zeros_like(position)
+        for i, below in enumerate(team):
+            for j, above in enumerate(team):
+                if i == j:
+                    continue
+                grams, width, widening, power = WAKES[above.token, below.token]
+                dx, dy, dz = position[j] - position[i]
+                wide = width + widening * max(dz, 0.0)
+                core = np.exp(-(dx**2 + dy**2) / wide**2 / 2) / (1 + np.exp(-dz / 0.03))
+                total[i, 2] -= grams * GRAM_FORCE * (width / wide) ** power * core
+        return total
+
+    return force
+
+
+def no_force(_: float, position: FloatArray) -> FloatArray:
+    return np.zeros_like(position)
+
+
+class Flight(NamedTuple):
+    """What was flown, one row per step."""
+
+    error: FloatArray
+    """(T, N, 3) position minus reference, m."""
+    rotation: FloatArray
+    """(T, N, 3, 3) body to world."""
+    commands: FloatArray
+    """(T, N, 4) N."""
+
+
+def fly(
+    team: Team,
+    reference: Callable[[float], Reference],
+    seconds: float,
+    *,
+    config: ControllerConfig | None = None,
+    force: Force = no_force,
+    exact_feedforward: bool = False,
+    yaw: Callable[[float], tuple[float, float]] = lambda t: (0.0, 0.0),
+    tilt: float = 0.0,
+    actual: Team | None = None,
+) -> Flight:
+    """Fly a team along a reference from hover, tilted about x by an angle, rad, at first."""
+    controller = TrackingController(team, config=config)
+    truth = parameters(team if actual is None else actual)
+    state = hover_state(team, reference(0.0).position)
+    state.quaternion[..., 0], state.quaternion[..., 3] = np.sin(tilt / 2), np.cos(tilt / 2)
+    rows = []
+    for step in range(round(seconds / DT)):
+        at = reference(step * DT)
+        angle, rate = yaw(step * DT)
+        flat = np.ones((1, len(team)))
+        setpoint = Setpoint(*(part[None] for part in at), angle * flat, rate * flat)
+        push = force(step * DT, state.position[0])
+        believed = push[None] if exact_feedforward else None
+        commands = controller.commands(state, setpoint, believed)
+        error = state.position[0] - at.position
+        rows.append((error, rotations(state.quaternion[0]), commands[0]))
+        integrate(state, truth, commands, push[None])
+    return Flight(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def rotations(quaternion: FloatArray) -> FloatArray:
+    """Rotation matrices (..., 3, 3), body to world, of quaternions (x, y, z, w)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def integrate(
+    state: SwarmState, truth: Parameters, commands: FloatArray, force: FloatArray
+) -> None:
+    """One step: rotor lag, then semi-implicit Euler of a rigid body, in place."""
+    limited = np.clip(commands, 0.0, truth.max_rotor_thrust[..., None])
+    assert np.array_equal(limited, commands)
+    decay = np.exp(-truth.motor_rate * DT)[..., None]
+    state.rotor_thrust[...] = limited + (state.rotor_thrust - limited) * decay
+    f1, f2, f3, f4 = np.moveaxis(state.rotor_thrust, -1, 0)
+    torque = np.stack(
+        [
+            truth.rotor_offset * (f3 + f4 - f1 - f2),
+            truth.rotor_offset * (f2 + f3 - f1 - f4),
+            truth.thrust_to_torque * (f2 + f4 - f1 - f3),
+        ],
+        axis=-1,
+    )
+    rotation = rotations(state.quaternion)
+    rate = np.einsum("...ji,...j->...i", rotation, state.angular_velocity)
+    rate += DT * (torque - np.cross(rate, truth.inertia * rate)) / truth.inertia
+    state.angular_velocity[...] = np.einsum("...ij,...j->...i", rotation, rate)
+    total = rotation[..., 2] * (f1 + f2 + f3 + f4)[..., None] + force
+    state.velocity[...] += DT * (total / truth.mass[..., None] - [0.0, 0.0, GRAVITY])
+    state.position[...] += DT * state.velocity
+
+    omega = state.angular_velocity
+    speed = np.linalg.norm(omega, axis=-1, keepdims=True)
+    v, c = omega * DT / 2 * np.sinc(speed * DT / 2 / np.pi), np.cos(speed * DT / 2)
+    u, w = state.quaternion[..., :3].copy(), state.quaternion[..., 3:].copy()
+    state.quaternion[..., :3] = c * u + w * v + np.cross(v, u)
+    state.quaternion[..., 3:] = c * w - np.sum(u * v, axis=-1, keepdims=True)
+    state.quaternion[...] /= np.linalg.norm(state.quaternion, axis=-1, keepdims=True)
+
+
+def rest_at(*points: tuple[float, float, float]) -> Callable[[float], Reference]:
+    place = np.array(points)
+    return lambda t: Reference(place, *(np.zeros_like(place),) * 3)
+
+
+def swap(team: Team, seconds: float) -> Callable[[float], Reference]:
+    """A stacked swap: through the middle of a circle, a quarter of a metre between planes."""
+    count = len(team)
+    angle = 0.3 + 2 * np.pi * np.arange(count) / count
+    height = 0.8 + 0.25 * np.arange(count)[::-1]
+    start = np.stack([0.5 * np.cos(angle), 0.5 * np.sin(angle), height], axis=-1)
+    goal = start * [-1.0, -1.0, 1.0]
+    return lambda t: ramped_line(start, goal, seconds, t)
+
+
+@cache
+def worst_height_error(
+    token: str, compensated: bool, config: ControllerConfig | None = None
+) -> float:
+    """Worst height error of the lowest drone of a team that swaps places in 4 s, m."""
+    team = parse_team(token)
+    flight = fly(
+        team,
+        swap(team, 4.0),
+        5.0,
+        config=config,
+        force=wake(team),
+        exact_feedforward=compensated,
+    )
+    return float(np.abs(flight.error[:, -1, 2]).max())
+
+
+def step_response(
+    team: Team, axes: list[int], gains: str, seconds: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Each drone's answer to a step of 10 cm along its axis.
+
+    Times from 10 to 90 %, s; overshoots and last errors as shares of the step: (N,) each.
+    """
+    count = len(team)
+    start = np.stack([np.arange(count), np.zeros(count), np.ones(count)], axis=-1)
+    goal = start + 0.1 * np.eye(3)[axes]
+    rest = np.zeros_like(start)
+
+    def reference(t: float) -> Reference:
+        return Reference(goal if t > 0 else start, rest, rest, rest)
+
+    flight = fly(team, reference, seconds, config=ControllerConfig(gains=GAINS[gains]))
+    share = 1 + flight.error[1:, np.arange(count), axes] / 0.1
+    rise = (np.argmax(share > 0.9, axis=0) - np.argmax(share > 0.1, axis=0)) * DT
+    return rise, share.max(axis=0) - 1, share[-1] - 1
+
+
+def test_a_step_rises_in_its_time_with_little_overshoot() -> None:
+    rise, overshoot, last = step_response(parse_team("SSSLLL"), [0, 1, 2] * 2, "mid", 8.0)
+    assert (rise > 1.1).all()
+    assert (rise < 1.5).all()
+    assert (overshoot > 0.03).all()
+    assert (overshoot < 0.09).all()
+    assert np.abs(last).max() < 0.02
+
+
+def test_stiffer_gains_rise_faster() -> None:
+    rises = [step_response(parse_team("S"), [2], gains, 3.0)[0] for gains in GAINS]
+    assert rises[0] > 1.2 * rises[1] > 1.44 * rises[2]
+
+
+def test_hover_recovers_from_a_wrong_mass() -> None:
+    """The integral removes what the model does not know."""
+    heavy = (replace(parse_team("S")[0], mass=0.0341),)
+    flight = fly(parse_team("S"), rest_at((0.0, 0.0, 1.0)), 10.0, actual=heavy)
+    assert np.abs(flight.error).max() > 0.003
+    assert np.abs(flight.error[-1]).max() < 0.001
+
+
+def push_overshoot(limit: float) -> float:
+    """Overshoot, m, after a 36 g push down for 1.5 s, more than the motors can hold."""
+
+    def push(t: float, position: FloatArray) -> FloatArray:
+        return np.zeros_like(position) - [0.0, 0.0, 36 * GRAM_FORCE * (1.0 <= t < 2.5)]
+
+    config = ControllerConfig(velocity_integral_limit=limit)
+    flight = fly(parse_team("S"), rest_at((0.0, 0.0, 9.0)), 8.0, config=config, force=push)
+    assert flight.error[..., 2].min() < -1.0
+    return float(flight.error[..., 2].max())
+
+
+def test_a_long_push_does_not_wind_the_integral_up() -> None:
+    assert push_overshoot(0.05) < 0.01
+    assert push_overshoot(1e6) > 1.0
+
+
+def test_a_wake_is_felt_without_feedforward_and_not_with_the_exact_one() -> None:
+    plain, compensated = (worst_height_error("L2S", believed) for believed in (False, True))
+    assert 0.13 < plain < 0.21
+    assert compensated < 0.01
+
+
+@pytest.mark.parametrize("token", ["S2S", "S2L", "SS2L"])
+def test_feedforward_helps_every_team(token: str) -> None:
+    plain, compensated = (worst_height_error(token, believed) for believed in (False, True))
+    assert plain > 0.03
+    assert compensated < 0.1 * plain
+
+
+def test_lag_compensation_multiplies_what_exact_feedforward_gains() -> None:
+    without = ControllerConfig(lag_compensation=False)
+    assert worst_height_error("L2S", True, without) > 3 * worst_height_error("L2S", True)
+    ratio = worst_height_error("L2S", False, without) / worst_height_error("L2S", False)
+    assert 1.02 < ratio < 1.3
+
+
+@pytest.mark.parametrize("lag_compensation", [True, False])
+def test_yaw_turns_and_then_follows_its_rate(lag_compensation: bool) -> None:
+    def yaw(t: float) -> tuple[float, float]:
+        return (1.2, 0.0) if t < 4 else (1.2 + 0.8 * (t - 4), 0.8)
+
+    config = ControllerConfig(lag_compensation=lag_compensation)
+    flight = fly(parse_team("S"), rest_at((0.0, 0.0, 1.0)), 8.0, config=config, yaw=yaw)
+    heading = np.unwrap(np.arctan2(flight.rotation[:, 0, 1, 0], flight.rotation[:, 0, 0, 0]))
+    time = DT * (1 + np.arange(len(heading)))
+    wanted = np.array([yaw(t)[0] for t in time])
+    assert heading.max() < wanted.max() + 0.01
+    assert 0.5 < time[np.argmax(heading > 0.9 * 1.2)] < 1.5
+    assert abs(heading[time < 4][-1] - 1.2) < 0.02
+    assert np.abs(heading - wanted)[time > 6].max() < 0.02
+    assert np.abs(flight.error).max() < 1e-9
+
+
+@pytest.mark.parametrize("lag_compensation", [True, False])
+@pytest.mark.parametrize("vehicle", ["S", "L"])
+def test_recovery_from_a_steep_tilt(vehicle: str, lag_compensation: bool) -> None:
+    config = ControllerConfig(lag_compensation=lag_compensation)
+    flight = fly(
+        parse_team(vehicle),
+        rest_at((0.0, 0.0, 2.0)),
+        8.0,
+        config=config,
+        tilt=np.radians(60),
+    )
+    tilt = np.degrees(np.arccos(np.clip(flight.rotation[:, 0, 2, 2], -1, 1)))
+    # Back to within the tilt that flying home takes, then home.
+    assert tilt[round(0.5 / DT) :].max() < 30
+    assert tilt[round(3.0 / DT) :].max() < 4
+    assert np.abs(flight.error).max() < 0.6
+    assert np.abs(flight.error[-1]).max() < 0.03
+
+
+def test_recovery_from_upside_down_with_a_slight_lean() -> None:
+    flight = fly(parse_team("S"), rest_at((0.0, 0.0, 6.0)), 10.0, tilt=np.radians(170))
+    assert flight.rotation[-1, 0, 2, 2] > 0.999
+    assert np.abs(flight.error[-1]).max() < 0.05
+
+
+def test_a_mixed_team_tracks_smooth_references_closely() -> None:
+    team = parse_team("SLS*")
+    start = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [2.0, 0.0, 1.0]])
+    goal = start + [[0.0, 1.0, 0.5], [0.0, -1.0, 0.0], [0.5, 0.5, -0.3]]
+    flight = fly(team, lambda t: rest_to_rest(start, goal, 2.5, t), 4.0)
+    assert np.abs(flight.error).max() < 0.01
+    assert np.abs(flight.error[-1]).max() < 0.002
+
+    flight = fly(team, lambda t: circle(start, 0.5, 1.3, np.zeros(3), t, ramp_time=2.0), 8.0)
+    assert np.abs(flight.error).max() < 0.01
+
+
+@pytest.mark.parametrize(
+    ("gains", "lag_compensation"),
+    [("soft", True), ("soft", False), ("mid", True), ("mid", False), ("stiff", True)],
+)
+def test_hover_settles_without_a_limit_cycle(gains: str, lag_compensation: bool) -> None:
+    config = ControllerConfig(gains=GAINS[gains], lag_compensation=lag_compensation)
+    flight = fly(
+        parse_team("SL"),
+        rest_at((0.0, 0.0, 1.0), (1.0, 0.0, 1.0)),
+        12.0,
+        config=config,
+        tilt=np.radians(20),
+    )
+    late = flight.rotation[-240:, :, 2, 2]
+    assert np.degrees(np.arccos(np.clip(late, -1, 1))).max() < 0.2
+    assert np.ptp(flight.commands[-240:], axis=0).max() < 0.1 * GRAM_FORCE
+    assert np.abs(flight.error[-1]).max() < 0.003
