@@ -1,4 +1,6 @@
-"""Part of swarm_envs."""
+"""What acts: the agent protocol, learned agents and their networks."""
 
 if __name__ == "agents":
-    raise ImportError("import swarm_envs.agents instead: the bare name 'agents' collides with other packages")
+    raise ImportError(
+        "import swarm_envs.agents instead: the bare name 'agents' collides with other packages"
+    )

@@ -1,4 +1,6 @@
-"""Part of swarm_envs."""
+"""The papers' methods, as libraries and as agents."""
 
 if __name__ == "baselines":
-    raise ImportError("import swarm_envs.baselines instead: the bare name 'baselines' collides with other packages")
+    raise ImportError(
+        "import swarm_envs.baselines instead: the bare name 'baselines' collides with other packages"
+    )

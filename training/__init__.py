@@ -1,4 +1,6 @@
-"""Part of swarm_envs."""
+"""Trainers: interaction models, data collection, reinforcement learning."""
 
 if __name__ == "training":
-    raise ImportError("import swarm_envs.training instead: the bare name 'training' collides with other packages")
+    raise ImportError(
+        "import swarm_envs.training instead: the bare name 'training' collides with other packages"
+    )

@@ -1,0 +1,64 @@
+# Targets create the environment in .venv when it is missing or older than what it is made from.
+
+# Python 3.11 is the last for which pybullet has wheels; with another the compiled twin flies.
+PYTHON ?= $(shell python3.11 -c 'import sys; print(sys.executable)' 2>/dev/null || echo python3)
+VENV := .venv
+BIN := $(VENV)/bin
+# On a terminal pip shows its progress bars, elsewhere only what goes wrong.
+INSTALL := $(BIN)/python -m pip install $(shell test -t 2 || echo --quiet) -c constraints.txt
+
+# One thread: numbers do not depend on the machine's cores, and small arrays are faster.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export MKL_NUM_THREADS := 1
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-all lint format bench clean
+
+help:
+	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
+	@echo 'make test      the tests, without those marked slow'
+	@echo 'make test-all  every test'
+	@echo 'make lint      ruff and mypy'
+	@echo 'make format    let ruff mend what it can'
+	@echo 'make bench     speed, and peers beside it where they are installed'
+	@echo 'make clean     remove everything that these made'
+
+$(VENV)/.python:
+	$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/.base: $(VENV)/.python pyproject.toml constraints.txt
+	@echo 'Installing swarm-envs in $(VENV), once; this takes a minute or two ...'
+	$(INSTALL) -e .
+	@touch $@
+
+$(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
+	@echo 'Installing swarm-envs and its development tools in $(VENV), once; a few minutes ...'
+	$(INSTALL) -e '.[dev]'
+	@touch $(VENV)/.base $@
+
+demo: $(VENV)/.base
+	$(BIN)/swarm-envs demo --out demo
+
+test: $(VENV)/.dev
+	$(BIN)/python -m pytest
+
+test-all: $(VENV)/.dev
+	$(BIN)/python -m pytest -m 'slow or not slow'
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy swarm_envs tests
+
+format: $(VENV)/.dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(VENV)/.dev
+	$(BIN)/python tests/benchmarks/throughput.py
+
+clean:
+	rm -rf $(VENV) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find swarm_envs agents baselines training tests -name __pycache__ -prune -exec rm -rf {} +
