@@ -2,7 +2,8 @@
 
 The cache lies beside the modules, or in the user's cache directory when the installation is
 read-only. Numba ties a cached kernel to the one file that defines it; ours call each other across
-files, so `kernel` ties them to all files that hold kernels, and an edit to any recompiles.
+files and freeze each other's constants, so `kernel` ties them to every file that a kernel may come
+from, and an edit to any recompiles.
 """
 
 from __future__ import annotations
@@ -20,21 +21,21 @@ from numba.core.caching import FunctionCache
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
-_KERNEL_FOLDERS = ("physics", "interactions", "control", "envs", "tasks")
+_KERNEL_FOLDERS = ("physics", "interactions", "control", "envs", "tasks", "baselines")
 
 
 @cache
 def _sources_stamp() -> str:
-    files = [_PACKAGE / "state.py", _PACKAGE / "compiled.py"]
+    files = sorted(_PACKAGE.glob("*.py"))
     for folder in _KERNEL_FOLDERS:
-        files += sorted((_PACKAGE / folder).glob("*.py"))
+        files += sorted((_PACKAGE / folder).rglob("*.py"))
     digest = hashlib.sha256(numba.__version__.encode())
     for file in files:
         digest.update(file.read_bytes())
     return digest.hexdigest()
 
 
-class _KernelCache(FunctionCache):
+class _KernelCache(FunctionCache):  # type: ignore[misc]  # numba is untyped
     """Numba's on-disk cache, stale as soon as any file with kernels has changed."""
 
     def __init__(self, py_func: Callable[..., Any]) -> None:
@@ -58,7 +59,7 @@ def kernel(function: F) -> F:
             dispatcher._cache = _KernelCache(function)
         except RuntimeError:  # no writable folder for a cache: compile anew in each process
             pass
-    return dispatcher  # type: ignore[no-any-return]
+    return dispatcher
 
 
 _announced = False
