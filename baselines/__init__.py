@@ -2,5 +2,5 @@
 
 if __name__ == "baselines":
     raise ImportError(
-        "import swarm_envs.baselines instead: the bare name 'baselines' collides with other packages"
+        "import swarm_envs.baselines instead: a bare 'baselines' collides with other packages"
     )

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -55,10 +56,8 @@ def kernel(function: F) -> F:
     """
     dispatcher = numba.njit(error_model="numpy")(function)
     if not numba.config.DISABLE_JIT:
-        try:
+        with suppress(RuntimeError):  # no writable folder for a cache: compile in each process
             dispatcher._cache = _KernelCache(function)
-        except RuntimeError:  # no writable folder for a cache: compile anew in each process
-            pass
     return dispatcher
 
 
@@ -72,5 +71,7 @@ def announce_compilation(entry: Any) -> None:
         return
     _announced = True
     if not (isinstance(entry._cache, _KernelCache) and entry._cache.holds_anything()):
-        message = "swarm_envs: compiling kernels, once after installation (about 15 s) ..."
-        print(message, file=sys.stderr, flush=True)
+        sys.stderr.write(
+            "swarm_envs: compiling kernels, once after installation (about 15 s) ...\n"
+        )
+        sys.stderr.flush()

@@ -139,7 +139,7 @@ class BatteryModel:
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name} is {value}, but must be a finite number of at least 0")
         volts = np.array(self.open_circuit_v, dtype=np.float64)
-        if volts.size < 2 or not (np.diff(volts) > 0.0).all() or not 0.0 < volts[0]:
+        if volts.size < 2 or not (np.diff(volts) > 0.0).all() or not volts[0] > 0.0:
             raise ValueError(
                 f"open_circuit_v is {self.open_circuit_v}, but must list at least two voltages "
                 "that rise from empty to full, such as (3.3, 3.8, 4.2)"

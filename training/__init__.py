@@ -2,5 +2,5 @@
 
 if __name__ == "training":
     raise ImportError(
-        "import swarm_envs.training instead: the bare name 'training' collides with other packages"
+        "import swarm_envs.training instead: a bare 'training' collides with other packages"
     )
