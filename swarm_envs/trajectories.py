@@ -28,6 +28,12 @@ class Reference(NamedTuple):
     """(..., 3) its third derivative, m/s^3."""
 
 
+def rest(position: FloatArray) -> Reference:
+    """The motion that stays at a position (..., 3), m."""
+    still = np.zeros_like(position)
+    return Reference(position, still, still, still)
+
+
 class _Profile(NamedTuple):
     """A scalar function of time with its first three derivatives, each of the same shape."""
 

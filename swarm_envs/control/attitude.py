@@ -140,7 +140,9 @@ def desired_torque(
         omega_desired: its angular velocity omega_d, in its own frame, rad/s.
         inertia: (3,) principal moments of inertia, kg m^2.
         motor_rate: lambda, 1/s.
-        integral, last_error, error_rate: (3,) memory, updated here, see `axis_acceleration`.
+        integral: (3,) integral of the rate error, updated here, rad.
+        last_error: (3,) rate error of the last step, updated here, rad/s.
+        error_rate: (3,) its low-passed derivative, updated here, rad/s^2.
         started: whether the memory holds a last step.
         gains: the controller's gains.
     """

@@ -49,7 +49,9 @@ class ControllerState(NamedTuple):
 
     def copy(self) -> ControllerState:
         """Return a memory whose arrays are independent of this one's."""
-        return ControllerState(*(array.copy() for array in self))
+        twin = ControllerState.zeros(*self.thrust.shape)
+        twin.assign(self)
+        return twin
 
     def assign(self, other: ControllerState, mask: BoolArray | None = None) -> None:
         """Copy another memory's values into these arrays, in the environments of the (E,) mask."""
@@ -84,7 +86,8 @@ class Setpoint(NamedTuple):
     def zeros(cls, num_envs: int, num_drones: int) -> Setpoint:
         """Set-points at the origin, at rest."""
         shape = (num_envs, num_drones)
-        return cls(*(np.zeros((*shape, 3)) for _ in range(4)), np.zeros(shape), np.zeros(shape))
+        widths = ((3,), (3,), (3,), (3,), (), ())
+        return cls._make(np.zeros((*shape, *width)) for width in widths)
 
     @classmethod
     def hold(cls, position: FloatArray) -> Setpoint:

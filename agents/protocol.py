@@ -1,0 +1,66 @@
+"""The protocol of things that act, and the loop that flies them through an episode."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+
+Observations = Mapping[str, npt.NDArray[np.float32]]
+Actions = dict[str, npt.NDArray[Any]]
+
+
+@runtime_checkable
+class Agent(Protocol):
+    """Anything that flies a team: a scripted baseline, a trained policy, a student's file."""
+
+    requires: Mapping[str, object]
+    """Environment options without which it cannot act: action, decision_rate, controller ..."""
+    privileged: bool
+    """Whether it wants `view`: the true state, goals and reference."""
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Prepare for an episode of this environment, which has just been reset."""
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Give every agent's action.
+
+        Args:
+            observations: of the environment, by agent name.
+            view: the truth if the agent is privileged, else None.
+        """
+
+
+def fly_episode(
+    env: SwarmParallelEnv,
+    agent: Agent,
+    seed: int,
+    watch: Callable[[SwarmParallelEnv], None] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """Fly one episode and return its metrics.
+
+    Args:
+        env: an environment that has what the agent requires.
+        agent: who acts.
+        seed: of the episode, for environment and agent.
+        watch: called after the reset and after every step.
+        options: for the environment's reset.
+    """
+    observations, _ = env.reset(seed=seed, options=options)
+    agent.reset(env, seed)
+    infos: dict[str, dict[str, Any]] = {}
+    if watch is not None:
+        watch(env)
+    while env.agents:
+        actions = agent.act(observations, env.view if agent.privileged else None)
+        observations, _, _, _, infos = env.step(actions)
+        if watch is not None:
+            watch(env)
+    metrics: dict[str, Any] = next(iter(infos.values()))["episode_metrics"]
+    return metrics

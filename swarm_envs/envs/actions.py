@@ -1,0 +1,117 @@
+"""Actions: what an agent's numbers mean, and how they reach set-points or rotors.
+
+| mode | numbers | meaning |
+|---|---|---|
+| `acceleration` | 3 in [-1, 1] | the set-point accelerates by 5 m/s^2 times this; its speed ends at 2 m/s |
+| `rotors` | 4 in [-1, 1] | thrust of each rotor, from none to the largest |
+| `setpoint` | 14, SI | position, velocity, acceleration, jerk (3 each), yaw, yaw rate |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarm_envs.compiled import kernel
+from swarm_envs.control.state import Setpoint
+from swarm_envs.envs.flight import Pilot
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
+
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True)
+class ActionMode:
+    """One meaning of actions."""
+
+    name: str
+    width: int
+    """Numbers per drone."""
+    bounded: bool
+    """Whether numbers must lie in [-1, 1]."""
+    direct: bool
+    """Whether it commands rotors, past the tracking loop."""
+    apply: Callable[[FloatArray, Pilot, BoolArray, float], None]
+    """Write actions (E, N, width) into set-points or commands, where running (E,)."""
+
+
+@kernel
+def accelerate(
+    actions: FloatArray, setpoint: Setpoint, running: BoolArray, decision_s: float
+) -> None:
+    """Accelerate the set-points, each up to the speed limit at the end of the decision.
+
+    Args:
+        actions: (E, N, 3) in [-1, 1], times 5 m/s^2.
+        setpoint: changed in place: its acceleration, constant until the next decision.
+        running: (E,) environments to change.
+        decision_s: time until the next decision, s.
+    """
+    velocity, acceleration, jerk = setpoint.velocity, setpoint.acceleration, setpoint.jerk
+    end = np.empty(3)
+    for e in range(actions.shape[0]):
+        if not running[e]:
+            continue
+        for i in range(actions.shape[1]):
+            square = 0.0
+            for k in range(3):
+                end[k] = velocity[e, i, k] + ACCELERATION_LIMIT * actions[e, i, k] * decision_s
+                square += end[k] * end[k]
+            scale = min(1.0, SPEED_LIMIT / np.sqrt(square)) if square > 0.0 else 1.0
+            for k in range(3):
+                acceleration[e, i, k] = (end[k] * scale - velocity[e, i, k]) / decision_s
+                jerk[e, i, k] = 0.0
+            setpoint.yaw[e, i] = 0.0
+            setpoint.yaw_rate[e, i] = 0.0
+
+
+def _apply_acceleration(
+    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
+) -> None:
+    accelerate(actions, pilot.setpoint, running, decision_s)
+
+
+def _apply_rotors(
+    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
+) -> None:
+    share = 0.5 * (actions[running] + 1.0)
+    pilot.commands[running] = share * pilot.nominal.max_rotor_thrust[running][..., None]
+
+
+def _apply_setpoint(
+    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
+) -> None:
+    given = actions[running]
+    for k, array in enumerate(pilot.setpoint[:4]):
+        array[running] = given[..., 3 * k : 3 * k + 3]
+    pilot.setpoint.yaw[running] = given[..., 12]
+    pilot.setpoint.yaw_rate[running] = given[..., 13]
+
+
+ACTIONS: dict[str, ActionMode] = {
+    mode.name: mode
+    for mode in (
+        ActionMode("acceleration", 3, True, False, _apply_acceleration),
+        ActionMode("rotors", 4, True, True, _apply_rotors),
+        ActionMode("setpoint", 14, False, False, _apply_setpoint),
+    )
+}
+"""Every action mode by name."""
+
+
+def check_range(mode: ActionMode, actions: FloatArray) -> None:
+    """Refuse actions (E, N, width) outside the mode's Box.
+
+    Raises:
+        ValueError: naming the entry, the bounds and the fix.
+    """
+    if not mode.bounded or (abs(actions) <= 1.0 + _ROUNDING).all():
+        return
+    e, i, k = (int(n) for n in np.argwhere(abs(actions) > 1.0 + _ROUNDING)[0])
+    raise ValueError(
+        f"action {mode.name!r} of drone {i} in environment {e} has {actions[e, i, k]:.6g} at "
+        f"index {k}, but must lie in [-1, 1]; clip it before step, as with np.clip(action, -1, 1)"
+    )

@@ -1,0 +1,73 @@
+"""Options that every task's environments share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.errors import check_name
+from swarm_envs.envs.actions import ACTIONS
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.motors import BatteryModel
+from swarm_envs.physics import bullet_available
+from swarm_envs.physics.rigid_body import PHYSICS_RATE
+
+ENGINES = ("bullet", "batch")
+"""Names of the physics engines."""
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """How an environment is flown and observed. Raises ValueError for what cannot be.
+
+    The task says what is flown; see its own options.
+    """
+
+    physics: str | None = None
+    """`bullet`, `batch`, or None: Bullet where it can be imported, else the compiled twin."""
+    interactions: str | Path | InteractionModel = "learned"
+    """The force model that blows: `none`, `wake`, `learned`, a safetensors path, or a model."""
+    action: str = "acceleration"
+    """What actions mean: `acceleration`, `rotors` or `setpoint`."""
+    decision_rate: int = 48
+    """Actions per second: 240 over an integer."""
+    force_rate: int = 240
+    """Evaluations of the interaction force per second: 240 over an integer."""
+    controller: ControllerConfig | None = None
+    """The tracking loop between actions and rotors; None for its default."""
+    num_neighbors: int = 3
+    """K, how many neighbours a drone observes."""
+    horizon_s: float = 8.0
+    """The clock: an episode is truncated after this many seconds."""
+    end_on_success: bool = True
+    """Whether success ends the episode."""
+    battery: BatteryModel | None = None
+    """How batteries empty and weaken the rotors; None for batteries that never do."""
+
+    def __post_init__(self) -> None:
+        """Check every option."""
+        check_name("action", self.action, ACTIONS)
+        if self.physics is not None:
+            check_name("physics", self.physics, ENGINES)
+        for name in ("decision_rate", "force_rate"):
+            rate = getattr(self, name)
+            if not isinstance(rate, int) or rate < 1 or PHYSICS_RATE % rate:
+                raise ValueError(
+                    f"{name} is {rate!r}, but must be {PHYSICS_RATE} over an integer, such as "
+                    "240, 120, 48, 24 or 10"
+                )
+        if self.num_neighbors < 0:
+            raise ValueError(f"num_neighbors is {self.num_neighbors}, but must not be negative")
+        if not 0.0 < self.horizon_s < float("inf"):
+            raise ValueError(f"horizon_s is {self.horizon_s}, but must be positive and finite")
+
+    @property
+    def engine(self) -> str:
+        """The engine that `physics` stands for here."""
+        return self.physics or ("bullet" if bullet_available() else "batch")
+
+    @property
+    def decision_s(self) -> float:
+        """Time between actions, s."""
+        return 1.0 / self.decision_rate

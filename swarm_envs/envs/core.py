@@ -1,0 +1,235 @@
+"""The one implementation of the environments: E of them at once, of one task and team.
+
+Every interface (PettingZoo, Gymnasium, Stable-Baselines3) is a thin view of this class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.actions import ACTIONS, check_range
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.flight import Flight
+from swarm_envs.envs.observation import (
+    Float32Array,
+    observation_width,
+    type_codes,
+    write_observations,
+)
+from swarm_envs.envs.report import episode_metrics
+from swarm_envs.errors import check_array, check_name
+from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
+from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.state import BoolArray, FloatArray, hover_state
+from swarm_envs.tasks.base import Situation, Task, check_placement, new_mission
+from swarm_envs.tasks.metrics import measure, new_record
+from swarm_envs.trajectories import rest
+
+_ROUNDING = 1e-9
+_RESET_OPTIONS = ("start", "goal")
+_API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
+
+
+class StepResult(NamedTuple):
+    """What a step gives, for E environments of N drones."""
+
+    observations: Float32Array
+    """(E, N, width) rows; see `observation_layout`. A buffer, valid until the next step."""
+    rewards: FloatArray
+    """(E, N)."""
+    reward_terms: dict[str, FloatArray]
+    """Each bounded term (E, N), before its weight."""
+    terminated: BoolArray
+    """(E,) ended by a crash or by success."""
+    truncated: BoolArray
+    """(E,) ended by the clock."""
+
+
+class SwarmCore:
+    """E environments of one task.
+
+    Args:
+        task: what is flown, by whom.
+        config: how.
+        num_envs: E.
+    """
+
+    def __init__(self, task: Task, config: EnvConfig, num_envs: int = 1) -> None:
+        self.task, self.config, self.num_envs = task, config, num_envs
+        self.mode = ACTIONS[config.action]
+        self.physics = self._make_physics()
+        controller = config.controller or ControllerConfig()
+        self.flight = Flight(self.physics, controller, self.mode.direct)
+        drones = len(task.team)
+        self.mission = new_mission(num_envs, drones)
+        self.record = new_record(num_envs, drones)
+        self.time: FloatArray = np.zeros(num_envs)
+        self.running: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+        self.crashed: BoolArray = np.zeros((num_envs, drones), dtype=np.bool_)
+        self.succeeded: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+        self.generators = [np.random.default_rng() for _ in range(num_envs)]
+        self._substeps = PHYSICS_RATE // config.decision_rate
+        self._types = type_codes(task.team)
+        width = observation_width(config.num_neighbors)
+        self._rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
+        self._error: FloatArray = np.zeros((num_envs, drones))
+        self._reference = rest(self.mission.goal)
+
+    @property
+    def num_drones(self) -> int:
+        """N."""
+        return len(self.task.team)
+
+    def close(self) -> None:
+        """Free what physics holds. May be called more than once."""
+        self.physics.close()
+
+    def reset(
+        self,
+        seeds: Sequence[int | None] | None = None,
+        mask: BoolArray | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> Float32Array:
+        """Begin new episodes in the environments of the mask.
+
+        Args:
+            seeds: one per environment; None goes on with that environment's generator.
+            mask: (E,) which to reset; None for all.
+            options: `start` and `goal`, (N, 3) m, fix what would be drawn.
+
+        Returns:
+            (E, N, width) observations.
+
+        Raises:
+            ValueError: an option is unknown, or a start or goal impossible.
+        """
+        where = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
+        given = self._check_options(options or {})
+        generators = list(self.generators)
+        placements = {}
+        for e in np.flatnonzero(where).tolist():
+            if seeds is not None and seeds[e] is not None:
+                generators[e] = np.random.default_rng(seeds[e])
+            placements[e] = self.task.place(generators[e], **given)
+            for name in _RESET_OPTIONS:
+                radius = self.physics.parameters.radius[e]
+                check_placement(placements[e], radius, self.physics.arena, name)
+        self.generators = generators
+        for e, placement in placements.items():
+            self.mission.place(e, placement)
+        self.flight.reset(hover_state(self.task.team, self.mission.start), where)
+        self.record.clear(where)
+        self.time[where] = 0.0
+        self.running[where] = True
+        self.crashed[where] = False
+        self.succeeded[where] = False
+        self._reference = self.task.reference(self.mission, self.time)
+        return self._observe(where)
+
+    def step(self, actions: npt.ArrayLike) -> StepResult:
+        """Fly every running environment from this decision to the next.
+
+        Args:
+            actions: (E, N, width of the action).
+
+        Raises:
+            ValueError: actions of a wrong shape, not finite, or outside their bounds; nothing
+                has changed then.
+        """
+        shape = (self.num_envs, self.num_drones, self.mode.width)
+        checked = check_array("actions", actions, shape, "(E, N, numbers per drone)")
+        check_range(self.mode, checked)
+        running = self.running.copy()
+        self.mode.apply(checked, self.flight.pilot, running, self.config.decision_s)
+        self.flight.fly(self._substeps, running)
+        self.time[running] += self.config.decision_s
+        situation = self._judge(running, checked)
+        terms = self.task.reward_terms(situation)
+        rewards: FloatArray = np.zeros(shape[:2])
+        for name, weight in self.task.reward_weights.items():
+            if weight:
+                rewards += weight * terms[name]
+        terminated = self.crashed.any(axis=1)
+        if self.config.end_on_success:
+            terminated = terminated | self.succeeded
+        truncated = ~terminated & (self.time >= self.config.horizon_s - _ROUNDING)
+        self.running &= ~(terminated | truncated)
+        return StepResult(self._observe(running), rewards, terms, terminated, truncated)
+
+    def metrics(self, e: int = 0) -> dict[str, Any]:
+        """What environment `e`'s episode is judged by, so far; see `episode_metrics`."""
+        return episode_metrics(self, e)
+
+    def _judge(self, running: BoolArray, actions: FloatArray) -> Situation:
+        contacts, mission = self.physics.contacts, self.mission
+        self.crashed |= (contacts.any() | contacts.tumbling) & running[:, None]
+        last = mission.distance.copy()
+        self._reference = self.task.reference(mission, self.time)
+        measure(
+            self.physics.state.position,
+            mission.goal,
+            self._reference.position,
+            contacts.separation,
+            contacts.clearance,
+            self.time,
+            self.task.success.radius,
+            running,
+            self.record,
+            mission.distance,
+            self._error,
+        )
+        there = (mission.distance < self.task.success.radius).all(axis=1)
+        mission.held[running] += self.config.decision_s
+        mission.held[~there] = 0.0
+        done = there & (mission.held >= self.task.success.hold_s - _ROUNDING)
+        done &= running & ~self.crashed.any(axis=1)
+        first = done & ~self.succeeded
+        self.succeeded |= done
+        return Situation(
+            distance=mission.distance,
+            last_distance=last,
+            tracking_error=self._error,
+            effort=np.square(actions).mean(axis=2) if self.mode.bounded else np.zeros(last.shape),
+            clearance=contacts.clearance,
+            crashed=self.crashed,
+            succeeded=first,
+        )
+
+    def _observe(self, mask: BoolArray) -> Float32Array:
+        write_observations(
+            self.physics.state,
+            self.physics.parameters,
+            self.flight.pilot.setpoint,
+            self.mode.direct,
+            self.mission.goal,
+            self._reference,
+            1.0 - self.time / self.config.horizon_s,
+            self._types,
+            self.config.num_neighbors,
+            mask,
+            self._rows,
+        )
+        return self._rows
+
+    def _make_physics(self) -> Physics:
+        engine = BulletPhysics if self.config.engine == "bullet" else BatchPhysics
+        return engine(
+            self.task.team,
+            self.num_envs,
+            self.config.interactions,
+            arena=self.task.arena,
+            battery=self.config.battery,
+            force_rate=self.config.force_rate,
+        )
+
+    def _check_options(self, options: Mapping[str, Any]) -> dict[str, FloatArray]:
+        shape = (self.num_drones, 3)
+        given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
+        for name in given:
+            check_name("reset option", name, _RESET_OPTIONS)
+        return {name: check_array(name, value, shape) for name, value in given.items()}

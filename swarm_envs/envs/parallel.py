@@ -1,0 +1,220 @@
+"""PettingZoo's parallel interface: one environment, a dictionary entry per drone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from pettingzoo import ParallelEnv
+
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.envs.observation import Field, Float32Array, observation_layout
+from swarm_envs.envs.view import View
+from swarm_envs.errors import check_name, unknown_name
+from swarm_envs.physics.contact import NO_DRONE
+from swarm_envs.tasks.base import Task
+
+RENDER_MODES = ("rgb_array",)
+
+
+class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
+    """A swarm as a PettingZoo parallel environment. Make it with a task's `parallel_env()`.
+
+    Agents are `drone_0` ... in the order of the team, and all end together. `infos[agent]` holds
+    `reward_terms` (each before its weight) and `contact` (what the drone touched); the last step's
+    also `episode_metrics`.
+    """
+
+    def __init__(
+        self, task: Task, config: EnvConfig | None = None, render_mode: str | None = None
+    ) -> None:
+        if render_mode is not None:
+            check_name("render_mode", render_mode, RENDER_MODES)
+        self.core = SwarmCore(task, config or EnvConfig())
+        self.render_mode = render_mode
+        self.metadata = {
+            "name": task.name,
+            "render_modes": list(RENDER_MODES),
+            "render_fps": self.core.config.decision_rate,
+            "is_parallelizable": True,
+        }
+        self.possible_agents = [f"drone_{i}" for i in range(self.core.num_drones)]
+        self.agents: list[str] = []
+        self._camera: Any = None
+        self._closed = False
+        width = self.core._rows.shape[2]
+        self._observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
+        mode = self.core.mode
+        edge = 1.0 if mode.bounded else np.inf
+        self._action_space = spaces.Box(-edge, edge, (mode.width,), np.float32)
+        self._action_spaces = {
+            agent: spaces.Box(-edge, edge, (mode.width,), np.float32)
+            for agent in self.possible_agents
+        }
+
+    @property
+    def physics_name(self) -> str:
+        """`bullet` or `batch`: the engine that flies."""
+        return self.core.physics.name
+
+    @property
+    def observation_layout(self) -> tuple[Field, ...]:
+        """Name, place, unit and scale of each field of an observation."""
+        return observation_layout(self.core.config.num_neighbors)
+
+    @property
+    def view(self) -> View:
+        """The truth, for privileged agents and for plots."""
+        return View(self.core)
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """The Box of an agent's observation: the same for every agent."""
+        self._index(agent)
+        return self._observation_space
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """The Box of an agent's action; each agent's samples from a generator of its own."""
+        self._index(agent)
+        return self._action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Float32Array], dict[str, dict[str, Any]]]:
+        """Begin an episode.
+
+        Args:
+            seed: seeds the environment's one generator; None goes on with it.
+            options: `start`, `goal`: (N, 3) positions, m.
+
+        Raises:
+            ValueError: an option is unknown, or a start or goal impossible.
+        """
+        self._check_open("reset")
+        rows = self.core.reset([seed], options=options)
+        self.agents = list(self.possible_agents)
+        return self._split(rows), {agent: {} for agent in self.agents}
+
+    def step(
+        self, actions: Mapping[str, npt.ArrayLike]
+    ) -> tuple[
+        dict[str, Float32Array],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Fly until the next decision.
+
+        Args:
+            actions: one for each agent.
+
+        Returns:
+            Observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            RuntimeError: there is no episode: `reset()` was not called, or the last one ended.
+            ValueError: an action is missing, superfluous, of wrong shape, not finite or outside
+                its bounds. Nothing has changed then.
+        """
+        self._check_open("step")
+        if not self.agents:
+            why = "the episode has ended" if self.core.time[0] > 0 else "no episode has begun"
+            raise RuntimeError(f"step() was called, but {why}; call reset() first")
+        result = self.core.step(self._join(actions))
+        agents = self.agents
+        terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
+        infos = self._infos(result, terminated or truncated)
+        if terminated or truncated:
+            self.agents = []
+        return (
+            self._split(result.observations),
+            dict(zip(agents, result.rewards[0].tolist(), strict=True)),
+            dict.fromkeys(agents, terminated),
+            dict.fromkeys(agents, truncated),
+            infos,
+        )
+
+    def render(self) -> npt.NDArray[np.uint8] | None:
+        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode."""
+        if self.render_mode is None:
+            return None
+        if self._camera is None:
+            from swarm_envs.viewing.camera import Camera
+
+            self._camera = Camera(self.core.task.team)
+        picture: npt.NDArray[np.uint8] = self._camera.picture(self.view.state)
+        return picture
+
+    def close(self) -> None:
+        """Free what physics and renderer hold. May be called more than once."""
+        self._closed = True
+        self.agents = []
+        self.core.close()
+        if self._camera is not None:
+            self._camera.close()
+
+    def _check_open(self, what: str) -> None:
+        if self._closed:
+            raise RuntimeError(f"{what}() was called on a closed environment; make a new one")
+
+    def _index(self, agent: str) -> int:
+        check_name("agent", agent, self.possible_agents)
+        return self.possible_agents.index(agent)
+
+    def _join(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
+        if len(actions) != len(self.agents) or any(a not in actions for a in self.agents):
+            self._refuse_agents(actions)
+        width = self.core.mode.width
+        rows = [actions[agent] for agent in self.agents]
+        try:
+            joined = np.array(rows, dtype=np.float64)
+        except (ValueError, TypeError):
+            joined = np.empty(0)
+        if joined.shape != (len(rows), width):
+            for agent, row in zip(self.agents, rows, strict=True):
+                if np.shape(row) != (width,):
+                    raise ValueError(
+                        f"action of {agent!r} has shape {np.shape(row)}, but action "
+                        f"{self.core.mode.name!r} takes {width} numbers: shape ({width},)"
+                    )
+            raise ValueError("actions must be numbers")
+        return joined[None]
+
+    def _refuse_agents(self, actions: Mapping[str, npt.ArrayLike]) -> None:
+        for agent in actions:
+            if agent not in self.agents:
+                raise ValueError(unknown_name("agent", agent, self.agents, "in actions"))
+        missing = [agent for agent in self.agents if agent not in actions]
+        raise ValueError(f"actions lack {missing}; give one for each of env.agents")
+
+    def _split(self, rows: Float32Array) -> dict[str, Float32Array]:
+        return dict(zip(self.possible_agents, rows[0].copy(), strict=True))
+
+    def _infos(self, result: StepResult, ended: bool) -> dict[str, dict[str, Any]]:
+        names = list(result.reward_terms)
+        columns = np.array([term[0] for term in result.reward_terms.values()]).T.tolist()
+        contacts = self.core.physics.contacts
+        touched = contacts.drone[0].tolist()
+        floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
+        infos: dict[str, dict[str, Any]] = {
+            agent: {
+                "reward_terms": dict(zip(names, column, strict=True)),
+                "contact": {
+                    "drone": None if other == NO_DRONE else self.possible_agents[other],
+                    "floor": on_floor,
+                    "wall": at_wall,
+                },
+            }
+            for agent, column, other, on_floor, at_wall in zip(
+                self.possible_agents, columns, touched, floor, wall, strict=True
+            )
+        }
+        if ended:
+            metrics = self.core.metrics()
+            for info in infos.values():
+                info["episode_metrics"] = metrics
+        return infos

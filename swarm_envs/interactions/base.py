@@ -1,0 +1,115 @@
+"""Interaction models: what blows in an environment, and what a controller believes blows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.compiled import announce_compilation
+from swarm_envs.errors import check_array, unknown_name
+from swarm_envs.interactions.deep_set import load_deep_set
+from swarm_envs.interactions.field import ForceField, empty_field
+from swarm_envs.interactions.forces import all_forces, types_array
+from swarm_envs.interactions.wake import load_wake
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
+
+MODELS = ("none", "wake", "learned")
+"""The models that ship, by name."""
+
+
+@dataclass(frozen=True)
+class InteractionModel:
+    """Forces f_a that air puts on drones beyond rotor thrust and gravity. Get one with `load`."""
+
+    name: str
+    """The name or path it was loaded from."""
+    types: tuple[str, ...]
+    """The interaction types it knows; a `Vehicle` names its own."""
+    field: ForceField
+    """The numbers that compiled kernels read."""
+    notes: dict[str, Any] = field(default_factory=dict)
+    """Where it comes from: provenance and errors that the weights file carries."""
+
+    def type_indices(self, team: Sequence[Vehicle]) -> IntArray:
+        """Index (N,) of each vehicle's interaction type among the model's types.
+
+        Raises:
+            ValueError: a vehicle's type is unknown to the model.
+        """
+        names = tuple(vehicle.interaction_type for vehicle in team)
+        for name in names:
+            if name not in self.types:
+                where = f"in interaction model {self.name!r}"
+                raise ValueError(unknown_name("interaction type", name, self.types, where))
+        return types_array(names, self.types)
+
+    def forces(
+        self,
+        position: npt.ArrayLike,
+        velocity: npt.ArrayLike,
+        team: str | Sequence[Vehicle],
+    ) -> FloatArray:
+        """Forces on every drone of every environment.
+
+        Args:
+            position: (E, N, 3) m, world frame.
+            velocity: (E, N, 3) m/s, world frame.
+            team: the N vehicles, the same in each environment.
+
+        Returns:
+            (E, N, 3) forces f_a, N, world frame.
+
+        Raises:
+            ValueError: shapes do not fit the team, or an entry is not finite.
+        """
+        vehicles = parse_team(team)
+        shape = (*np.shape(position)[:1], len(vehicles), 3)
+        p = check_array("position", position, shape, "(E, N, 3), N drones in the team")
+        v = check_array("velocity", velocity, shape, "the shape of position")
+        out = np.empty_like(p)
+        types = np.repeat(self.type_indices(vehicles)[None], len(p), axis=0)
+        announce_compilation(all_forces)
+        all_forces(self.field, types, np.ascontiguousarray(p), np.ascontiguousarray(v), out)
+        return out
+
+
+def load(name: str | Path | InteractionModel) -> InteractionModel:
+    """Load an interaction model.
+
+    Args:
+        name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (the shipped deep
+            set), or the path of a safetensors file; a model is returned as it is.
+
+    Raises:
+        ValueError: the name is none of these, or the file is damaged.
+        FileNotFoundError: the path names no file.
+    """
+    if isinstance(name, InteractionModel):
+        return name
+    text = str(name)
+    if text == "none":
+        types = tuple(sorted({vehicle.interaction_type for vehicle in VEHICLES.values()}))
+        return InteractionModel("none", types, empty_field(len(types)))
+    if text == "wake":
+        types, wake = load_wake()
+        return InteractionModel("wake", types, wake)
+    if text == "learned":
+        with resources.as_file(_shipped("learned.safetensors")) as path:
+            types, learned, notes = load_deep_set(path)
+        return InteractionModel("learned", types, learned, notes)
+    if not text.endswith(".safetensors"):
+        valid = (*MODELS, "a path that ends in .safetensors")
+        raise ValueError(unknown_name("interaction model", text, valid))
+    types, learned, notes = load_deep_set(Path(text))
+    return InteractionModel(text, types, learned, notes)
+
+
+def _shipped(file: str) -> Any:
+    return resources.files("swarm_envs.interactions").joinpath("weights").joinpath(file)

@@ -1,0 +1,95 @@
+"""A force model as numbers: the arrays that the compiled kernels read.
+
+One class serves every kind of model, so that physics, controllers and planners are compiled once.
+A model leaves what it does not use at its default.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.state import FloatArray, IntArray
+
+NONE, WAKE, LEARNED = 0, 1, 2
+
+LATERAL_REACH = 0.35
+"""Half width of the interaction volume in x and y, m (Neural-Swarm2's filter)."""
+VERTICAL_REACH = 1.1
+"""Half height of the interaction volume, m."""
+LATERAL_FADE = 0.1
+"""The outer part of the lateral reach over which a pair's contribution fades, m."""
+VERTICAL_FADE = 0.3
+"""The outer part of the vertical reach over which a pair's contribution fades, m."""
+
+NO_LIMIT = 1e30
+"""Stands for infinity in input ranges, so that arithmetic on it stays finite."""
+
+
+class ForceField(NamedTuple):
+    """Numbers of a force model over K interaction types. SI units unless said."""
+
+    kind: int
+    """NONE, WAKE or LEARNED."""
+    drag: FloatArray
+    """(K, 3) linear drag coefficients c of a lone drone, N s/m: force -c v."""
+    window: FloatArray
+    """(4,) lateral full and end, vertical full and end of the fading pair window, m."""
+    environment_range: FloatArray
+    """(2, 4) measured range of (-z, -v): m and m/s."""
+    pair_range: FloatArray
+    """(2, 6) measured range of (p_j - p_i, v_j - v_i): m and m/s."""
+    wake_pair: FloatArray
+    """(K, K, 4) A (N), w0 (m), spread S, exponent p by [type of the upper, type of the lower]."""
+    wake_delay: FloatArray
+    """(K,) seconds per metre by which a drone's wake trails behind it, by the upper type."""
+    wake_combine: float
+    """Exponent q of the norm that sums several wakes; above 1 they give less than their sum."""
+    wake_ground: FloatArray
+    """(K, 2) ground effect at 0.07 m (N) and its decay height (m), by type."""
+    wake_mitigation: FloatArray
+    """(2,) share of downwash lost at the ground, and the height over which that fades (m)."""
+    weights: FloatArray
+    """Flat weights: per layer the transposed matrix (in, out), then the bias (out)."""
+    layout: IntArray
+    """(2 K + 1, 2 L + 2) of phi of each type, phi of the environment, rho of each type: depth,
+    the L + 1 widths, the L places in `weights` where the layers begin."""
+    anchor_height: float
+    """Height from which a lone drone feels exactly nothing, m; 0 if the model is not anchored."""
+
+
+def default_window() -> FloatArray:
+    """The design's window: full inside, faded to nothing at the edge of the volume, m."""
+    return np.array(
+        [
+            LATERAL_REACH - LATERAL_FADE,
+            LATERAL_REACH,
+            VERTICAL_REACH - VERTICAL_FADE,
+            VERTICAL_REACH,
+        ]
+    )
+
+
+def unlimited(width: int) -> FloatArray:
+    """A (2, width) input range that clamps nothing."""
+    return np.array([[-NO_LIMIT] * width, [NO_LIMIT] * width])
+
+
+def empty_field(num_types: int) -> ForceField:
+    """A field of `num_types` types in which nothing acts: the base that models fill in."""
+    return ForceField(
+        kind=NONE,
+        drag=np.zeros((num_types, 3)),
+        window=default_window(),
+        environment_range=unlimited(4),
+        pair_range=unlimited(6),
+        wake_pair=np.ones((num_types, num_types, 4)),
+        wake_delay=np.zeros(num_types),
+        wake_combine=1.0,
+        wake_ground=np.ones((num_types, 2)),
+        wake_mitigation=np.array([0.0, 1.0]),
+        weights=np.zeros(1),
+        layout=np.zeros((2 * num_types + 1, 4), dtype=np.int64),
+        anchor_height=0.0,
+    )

@@ -1,0 +1,110 @@
+"""`wake`: downwash in closed form, fitted to the measured flights.
+
+Each drone trails a jet. At depth dz below it the jet is w = w0 + S dz wide and pushes a drone at
+lateral distance r down with
+
+    A (w0 / w)^p exp(-(r / w)^2 / 2) s(dz / 3 cm),   s the logistic function,
+
+so nothing is felt above or beside it. The jet tilts: its axis at depth dz lies where the upper
+drone was, seen from the lower one, when that air left it. Several jets together push
+less than their sum: (sum_k f_k^q)^(1/q). Near the ground the downwash is mitigated, and a drone's
+own jet carries it (ground effect). Linear drag acts on its motion.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from importlib import resources
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.compiled import kernel
+from swarm_envs.interactions.field import WAKE, ForceField, empty_field
+from swarm_envs.interactions.window import pair_weight
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.vehicles import GRAM_FORCE
+
+_ONSET = 0.03
+_LOWEST_MEASURED = 0.07
+
+
+def wake_field(parameters: dict[str, Any]) -> ForceField:
+    """Build the field from fitted parameters, as `weights/wake.json` holds them."""
+    types = parameters["types"]
+    field = empty_field(len(types))
+    for a, upper in enumerate(types):
+        for b, lower in enumerate(types):
+            fit = parameters["pair"][f"{upper}>{lower}"]
+            field.wake_pair[a, b] = fit["A_g"] * GRAM_FORCE, fit["w0_m"], fit["S"], fit["p"]
+        field.wake_delay[a] = 1.0 / parameters["advection_speed"][upper]
+        ground = parameters["ground"][upper]
+        ground[a] = ground["G_g"] * GRAM_FORCE, ground["h_m"]
+        field.drag[a] = parameters["drag"][upper]
+    mitigation = parameters["mitigation"]
+    return field._replace(
+        kind=WAKE,
+        wake_combine=float(parameters["combine_q"]),
+        wake_mitigation=np.array([mitigation["M"], mitigation["hm_m"]]),
+    )
+
+
+def load_wake() -> tuple[tuple[str, ...], ForceField]:
+    """Types and field of the shipped closed form."""
+    text = resources.files("swarm_envs.interactions").joinpath("weights/wake.json").read_text()
+    parameters = json.loads(text)
+    return tuple(parameters["types"]), wake_field(parameters)
+
+
+@kernel
+def jet_force(field: ForceField, upper: int, lower: int, lateral: float, depth: float) -> float:
+    """Downward push (N, positive) of one jet at a lateral distance from its axis and a depth, m."""
+    fit = field.wake_pair
+    amplitude, width0 = fit[upper, lower, 0], fit[upper, lower, 1]
+    spread, exponent = fit[upper, lower, 2], fit[upper, lower, 3]
+    width = width0 + spread * max(depth, 0.0)
+    shape = (width0 / width) ** exponent * math.exp(-0.5 * (lateral / width) ** 2)
+    return amplitude * shape / (1.0 + math.exp(-depth / _ONSET))
+
+
+@kernel
+def wake_forces(
+    field: ForceField,
+    types: IntArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    out: FloatArray,
+) -> None:
+    """Add the vertical wake and ground forces on N drones of one environment to `out`.
+
+    Args:
+        field: the model.
+        types: (N,) interaction types.
+        position: (N, 3) m.
+        velocity: (N, 3) m/s.
+        out: (N, 3) forces, N, world frame.
+    """
+    q, window, delays = field.wake_combine, field.window, field.wake_delay
+    ground, mitigation = field.wake_ground, field.wake_mitigation
+    for i in range(position.shape[0]):
+        total = 0.0
+        for j in range(position.shape[0]):
+            dx = position[j, 0] - position[i, 0]
+            dy = position[j, 1] - position[i, 1]
+            dz = position[j, 2] - position[i, 2]
+            weight = pair_weight(window, dx, dy, dz) if j != i else 0.0
+            if weight > 0.0:
+                delay = max(dz, 0.0) * delays[types[j]]
+                x = dx - (velocity[j, 0] - velocity[i, 0]) * delay
+                y = dy - (velocity[j, 1] - velocity[i, 1]) * delay
+                lateral = math.sqrt(x * x + y * y)
+                total += (weight * jet_force(field, types[j], types[i], lateral, dz)) ** q
+        height = max(position[i, 2], _LOWEST_MEASURED)
+        lost = mitigation[0] * math.exp(-height / mitigation[1])
+        lift = ground[types[i], 0] * math.exp(
+            (_LOWEST_MEASURED - height) / ground[types[i], 1]
+        )
+        out[i, 2] += lift - (1.0 - lost) * total ** (1.0 / q)
+
+

@@ -1,0 +1,190 @@
+"""What both engines share: the arrays, the checks at the door, the reset.
+
+A physics object holds E environments of the same team. `step` takes rotor commands and advances
+everything by 1/240 s; the interaction force is part of it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.errors import check_array
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.motors import BatteryModel
+from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
+from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.physics.step import World
+from swarm_envs.state import (
+    BoolArray,
+    FloatArray,
+    Parameters,
+    SwarmState,
+    hover_state,
+    parameters,
+)
+from swarm_envs.vehicles import Vehicle, parse_team
+
+
+class Physics(ABC):
+    """Rigid bodies, rotors and the air between them, for E environments of one team.
+
+    Args:
+        team: the N vehicles, or a string such as `"SSL"`.
+        num_envs: E.
+        interactions: the force model that blows: a name, a path or a model.
+        arena: (2, 3) corners of the walls for the collision test, m; None for no walls.
+        battery: how thrust falls as batteries empty; None for batteries that never do.
+        force_rate: how often a second the interaction force is evaluated; between, it is held.
+            240 or a divisor.
+
+    Raises:
+        ValueError: an argument names nothing valid.
+    """
+
+    name: str
+    """The engine's name, as environments report it."""
+
+    def __init__(
+        self,
+        team: str | Sequence[Vehicle],
+        num_envs: int = 1,
+        interactions: str | Path | InteractionModel = "learned",
+        *,
+        arena: npt.ArrayLike | None = None,
+        battery: BatteryModel | None = None,
+        force_rate: int = PHYSICS_RATE,
+    ) -> None:
+        self.team = parse_team(team)
+        if num_envs < 1:
+            raise ValueError(f"num_envs is {num_envs}, but must be at least 1")
+        if force_rate < 1 or PHYSICS_RATE % force_rate:
+            raise ValueError(
+                f"force_rate is {force_rate}, but must be {PHYSICS_RATE} or a divisor of it, "
+                "such as 120, 48 or 24"
+            )
+        self.num_envs = num_envs
+        self.interactions = load(interactions)
+        self.types = np.repeat(self.interactions.type_indices(self.team)[None], num_envs, axis=0)
+        self.parameters: Parameters = parameters(self.team, num_envs)
+        self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
+        shape = (num_envs, len(self.team))
+        self.contacts: Contacts = no_contacts(*shape)
+        self.force: FloatArray = np.zeros((*shape, 3))
+        self._total: FloatArray = np.zeros((*shape, 3))
+        self._no_force: FloatArray = np.zeros((*shape, 3))
+        self._state = hover_state(self.team, self._default_positions())
+        self.state: SwarmState = self._state.read_only()
+        self.world = World(
+            state=self._state,
+            parameters=self.parameters,
+            types=self.types,
+            field=self.interactions.field,
+            force=self.force,
+            outside=np.zeros(shape, dtype=np.bool_),
+            age=np.zeros(num_envs, dtype=np.int64),
+            hold=PHYSICS_RATE // force_rate,
+            rotor_limit=self.parameters.max_rotor_thrust.copy(),
+            drains=battery is not None,
+            battery=(BatteryModel() if battery is None else battery).compile(self.team),
+            contacts=self.contacts,
+            arena=self.arena,
+        )
+
+    @property
+    def contact(self) -> BoolArray:
+        """(E, N) whether each drone touched a drone, the floor or a wall in the last step."""
+        return self.contacts.any()
+
+    def reset(self, state: SwarmState | None = None, mask: BoolArray | None = None) -> SwarmState:
+        """Set the state of every environment, or of those in the mask.
+
+        Args:
+            state: the new state; None hovers at 1 m, the drones 1 m apart in a row.
+            mask: (E,) which environments to set; None for all.
+
+        Returns:
+            A read-only view of the state, valid until the next step.
+
+        Raises:
+            ValueError: the state does not fit, or holds an impossible value; nothing is changed.
+        """
+        new = hover_state(self.team, self._default_positions()) if state is None else state
+        check_state(new, self._state)
+        where: BoolArray = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
+        self._state.assign(new, where)
+        self.world.age[where] = 0
+        self.world.rotor_limit[where] = self.parameters.max_rotor_thrust[where]
+        self.force[where] = 0.0
+        self.contacts.clear(where)
+        self._placed(where)
+        return self.state
+
+    def step(
+        self, commands: npt.ArrayLike, external_force: npt.ArrayLike | None = None
+    ) -> SwarmState:
+        """Advance every environment by 1/240 s.
+
+        Args:
+            commands: (E, N, 4) commanded thrust of each rotor, N; motors reach at most
+                [0, rotor_limit].
+            external_force: (E, N, 3) further force on each drone, N, world frame.
+
+        Returns:
+            A read-only view of the state, valid until the next step.
+
+        Raises:
+            ValueError: a shape does not fit or an entry is not finite; nothing is changed.
+        """
+        shape = self.force.shape
+        u = check_array("commands", commands, (*shape[:2], 4), "(E, N, 4), newton a rotor")
+        external = self._no_force
+        if external_force is not None:
+            external = check_array("external_force", external_force, shape, "(E, N, 3), newton")
+        self.contacts.clear()
+        self._advance(u, external)
+        return self.state
+
+    def close(self) -> None:
+        """Free what the engine holds. May be called more than once."""
+
+    @abstractmethod
+    def _advance(self, commands: FloatArray, external: FloatArray) -> None:
+        """One step of checked input, in place."""
+
+    def _placed(self, mask: BoolArray) -> None:
+        """Called after the state of the environments in the mask was set."""
+
+    def _default_positions(self) -> FloatArray:
+        row = np.zeros((self.num_envs, len(self.team), 3))
+        row[..., 0] = np.arange(len(self.team)) - (len(self.team) - 1) / 2
+        row[..., 2] = 1.0
+        return row
+
+
+def check_state(state: SwarmState, like: SwarmState) -> None:
+    """Refuse a state that physics could not start from.
+
+    Args:
+        state: what was given.
+        like: a state of the right shapes.
+
+    Raises:
+        ValueError: naming the field and what is wrong with it.
+    """
+    for name, array, model in zip(state._fields, state, like, strict=True):
+        check_array(f"state.{name}", array, model.shape)
+    norm = np.linalg.norm(state.quaternion, axis=-1)
+    if (abs(norm - 1.0) > 1e-6).any():
+        raise ValueError(
+            f"state.quaternion has length {norm[abs(norm - 1.0) > 1e-6][0]}; "
+            "attitudes are unit quaternions (x, y, z, w)"
+        )
+    if (state.rotor_thrust < 0.0).any():
+        raise ValueError(f"state.rotor_thrust has {state.rotor_thrust.min()} N; rotors only push")
+    if ((state.battery < 0.0) | (state.battery > 1.0)).any():
+        raise ValueError("state.battery must lie between 0 (empty) and 1 (full)")

@@ -1,0 +1,169 @@
+"""`BulletPhysics`: pybullet rigid bodies, one client an environment."""
+
+from __future__ import annotations
+
+import importlib.util
+import weakref
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.compiled import announce_compilation
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.motors import BatteryModel
+from swarm_envs.physics.base import Physics
+from swarm_envs.physics.bullet_bodies import build_body, build_floor
+from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
+from swarm_envs.physics.step import blow_and_prepare, touch
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.vehicles import GRAVITY, Vehicle
+
+_ORIGIN = [0.0, 0.0, 0.0]
+
+
+def bullet_available() -> bool:
+    """Whether pybullet can be imported here."""
+    return importlib.util.find_spec("pybullet") is not None
+
+
+def import_bullet() -> Any:
+    """Import pybullet.
+
+    Raises:
+        ImportError: it is not installed; the message says how to get it or do without.
+    """
+    try:
+        return importlib.import_module("pybullet")
+    except ImportError as error:
+        raise ImportError(
+            "physics='bullet' needs pybullet, which is not installed. It has wheels for Linux "
+            "x86-64 and CPython up to 3.11: `pip install pybullet`. Elsewhere use "
+            "physics='batch', which computes the same flight."
+        ) from error
+
+
+class BulletPhysics(Physics):
+    """Rigid bodies in Bullet. Bodies are built once; a reset sets poses and velocities.
+
+    Bullet's contacts give the response after a collision; collisions themselves are decided by
+    `find_contacts`, as on the compiled engine. Call `close()` when done, or use it in `with`.
+
+    Raises:
+        ImportError: pybullet is not installed.
+    """
+
+    name = "bullet"
+
+    def __init__(
+        self,
+        team: str | Sequence[Vehicle],
+        num_envs: int = 1,
+        interactions: str | Path | InteractionModel = "learned",
+        *,
+        arena: npt.ArrayLike | None = None,
+        battery: BatteryModel | None = None,
+        force_rate: int = PHYSICS_RATE,
+    ) -> None:
+        super().__init__(
+            team, num_envs, interactions, arena=arena, battery=battery, force_rate=force_rate
+        )
+        self._bullet = import_bullet()
+        self.clients: list[int] = []
+        self.bodies: list[list[int]] = []
+        self._finalizer = weakref.finalize(self, _disconnect, self._bullet, self.clients)
+        for e in range(num_envs):
+            self.clients.append(self._connect())
+            self.bodies.append(
+                [
+                    build_body(self._bullet, self.clients[e], vehicle, *self._inertia(e, i))
+                    for i, vehicle in enumerate(self.team)
+                ]
+            )
+        self.wrench: FloatArray = np.zeros((len(self.team), 6))
+        self._placed(np.ones(num_envs, dtype=np.bool_))
+
+    def __enter__(self) -> BulletPhysics:
+        """Use as a context that closes itself."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """Disconnect every client. May be called more than once."""
+        self._finalizer()
+
+    def _connect(self) -> int:
+        bullet = self._bullet
+        client = int(bullet.connect(bullet.DIRECT))
+        if client < 0:
+            raise RuntimeError(
+                "Bullet gave no client: too many are open; close() environments that are done"
+            )
+        bullet.setTimeStep(TIME_STEP, physicsClientId=client)
+        bullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
+        build_floor(bullet, client)
+        return client
+
+    def _inertia(self, e: int, i: int) -> tuple[float, list[float]]:
+        return float(self.parameters.mass[e, i]), self.parameters.inertia[e, i].tolist()
+
+    def _placed(self, mask: BoolArray) -> None:
+        state, bullet = self._state, self._bullet
+        for e in np.flatnonzero(mask):
+            client = self._client(e)
+            for i, body in enumerate(self.bodies[e]):
+                bullet.resetBasePositionAndOrientation(
+                    body,
+                    state.position[e, i].tolist(),
+                    state.quaternion[e, i].tolist(),
+                    physicsClientId=client,
+                )
+                bullet.resetBaseVelocity(
+                    body,
+                    state.velocity[e, i].tolist(),
+                    state.angular_velocity[e, i].tolist(),
+                    physicsClientId=client,
+                )
+
+    def _client(self, e: int) -> int:
+        if not self.clients:
+            raise RuntimeError("this BulletPhysics is closed; make a new one")
+        return self.clients[e]
+
+    def _advance(self, commands: FloatArray, external: FloatArray) -> None:
+        announce_compilation(blow_and_prepare)
+        for e in range(self.num_envs):
+            blow_and_prepare(e, self.world, commands, external, self.wrench)
+            self.move_bodies(e)
+            touch(e, self.world)
+
+    def move_bodies(self, e: int) -> None:
+        """Advance the bodies of environment `e` by one step under `wrench`, unchecked."""
+        client = self._client(e)
+        push, turn = self._bullet.applyExternalForce, self._bullet.applyExternalTorque
+        link = self._bullet.LINK_FRAME
+        for body, row in zip(self.bodies[e], self.wrench.tolist(), strict=True):
+            push(body, -1, row[:3], _ORIGIN, link, client)
+            turn(body, -1, row[3:], link, client)
+        self._bullet.stepSimulation(client)
+        self._read(e, client)
+
+    def _read(self, e: int, client: int) -> None:
+        pose, twist = self._bullet.getBasePositionAndOrientation, self._bullet.getBaseVelocity
+        poses = [pose(body, client) for body in self.bodies[e]]
+        twists = [twist(body, client) for body in self.bodies[e]]
+        state = self._state
+        state.position[e] = [p for p, _ in poses]
+        state.quaternion[e] = [q for _, q in poses]
+        state.velocity[e] = [v for v, _ in twists]
+        state.angular_velocity[e] = [w for _, w in twists]
+
+
+def _disconnect(bullet: Any, clients: list[int]) -> None:
+    while clients:
+        bullet.disconnect(clients.pop())

@@ -1,0 +1,116 @@
+"""Collisions, by one compiled test on positions, whatever the engine.
+
+Two drones touch when their distance is below the sum of their radii, a drone touches the floor
+when its centre is lower than its radius, and a wall when its sphere reaches past the arena.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+
+NO_DRONE = -1
+"""In `Contacts.drone`: touches no other drone."""
+
+NO_WALLS = np.array([[-np.inf, -np.inf, -np.inf], [np.inf, np.inf, np.inf]])
+"""(2, 3) arena without walls, m."""
+
+
+class Contacts(NamedTuple):
+    """Who touches what, and how close they came. Arrays (E, N)."""
+
+    drone: IntArray
+    """Index of the other drone it touches (the nearest), or -1."""
+    floor: BoolArray
+    """Whether it touches the floor."""
+    wall: BoolArray
+    """Whether it touches a wall or the ceiling of the arena."""
+    tumbling: BoolArray
+    """Whether it turns faster than 150 rad/s."""
+    separation: FloatArray
+    """Distance from its centre to that of the nearest other drone, m; infinite if alone."""
+    clearance: FloatArray
+    """Smallest distance to another drone as a multiple of the sum of their radii: below 1 is a
+    collision, below 1.5 a near miss; infinite if alone."""
+
+    def any(self) -> BoolArray:
+        """(E, N) whether it touches anything."""
+        return (self.drone != NO_DRONE) | self.floor | self.wall
+
+    def clear(self, mask: BoolArray | slice = slice(None)) -> None:
+        """Forget everything, in the environments of the mask."""
+        self.drone[mask] = NO_DRONE
+        self.floor[mask] = False
+        self.wall[mask] = False
+        self.tumbling[mask] = False
+        self.separation[mask] = np.inf
+        self.clearance[mask] = np.inf
+
+
+def no_contacts(num_envs: int, num_drones: int) -> Contacts:
+    """Contacts of swarms that touch nothing."""
+    shape = (num_envs, num_drones)
+    return Contacts(
+        drone=np.full(shape, NO_DRONE, dtype=np.int64),
+        floor=np.zeros(shape, dtype=np.bool_),
+        wall=np.zeros(shape, dtype=np.bool_),
+        tumbling=np.zeros(shape, dtype=np.bool_),
+        separation=np.full(shape, np.inf),
+        clearance=np.full(shape, np.inf),
+    )
+
+
+@kernel
+def find_contacts(
+    e: int,
+    position: FloatArray,
+    angular_velocity: FloatArray,
+    radius: FloatArray,
+    arena: FloatArray,
+    tumbling_rate: float,
+    seen: Contacts,
+) -> None:
+    """Add what the drones of environment `e` touch now to what has been seen.
+
+    Args:
+        e: the environment.
+        position: (E, N, 3) m.
+        angular_velocity: (E, N, 3) rad/s.
+        radius: (E, N) of the collision spheres, m.
+        arena: (2, 3) lower and upper corner, m; its floor is the ground at z = 0.
+        tumbling_rate: rad/s.
+        seen: contacts, updated: flags stay set, distances keep their smallest value.
+    """
+    drone, separation, clearance = seen.drone, seen.separation, seen.clearance
+    drones = position.shape[1]
+    for i in range(drones):
+        r = radius[e, i]
+        if position[e, i, 2] < r:
+            seen.floor[e, i] = True
+        for k in range(3):
+            low = position[e, i, k] - r < arena[0, k] and k < 2
+            if low or position[e, i, k] + r > arena[1, k]:
+                seen.wall[e, i] = True
+        x, y, z = angular_velocity[e, i, 0], angular_velocity[e, i, 1], angular_velocity[e, i, 2]
+        if x * x + y * y + z * z > tumbling_rate * tumbling_rate:
+            seen.tumbling[e, i] = True
+        for j in range(i):
+            dx = position[e, i, 0] - position[e, j, 0]
+            dy = position[e, i, 1] - position[e, j, 1]
+            dz = position[e, i, 2] - position[e, j, 2]
+            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
+            ratio = distance / (r + radius[e, j])
+            separation[e, i] = min(separation[e, i], distance)
+            separation[e, j] = min(separation[e, j], distance)
+            if ratio < 1.0:
+                if ratio < clearance[e, i]:
+                    drone[e, i] = j
+                if ratio < clearance[e, j]:
+                    drone[e, j] = i
+            clearance[e, i] = min(clearance[e, i], ratio)
+            clearance[e, j] = min(clearance[e, j], ratio)

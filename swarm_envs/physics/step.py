@@ -1,0 +1,175 @@
+"""The compiled physics step, in the pieces that both engines put together."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.compiled import kernel
+from swarm_envs.interactions.field import ForceField
+from swarm_envs.interactions.forces import environment_forces, outside_measured_range
+from swarm_envs.motors import BatteryArrays, battery_step
+from swarm_envs.physics.contact import Contacts, find_contacts
+from swarm_envs.physics.rigid_body import (
+    TIME_STEP,
+    TUMBLING_RATE,
+    integrate,
+    lag_rotors,
+    rotation_entries,
+    rotor_wrench,
+)
+from swarm_envs.state import BoolArray, FloatArray, IntArray, Parameters, SwarmState
+
+
+class World(NamedTuple):
+    """Everything a physics step reads and writes, apart from commands: E environments."""
+
+    state: SwarmState
+    parameters: Parameters
+    types: IntArray
+    """(E, N) interaction types."""
+    field: ForceField
+    """The force model that blows."""
+    force: FloatArray
+    """(E, N, 3) interaction force, as last evaluated, N."""
+    outside: BoolArray
+    """(E, N) whether that force is an extrapolation past what was measured."""
+    age: IntArray
+    """(E,) steps since reset."""
+    hold: int
+    """Steps over which the interaction force is held."""
+    rotor_limit: FloatArray
+    """(E, N) largest thrust of one rotor now, N."""
+    drains: bool
+    """Whether batteries empty."""
+    battery: BatteryArrays
+    contacts: Contacts
+    arena: FloatArray
+    """(2, 3) corners of the walls, m."""
+
+
+@kernel
+def blow(e: int, world: World) -> None:
+    """Evaluate the interaction force on environment `e` at its present state, if it is due."""
+    if world.age[e] % world.hold == 0:
+        state = world.state
+        position, velocity = state.position[e], state.velocity[e]
+        environment_forces(world.field, world.types[e], position, velocity, world.force[e])
+        outside_measured_range(world.field, position, velocity, world.outside[e])
+    world.age[e] += 1
+
+
+@kernel
+def drain(e: int, world: World) -> None:
+    """Take one step's charge from the batteries of environment `e`; their rotors' limits follow."""
+    state, parameters = world.state, world.parameters
+    for i in range(world.force.shape[1]):
+        total = 0.0
+        for r in range(4):
+            total += state.rotor_thrust[e, i, r]
+        state.battery[e, i], world.rotor_limit[e, i] = battery_step(
+            state.battery[e, i],
+            total,
+            4.0 * parameters.max_rotor_thrust[e, i],
+            world.battery,
+            i,
+            TIME_STEP,
+        )
+
+
+@kernel
+def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
+    """Rotor lag and battery of environment `e` over one step, towards `commands` (E, N, 4), N."""
+    thrust = world.state.rotor_thrust
+    lag_rotors(e, thrust, world.parameters, world.rotor_limit, commands, TIME_STEP)
+    if world.drains:
+        drain(e, world)
+
+
+@kernel
+def touch(e: int, world: World) -> None:
+    """Add what environment `e` touches now to the contacts."""
+    state = world.state
+    find_contacts(
+        e,
+        state.position,
+        state.angular_velocity,
+        world.parameters.radius,
+        world.arena,
+        TUMBLING_RATE,
+        world.contacts,
+    )
+
+
+@kernel
+def step_environment(
+    e: int, world: World, commands: FloatArray, external: FloatArray, total: FloatArray
+) -> None:
+    """One whole physics step of environment `e` on the compiled engine, the air's force given.
+
+    Args:
+        e: the environment.
+        world: changed in place; its force is that at the state before the step.
+        commands: (E, N, 4) rotor thrusts, N.
+        external: (E, N, 3) further force, N.
+        total: (E, N, 3) scratch.
+    """
+    spin_rotors(e, world, commands)
+    for i in range(total.shape[1]):
+        for k in range(3):
+            total[e, i, k] = world.force[e, i, k] + external[e, i, k]
+    integrate(e, world.state, world.parameters, total, TIME_STEP)
+    touch(e, world)
+
+
+@kernel
+def step_all(
+    world: World, commands: FloatArray, external: FloatArray, total: FloatArray
+) -> None:
+    """One physics step of every environment on the compiled engine."""
+    for e in range(total.shape[0]):
+        blow(e, world)
+        step_environment(e, world, commands, external, total)
+
+
+@kernel
+def blow_and_prepare(
+    e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
+) -> None:
+    """`blow`, then `prepare_wrench`."""
+    blow(e, world)
+    prepare_wrench(e, world, commands, external, out)
+
+
+@kernel
+def prepare_wrench(
+    e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
+) -> None:
+    """What comes after `blow` and before the bodies move, for an engine that moves them.
+
+    Args:
+        e: the environment.
+        world: rotor thrusts and batteries are advanced in place.
+        commands: (E, N, 4) rotor thrusts, N.
+        external: (E, N, 3) further force, N.
+        out: (N, 6) force (N) and torque (N m) on each body, in its own frame.
+    """
+    spin_rotors(e, world, commands)
+    q, f, parameters = world.state.quaternion, world.state.rotor_thrust, world.parameters
+    push = np.empty(3)
+    for i in range(out.shape[0]):
+        thrust, out[i, 3], out[i, 4], out[i, 5] = rotor_wrench(
+            f[e, i, 0],
+            f[e, i, 1],
+            f[e, i, 2],
+            f[e, i, 3],
+            parameters.rotor_offset[e, i],
+            parameters.thrust_to_torque[e, i],
+        )
+        r = rotation_entries(q[e, i, 0], q[e, i, 1], q[e, i, 2], q[e, i, 3])
+        for k in range(3):
+            push[k] = world.force[e, i, k] + external[e, i, k]
+        out[i, 0] = r[0] * push[0] + r[3] * push[1] + r[6] * push[2]
+        out[i, 1] = r[1] * push[0] + r[4] * push[1] + r[7] * push[2]
+        out[i, 2] = r[2] * push[0] + r[5] * push[1] + r[8] * push[2] + thrust

@@ -1,0 +1,100 @@
+"""What an episode is judged by: how well the reference was followed, how near drones came."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+
+NEAR_MISS = 1.5
+"""Drones that come closer than this times the sum of their radii had a near miss."""
+
+
+class Record(NamedTuple):
+    """What decisions add up to over an episode: arrays that lead with (E, N)."""
+
+    separation: FloatArray
+    """(E, N) smallest distance to another drone so far, m."""
+    clearance: FloatArray
+    """(E, N) the same over the sum of radii."""
+    worst_error: FloatArray
+    """(E, N) largest distance to the reference so far, m."""
+    worst_height_error: FloatArray
+    """(E, N) largest vertical distance to the reference so far, m."""
+    squared_error: FloatArray
+    """(E, N) sum of the squared distance to the reference, m^2."""
+    decisions: IntArray
+    """(E,) decisions flown."""
+    arrival: FloatArray
+    """(E, N) time at which the drone last came to its goal, s; infinite if it is not there."""
+
+    def clear(self, mask: BoolArray) -> None:
+        """Begin anew in the environments of the mask."""
+        for name, array in zip(self._fields, self, strict=True):
+            array[mask] = np.inf if name in ("separation", "clearance", "arrival") else 0
+
+
+def new_record(num_envs: int, num_drones: int) -> Record:
+    """A record of environments that have not begun."""
+    shape = (num_envs, num_drones)
+    record = Record(
+        *(np.zeros(shape) for _ in range(5)), np.zeros(num_envs, np.int64), np.zeros(shape)
+    )
+    record.clear(np.ones(num_envs, dtype=np.bool_))
+    return record
+
+
+@kernel
+def measure(
+    position: FloatArray,
+    goal: FloatArray,
+    reference: FloatArray,
+    separation: FloatArray,
+    clearance: FloatArray,
+    time: FloatArray,
+    radius: float,
+    mask: BoolArray,
+    record: Record,
+    distance: FloatArray,
+    error: FloatArray,
+) -> None:
+    """Measure every drone against its goal and its reference, and add that to the record.
+
+    Args:
+        position: (E, N, 3) m.
+        goal: (E, N, 3) m.
+        reference: (E, N, 3) m.
+        separation: (E, N) smallest distance to another drone in this decision, m.
+        clearance: (E, N) the same over the sum of radii.
+        time: (E,) s.
+        radius: how near counts as arrived, m.
+        mask: (E,) environments to measure.
+        record: changed in place.
+        distance: (E, N) distance to the goal, m, written.
+        error: (E, N) distance to the reference, m, written.
+    """
+    for e in range(position.shape[0]):
+        if not mask[e]:
+            continue
+        record.decisions[e] += 1
+        for i in range(position.shape[1]):
+            to_goal = 0.0
+            to_reference = 0.0
+            for k in range(3):
+                to_goal += (position[e, i, k] - goal[e, i, k]) ** 2
+                to_reference += (position[e, i, k] - reference[e, i, k]) ** 2
+            distance[e, i], error[e, i] = math.sqrt(to_goal), math.sqrt(to_reference)
+            height = abs(position[e, i, 2] - reference[e, i, 2])
+            record.separation[e, i] = min(record.separation[e, i], separation[e, i])
+            record.clearance[e, i] = min(record.clearance[e, i], clearance[e, i])
+            record.worst_error[e, i] = max(record.worst_error[e, i], error[e, i])
+            record.worst_height_error[e, i] = max(record.worst_height_error[e, i], height)
+            record.squared_error[e, i] += to_reference
+            if distance[e, i] >= radius:
+                record.arrival[e, i] = np.inf
+            elif record.arrival[e, i] == np.inf:
+                record.arrival[e, i] = time[e]

@@ -1,0 +1,175 @@
+"""Swap: drones change places, through each other's downwash.
+
+Layouts:
+
+- `stacked`: Neural-Swarm2's data collection and flight test (Sec. VII-B, Fig. 8). Drones stand in
+  horizontal planes on a cylinder, the first of the team on top; each flies straight to the
+  opposite side, and half way all are in one vertical line. The task gives the reference.
+- `random`: starts anywhere in the box, each drone's goal is another's start. No reference: the
+  way there is the agent's business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from swarm_envs.errors import check_name
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import (
+    ARENA_HEIGHT,
+    SPEED_LIMIT,
+    WALL_MARGIN,
+    Mission,
+    Placement,
+    Situation,
+    Success,
+    Task,
+    derangement,
+    draw_apart,
+)
+from swarm_envs.tasks.rewards import bell, progress, proximity
+from swarm_envs.trajectories import Reference, ramped_line, rest
+from swarm_envs.vehicles import Team
+
+_SHORTEST = 1e-3
+"""Stands for the duration of an environment that was never reset, s."""
+
+LAYOUTS = ("stacked", "random")
+
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "progress": 0.5,
+        "at_goal": 0.06,
+        "tracking": 0.0,
+        "effort": -0.01,
+        "proximity": -0.4,
+        "crash": -1.0,
+        "success": 1.0,
+    }
+)
+"""Default weight of each reward term; see `SwapTask.reward_terms`."""
+
+
+@dataclass(frozen=True)
+class StackedLayout:
+    """Ranges from which a stacked swap is drawn; equal ends fix a value."""
+
+    radius_m: tuple[float, float] = (0.5, 0.75)
+    """Radius of the circle on which drones stand, seen from above, m."""
+    gap_m: tuple[float, float] = (0.2, 0.3)
+    """Vertical distance between neighbouring planes, m."""
+    lowest_m: float = 0.8
+    """Height of the lowest plane, m."""
+    duration_s: tuple[float, float] = (3.0, 4.0)
+    """Time from one side to the other, s."""
+
+    def __post_init__(self) -> None:
+        """Refuse ranges that are empty or not positive."""
+        for name in ("radius_m", "gap_m", "duration_s"):
+            low, high = getattr(self, name)
+            if not 0.0 < low <= high < np.inf:
+                raise ValueError(
+                    f"StackedLayout.{name} is {(low, high)}, but must be (low, high) with "
+                    "0 < low <= high"
+                )
+
+
+@dataclass(frozen=True)
+class SwapTask(Task):
+    """Swap places. See the module for the layouts."""
+
+    team: Team
+    """The drones; in `stacked` the uppermost first."""
+    layout: str = "random"
+    """`stacked` or `random`."""
+    stacked: StackedLayout = StackedLayout()
+    """What the stacked layout is drawn from."""
+    spacing_m: float = 0.5
+    """Smallest distance between starts in the random layout, m."""
+    heights_m: tuple[float, float] = (0.5, 2.0)
+    """Lowest and highest start in the random layout, m; the highest grows with the arena."""
+    success: Success = Success()
+    """When the team has swapped."""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
+    """Weight of each reward term."""
+    decision_s: float = 1 / 48
+    """Time between decisions, s: scales the progress term."""
+
+    name = "swap_v0"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown layout, and weights of terms that do not exist."""
+        check_name("layout", self.layout, LAYOUTS)
+        for term in self.reward_weights:
+            check_name("reward term", term, REWARD_WEIGHTS)
+
+    def place(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw an episode; a start or goal that is given is kept.
+
+        Raises:
+            RuntimeError: no room for the drones was found within a bounded number of draws.
+        """
+        drawn = self._place_stacked(rng) if self.layout == "stacked" else self._place_random(rng)
+        if start is not None:
+            drawn = drawn._replace(start=start)
+        return drawn if goal is None else drawn._replace(goal=goal)
+
+    def _place_stacked(self, rng: np.random.Generator) -> Placement:
+        n, ranges = len(self.team), self.stacked
+        radius, gap = rng.uniform(*ranges.radius_m), rng.uniform(*ranges.gap_m)
+        duration, turn = rng.uniform(*ranges.duration_s), rng.uniform(0.0, 2 * np.pi)
+        angle = turn + 2 * np.pi * np.arange(n) / n
+        height = ranges.lowest_m + gap * np.arange(n - 1, -1, -1)
+        start = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
+        return Placement(start, start * np.array([-1.0, -1.0, 1.0]), float(duration))
+
+    def _place_random(self, rng: np.random.Generator) -> Placement:
+        n = len(self.team)
+        edge = self.arena[1, 0] - WALL_MARGIN
+        ceiling = self.heights_m[1] * self.arena[1, 2] / ARENA_HEIGHT
+        low, high = [-edge, -edge, self.heights_m[0]], [edge, edge, ceiling]
+        if n == 1:
+            points = draw_apart(rng, low, high, 2, self.spacing_m)
+            return Placement(points[:1], points[1:], 0.0)
+        start = draw_apart(rng, low, high, n, self.spacing_m)
+        return Placement(start, start[derangement(rng, n)], 0.0)
+
+    def reference(self, mission: Mission, time: FloatArray) -> Reference:
+        """Where the drones should be at `time` (E,), s.
+
+        In the stacked layout a straight line at constant speed with smooth ramps; otherwise the
+        goals, at rest.
+        """
+        if self.layout == "stacked":
+            duration = np.maximum(mission.duration, _SHORTEST)[:, None]
+            return ramped_line(mission.start, mission.goal, duration, time[:, None])
+        return rest(mission.goal)
+
+    def reward_terms(self, situation: Situation) -> dict[str, FloatArray]:
+        """The bounded reward terms (E, N).
+
+        `progress` towards the goal over the most possible, in [-1, 1]; `at_goal` near the goal;
+        `tracking` near the reference; `effort` mean square action; `proximity` to the nearest
+        drone; `crash` on the step that ends badly for the drone; `success` once, for all.
+        """
+        shape = situation.distance.shape
+        return {
+            "progress": progress(
+                situation.last_distance, situation.distance, SPEED_LIMIT * self.decision_s
+            ),
+            "at_goal": bell(situation.distance, 0.15),
+            "tracking": bell(situation.tracking_error, 0.10),
+            "effort": situation.effort,
+            "proximity": proximity(situation.clearance),
+            "crash": situation.crashed.astype(np.float64),
+            "success": np.broadcast_to(situation.succeeded[:, None].astype(np.float64), shape),
+        }
