@@ -1,0 +1,238 @@
+"""The rules of the house: who may import whom, what nobody may call, what every file has."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PACKAGE = ROOT / "swarm_envs"
+OUTER = ("agents", "baselines", "training")
+
+BASE = 0  # vehicles, state and the other single modules at the bottom
+LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
+LEVELS |= dict.fromkeys(("vehicles", "state", "errors", "compiled", "motors"), BASE)
+LEVELS |= {"trajectories": BASE, "": BASE}
+FACE = 4  # swap_v0 and the like: what users import
+OUTER_LEVELS = {"agents": 5, "baselines": 6, "training": 7}
+CLI = 8
+
+
+def sources() -> dict[str, Path]:
+    """Every module of the package by its import name."""
+    files = [f for f in PACKAGE.rglob("*.py") if not set(OUTER) & set(f.relative_to(PACKAGE).parts)]
+    found = {f.relative_to(PACKAGE): f for f in files}
+    for folder in OUTER:
+        found |= {f.relative_to(ROOT): f for f in (ROOT / folder).rglob("*.py")}
+    names = {".".join(("swarm_envs", *p.with_suffix("").parts)): f for p, f in found.items()}
+    return {name.removesuffix(".__init__"): f for name, f in sorted(names.items())}
+
+
+SOURCES = sources()
+every_module = pytest.mark.parametrize("name", SOURCES)
+
+
+def level(name: str) -> int:
+    """How high a module stands: it may import its own level and those below."""
+    part = f"{name}.".split(".")[1]
+    if part == "cli":
+        return CLI
+    return OUTER_LEVELS.get(part, LEVELS.get(part, FACE))
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+
+
+def running_nodes(node: ast.AST, deep: bool = True) -> Iterator[ast.AST]:
+    """The nodes below one that run; only those that run at import unless `deep`."""
+    for child in ast.iter_child_nodes(node):
+        if is_type_checking(child):
+            continue
+        if not deep and isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
+            continue
+        yield child
+        yield from running_nodes(child, deep)
+
+
+def imports(tree: ast.AST, name: str, deep: bool = True) -> Iterator[tuple[str, str]]:
+    """Pairs of local name and full dotted name that a module's import statements bind."""
+    is_package = SOURCES.get(name, Path()).name == "__init__.py"
+    for node in running_nodes(tree, deep):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield alias.asname or alias.name.split(".")[0], alias.name
+        elif isinstance(node, ast.ImportFrom):
+            parts = name.split(".")
+            up = parts[: len(parts) - node.level + is_package] if node.level else []
+            origin = ".".join([*up, *filter(None, [node.module])])
+            for alias in node.names:
+                yield alias.asname or alias.name, f"{origin}.{alias.name}"
+
+
+def imported_modules(tree: ast.AST, name: str, deep: bool = True) -> set[str]:
+    """Modules of this package that one module imports."""
+    found = set()
+    for _, target in imports(tree, name, deep):
+        if target == "swarm_envs" or target.startswith("swarm_envs."):
+            found.add(target if target in SOURCES else target.rpartition(".")[0])
+    return found
+
+
+def banned_calls(source: str) -> set[str]:
+    """What a source calls that nobody may: unpickling, global random generators."""
+    tree = ast.parse(source)
+    bound = dict(imports(tree, ""))
+    found = set()
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Call):
+            continue
+        head, _, tail = ast.unparse(node.func).partition(".")
+        origin = bound.get(head, head)
+        if tail and "." in origin and origin.split(".")[0] == head:
+            origin = head  # `import a.b` binds a
+        full = f"{origin}.{tail}" if tail else origin
+        if is_banned(full, node):
+            found.add(full)
+    return found
+
+
+OWN_GENERATORS = {"default_rng", "Generator", "SeedSequence", "PCG64", "PCG64DXSM", "Philox"}
+
+
+def is_banned(full: str, call: ast.Call) -> bool:
+    module, _, function = full.rpartition(".")
+    if module == "numpy.random":
+        return function not in OWN_GENERATORS
+    if module == "random":
+        return function != "Random"
+    if full == "numpy.load":
+        pickles = {k.arg: ast.unparse(k.value) for k in call.keywords}.get("allow_pickle", "False")
+        return pickles != "False"
+    pickle = module in {"pickle", "cloudpickle", "dill", "joblib"}
+    return full == "torch.load" or (pickle and function in {"load", "loads"})
+
+
+def parsed(name: str) -> ast.Module:
+    return ast.parse(SOURCES[name].read_text(encoding="utf-8"))
+
+
+def test_the_package_was_found():
+    assert {"swarm_envs", "swarm_envs.vehicles", "swarm_envs.agents"} <= set(SOURCES)
+    assert {"swarm_envs.baselines", "swarm_envs.training"} <= set(SOURCES)
+
+
+@every_module
+def test_imports_only_what_stands_below(name):
+    above = {m for m in imported_modules(parsed(name), name) if level(m) > level(name)}
+    assert not above, f"{name} imports {sorted(above)}, which stand above it in the house"
+
+
+@every_module
+def test_torch_loads_only_where_networks_are_trained(name):
+    modules = {target.split(".")[0] for _, target in imports(parsed(name), name, deep=False)}
+    if not re.match(r"swarm_envs\.(training|agents\.networks)\b", name):
+        assert "torch" not in modules, f"{name} imports torch at module level"
+
+
+@every_module
+def test_nothing_unpickles_or_uses_a_global_generator(name):
+    assert not banned_calls(SOURCES[name].read_text(encoding="utf-8"))
+
+
+@every_module
+def test_every_public_thing_has_a_docstring(name):
+    assert not list(undocumented(parsed(name))), f"{name}: without docstring"
+
+
+def undocumented(node: ast.AST, name: str = "module") -> Iterator[str]:
+    documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
+    if isinstance(node, documented) and not ast.get_docstring(node):
+        yield name
+    if isinstance(node, ast.Module | ast.ClassDef):
+        for child in node.body:
+            child_name = getattr(child, "name", "_")
+            if not child_name.startswith("_"):
+                yield from undocumented(child, child_name)
+
+
+def python_files() -> list[Path]:
+    return [*SOURCES.values(), *sorted((ROOT / "tests").rglob("*.py"))]
+
+
+@pytest.mark.parametrize("file", python_files(), ids=lambda f: str(f.relative_to(ROOT)))
+def test_files_are_short_and_finished(file):
+    text = file.read_text(encoding="utf-8")
+    assert text.count("\n") <= 300
+    assert not re.search(r"\b(TO" r"DO|FIX" r"ME)\b", text)
+
+
+@pytest.mark.parametrize("bare", OUTER)
+def test_bare_names_refuse_to_be_imported(bare):
+    script = f"import {bare}"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 1
+    assert re.search(rf"ImportError: .*\bimport swarm_envs\.{bare}\b", done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("module", "absent"),
+    [
+        ("swarm_envs", ("torch", "matplotlib", "scipy.optimize", "pybullet")),
+        ("swarm_envs.swap_v0", ("torch", "matplotlib", "imageio")),
+        ("swarm_envs.cli", ("torch", "matplotlib", "pybullet")),
+    ],
+)
+def test_importing_loads_nothing_heavy(module, absent):
+    script = f"import sys, {module}; print([m for m in {absent!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize(
+    ("source", "name", "found"),
+    [
+        ("from swarm_envs.envs import core", "swarm_envs.tasks.swap", {"swarm_envs.envs.core"}),
+        ("from ..envs import core", "swarm_envs.tasks.swap", {"swarm_envs.envs.core"}),
+        ("import swarm_envs.training", "swarm_envs.agents.protocol", {"swarm_envs.training"}),
+        ("def f():\n    import swarm_envs.agents", "swarm_envs.x", {"swarm_envs.agents"}),
+        ("if TYPE_CHECKING:\n    import swarm_envs.training", "swarm_envs.x", set()),
+    ],
+)
+def test_the_reader_of_imports(source, name, found):
+    assert imported_modules(ast.parse(source), name) == found
+
+
+def test_the_order_of_the_house():
+    order = ["vehicles", "physics.batch", "tasks.swap", "envs.core", "swap_v0", "agents.protocol"]
+    order += ["baselines.neural_swarm", "training.force_model", "cli"]
+    levels = [level(f"swarm_envs.{name}") for name in order]
+    assert levels == sorted(set(levels))
+
+
+@pytest.mark.parametrize(
+    ("source", "found"),
+    [
+        ("import numpy as np\nnp.random.seed(0)", {"numpy.random.seed"}),
+        ("from numpy import random\nrandom.rand(3)", {"numpy.random.rand"}),
+        ("import random\nrandom.shuffle(x)", {"random.shuffle"}),
+        ("from pickle import loads as f\nf(x)", {"pickle.loads"}),
+        ("import torch.nn\ntorch.load('x')", {"torch.load"}),
+        ("import numpy as np\nnp.load(f, allow_pickle=True)", {"numpy.load"}),
+        ("import numpy as np\nnp.random.default_rng(0).normal()\nnp.load(f)", set()),
+    ],
+)
+def test_the_finder_of_banned_calls(source, found):
+    assert banned_calls(source) == found
+
+
+def test_the_finder_of_missing_docstrings():
+    source = '"""M."""\nclass A:\n    """A."""\n    def f(self): ...\n    def _g(self): ...\n'
+    assert list(undocumented(ast.parse(source))) == ["f"]
