@@ -59,6 +59,7 @@ class ControllerConfig:
 
     Raises:
         ValueError: a number is not positive and finite, or a fraction is not below one.
+        TypeError: the gains are not `PositionGains`.
     """
 
     gains: PositionGains = MID
@@ -96,6 +97,10 @@ class ControllerConfig:
     """Lower limit of the desired force's vertical part, as a fraction of the weight."""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.gains, PositionGains):
+            raise TypeError(
+                f"gains is {self.gains!r}, but must be PositionGains, such as GAINS['mid']"
+            )
         skip = ("gains", "feedforward", "lag_compensation")
         _check_positive(self, tuple(f.name for f in fields(self) if f.name not in skip))
         if self.min_vertical_thrust_fraction >= 1.0:

@@ -58,32 +58,33 @@ def test_priorities(vehicle: Vehicle, share: tuple[float, float, float, float]) 
     assert (rotors >= 0).all()
     assert (rotors <= largest).all()
 
-    given_thrust, given_torque = wrench(vehicle, rotors)
+    _, given_torque = wrench(vehicle, rotors)
     tilting = exact_rotors(vehicle, 0.0, np.array([torque[0], torque[1], 0.0]))
     turning = exact_rotors(vehicle, 0.0, np.array([0.0, 0.0, torque[2]]))
     # Roll and pitch are given exactly where they fit, else scaled alike as little as possible.
     kept = min(1.0, largest / max(np.ptp(tilting), 1e-12))
     np.testing.assert_allclose(given_torque[:2], kept * torque[:2], rtol=0, atol=1e-14)
-    base, yaw_share = best_thrust_and_yaw(thrust / 4, kept * tilting, turning, largest)
-    np.testing.assert_allclose(given_thrust, 4 * base, rtol=0, atol=1e-7)
-    np.testing.assert_allclose(given_torque[2], yaw_share * torque[2], rtol=0, atol=1e-7)
+    expected = kept * tilting + thrust_and_yaw(thrust / 4, kept * tilting, turning, largest)
+    np.testing.assert_allclose(rotors, expected, rtol=0, atol=1e-7 * largest)
 
 
-def best_thrust_and_yaw(
+def thrust_and_yaw(
     wanted: float, tilting: FloatArray, turning: FloatArray, largest: float
-) -> tuple[float, float]:
-    """Base thrust nearest to the wanted one, then the largest share of yaw: linear programs."""
+) -> FloatArray:
+    """Base thrust nearest to the wanted one, with the largest share of yaw: two linear programs."""
+    unit = largest / 1e4  # the solver's tolerance is absolute
+    wanted, tilting, turning = wanted / unit, tilting / unit, turning / unit
     # Variables: base, share, distance of the base from the wanted one.
     rows = np.stack([np.ones(4), turning, np.zeros(4)], axis=-1)
     near = np.array([[1.0, 0.0, -1.0], [-1.0, 0.0, -1.0]])
     upper = np.concatenate([rows, -rows, near])
-    slack = 1e-9
-    bound = np.concatenate([largest - tilting + slack, tilting + slack, [wanted, -wanted]])
+    slack = 1e-5
+    bound = np.concatenate([1e4 - tilting + slack, tilting + slack, [wanted, -wanted]])
     box = [(None, None), (0, 1), (0, None)]
     distance = linprog([0.0, 0.0, 1.0], upper, bound, bounds=box).fun
     box[2] = (0, distance + slack)
-    found = linprog([0.0, -1.0, 0.0], upper, bound, bounds=box).x
-    return float(found[0]), float(found[1])
+    base, share, _ = linprog([0.0, -1.0, 0.0], upper, bound, bounds=box).x
+    return np.asarray(unit * (base + share * turning))
 
 
 def test_yaw_is_given_up_before_thrust_and_thrust_before_roll() -> None:

@@ -62,7 +62,7 @@ def _multiply(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("lag_compensation", [True, False])
-@pytest.mark.parametrize(("wildness", "gains"), [(0.1, MID), (1.0, STIFF)])
+@pytest.mark.parametrize(("wildness", "gains"), [(0.03, MID), (1.0, STIFF)])
 def test_compiled_agrees_with_plain(
     lag_compensation: bool, wildness: float, gains: PositionGains
 ) -> None:
@@ -85,15 +85,19 @@ def test_compiled_agrees_with_plain(
                     float(setpoint.yaw[e, i]),
                     float(setpoint.yaw_rate[e, i]),
                 )
-                measured = (part[e, i] for part in state[:4])
-                expected[e, i] = plain[e][i].commands(*measured, target, force[e, i])
+                expected[e, i] = plain[e][i].commands(
+                    state.position[e, i],
+                    state.velocity[e, i],
+                    state.quaternion[e, i],
+                    state.angular_velocity[e, i],
+                    target,
+                    force[e, i],
+                )
         np.testing.assert_allclose(commands, expected, rtol=0, atol=1e-9)
         at_limit = ((commands <= 0) | (commands >= limits)).any(axis=-1)
         saturated += int(at_limit.sum())
         unsaturated += int((~at_limit).sum())
-    assert unsaturated > 100
-    if wildness == 1.0:
-        assert saturated > 100
+    assert saturated > 500 if wildness == 1.0 else unsaturated > 500
 
 
 def test_reset_forgets_only_the_masked_environments() -> None:
@@ -116,9 +120,10 @@ def test_reset_forgets_only_the_masked_environments() -> None:
 
 def test_memory_copies_and_assigns_by_environment() -> None:
     rng = np.random.default_rng(0)
-    full = ControllerState(*(rng.normal(size=a.shape) for a in ControllerState.zeros(3, 2)[:-1]),
-                           started=np.ones((3, 2), dtype=np.bool_))  # fmt: skip
-    target = ControllerState.zeros(3, 2)
+    target, full = ControllerState.zeros(3, 2), ControllerState.zeros(3, 2)
+    for part in full[:-1]:
+        part[...] = rng.normal(size=part.shape)
+    full.started[...] = True
     target.assign(full, np.array([True, False, True]))
     for mine, theirs in zip(target, full, strict=True):
         np.testing.assert_array_equal(mine[[0, 2]], theirs[[0, 2]])
@@ -239,12 +244,14 @@ _NUMBERS = [
 @pytest.mark.parametrize("value", [0.0, -1.0, np.nan, np.inf])
 def test_bad_configurations_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} is .*must be positive"):
-        dataclasses.replace(ControllerConfig(), **{name: value})
+        ControllerConfig(**{name: value})  # type: ignore[arg-type]
 
 
 def test_bad_gains_and_fractions_are_refused() -> None:
     with pytest.raises(ValueError, match=r"velocity is -2\.0"):
         PositionGains(position=1.0, velocity=-2.0, integral=0.5)
+    with pytest.raises(TypeError, match="gains is 'mid'.*GAINS"):
+        ControllerConfig(gains="mid")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"min_vertical_thrust_fraction is 1\.0"):
         ControllerConfig(min_vertical_thrust_fraction=1.0)
 
