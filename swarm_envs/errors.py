@@ -43,12 +43,17 @@ def check_array(
     """Return `value` as a finite float64 array of exactly the given shape.
 
     Raises:
-        ValueError: the shape is another, or an entry is NaN or infinite; the message names the
-            value, the rule and where it was broken.
+        ValueError: it is no array of numbers, the shape is another, or an entry is NaN or infinite;
+            the message names the value, the rule and where it was broken.
     """
-    array = np.asarray(value, dtype=np.float64)
+    extra = f" ({rule})" if rule else ""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(
+            f"{name} is {value!r:.80}, but must be numbers of shape {shape}{extra}"
+        ) from error
     if array.shape != shape:
-        extra = f" ({rule})" if rule else ""
         raise ValueError(f"{name} has shape {array.shape}, but must have shape {shape}{extra}")
     if not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])

@@ -1,0 +1,107 @@
+"""The cache of compiled kernels: an edit to any file with kernels makes it stale."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarm_envs.compiled import kernel
+
+PACKAGE = Path(__file__).parent.parent / "swarm_envs"
+MESSAGE = "swarm_envs: compiling kernels"
+
+# `outer` lies in one file and calls `inner` in another; the package is told before its first call.
+FILES = {
+    "__init__.py": "",
+    "state.py": "",
+    "motors.py": "from swarm_envs.compiled import kernel\n\n@kernel\ndef inner(x):\n    return x + 1\n",
+    "physics/__init__.py": "",
+    "physics/step.py": (
+        "from swarm_envs.compiled import announce_compilation, kernel\n"
+        "from swarm_envs.motors import inner\n\n"
+        "@kernel\ndef outer(x):\n    return 2 * inner(x)\n\n"
+        "def step(x):\n    announce_compilation(outer)\n    return outer(x)\n"
+    ),
+}
+SCRIPT = """
+from swarm_envs.physics.step import outer, step
+print(step(3), step(3), sum(outer.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A small package of the same name, with the real `compiled.py`."""
+    home = tmp_path / "swarm_envs"
+    (home / "physics").mkdir(parents=True)
+    for name, text in FILES.items():
+        (home / name).write_text(text, encoding="utf-8")
+    shutil.copy(PACKAGE / "compiled.py", home)
+    return home
+
+
+def run(package: Path, script: str = SCRIPT, **environment: str) -> tuple[str, str]:
+    """What a script prints (two results and the number of cache hits), and its stderr."""
+    done = subprocess.run(
+        [sys.executable, "-c", script],
+        cwd=package.parent,
+        env=os.environ | {"PYTHONPATH": str(package.parent)} | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip(), done.stderr
+
+
+def test_the_second_process_finds_the_kernel_and_says_nothing(package):
+    first, said = run(package)
+    assert first == "8 8 0"
+    assert said.count(MESSAGE) == 1
+    assert run(package) == ("8 8 1", "")
+
+
+@pytest.mark.parametrize("edited", ["motors.py", "physics/step.py"])
+def test_an_edit_to_either_file_recompiles(package, edited):
+    run(package)
+    source = package / edited
+    text = source.read_text(encoding="utf-8").replace("x + 1", "x + 2").replace("2 *", "3 *")
+    source.write_text(text, encoding="utf-8")
+    expected = 2 * (3 + 2) if edited == "motors.py" else 3 * (3 + 1)
+    result, said = run(package)
+    assert result == f"{expected} {expected} 0"
+    assert said.count(MESSAGE) == 1
+
+
+def test_an_edit_to_another_module_of_the_base_recompiles(package):
+    run(package)
+    (package / "state.py").write_text("FIELDS = 3\n", encoding="utf-8")
+    assert run(package)[0] == "8 8 0"
+
+
+def test_a_read_only_installation_caches_with_the_user(package, tmp_path):
+    home = tmp_path / "home"
+    home.mkdir()
+    user = {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")}
+    for folder in (package, package / "physics"):
+        (folder / "__pycache__").write_text("no folder can be made here", encoding="utf-8")
+    assert run(package, **user)[0] == "8 8 0"
+    assert list(home.rglob("*.nbi"))
+    assert run(package, **user) == ("8 8 1", "")
+
+
+def test_without_compilation_the_kernel_is_plain_python(package):
+    script = "from swarm_envs.physics.step import step; print(step(3))"
+    assert run(package, script, NUMBA_DISABLE_JIT="1") == ("8", "")
+
+
+def test_division_by_zero_follows_ieee():
+    @kernel
+    def divide(a: float, b: float) -> float:
+        return a / b
+
+    assert divide(1.0, 0.0) == float("inf")
