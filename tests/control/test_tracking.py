@@ -150,10 +150,13 @@ def test_hover_at_the_setpoint_commands_exactly_the_weight() -> None:
     np.testing.assert_allclose(commands, state.rotor_thrust, rtol=1e-14)
 
 
-def test_the_desired_force_never_points_down() -> None:
-    state = hover_state(parse_team("S"), [[0.0, 0.0, 50.0]])
+@pytest.mark.parametrize(("height", "lift"), [(50.0, 0.0), (0.0, 1.0)])
+def test_the_desired_force_never_points_down(height: float, lift: float) -> None:
+    """Neither far above the set-point nor under a believed force of three times the weight."""
+    state = hover_state(parse_team("S"), [[0.0, 0.0, height]])
     controller = TrackingController(parse_team("S"))
-    commands = controller.commands(state, Setpoint.hold(np.zeros((1, 1, 3))))
+    force = np.array([[[0.0, 0.0, lift]]])
+    commands = controller.commands(state, Setpoint.hold(np.zeros((1, 1, 3))), force)
     assert commands.sum() == pytest.approx(0.2 * SMALL.mass * GRAVITY, rel=1e-12)
 
 
