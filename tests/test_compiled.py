@@ -19,7 +19,9 @@ MESSAGE = "swarm_envs: compiling kernels"
 FILES = {
     "__init__.py": "",
     "state.py": "",
-    "motors.py": "from swarm_envs.compiled import kernel\n\n@kernel\ndef inner(x):\n    return x + 1\n",
+    "motors.py": (
+        "from swarm_envs.compiled import kernel\n\n@kernel\ndef inner(x):\n    return x + 1\n"
+    ),
     "physics/__init__.py": "",
     "physics/step.py": (
         "from swarm_envs.compiled import announce_compilation, kernel\n"

@@ -1,0 +1,26 @@
+"""What all tests share: one thread, no display, examples that are the same in every run."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+os.environ["MPLBACKEND"] = "Agg"
+
+# The first example of a property may compile a kernel, so none has a deadline.
+settings.register_profile("swarm_envs", deadline=None, derandomize=True)
+settings.load_profile("swarm_envs")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of measured data beside the checkout; the test is skipped where there is none."""
+    folder = Path(__file__).parent.parent.parent / "shared"
+    if not folder.is_dir():
+        pytest.skip("no measured data beside the checkout (../shared)")
+    return folder

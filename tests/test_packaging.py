@@ -1,0 +1,115 @@
+"""What is published: the source archive builds the wheel, and the wheel works away from here."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SOURCES = ("swarm_envs", "agents", "baselines", "training")
+FILES = ("pyproject.toml", "README.md", "LICENSE")
+
+IMPORT_ALL = """
+import importlib, pkgutil, sys, swarm_envs
+from importlib.resources import files
+names = [m.name for m in pkgutil.walk_packages(swarm_envs.__path__, "swarm_envs.")]
+skipped = tuple(sys.argv[1:])
+for name in names:
+    if not name.startswith(skipped) and not name.endswith(".__main__"):
+        importlib.import_module(name)
+for bare in ("agents", "baselines", "training"):
+    assert importlib.util.find_spec(bare) is None, bare
+print(swarm_envs.__file__, len(names), sep="\\n")
+"""
+
+
+def run(*command: str | Path, cwd: Path, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *map(str, command)],
+        cwd=cwd,
+        env={k: v for k, v in os.environ.items() if k != "PYTHONPATH"} | environment,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory):
+    """A folder with the source archive, and the wheel that was built *from that archive*."""
+    checkout = tmp_path_factory.mktemp("checkout")
+    for name in FILES:
+        shutil.copy(ROOT / name, checkout)
+    no_caches = shutil.ignore_patterns("__pycache__", "*.egg-info")
+    for name in SOURCES:
+        shutil.copytree(ROOT / name, checkout / name, symlinks=True, ignore=no_caches)
+    run("-m", "build", "--no-isolation", cwd=checkout)
+    return checkout / "dist"
+
+
+@pytest.fixture(scope="module")
+def wheel(dist):
+    (file,) = dist.glob("*.whl")
+    return file
+
+
+def published(name: str) -> bool:
+    return Path(name).suffix in {".py", ".safetensors", ".json", ".md", ".typed"}
+
+
+def checkout_files() -> set[str]:
+    """Every file of the four folders as it is named in the package."""
+    found = set()
+    for folder in SOURCES:
+        home = ROOT if folder == "swarm_envs" else ROOT / "swarm_envs"
+        for file in (home / folder).rglob("*"):
+            if file.is_file() and published(file.name) and "__pycache__" not in file.parts:
+                found.add(file.relative_to(ROOT).as_posix())
+    return found
+
+
+def test_the_wheel_holds_every_source_and_every_weight(wheel):
+    expected = checkout_files()
+    assert {"swarm_envs/agents/__init__.py", "swarm_envs/training/__init__.py"} <= expected
+    assert {
+        "swarm_envs/py.typed",
+        "swarm_envs/interactions/weights/learned.safetensors",
+    } <= expected
+    with zipfile.ZipFile(wheel) as archive:
+        names = set(archive.namelist())
+        installed = {name for name in names if ".dist-info/" not in name}
+        assert installed == expected
+        assert any(name.endswith("licenses/LICENSE") for name in names)
+        for name in sorted(expected):
+            assert archive.read(name) == (ROOT / name).read_bytes(), name
+
+
+def test_the_source_archive_holds_files_in_place_of_links(dist):
+    (file,) = dist.glob("*.tar.gz")
+    with tarfile.open(file) as archive:
+        members = archive.getmembers()
+    assert not [m.name for m in members if m.issym() or m.islnk()]
+    names = {m.name.partition("/")[2] for m in members}
+    assert checkout_files() <= names
+
+
+def test_every_module_imports_from_an_installed_wheel(wheel, tmp_path):
+    site = tmp_path / "site"
+    install = ("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", site)
+    run(*install, wheel, cwd=tmp_path)
+    needs_torch = ("swarm_envs.training", "swarm_envs.agents.networks")
+    skipped = () if importlib.util.find_spec("torch") else needs_torch
+    output = run("-c", IMPORT_ALL, *skipped, cwd=tmp_path, PYTHONPATH=str(site))
+    origin, count = output.splitlines()[-2:]
+    assert Path(origin).is_relative_to(site)
+    assert int(count) == len([n for n in checkout_files() if n.endswith(".py")]) - 1
+    assert (site / "bin" / "swarm-envs").is_file()
