@@ -54,7 +54,20 @@ def kernel(function: F) -> F:
     Division by zero follows IEEE arithmetic; sums are never reordered, so the same input gives the
     same bytes on the same machine.
     """
-    dispatcher = numba.njit(error_model="numpy")(function)
+    return _compile(function, forceinline=False)
+
+
+def inlined_kernel(function: F) -> F:
+    """A `kernel` that becomes part of its callers: for steps that take whole worlds of arrays.
+
+    Handing sixty arrays to a compiled function costs more than most steps do; inlined, nothing is
+    handed over.
+    """
+    return _compile(function, forceinline=True)
+
+
+def _compile(function: F, forceinline: bool) -> F:
+    dispatcher = numba.njit(error_model="numpy", forceinline=forceinline)(function)
     if not numba.config.DISABLE_JIT:
         with suppress(RuntimeError):  # no writable folder for a cache: compile in each process
             dispatcher._cache = _KernelCache(function)
