@@ -1,0 +1,27 @@
+"""Trainer of the interaction-force models: from rows of measured force to weights that ship.
+
+Order of reading: `rows` (the data), `calibration` and `drag` (what is taken out of the labels),
+`network` (the heterogeneous deep set, Neural-Swarm2 eq. 10), `train`, `export`, `evaluate`,
+`pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows.
+
+Command: `python -m swarm_envs.training.force_model --data FILE --out DIR --seed 0`.
+"""
+
+from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, Window
+from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.force_model.report import FitReport
+from swarm_envs.training.force_model.rows import InteractionRows, read_rows
+
+__all__ = [
+    "DeepSet",
+    "DeepSetSpec",
+    "FitConfig",
+    "FitReport",
+    "InteractionRows",
+    "Window",
+    "fit",
+    "load_network",
+    "read_rows",
+    "save_network",
+]

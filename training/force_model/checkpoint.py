@@ -1,0 +1,69 @@
+"""Checkpoints of a training run as safetensors: weights, Adam's state, history."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from swarm_envs.training.force_model.train import Training
+
+_ADAM = ("step", "exp_avg", "exp_avg_sq")
+
+
+def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
+    """Write a safetensors file so that a reader sees the old file or the whole new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    save_file({name: t.contiguous() for name, t in tensors.items()}, partial, metadata=metadata)
+    partial.replace(path)
+
+
+def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
+    """Write everything that `load_checkpoint` needs to continue the run.
+
+    Args:
+        path: the file to write.
+        run: where training stands.
+        configuration: what the run depends on; only the same may continue it.
+    """
+    tensors = {f"network.{name}": value for name, value in run.network.state_dict().items()}
+    for name, parameter in run.network.named_parameters():
+        state = run.optimiser.state[parameter]
+        tensors |= {f"adam.{key}.{name}": state[key] for key in _ADAM}
+    metadata = {
+        "step": str(run.step),
+        "history": json.dumps(run.history),
+        "configuration": configuration,
+    }
+    write_safetensors(path, tensors, metadata)
+
+
+def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
+    """Continue `run`, freshly started, where the checkpoint stands.
+
+    Raises:
+        ValueError: the checkpoint was written with another configuration.
+    """
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if metadata["configuration"] != configuration:
+        raise ValueError(
+            f"checkpoint {str(path)!r} was written with the configuration "
+            f"{metadata['configuration']}, which is not this run's {configuration}; "
+            "delete the file or choose another output folder"
+        )
+    run.network.load_state_dict(
+        {name: tensors[f"network.{name}"] for name in run.network.state_dict()}
+    )
+    for name, parameter in run.network.named_parameters():
+        run.optimiser.state[parameter] = {key: tensors[f"adam.{key}.{name}"] for key in _ADAM}
+    run.step = int(metadata["step"])
+    run.history = json.loads(metadata["history"])

@@ -1,0 +1,166 @@
+"""The whole fit: read rows, calibrate, train, export, evaluate, report."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+
+from swarm_envs.training.force_model.calibration import (
+    NO_OFFSETS,
+    RULE,
+    estimate_offsets,
+    subtract_offsets,
+)
+from swarm_envs.training.force_model.drag import fit_drag
+from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.network import (
+    EVERYWHERE,
+    HARD_LATERAL_M,
+    HARD_VERTICAL_M,
+    OUTER_FADE,
+    DeepSetSpec,
+    InputRange,
+)
+from swarm_envs.training.force_model.report import (
+    FitReport,
+    examine,
+    file_sha256,
+    json_ready,
+    write_json,
+)
+from swarm_envs.training.force_model.rows import InteractionRows, read_rows
+from swarm_envs.training.force_model.train import TrainConfig, train
+from swarm_envs.vehicles import GRAM_FORCE
+
+VOLUME_M = np.array([HARD_LATERAL_M, HARD_LATERAL_M, HARD_VERTICAL_M])
+"""Half edges of the interaction volume."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitConfig(TrainConfig):
+    """What to fit, from which rows, and where to put the result."""
+
+    data: Path
+    """file of rows: the published flights' table, or what `save_rows` wrote"""
+    out: Path
+    """folder for the weights `learned.safetensors`, the report `learned.json`, the checkpoint"""
+    mode: Literal["anchored", "measured"] = "anchored"
+    """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
+    `measured`: the paper's form on the labels as they are, every neighbour seen"""
+    offsets: Literal["estimated", "none"] = "estimated"
+    """calibration offsets of an anchored fit; `none` if the labels are exact"""
+    anchor_height_m: float = 0.6
+    """height from which a lone drone feels exactly nothing, in an anchored fit"""
+    lipschitz_samples: int = 1_000_000
+    """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
+    progress: bool = True
+    """show a progress bar"""
+
+
+def fit(config: FitConfig) -> FitReport:
+    """Fit a deep set to rows and write `learned.safetensors` and `learned.json` into `config.out`.
+
+    Killed and called again with the same configuration, it continues from its checkpoint and
+    gives the same weights.
+
+    Raises:
+        FileNotFoundError: there is no data file.
+        ValueError: the rows cannot be fitted; the message says which rule they break.
+    """
+    began = time.perf_counter()
+    if config.mode == "measured":
+        config = dataclasses.replace(config, slope_limit=None, balance=0.0)  # as in the paper
+    rows = read_rows(config.data)
+    _check(rows)
+    drag = fit_drag(rows)
+    anchored = config.mode == "anchored"
+    calibrated = anchored and config.offsets == "estimated"
+    offsets = estimate_offsets(rows) if calibrated else NO_OFFSETS
+    if not anchored:
+        drag[:, 2] = 0.0  # the network learns the vertical drag with the rest
+    spec = _spec(rows, config) if anchored else DeepSetSpec(rows.types, EVERYWHERE, None, None)
+    treated = subtract_offsets(rows, offsets)
+    vertical_drag_g = drag[rows.ego_type, 2] * rows.velocity[:, 2] / GRAM_FORCE
+    target = treated.with_vertical_force(treated.force_g[:, 2] + vertical_drag_g)
+    checkpoint = config.out / "checkpoint.safetensors"
+    run = train(target, spec, config, checkpoint, config.progress)
+    with torch.no_grad():
+        run.network.drag.copy_(torch.from_numpy(drag))
+    path = config.out / "learned.safetensors"
+    provenance: dict[str, object] = {
+        "command": command(config),
+        "data_sha256": file_sha256(config.data),
+        "mode": config.mode,
+        "seed": config.seed,
+    }
+    save_network(path, run.network, provenance)
+    report = FitReport(
+        command=command(config),
+        config=json_ready(config),
+        data_sha256=file_sha256(config.data),
+        offset_rule=RULE if calibrated else "none",
+        vehicle_offsets_g={str(vehicle): g for vehicle, g in offsets.vehicle.items()},
+        drag={name: drag[index].tolist() for index, name in enumerate(rows.types)},
+        history=run.history,
+        findings=examine(load_network(path), rows, offsets, config.lipschitz_samples, config.seed),
+        wall_time_s=round(time.perf_counter() - began, 1),
+    )
+    write_json(config.out / "learned.json", json_ready(report))
+    checkpoint.unlink()
+    return report
+
+
+def command(config: FitConfig) -> str:
+    """Command line that makes this fit, with the folders left out of its file names."""
+    words = ["python -m swarm_envs.training.force_model", f"--data {config.data.name}", "--out DIR"]
+    for entry in dataclasses.fields(config):
+        value = getattr(config, entry.name)
+        required = entry.default is dataclasses.MISSING
+        if not required and entry.name != "progress" and value != entry.default:
+            words.append(f"--{entry.name.replace('_', '-')} {value}")
+    return " ".join(words)
+
+
+def _check(rows: InteractionRows) -> None:
+    for index, name in enumerate(rows.types):
+        if not ((rows.ego_type == index) & ~rows.validation).any():
+            raise ValueError(
+                f"no training row has a drone of type {name!r} that feels the force, so its rho "
+                "cannot be fitted; add such rows or leave the type out of `types`"
+            )
+    if not rows.validation.any():
+        raise ValueError("no row is marked for validation; mark whole blocks of time, about 20 %")
+
+
+def _spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
+    return DeepSetSpec(rows.types, OUTER_FADE, measured_range(rows), config.anchor_height_m)
+
+
+def measured_range(rows: InteractionRows) -> InputRange:
+    """Range that the inputs of an anchored fit are clamped to.
+
+    Heights between the lowest and the highest of all rows; of every speed and of the vertical
+    distance the 99.9 % quantile of its magnitude inside the interaction volume, one number for x
+    and y; laterally the edge of the volume, since the window ends there.
+    """
+    inside = (np.abs(rows.neighbor[..., :3]) <= VOLUME_M).all(axis=-1) & rows.has_neighbor
+    own = np.quantile(np.abs(rows.velocity), 0.999, axis=0)
+    own[:2] = own[:2].max()
+    pair = np.zeros(6)
+    if inside.any():
+        pair = np.quantile(np.abs(rows.neighbor[inside]), 0.999, axis=0)
+    pair[3:5] = pair[3:5].max()
+    pair[:2] = VOLUME_M[:2]
+    own, pair = np.round(own, 2), np.round(pair, 2)
+    height = rows.position[:, 2]
+    low, high = round(float(height.min()), 2), round(float(height.max()), 2)
+    return InputRange(
+        pair=(tuple((-pair).tolist()), tuple(pair.tolist())),
+        environment=((-high, *(-own).tolist()), (-low, *own.tolist())),
+    )

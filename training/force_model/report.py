@@ -1,0 +1,129 @@
+"""What a fit reports: errors, Lipschitz constants, bins, extremes, as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from swarm_envs.training.force_model.calibration import Offsets, subtract_offsets
+from swarm_envs.training.force_model.evaluate import (
+    AxisBin,
+    Errors,
+    Extremes,
+    axis_bins,
+    mean_squared_errors,
+    predict_rows,
+    scan_swarms,
+)
+from swarm_envs.training.force_model.lipschitz import (
+    LipschitzBound,
+    MeasuredLipschitz,
+    lipschitz_bound,
+    measure_lipschitz,
+)
+from swarm_envs.training.force_model.network import DeepSet
+from swarm_envs.training.force_model.rows import InteractionRows
+
+_SWARM_SIZES = (2, 3, 5, 8, 16)
+_SWARMS = 2000
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was measured on the weights as they ship."""
+
+    rows: int
+    validation_rows: int
+    errors: Errors
+    """Against labels treated as in training."""
+    errors_vehicle_offsets: Errors
+    """Against labels with one offset per vehicle, as if it did not drift between flights."""
+    errors_raw: Errors
+    """Against labels as measured."""
+    lipschitz_bound: LipschitzBound
+    lipschitz_measured: dict[str, MeasuredLipschitz]
+    """By number of neighbours; empty if it was left out."""
+    axis_bins: list[AxisBin]
+    """Measured and modelled force under one neighbour; labels treated as in training."""
+    extremes: list[Extremes]
+    """Largest forces in random swarms by number of drones."""
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What was fitted and how well: the content of `learned.json`."""
+
+    command: str
+    config: object
+    data_sha256: str
+    offset_rule: str
+    vehicle_offsets_g: dict[str, float]
+    drag: dict[str, list[float]]
+    """c per type and axis, N s/m."""
+    findings: Findings
+    history: list[dict[str, float]]
+    """Step, training loss and validation MSE, g^2."""
+    wall_time_s: float
+    """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
+
+
+def examine(
+    network: DeepSet, rows: InteractionRows, offsets: Offsets, lipschitz_samples: int, seed: int
+) -> Findings:
+    """Measure a float64 network on rows whose labels are as measured.
+
+    Args:
+        network: as `load_network` returns it.
+        rows: all rows, with the labels as measured.
+        offsets: what training took out of the labels.
+        lipschitz_samples: random pairs for the Lipschitz constants; 0 leaves them out.
+        seed: of the random inputs.
+    """
+    rng = np.random.default_rng(seed)
+    predicted = predict_rows(network, rows)
+    treated = subtract_offsets(rows, offsets)
+    vehicle = subtract_offsets(rows, offsets.per_vehicle())
+    measured = {}
+    for neighbors in (1, 2) if lipschitz_samples else ():
+        measured[str(neighbors)] = measure_lipschitz(network, lipschitz_samples, neighbors, rng)
+    return Findings(
+        rows=len(rows),
+        validation_rows=int(rows.validation.sum()),
+        errors=mean_squared_errors(predicted, treated),
+        errors_vehicle_offsets=mean_squared_errors(predicted, vehicle),
+        errors_raw=mean_squared_errors(predicted, rows),
+        lipschitz_bound=lipschitz_bound(network),
+        lipschitz_measured=measured,
+        axis_bins=axis_bins(network, predicted, treated),
+        extremes=[scan_swarms(network, size, _SWARMS, rng) for size in _SWARM_SIZES],
+    )
+
+
+def json_ready(value: object) -> object:
+    """Turn dataclasses, tuples and arrays into what JSON holds; a path keeps only its name."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {f.name: json_ready(getattr(value, f.name)) for f in dataclasses.fields(value)}
+    if isinstance(value, dict):
+        return {str(key): json_ready(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [json_ready(entry) for entry in value]
+    return value.name if isinstance(value, Path) else value
+
+
+def write_json(path: Path, content: object) -> None:
+    """Write JSON so that a reader sees the old file or the whole new one."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial.write_text(json.dumps(content, indent=1) + "\n")
+    partial.replace(path)
+
+
+def file_sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file: says exactly which data was fitted."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
