@@ -54,24 +54,26 @@ def kernel(function: F) -> F:
     Division by zero follows IEEE arithmetic; sums are never reordered, so the same input gives the
     same bytes on the same machine.
     """
-    return _compile(function, forceinline=False)
-
-
-def inlined_kernel(function: F) -> F:
-    """A `kernel` that becomes part of its callers: for steps that take whole worlds of arrays.
-
-    Handing sixty arrays to a compiled function costs more than most steps do; inlined, nothing is
-    handed over.
-    """
-    return _compile(function, forceinline=True)
-
-
-def _compile(function: F, forceinline: bool) -> F:
-    dispatcher = numba.njit(error_model="numpy", forceinline=forceinline)(function)
+    dispatcher = numba.njit(error_model="numpy")(function)
     if not numba.config.DISABLE_JIT:
         with suppress(RuntimeError):  # no writable folder for a cache: compile in each process
             dispatcher._cache = _KernelCache(function)
     return dispatcher
+
+
+def entry_point(compiled: F, *arguments: object) -> F:
+    """Compile a kernel for the types of these arguments, and return what to call directly.
+
+    A kernel looks up the types of its arguments at every call, which takes 20 us where there are
+    sixty arrays. What is returned here does not: it must only be called with arguments of the very
+    same types.
+    """
+    announce_compilation(compiled)
+    if numba.config.DISABLE_JIT:
+        return compiled
+    dispatcher: Any = compiled
+    entry: F = dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
+    return entry
 
 
 _announced = False

@@ -5,12 +5,13 @@ Every interface (PettingZoo, Gymnasium, Stable-Baselines3) is a thin view of thi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_range
 from swarm_envs.envs.config import EnvConfig
@@ -79,6 +80,8 @@ class SwarmCore:
         self._rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
         self._error: FloatArray = np.zeros((num_envs, drones))
         self._reference = rest(self.mission.goal)
+        self._measure: Callable[..., None] | None = None
+        self._write: Callable[..., None] | None = None
 
     @property
     def num_drones(self) -> int:
@@ -170,7 +173,7 @@ class SwarmCore:
         self.crashed |= (contacts.any() | contacts.tumbling) & running[:, None]
         last = mission.distance.copy()
         self._reference = self.task.reference(mission, self.time)
-        measure(
+        arguments = (
             self.physics.state.position,
             mission.goal,
             self._reference.position,
@@ -183,6 +186,8 @@ class SwarmCore:
             mission.distance,
             self._error,
         )
+        self._measure = self._measure or entry_point(measure, *arguments)
+        self._measure(*arguments)
         there = (mission.distance < self.task.success.radius).all(axis=1)
         mission.held[running] += self.config.decision_s
         mission.held[~there] = 0.0
@@ -201,7 +206,7 @@ class SwarmCore:
         )
 
     def _observe(self, mask: BoolArray) -> Float32Array:
-        write_observations(
+        arguments = (
             self.physics.state,
             self.physics.parameters,
             self.flight.pilot.setpoint,
@@ -214,6 +219,8 @@ class SwarmCore:
             mask,
             self._rows,
         )
+        self._write = self._write or entry_point(write_observations, *arguments)
+        self._write(*arguments)
         return self._rows
 
     def _make_physics(self) -> Physics:

@@ -7,11 +7,12 @@ step at a time, with the same controller and the same bookkeeping.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import announce_compilation, kernel
+from swarm_envs.compiled import entry_point, kernel
 from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
 from swarm_envs.control.state import ControllerState, Setpoint
 from swarm_envs.control.tracking import extrapolate, track_env
@@ -20,7 +21,7 @@ from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces
 from swarm_envs.physics import BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment, touch
+from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment
 from swarm_envs.state import (
     BoolArray,
     FloatArray,
@@ -209,9 +210,10 @@ class Flight:
         self.tally = Tally(
             np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), np.zeros(shape, np.int64)
         )
-        self._disc_area = disc_areas(physics.team)
-        self._still = np.zeros((envs, drones, 3))
+        still = np.zeros((envs, drones, 3))
+        self._arguments = (physics.world, self.pilot, self.tally, disc_areas(physics.team), still)
         self._total = np.zeros((envs, drones, 3))
+        self._entry: Callable[..., None] | None = None
 
     def reset(self, state: SwarmState, mask: BoolArray) -> None:
         """Place the drones, at rest on their set-points, in the environments of the mask."""
@@ -227,26 +229,17 @@ class Flight:
         self.physics.contacts.clear(running)
         if isinstance(self.physics, BulletPhysics):
             self._fly_bullet(self.physics, steps, running)
-            return
-        announce_compilation(fly_compiled)
-        fly_compiled(
-            self.physics.world,
-            self.pilot,
-            self.tally,
-            self._disc_area,
-            self._still,
-            self._total,
-            running,
-            steps,
-        )
+        else:
+            arguments = (*self._arguments, self._total, running, steps)
+            if self._entry is None:
+                self._entry = entry_point(fly_compiled, *arguments)
+            self._entry(*arguments)
 
     def _fly_bullet(self, physics: BulletPhysics, steps: int, running: BoolArray) -> None:
-        announce_compilation(prepare_flight)
-        world, pilot, tally = physics.world, self.pilot, self.tally
+        arguments = (*self._arguments, physics.wrench)
+        if self._entry is None:
+            self._entry = entry_point(prepare_flight, 0, *arguments)
         for e in np.flatnonzero(running).tolist():
             for _ in range(steps):
-                prepare_flight(
-                    e, world, pilot, tally, self._disc_area, self._still, physics.wrench
-                )
+                self._entry(e, *arguments)
                 physics.move_bodies(e)
-                touch(e, world)

@@ -158,9 +158,12 @@ class Networks(NamedTuple):
 @kernel
 def networks_of(field: ForceField) -> Networks:
     """The field's networks, with fresh scratch arrays."""
-    widest = field.layout[:, 1 : field.layout.shape[1] // 2 + 1].max()
+    layout, widest = field.layout, 1
+    for n in range(layout.shape[0]):
+        for k in range(layout.shape[1] // 2):
+            widest = max(widest, layout[n, 1 + k])
     x, y = np.empty(widest), np.empty(widest)
-    return Networks(field.weights, field.layout, x, y, np.empty(widest + 1, dtype=np.int64))
+    return Networks(field.weights, layout, x, y, np.empty(widest + 1, dtype=np.int64))
 
 
 @kernel
@@ -297,7 +300,8 @@ def deep_set_forces(
             if weight > 0.0:
                 if not started:
                     environment_code(nets, own_range, anchor, velocity, i, code)
-                    free[:] = code
+                    for k in range(hidden):
+                        free[k] = code[k]
                     started = True
                 for k in range(3):
                     relative[k + 3] = velocity[j, k] - velocity[i, k]

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import importlib.util
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import announce_compilation
+from swarm_envs.compiled import announce_compilation, entry_point
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics.base import Physics
 from swarm_envs.physics.bullet_bodies import build_body, build_floor
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
-from swarm_envs.physics.step import blow_and_prepare, touch
+from swarm_envs.physics.step import blow_and_prepare, take_bodies
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
 
@@ -83,6 +83,8 @@ class BulletPhysics(Physics):
                 ]
             )
         self.wrench: FloatArray = np.zeros((len(self.team), 6))
+        self._moved: FloatArray = np.zeros((len(self.team), 13))
+        self._take: Callable[..., None] | None = None
         self._placed(np.ones(num_envs, dtype=np.bool_))
 
     def __enter__(self) -> BulletPhysics:
@@ -140,28 +142,25 @@ class BulletPhysics(Physics):
         for e in range(self.num_envs):
             blow_and_prepare(e, self.world, commands, external, self.wrench)
             self.move_bodies(e)
-            touch(e, self.world)
 
     def move_bodies(self, e: int) -> None:
         """Advance the bodies of environment `e` by one step under `wrench`, unchecked."""
-        client = self._client(e)
-        push, turn = self._bullet.applyExternalForce, self._bullet.applyExternalTorque
-        link = self._bullet.LINK_FRAME
-        for body, row in zip(self.bodies[e], self.wrench.tolist(), strict=True):
+        client, bodies, bullet = self._client(e), self.bodies[e], self._bullet
+        push, turn, link = bullet.applyExternalForce, bullet.applyExternalTorque, bullet.LINK_FRAME
+        for body, row in zip(bodies, self.wrench.tolist(), strict=True):
             push(body, -1, row[:3], _ORIGIN, link, client)
             turn(body, -1, row[3:], link, client)
-        self._bullet.stepSimulation(client)
-        self._read(e, client)
-
-    def _read(self, e: int, client: int) -> None:
-        pose, twist = self._bullet.getBasePositionAndOrientation, self._bullet.getBaseVelocity
-        poses = [pose(body, client) for body in self.bodies[e]]
-        twists = [twist(body, client) for body in self.bodies[e]]
-        state = self._state
-        state.position[e] = [p for p, _ in poses]
-        state.quaternion[e] = [q for _, q in poses]
-        state.velocity[e] = [v for v, _ in twists]
-        state.angular_velocity[e] = [w for _, w in twists]
+        bullet.stepSimulation(client)
+        pose, twist = bullet.getBasePositionAndOrientation, bullet.getBaseVelocity
+        self._moved[:] = [
+            (*position, *quaternion, *velocity, *rate)
+            for (position, quaternion), (velocity, rate) in [
+                (pose(body, client), twist(body, client)) for body in bodies
+            ]
+        ]
+        if self._take is None:
+            self._take = entry_point(take_bodies, e, self.world, self._moved)
+        self._take(e, self.world, self._moved)
 
 
 def _disconnect(bullet: Any, clients: list[int]) -> None:

@@ -173,3 +173,24 @@ def prepare_wrench(
         out[i, 0] = r[0] * push[0] + r[3] * push[1] + r[6] * push[2]
         out[i, 1] = r[1] * push[0] + r[4] * push[1] + r[7] * push[2]
         out[i, 2] = r[2] * push[0] + r[5] * push[1] + r[8] * push[2] + thrust
+
+
+@kernel
+def take_bodies(e: int, world: World, moved: FloatArray) -> None:
+    """Take over where another engine has moved the bodies of environment `e`; what touches?
+
+    Args:
+        e: the environment.
+        world: changed in place.
+        moved: (N, 13) position, quaternion, velocity, angular velocity.
+    """
+    state = world.state
+    p, q, v, w = state.position, state.quaternion, state.velocity, state.angular_velocity
+    for i in range(moved.shape[0]):
+        for k in range(3):
+            p[e, i, k] = moved[i, k]
+            v[e, i, k] = moved[i, 7 + k]
+            w[e, i, k] = moved[i, 10 + k]
+        for k in range(4):
+            q[e, i, k] = moved[i, 3 + k]
+    touch(e, world)
