@@ -163,7 +163,8 @@ class DeepSet(nn.Module):
 
     def _environment(self, environment: Tensor) -> Tensor:
         inputs = environment.clamp(self.environment_low, self.environment_high)
-        return self.phi_environment(inputs)  # type: ignore[no-any-return]
+        hidden: Tensor = self.phi_environment(inputs)
+        return hidden
 
     def _pairs(self, batch: Batch) -> Tensor:
         rows, slots = batch.pair_type.shape

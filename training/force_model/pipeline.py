@@ -6,7 +6,7 @@ import dataclasses
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -42,6 +42,15 @@ VOLUME_M = np.array([HARD_LATERAL_M, HARD_LATERAL_M, HARD_VERTICAL_M])
 """Half edges of the interaction volume."""
 
 
+AS_IN_THE_PAPER: dict[str, Any] = {
+    "slope_limit": None,
+    "position_jitter_m": 0.0,
+    "velocity_jitter": 0.0,
+    "balance": 0.0,
+}
+"""What a measured fit leaves out of the training."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(TrainConfig):
     """What to fit, from which rows, and where to put the result."""
@@ -75,7 +84,7 @@ def fit(config: FitConfig) -> FitReport:
     """
     began = time.perf_counter()
     if config.mode == "measured":
-        config = dataclasses.replace(config, slope_limit=None, balance=0.0)  # as in the paper
+        config = dataclasses.replace(config, **AS_IN_THE_PAPER)
     rows = read_rows(config.data)
     _check(rows)
     drag = fit_drag(rows)

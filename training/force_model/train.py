@@ -39,13 +39,18 @@ class TrainConfig:
     """Adam's rate at the start; a cosine takes it to zero at the last step"""
     max_spectral_norm: float = 3.0
     """limit of every weight matrix (the paper's gamma is its fourth power), held after each step"""
-    slope_limit: float | None = 200.0
+    slope_limit: float | None = 250.0
     """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
     slope_weight: float = 0.01
     """weight of that penalty, (g per m)^2, beside the mean squared error, g^2"""
     slope_inputs: int = 256
     """random inputs per step on which the slope is looked at"""
-    balance: float = 0.5
+    position_jitter_m: float = 0.01
+    """standard deviation of noise on neighbours' relative positions: rounds off the sharp tips
+    that layers of ReLU make on the axis of a wake, where there are few rows"""
+    velocity_jitter: float = 0.1
+    """the same for relative velocities, m/s"""
+    balance: float = 1.0
     """how far squared errors are weighed by the inverse mean square label of the drone's type: 0
     not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
     symmetric: bool = True
@@ -188,9 +193,7 @@ def type_weights(rows: InteractionRows, balance: float) -> Tensor:
     return torch.from_numpy(weight / weight.mean()).float()
 
 
-def _step(
-    run: Training, batch: Batch, label: Tensor, weight: Tensor, config: TrainConfig
-) -> float:
+def _step(run: Training, batch: Batch, label: Tensor, weight: Tensor, config: TrainConfig) -> float:
     """Take one step of Adam on a random batch; returns the batch's MSE, g^2."""
     # A generator per step, so that a run continued from a checkpoint draws the same.
     rng = np.random.default_rng([config.seed, run.step])
@@ -201,6 +204,10 @@ def _step(
     chosen = Batch(*(values[index] for values in batch))
     if config.symmetric:
         chosen = transform(chosen, *_random_symmetry(config.batch_size, rng))
+    if config.position_jitter_m or config.velocity_jitter:
+        scale = torch.tensor([config.position_jitter_m] * 3 + [config.velocity_jitter] * 3)
+        noise = rng.standard_normal(chosen.pair.shape, dtype=np.float32)
+        chosen = chosen._replace(pair=chosen.pair + scale * torch.from_numpy(noise))
     squared = (run.network(chosen) - label[index]) ** 2
     loss = torch.mean(weight[index] * squared)
     if config.slope_limit is not None:

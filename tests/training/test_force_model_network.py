@@ -1,0 +1,245 @@
+"""The deep set: eq. 10 written out in numpy, symmetries, anchor, window, clip, file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from swarm_envs.training.force_model.export import description_of, load_network, save_network
+from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
+from swarm_envs.training.force_model.network import (
+    EVERYWHERE,
+    OUTER_FADE,
+    Batch,
+    DeepSet,
+    DeepSetSpec,
+    InputRange,
+    clip_spectral_norms,
+    fade,
+    layers,
+    swarm_batch,
+)
+from swarm_envs.training.force_model.train import transform
+from swarm_envs.vehicles import GRAM_FORCE
+
+RANGE = InputRange(
+    ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),
+    ((-1.6, -0.6, -0.6, -1.0), (-0.07, 0.6, 0.6, 1.0)),
+)
+
+
+def network(spec=None, seed=0):
+    torch.manual_seed(seed)
+    made = DeepSet(spec or DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, 0.6), dtype=torch.float64)
+    with torch.no_grad():
+        for parameter in made.parameters():
+            parameter.mul_(2.0)  # larger than at the start of training, so that clamps matter
+        made.drag[0], made.drag[-1] = torch.tensor([0.01] * 2 + [0.02]), torch.tensor([0.04] * 3)
+    return made
+
+
+def swarm(rng, envs, drones):
+    position = rng.uniform(0, 1, (envs, drones, 3)) * [0.5, 0.5, 1.5]
+    return torch.from_numpy(position), torch.from_numpy(rng.uniform(-2, 2, position.shape))
+
+
+def written_out(made, position, velocity, types, i):
+    """Equation 10 for one drone of one swarm, with window, clamp, anchor and drag, in numpy."""
+
+    def perceptron(module, x):
+        chain = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in layers(module)]
+        for weight, bias in chain[:-1]:
+            x = np.maximum(weight @ x + bias, 0.0)
+        return chain[-1][0] @ x + chain[-1][1]
+
+    def step(r, a, b):
+        u = min(max((r - a) / (b - a), 0.0), 1.0)
+        return 1 - (6 * u**5 - 15 * u**4 + 10 * u**3)
+
+    z, v = min(position[i, 2], 0.6), velocity[i]
+    low, high = (np.array(side) for side in RANGE.environment)
+    e = perceptron(made.phi_environment, np.clip(-np.array([z, *v]), low, high))
+    reference = perceptron(made.phi_environment, np.clip(-np.array([0.6, *v]), low, high))
+    low, high = (np.array(side) for side in RANGE.pair)
+    h = e.copy()
+    for j in range(len(types)):
+        if j != i:
+            x = np.concatenate([position[j] - position[i], velocity[j] - velocity[i]])
+            ax, ay, az = np.abs(x[:3])
+            w = step(ax, 0.25, 0.35) * step(ay, 0.25, 0.35) * step(az, 0.8, 1.1)
+            h += w * perceptron(made.phi[types[j]], np.clip(x, low, high))
+    rho = made.rho[types[i]]
+    drag = made.drag.numpy()["SL".index(types[i]), 2] * v[2] / GRAM_FORCE
+    return (perceptron(rho, h) - perceptron(rho, reference))[0] - drag
+
+
+def test_force_is_equation_10_written_out():
+    made, team = network(), ("S", "L", "L", "S")
+    position, velocity = swarm(np.random.default_rng(0), 6, 4)
+    force = made.force_g(position, velocity, team).detach().numpy()
+    for e in range(6):
+        for i in range(4):
+            expected = written_out(made, position[e].numpy(), velocity[e].numpy(), team, i)
+            assert force[e, i] == pytest.approx(expected, abs=1e-11)
+
+
+def test_order_of_the_drones_does_not_matter():
+    made, team = network(), np.array(["S", "L", "S", "L", "S"])
+    position, velocity = swarm(np.random.default_rng(1), 20, 5)
+    order = np.random.default_rng(2).permutation(5)
+    force = made.force_g(position, velocity, team)
+    permuted = made.force_g(position[:, order], velocity[:, order], team[order])
+    assert torch.allclose(permuted, force[:, order], atol=1e-12, rtol=0)
+    assert force.std() > 0.1
+
+
+def test_types_matter():
+    made = network()
+    position, velocity = swarm(np.random.default_rng(3), 20, 2)
+    small = made.force_g(position, velocity, ("S", "S"))
+    assert not torch.allclose(small[:, 0], made.force_g(position, velocity, ("S", "L"))[:, 0])
+    assert not torch.allclose(small[:, 0], made.force_g(position, velocity, ("L", "S"))[:, 0])
+
+
+@pytest.mark.parametrize("kind", ["S", "L"])
+def test_lone_drone_at_rest_aloft_feels_exactly_nothing(kind):
+    made = network()
+    position = torch.zeros(50, 1, 3, dtype=torch.float64)
+    position[:, 0, 2] = torch.linspace(0.6, 5.0, 50)
+    velocity = torch.from_numpy(np.random.default_rng(4).normal(size=(50, 1, 3)))
+    assert torch.count_nonzero(made.force_g(position, torch.zeros_like(position), kind)) == 0
+    assert torch.count_nonzero(made.force_g(position, velocity, kind, drag=False)) == 0
+    position[:, 0, 2] = 0.1
+    assert torch.count_nonzero(made.force_g(position, velocity, kind, drag=False)) == 50
+
+
+@pytest.mark.parametrize(("axis", "edge"), [(0, 0.35), (1, 0.35), (2, 1.1)])
+def test_pair_fades_to_zero_at_the_edge_without_a_step(axis, edge):
+    made = network()
+    count = 4001
+    distance = torch.linspace(edge - 0.35, edge + 0.05, count, dtype=torch.float64)
+    position = torch.full((count, 2, 3), 0.0, dtype=torch.float64)
+    position[:, :, 2] = 1.0
+    position[:, 1, axis] += distance
+    force = made.force_g(position, torch.zeros_like(position), ("S", "L")).detach()
+    assert torch.count_nonzero(force[distance >= edge]) == 0
+    assert force.abs().max() > 1e-3
+    assert force.diff(dim=0).abs().max() < 0.01 * force.abs().max()
+
+
+def test_fade_is_smooth_and_falls_from_one_to_zero():
+    u = torch.linspace(0.2, 0.4, 2001, dtype=torch.float64)
+    value = fade(u, 0.25, 0.35)
+    slope, bend = value.diff() / 1e-4, value.diff().diff() / 1e-8
+    assert value[u <= 0.25].min() == 1
+    assert value[u >= 0.35].max() == 0
+    assert slope.max() <= 1e-12
+    assert slope.min() == pytest.approx(-1.875 / 0.1, rel=1e-3)
+    assert bend.diff().abs().max() < 0.02 * bend.abs().max()  # no jump in the second derivative
+
+
+def test_inputs_are_clamped_to_the_measured_range():
+    made = network()
+    position = torch.tensor([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.3]]], dtype=torch.float64)
+    fast = torch.tensor([[[0.6, 0.0, 1.0], [1.6, 0.0, 2.2]]], dtype=torch.float64)
+    faster = torch.tensor([[[0.6, 0.0, 1.0], [9.0, 0.0, 7.0]]], dtype=torch.float64)
+    force = made.force_g(position, fast, "SS")[0, 0]
+    assert made.force_g(position, faster, "SS")[0, 0] == force
+    assert made.force_g(position, 0.5 * fast, "SS")[0, 0] != force
+
+
+def test_clip_scales_down_to_the_limit_and_never_up():
+    made = network()
+    before = [p.detach().clone() for p in made.parameters()]
+    clip_spectral_norms(made, 1.5)
+    clipped = 0
+    for old, new in zip(before, made.parameters(), strict=True):
+        if old.ndim == 2 and np.linalg.norm(old.numpy(), 2) > 1.5:
+            clipped += 1
+            assert np.linalg.norm(new.detach().numpy(), 2) == pytest.approx(1.5, rel=1e-9)
+            assert torch.allclose(new / new.norm(), old / old.norm())
+        else:
+            assert torch.equal(new, old)
+    assert 0 < clipped < len([p for p in before if p.ndim == 2])
+
+
+def test_quarter_turns_leave_a_symmetric_quantity_alone():
+    position, velocity = swarm(np.random.default_rng(5), 8, 3)
+    batch = swarm_batch(position, velocity, [0, 1, 0])
+    one, swap = torch.ones(24, dtype=torch.float64), torch.ones(24, dtype=torch.bool)
+    turned = transform(batch, -one, one, swap)  # x -> -x, then exchange: a quarter turn
+    turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
+    assert torch.allclose(turned.pair[..., :3], batch.pair[..., :3] @ turn)
+    assert torch.allclose(turned.pair[..., 3:], batch.pair[..., 3:] @ turn)
+    assert torch.allclose(turned.environment[:, 1:], batch.environment[:, 1:] @ turn)
+    assert torch.equal(turned.environment[:, 0], batch.environment[:, 0])
+    same = transform(batch, one, one, ~swap)
+    assert torch.equal(same.pair, batch.pair)
+
+
+def test_file_gives_back_the_same_function(tmp_path):
+    for name, spec in {
+        "shipped": None,
+        "paper": DeepSetSpec(("S", "L"), EVERYWHERE, None, None),
+        "hard": DeepSetSpec(("S", "L", "XL"), None, None, None),
+    }.items():
+        torch.manual_seed(0)
+        made = DeepSet(spec) if name == "hard" and spec else network(spec)
+        save_network(tmp_path / f"{name}.safetensors", made, {"seed": 7})
+        loaded = load_network(tmp_path / f"{name}.safetensors")
+        assert loaded.spec == made.spec
+        assert description_of(tmp_path / f"{name}.safetensors")["seed"] == 7
+        position, velocity = swarm(np.random.default_rng(6), 10, 3)
+        force = loaded.force_g(position, velocity, "SLS")
+        assert torch.equal(force, made.double().force_g(position, velocity, "SLS"))
+    assert [p.name for p in tmp_path.iterdir() if "partial" in p.name] == []
+
+
+def test_missing_or_foreign_weights_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no weights file"):
+        load_network(tmp_path / "none.safetensors")
+    from safetensors.torch import save_file
+
+    save_file({"a": torch.zeros(1)}, tmp_path / "foreign.safetensors")
+    with pytest.raises(ValueError, match="format None, but must have 'deep-set-1'"):
+        load_network(tmp_path / "foreign.safetensors")
+
+
+def test_measured_lipschitz_constant_stays_below_the_bound():
+    made = network()
+    bound = lipschitz_bound(made)
+    found = measure_lipschitz(made, 5000, 1, np.random.default_rng(0))
+    assert 0 < found.pair_ratio_g_per_m <= found.position_gradient_g_per_m * 1.5
+    assert found.position_gradient_g_per_m <= bound.position_g_per_m
+    assert found.input_gradient_g_per_unit <= bound.input_g_per_unit
+    assert found.position_gradient_g_per_m <= found.input_gradient_g_per_unit
+
+
+def test_gradient_search_finds_the_slope_of_a_linear_network():
+    made = network(DeepSetSpec(("S",), EVERYWHERE, None, None))
+    with torch.no_grad():
+        for parameter in made.parameters():
+            parameter.zero_()
+        for module in (made.phi["S"], made.rho["S"]):
+            for layer in layers(module):
+                layer.weight[0, 0] = 1.0
+                layer.bias[0] = 0.0
+        layers(made.phi["S"])[0].bias[0] = 10.0  # keeps every ReLU open: f = 5 x + constant
+        layers(made.rho["S"])[-1].weight[0, 0] = 5.0
+    found = measure_lipschitz(made, 200, 1, np.random.default_rng(0))
+    assert found.position_gradient_g_per_m == pytest.approx(5.0)
+    assert found.input_gradient_g_per_unit == pytest.approx(5.0)
+    assert 3.0 < found.pair_ratio_g_per_m <= 5.0 + 1e-6
+
+
+def test_rows_without_neighbours_make_an_empty_sum():
+    made = network()
+    empty = Batch(
+        torch.zeros(3, dtype=torch.long),
+        torch.zeros(3, 4, dtype=torch.float64),
+        torch.zeros(3, 0, 6, dtype=torch.float64),
+        torch.zeros(3, 0, dtype=torch.long),
+    )
+    position = torch.zeros(3, 1, 3, dtype=torch.float64)
+    assert torch.equal(made(empty), made.force_g(position, position, "S")[:, 0])

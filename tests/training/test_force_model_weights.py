@@ -1,0 +1,141 @@
+"""The weights that ship, against the measured flights (skipped without them) and by themselves."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from swarm_envs.training.force_model.calibration import estimate_offsets, subtract_offsets
+from swarm_envs.training.force_model.evaluate import (
+    mean_squared_errors,
+    pair_force,
+    predict_rows,
+    scan_swarms,
+)
+from swarm_envs.training.force_model.export import load_network
+from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
+from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.force_model.rows import read_rows
+
+WEIGHTS = Path(__file__).parents[2] / "swarm_envs" / "interactions" / "weights"
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return load_network(WEIGHTS / "learned.safetensors")
+
+
+@pytest.fixture(scope="module")
+def report():
+    return json.loads((WEIGHTS / "learned.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def flights(shared_data):
+    return read_rows(shared_data / "data" / "neural_swarm_flights_33hz.npz")
+
+
+def test_validation_error_of_the_shipped_weights(shipped, report, flights):
+    offsets = estimate_offsets(flights)
+    predicted = predict_rows(shipped, flights)
+    errors = mean_squared_errors(predicted, subtract_offsets(flights, offsets))
+    assert errors.overall <= 7.5
+    assert errors.overall == pytest.approx(report["findings"]["errors"]["overall"], abs=1e-6)
+    for name in errors.scenario:
+        assert errors.scenario[name] < 1.05 * errors.scenario_scenario_mean[name], name
+    per_vehicle = subtract_offsets(flights, offsets.per_vehicle())
+    assert mean_squared_errors(predicted, per_vehicle).overall <= 7.5
+
+
+def test_reader_gives_the_documented_rows(flights):
+    assert len(flights) == 437_501
+    assert np.unique(flights.flight).size == 192
+    zero = np.mean(flights.force_g[flights.validation, 2] ** 2)
+    assert zero == pytest.approx(22.76, abs=0.01)
+    row = np.flatnonzero(flights.scenario == flights.scenario_names.index("SL2S"))[0]
+    assert flights.neighbor_type[row].tolist() == [0, 1]
+    assert flights.ego_type[row] == 0
+    assert flights.position[:, 2].min() >= 0.07
+    assert flights.has_neighbor.sum(axis=1).tolist().count(0) == 40_550 + 36_722
+
+
+@pytest.mark.parametrize("distance", [0.25, 0.35])
+def test_small_above_small_is_near_the_measured_bins(shipped, shared_data, distance):
+    with (shared_data / "reference" / "measured_force_bins.csv").open() as file:
+        bins = [row for row in csv.DictReader(file) if row["scenario"] == "S2S"]
+    on_axis = [b for b in bins if b["extra"] == "lat[0,0.05)" and float(b["bin_lo"]) < distance]
+    measured = float(max(on_axis, key=lambda b: float(b["bin_lo"]))["fa_delay_mean"])
+    baseline = -1.0
+    assert pair_force(shipped, "S", "S", distance) == pytest.approx(measured - baseline, abs=1.5)
+
+
+def test_lone_drone_feels_nothing_aloft_and_a_cushion_near_the_ground(shipped):
+    for kind, cushion in {"S": (2.6, 1.0), "L": (6.0, 2.0)}.items():
+        position = torch.tensor([[[0, 0, z]] for z in (0.08, 0.6, 0.7, 2.0)], dtype=torch.float64)
+        force = shipped.force_g(position, torch.zeros_like(position), kind)[:, 0]
+        assert torch.count_nonzero(force[1:]) == 0
+        assert float(force[0]) == pytest.approx(cushion[0], abs=cushion[1])
+
+
+def test_force_fades_to_zero_at_the_edge(shipped):
+    for axis, edge in ((0, 0.35), (2, 1.1)):
+        for sign in (-1, 1):
+            position = torch.full((2000, 2, 3), 0.0, dtype=torch.float64)
+            position[:, :, 2] = 1.5
+            position[:, 1, axis] += sign * torch.linspace(edge - 0.1, edge + 0.01, 2000)
+            for pair in ("SS", "SL", "LS", "LL"):
+                force = shipped.force_g(position, torch.zeros_like(position), pair)[:, 0].detach()
+                assert abs(float(force[-1])) == 0
+                assert force.diff().abs().max() < 0.05
+
+
+def test_lipschitz_constant_of_the_shipped_weights(shipped, report):
+    bound = lipschitz_bound(shipped)
+    for neighbors in (1, 2):
+        found = measure_lipschitz(shipped, 20_000, neighbors, np.random.default_rng(7))
+        assert found.position_gradient_g_per_m <= 400
+        assert found.input_gradient_g_per_unit <= 400
+        stated = report["findings"]["lipschitz_measured"][str(neighbors)]
+        assert stated["position_gradient_g_per_m"] <= 400
+        assert stated["input_gradient_g_per_unit"] <= 400
+    stated_bound = report["findings"]["lipschitz_bound"]["position_g_per_m"]
+    assert stated_bound == pytest.approx(bound.position_g_per_m)
+
+
+@pytest.mark.parametrize("drones", [2, 3, 16])
+def test_random_swarms_give_no_absurd_force(shipped, drones):
+    found = scan_swarms(shipped, drones, 500, np.random.default_rng(8))
+    assert found.small_only[0] > (-25 if drones <= 3 else -40)
+    assert found.small_only[1] < 15
+
+
+def test_reports_state_no_path_of_the_machine_that_made_them():
+    for name in ("learned.json", "wake.json"):
+        text = (WEIGHTS / name).read_text()
+        assert "/work" not in text
+        assert "/home" not in text
+
+
+def test_wake_beats_the_scenario_mean():
+    wake = json.loads((WEIGHTS / "wake.json").read_text())
+    errors = wake["validation_mse_g2"]
+    fitted = errors[f"tilted by {wake['advection_velocity']} velocity"]
+    assert fitted == min(errors.values())
+    assert all(pair["p"] <= 3.0 for pair in wake["pair"].values())
+
+
+@pytest.mark.slow
+def test_measured_fit_reaches_the_reference(shared_data, tmp_path):
+    config = FitConfig(
+        data=shared_data / "data" / "neural_swarm_flights_33hz.npz",
+        out=tmp_path,
+        mode="measured",
+        lipschitz_samples=0,
+        progress=False,
+    )
+    assert fit(config).findings.errors.overall <= 6.6
