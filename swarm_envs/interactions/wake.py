@@ -6,8 +6,8 @@ lateral distance r down with
     A (w0 / w)^p exp(-(r / w)^2 / 2) s(dz / 3 cm),   s the logistic function,
 
 so nothing is felt above or beside it. The jet tilts: its axis at depth dz lies where the upper
-drone was, seen from the lower one, when that air left it. Several jets together push
-less than their sum: (sum_k f_k^q)^(1/q). Near the ground the downwash is mitigated, and a drone's
+drone was when that air left it (its own velocity tells; the relative one fits the flights worse).
+Several jets together push less than their sum: (sum_k f_k^q)^(1/q). Near the ground the downwash is mitigated, and a drone's
 own jet carries it (ground effect). Linear drag acts on its motion.
 """
 
@@ -38,9 +38,9 @@ def wake_field(parameters: dict[str, Any]) -> ForceField:
         for b, lower in enumerate(types):
             fit = parameters["pair"][f"{upper}>{lower}"]
             field.wake_pair[a, b] = fit["A_g"] * GRAM_FORCE, fit["w0_m"], fit["S"], fit["p"]
+        lift = parameters["ground"][upper]
+        field.wake_ground[a] = lift["G_g"] * GRAM_FORCE, lift["h_m"]
         field.wake_delay[a] = 1.0 / parameters["advection_speed"][upper]
-        ground = parameters["ground"][upper]
-        ground[a] = ground["G_g"] * GRAM_FORCE, ground["h_m"]
         field.drag[a] = parameters["drag"][upper]
     mitigation = parameters["mitigation"]
     return field._replace(
@@ -96,8 +96,8 @@ def wake_forces(
             weight = pair_weight(window, dx, dy, dz) if j != i else 0.0
             if weight > 0.0:
                 delay = max(dz, 0.0) * delays[types[j]]
-                x = dx - (velocity[j, 0] - velocity[i, 0]) * delay
-                y = dy - (velocity[j, 1] - velocity[i, 1]) * delay
+                x = dx - velocity[j, 0] * delay
+                y = dy - velocity[j, 1] * delay
                 lateral = math.sqrt(x * x + y * y)
                 total += (weight * jet_force(field, types[j], types[i], lateral, dz)) ** q
         height = max(position[i, 2], _LOWEST_MEASURED)

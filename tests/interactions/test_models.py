@@ -1,0 +1,288 @@
+"""Interaction models: symmetries, far fields, and two implementations of the deep set."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.forces import active_pairs
+from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle, parse_team
+
+MODELS = ("wake", "learned")
+
+
+@pytest.fixture(params=MODELS)
+def model(request: pytest.FixtureRequest) -> InteractionModel:
+    return load(request.param)
+
+
+def swarm(
+    rng: np.random.Generator, envs: int, drones: int, height: float = 1.0
+) -> tuple[np.ndarray, np.ndarray]:
+    position = rng.uniform([-0.3, -0.3, -0.6], [0.3, 0.3, 0.6], (envs, drones, 3))
+    position[..., 2] += height
+    return position, rng.normal(0.0, 0.3, (envs, drones, 3))
+
+
+def test_none_is_nothing() -> None:
+    position, velocity = swarm(np.random.default_rng(0), 3, 4)
+    assert not load("none").forces(position, velocity, "SLSL").any()
+
+
+@pytest.mark.parametrize("height", [0.6, 0.8, 1.0, 2.0])
+@pytest.mark.parametrize("team", ["S", "L", "S*"])
+def test_a_lone_drone_at_rest_aloft_feels_nothing(
+    model: InteractionModel, height: float, team: str
+) -> None:
+    force = model.forces([[[0.3, -0.2, height]]], np.zeros((1, 1, 3)), team)
+    assert np.abs(force).max() < 0.3 * GRAM_FORCE
+
+
+def test_drag_opposes_motion(model: InteractionModel) -> None:
+    velocity = np.array([[[0.5, 0.0, 0.0]], [[0.0, -0.5, 0.0]]])
+    force = model.forces(np.full((2, 1, 3), 1.0), velocity, "S")
+    assert force[0, 0, 0] <= 0.0
+    assert force[1, 0, 1] >= 0.0
+    np.testing.assert_allclose(force[0, 0, 1:], 0.0, atol=1e-12)
+
+
+def test_forces_do_not_depend_on_the_order_of_neighbours(model: InteractionModel) -> None:
+    rng = np.random.default_rng(1)
+    position, velocity = swarm(rng, 20, 5)
+    team = parse_team("SLSSL")
+    order = rng.permutation(5)
+    shuffled = model.forces(position[:, order], velocity[:, order], [team[i] for i in order])
+    np.testing.assert_allclose(
+        shuffled, model.forces(position, velocity, team)[:, order], atol=1e-12
+    )
+
+
+def test_forces_do_not_depend_on_where_in_the_plane(model: InteractionModel) -> None:
+    position, velocity = swarm(np.random.default_rng(2), 20, 4)
+    there = position + np.array([3.0, -7.0, 0.0])
+    np.testing.assert_allclose(
+        model.forces(there, velocity, "SLSS"),
+        model.forces(position, velocity, "SLSS"),
+        atol=1e-9,
+    )
+
+
+def test_environments_are_independent(model: InteractionModel) -> None:
+    position, velocity = swarm(np.random.default_rng(3), 6, 4)
+    together = model.forces(position, velocity, "SSLS")
+    for e in range(6):
+        alone = model.forces(position[e : e + 1], velocity[e : e + 1], "SSLS")
+        np.testing.assert_array_equal(alone[0], together[e])
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_the_force_fades_to_nothing_at_the_edge_without_a_step(
+    model: InteractionModel, axis: int
+) -> None:
+    """Walking a neighbour out of the volume, no millimetre changes the force by a gram."""
+    reach = [0.35, 0.35, 1.1][axis]
+    offsets = np.arange(0.0, reach + 0.02, 1e-3)
+    position = np.zeros((len(offsets), 2, 3))
+    position[..., 2] = 1.5
+    position[:, 1] += np.array([0.0, 0.0, 0.0 if axis == 2 else 0.4])
+    position[:, 1, axis] += offsets
+    if axis == 2:
+        position, offsets = position[200:], offsets[200:]
+    force = model.forces(position, np.zeros_like(position), "SL")[:, 0, 2] / GRAM_FORCE
+    np.testing.assert_allclose(force[offsets >= reach], 0.0, atol=1e-12)
+    assert np.abs(np.diff(force)).max() < 0.4  # 400 g/m over a millimetre
+    assert abs(force[np.searchsorted(offsets, reach - 2e-3)]) < 0.05
+
+
+def test_downwash_pushes_the_lower_drone_only(model: InteractionModel) -> None:
+    for team in ("SS", "LS", "SL", "LL"):
+        position = np.array([[[0.0, 0.0, 1.4], [0.0, 0.0, 1.1]]])
+        upper, lower = model.forces(position, np.zeros_like(position), team)[0, :, 2] / GRAM_FORCE
+        assert lower < -5.0, team
+        assert abs(upper) < 2.5, team
+
+
+def test_ground_effect_lifts(model: InteractionModel) -> None:
+    heights = np.array([[[0.0, 0.0, 0.08]], [[0.0, 0.0, 0.12]], [[0.0, 0.0, 0.6]]])
+    for team in ("S", "L"):
+        low, middle, high = model.forces(heights, np.zeros_like(heights), team)[:, 0, 2]
+        assert low > middle > high - 0.3 * GRAM_FORCE
+        assert low > 1.0 * GRAM_FORCE
+
+
+def measured_bins(shared: Path, case: str, scenario: str, lateral: str) -> list[dict[str, float]]:
+    import csv
+
+    with (shared / "reference" / "measured_force_bins.csv").open() as file:
+        rows = [
+            row
+            for row in csv.DictReader(file)
+            if row["case"].startswith(case)
+            and row["scenario"] == scenario
+            and (row["extra"] or "") == lateral
+        ]
+    return [{k: float(row[k]) for k in ("bin_lo", "bin_hi", "fa_delay_mean")} for row in rows]
+
+
+def test_on_axis_force_is_as_measured(shared_data: Path, model: InteractionModel) -> None:
+    """S above S at 0.2-0.4 m: within 1.5 g of the measured bins minus their baseline."""
+    bins = measured_bins(shared_data, "one neighbour: f vs dz", "S2S", "lat[0,0.05)")
+    baseline = -1.0  # mean force of small drones far from everything
+    near = [b for b in bins if 0.2 <= b["bin_lo"] < 0.4]
+    assert len(near) == 2
+    rng = np.random.default_rng(0)
+    for b in near:
+        lower = np.tile([0.0, 0.0, 0.8], (400, 1))
+        angle, r = rng.uniform(0, 2 * np.pi, 400), 0.05 * np.sqrt(rng.uniform(0, 1, 400))
+        offset = np.stack(
+            [r * np.cos(angle), r * np.sin(angle), rng.uniform(b["bin_lo"], b["bin_hi"], 400)], -1
+        )
+        position = np.stack([lower, lower + offset], axis=1)
+        force = model.forces(position, np.zeros_like(position), "SS")[:, 0, 2] / GRAM_FORCE
+        assert force.mean() == pytest.approx(b["fa_delay_mean"] - baseline, abs=1.5)
+
+
+def test_compiled_deep_set_agrees_with_torch() -> None:
+    torch = pytest.importorskip("torch")
+    from importlib import resources
+
+    from swarm_envs.training.force_model import load_network
+
+    rng = np.random.default_rng(4)
+    weights = resources.files("swarm_envs.interactions").joinpath("weights/learned.safetensors")
+    with resources.as_file(weights) as path:
+        network = load_network(path)
+    compiled = load("learned")
+    worst = 0.0
+    for height in (0.1, 0.4, 1.2):
+        position, velocity = swarm(rng, 200, 4, height)
+        team = parse_team("SLSL")
+        types = [vehicle.interaction_type for vehicle in team]
+        force_g = compiled.forces(position, velocity, team)[..., 2] / GRAM_FORCE
+        arrays = (torch.from_numpy(position), torch.from_numpy(velocity))
+        with torch.no_grad():
+            expected = network.force_g(*arrays, types).numpy()
+        worst = max(worst, float(np.abs(force_g - expected).max()))
+    assert worst < 1e-9
+
+
+def deep_set_file(
+    path: Path, types: tuple[str, ...], rng: np.random.Generator, anchor: float | None = None
+) -> dict[str, np.ndarray]:
+    """Write a random deep set of three layers and return its tensors."""
+    tensors: dict[str, np.ndarray] = {}
+    networks = {f"phi.{t}": (6, 9, 7, 5) for t in types} | {"phi.environment": (4, 9, 7, 5)}
+    networks |= {f"rho.{t}": (5, 8, 1) for t in types}
+    for name, widths in networks.items():
+        for k, (inputs, outputs) in enumerate(zip(widths, widths[1:], strict=False)):
+            tensors[f"{name}.{k}.weight"] = rng.normal(size=(outputs, inputs))
+            tensors[f"{name}.{k}.bias"] = rng.normal(size=outputs)
+    notes = {"format": "deep-set-1", "types": types, "anchor_height_m": anchor, "window": None}
+    save_file(tensors, path, metadata={"swarm_envs": json.dumps(notes)})
+    return tensors
+
+
+def plain_network(tensors: dict[str, np.ndarray], name: str, x: np.ndarray) -> np.ndarray:
+    k = 0
+    while f"{name}.{k}.weight" in tensors:
+        x = tensors[f"{name}.{k}.weight"] @ (np.maximum(x, 0.0) if k else x)
+        x = x + tensors[f"{name}.{k}.bias"]
+        k += 1
+    return x
+
+
+def test_any_types_and_shapes_against_the_formula(tmp_path: Path) -> None:
+    """Equation (10), written out in numpy for three types and networks of odd shapes."""
+    rng = np.random.default_rng(5)
+    path = tmp_path / "three.safetensors"
+    tensors = deep_set_file(path, ("A", "B", "C"), rng)
+    base = VEHICLES["S"]
+    team = [Vehicle(**{**vars(base), "token": t, "interaction_type": t}) for t in "ABCAB"]
+    position, velocity = swarm(rng, 1, 5)
+    force = load(path).forces(position, velocity, team)[0, :, 2] / GRAM_FORCE
+    p, v = position[0], velocity[0]
+    for i, ego in enumerate(team):
+        code = plain_network(
+            tensors, "phi.environment", np.array([-p[i, 2], -v[i, 0], -v[i, 1], -v[i, 2]])
+        )
+        for j, other in enumerate(team):
+            inside = (abs(p[j] - p[i]) < [0.35, 0.35, 1.1]).all()
+            if j != i and inside:
+                code = code + plain_network(
+                    tensors, f"phi.{other.token}", np.concatenate([p[j] - p[i], v[j] - v[i]])
+                )
+        expected = plain_network(tensors, f"rho.{ego.token}", code)[0]
+        assert force[i] == pytest.approx(expected, abs=1e-10)
+
+
+def test_anchored_means_zero_aloft_at_any_speed(tmp_path: Path) -> None:
+    path = tmp_path / "anchored.safetensors"
+    deep_set_file(path, ("S", "L"), np.random.default_rng(6), anchor=0.5)
+    velocity = np.random.default_rng(7).normal(size=(50, 1, 3))
+    position = np.full((50, 1, 3), 0.5)
+    assert not load(path).forces(position, velocity, "S").any()
+    position[..., 2] = 0.3
+    assert load(path).forces(position, velocity, "S").any()
+
+
+def test_inputs_are_clamped_to_what_was_measured() -> None:
+    model = load("learned")
+    fast, faster = np.full((1, 2, 3), 0.0), np.full((1, 2, 3), 0.0)
+    fast[0, 0, 0], faster[0, 0, 0] = 50.0, 90.0
+    position = np.array([[[0.0, 0.0, 1.3], [0.0, 0.0, 1.0]]])
+    a, b = (model.forces(position, v, "SS")[0, 1, 2] for v in (fast, faster))
+    assert a == pytest.approx(b, abs=1e-12)
+    assert abs(a) < 30 * GRAM_FORCE
+
+
+def test_active_pairs_counts_the_volume() -> None:
+    window = load("learned").field.window
+    position = np.array([[0, 0, 1.0], [0.1, 0, 1.0], [0.34, 0, 1.0], [0, 0, 2.2], [1, 1, 1.0]])
+    assert active_pairs(window, position) == 6
+
+
+class TestBadInput:
+    """Messages name the value, the rule and the fix."""
+
+    def test_shapes(self) -> None:
+        with pytest.raises(ValueError, match=r"position has shape \(2, 3\)"):
+            load("learned").forces(np.zeros((2, 3)), np.zeros((2, 3)), "SS")
+        with pytest.raises(ValueError, match="velocity is nan"):
+            load("learned").forces(np.ones((1, 1, 3)), np.full((1, 1, 3), np.nan), "S")
+
+    def test_unknown_type(self) -> None:
+        odd = Vehicle(**{**vars(VEHICLES["S"]), "interaction_type": "XL"})
+        with pytest.raises(ValueError, match=r"interaction type 'XL'.*valid: 'L', 'S'"):
+            load("learned").forces(np.ones((1, 1, 3)), np.zeros((1, 1, 3)), [odd])
+
+    def test_missing_file(self, tmp_path: Path) -> None:
+        with pytest.raises(FileNotFoundError, match="does not exist"):
+            load(tmp_path / "no.safetensors")
+
+    @pytest.mark.parametrize("damage", ["truncated", "pickle", "nan", "missing", "other"])
+    def test_damaged_files(self, tmp_path: Path, damage: str) -> None:
+        path = tmp_path / "bad.safetensors"
+        tensors = deep_set_file(path, ("S", "L"), np.random.default_rng(0))
+        if damage == "truncated":
+            path.write_bytes(path.read_bytes()[:500])
+        elif damage == "pickle":
+            import pickle
+
+            path.write_bytes(pickle.dumps({"weights": [1.0]}))
+        elif damage == "nan":
+            tensors["rho.S.0.bias"][0] = np.nan
+            notes = json.dumps({"format": "deep-set-1", "types": ["S", "L"]})
+            save_file(tensors, path, metadata={"swarm_envs": notes})
+        elif damage == "missing":
+            del tensors["phi.L.0.weight"]
+            notes = json.dumps({"format": "deep-set-1", "types": ["S", "L"]})
+            save_file(tensors, path, metadata={"swarm_envs": notes})
+        else:
+            save_file(tensors, path)
+        with pytest.raises(ValueError, match=r"bad\.safetensors.*fit it again"):
+            load(path)

@@ -1,0 +1,99 @@
+"""Collision flags: who touches what, on both engines."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics, bullet_available
+from swarm_envs.state import hover_state
+from swarm_envs.vehicles import LARGE, SMALL, parse_team
+
+ARENA = [[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]]
+ENGINES = [BatchPhysics] + ([BulletPhysics] if bullet_available() else [])
+
+
+@pytest.fixture(params=ENGINES, ids=lambda engine: engine.name)
+def engine(request: pytest.FixtureRequest) -> type[Physics]:
+    chosen: type[Physics] = request.param
+    return chosen
+
+
+def touched(engine: type[Physics], team: str, positions: list[list[float]]) -> Physics:
+    physics = engine(team, interactions="none", arena=ARENA)
+    state = hover_state(parse_team(team), positions)
+    physics.reset(state)
+    physics.step(state.rotor_thrust)
+    physics.close()
+    return physics
+
+
+def test_drones_touch_below_the_sum_of_radii(engine: type[Physics]) -> None:
+    reach = SMALL.radius + LARGE.radius
+    near = touched(engine, "SLS", [[0, 0, 1], [reach - 1e-3, 0, 1], [0, 1, 1]])
+    assert near.contacts.drone.tolist() == [[1, 0, -1]]
+    assert near.contact.tolist() == [[True, True, False]]
+    far = touched(engine, "SLS", [[0, 0, 1], [reach + 1e-3, 0, 1], [0, 1, 1]])
+    assert not far.contact.any()
+    assert far.contacts.separation[0, 0] == pytest.approx(reach + 1e-3)
+    assert far.contacts.clearance[0, 0] == pytest.approx((reach + 1e-3) / reach)
+
+
+def test_a_drone_between_two_names_the_nearer(engine: type[Physics]) -> None:
+    physics = touched(engine, "SSS", [[-0.11, 0, 1], [0, 0, 1], [0.10, 0, 1]])
+    assert physics.contacts.drone.tolist() == [[1, 2, 1]]
+
+
+def test_floor_wall_and_ceiling(engine: type[Physics]) -> None:
+    positions = [[0, 0, 0.05], [1.95, 0, 1], [0, -1.95, 1], [0, 0, 2.46], [1, 1, 0.07]]
+    physics = touched(engine, "SSSSS", positions)
+    assert physics.contacts.floor.tolist() == [[True, False, False, False, False]]
+    assert physics.contacts.wall.tolist() == [[False, True, True, True, False]]
+    assert (physics.contacts.drone == -1).all()
+
+
+def test_flags_are_those_of_the_last_step(engine: type[Physics]) -> None:
+    physics = engine("SS", interactions="none")
+    apart = hover_state(parse_team("SS"), [[0, 0, 1], [1, 0, 1]])
+    close = hover_state(parse_team("SS"), [[0, 0, 1], [0.1, 0, 1]])
+    physics.reset(close)
+    physics.step(close.rotor_thrust)
+    assert physics.contact.all()
+    physics.reset(apart)
+    assert not physics.contact.any()
+    physics.step(apart.rotor_thrust)
+    assert not physics.contact.any()
+    physics.close()
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+def test_bullet_pushes_colliding_drones_apart_and_floors_hold() -> None:
+    physics = BulletPhysics("SS", interactions="none")
+    state = hover_state(parse_team("SS"), [[0, 0, 1], [0.3, 0, 1]])
+    state.velocity[0, 0, 0] = 1.0
+    physics.reset(state)
+    for _ in range(120):
+        physics.step(state.rotor_thrust)
+    assert physics.state.velocity[0, 1, 0] > 0.1
+    for _ in range(480):
+        physics.step(np.zeros((1, 2, 4)))
+    assert (physics.state.position[0, :, 2] > 0.0).all()
+    physics.close()
+
+
+def test_contacts_agree_with_brute_force(engine: type[Physics]) -> None:
+    rng = np.random.default_rng(0)
+    team = parse_team("SLS*SLS")
+    radius = np.array([v.radius for v in team])
+    for _ in range(20):
+        positions = rng.uniform([-0.3, -0.3, 0.02], [0.3, 0.3, 0.5], (6, 3))
+        state = hover_state(team, positions)
+        physics = BatchPhysics(team, interactions="none")
+        physics.reset(state)
+        physics.step(state.rotor_thrust)
+        gaps = np.linalg.norm(positions[:, None] - positions[None], axis=-1)
+        gaps /= radius[:, None] + radius[None]
+        np.fill_diagonal(gaps, np.inf)
+        expected = np.where(gaps.min(axis=1) < 1.0, gaps.argmin(axis=1), -1)
+        np.testing.assert_array_equal(physics.contacts.drone[0], expected)
+        np.testing.assert_array_equal(physics.contacts.floor[0], positions[:, 2] < radius)

@@ -1,0 +1,191 @@
+"""What both engines promise: checks at the door, no leaks, forces held as asked."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarm_envs.motors import BatteryModel
+from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics, bullet_available
+from swarm_envs.state import hover_state
+from swarm_envs.vehicles import parse_team
+
+ENGINES = [BatchPhysics] + ([BulletPhysics] if bullet_available() else [])
+TEAM = parse_team("LS")
+STACK = [[0.0, 0.0, 1.4], [0.02, 0.0, 1.0]]
+
+
+@pytest.fixture(params=ENGINES, ids=lambda engine: engine.name)
+def engine(request: pytest.FixtureRequest) -> type[Physics]:
+    chosen: type[Physics] = request.param
+    return chosen
+
+
+def test_hover_state_hovers_without_forces(engine: type[Physics]) -> None:
+    physics = engine(TEAM, interactions="none")
+    state = physics.reset()
+    commands, before = state.rotor_thrust.copy(), state.position.copy()
+    for _ in range(240):
+        state = physics.step(commands)
+    np.testing.assert_allclose(state.position, before, atol=1e-9)
+    physics.close()
+
+
+@pytest.mark.parametrize(
+    ("commands", "complaint"),
+    [
+        (np.zeros((1, 2, 3)), r"shape \(1, 2, 3\).*\(1, 2, 4\)"),
+        (np.zeros((2, 2, 4)), r"shape \(2, 2, 4\)"),
+        (np.full((1, 2, 4), np.nan), "nan at index"),
+        (np.full((1, 2, 4), np.inf), "inf at index"),
+    ],
+)
+def test_bad_commands_change_nothing(
+    engine: type[Physics], commands: np.ndarray, complaint: str
+) -> None:
+    physics = engine(TEAM)
+    physics.reset(hover_state(TEAM, STACK))
+    physics.step(physics.state.rotor_thrust)
+    before = physics.state.copy()
+    with pytest.raises(ValueError, match=complaint):
+        physics.step(commands)
+    with pytest.raises(ValueError, match="external_force"):
+        physics.step(before.rotor_thrust, np.full((1, 2, 3), np.nan))
+    for now, then in zip(physics.state, before, strict=True):
+        np.testing.assert_array_equal(now, then)
+    physics.close()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "complaint"),
+    [
+        ("position", np.nan, "state.position is nan"),
+        ("quaternion", 0.9, "unit quaternions"),
+        ("rotor_thrust", -0.1, "rotors only push"),
+        ("battery", 1.5, "between 0"),
+    ],
+)
+def test_impossible_states_are_refused(field: str, value: float, complaint: str) -> None:
+    physics = BatchPhysics(TEAM)
+    state = hover_state(TEAM, STACK)
+    getattr(state, field)[:] = value
+    before = physics.state.copy()
+    with pytest.raises(ValueError, match=complaint):
+        physics.reset(state)
+    np.testing.assert_array_equal(physics.state.position, before.position)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"team": "SX"}, "unknown vehicle token 'X'.*valid: 'L', 'S'"),
+        ({"team": ""}, "no drones"),
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"force_rate": 100}, "force_rate is 100"),
+        ({"interactions": "learnt"}, "did you mean 'learned'"),
+    ],
+)
+def test_bad_options_say_what_would_do(
+    engine: type[Physics], options: dict[str, object], complaint: str
+) -> None:
+    with pytest.raises(ValueError, match=complaint):
+        engine(**{"team": "SL", **options})
+
+
+def test_state_is_read_only(engine: type[Physics]) -> None:
+    physics = engine(TEAM)
+    with pytest.raises(ValueError, match="read-only"):
+        physics.state.position[:] = 0.0
+    physics.close()
+
+
+def test_force_is_held_between_evaluations() -> None:
+    held, fresh = BatchPhysics(TEAM, force_rate=48), BatchPhysics(TEAM)
+    for physics in (held, fresh):
+        physics.reset(hover_state(TEAM, STACK))
+    seen = []
+    for _ in range(20):
+        held.step(held.state.rotor_thrust)
+        fresh.step(fresh.state.rotor_thrust)
+        seen.append(held.force[0, 1, 2])
+    changes = np.flatnonzero(np.diff(seen)) + 1
+    assert changes.tolist() == [5, 10, 15]
+    np.testing.assert_allclose(held.state.position, fresh.state.position, atol=1e-3)
+
+
+def test_lower_drone_is_pushed_down_and_upper_is_not() -> None:
+    physics = BatchPhysics(TEAM)
+    physics.reset(hover_state(TEAM, STACK))
+    physics.step(physics.state.rotor_thrust)
+    upper, lower = physics.force[0, :, 2]
+    assert lower < -0.05
+    assert abs(upper) < 0.3 * abs(lower)
+
+
+def test_batteries_empty_and_weaken_the_rotors() -> None:
+    physics = BatchPhysics("S", interactions="none", battery=BatteryModel())
+    state = hover_state(parse_team("S"), [[0, 0, 1]])
+    state.battery[:] = 0.3
+    physics.reset(state)
+    full = physics.parameters.max_rotor_thrust.copy()
+    for _ in range(240):
+        physics.step(state.rotor_thrust)
+    assert 0.0 < physics.state.battery[0, 0] < 0.3
+    assert physics.world.rotor_limit[0, 0] < full[0, 0]
+    lasting = BatchPhysics("S", interactions="none")
+    lasting.step(lasting.state.rotor_thrust)
+    assert lasting.state.battery[0, 0] == 1.0
+
+
+def memory_mb() -> float:
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+class TestBulletResources:
+    """Clients and bodies are freed, or never made twice."""
+
+    def test_closing_twice_is_harmless_and_stepping_after_is_refused(self) -> None:
+        physics = BulletPhysics(TEAM)
+        physics.close()
+        physics.close()
+        with pytest.raises(RuntimeError, match="closed"):
+            physics.step(np.zeros((1, 2, 4)))
+
+    def test_ten_thousand_resets_do_not_leak(self) -> None:
+        physics = BulletPhysics(TEAM)
+        state = hover_state(TEAM, STACK)
+        for _ in range(500):
+            physics.reset(state)
+        before = memory_mb()
+        for _ in range(10_000):
+            physics.reset(state)
+        assert memory_mb() - before < 5.0
+        physics.close()
+
+    def test_two_hundred_open_close_cycles_do_not_leak(self) -> None:
+        for _ in range(20):
+            BulletPhysics(TEAM).close()
+        before = memory_mb()
+        for _ in range(200):
+            BulletPhysics(TEAM).close()
+        assert memory_mb() - before < 20.0
+
+    def test_forgotten_engines_give_their_client_back(self) -> None:
+        import pybullet
+
+        physics = BulletPhysics(TEAM)
+        client = physics.clients[0]
+        del physics
+        assert not pybullet.isConnected(client)
+
+    def test_without_pybullet_the_error_says_what_to_do(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setitem(__import__("sys").modules, "pybullet", None)
+        with pytest.raises(ImportError, match=r"pip install pybullet.*physics='batch'"):
+            BulletPhysics(TEAM)
