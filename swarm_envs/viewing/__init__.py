@@ -1,1 +1,1 @@
-"""Part of swarm_envs."""
+"""Pictures of flights: a camera that needs no display, videos, plots."""

@@ -1,0 +1,167 @@
+"""The command `swarm-envs`: one subcommand a job, each loaded when it is called."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from swarm_envs import __version__
+from swarm_envs.errors import unknown_name
+
+PROGRAM = "swarm-envs"
+DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
+"""Exit codes."""
+
+Options = TypeVar("Options")
+
+
+@dataclass(frozen=True)
+class Command:
+    """A subcommand."""
+
+    summary: str
+    """One line for the list of commands."""
+    run: Callable[[Sequence[str]], int]
+    """Takes the arguments after the command's name and gives the exit code."""
+
+
+class Misuse(Exception):
+    """Options that cannot be; the message says which, and what would do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DemoOptions:
+    """Fly randomised stacked swaps with and without compensation of the downwash.
+
+    Prints the lowest drone's worst height error, and writes a picture, a video and every number.
+    """
+
+    out: Path = Path("demo")
+    """folder for summary.json, demo.png and demo.mp4; made if missing"""
+    seed: int = 0
+    """the swaps are drawn from it"""
+    swaps: int = 6
+    """randomised swaps of each scenario; each is flown twice"""
+    video: bool = True
+    """make the video; it takes most of the time"""
+    json: Path | None = None
+    """write what was measured to this file too"""
+
+
+def _demo(arguments: Sequence[str]) -> int:
+    options = _read("demo", DemoOptions, arguments)
+    _require("--seed", options.seed, options.seed >= 0, "0 or more")
+    _require("--swaps", options.swaps, 1 <= options.swaps <= 1000, "from 1 to 1000")
+    from swarm_envs.baselines.neural_swarm.demo import format_table, run_demo
+    from swarm_envs.viewing.files import write_json
+
+    summary = run_demo(options.out, options.seed, options.swaps, options.video)
+    if options.json is not None:
+        write_json(options.json, summary)
+    print(format_table(summary))
+    print()
+    for note in summary["notes"]:
+        print(f"note: {note}")
+    files = [options.out / name for name in summary["files"].values() if name]
+    print("wrote", ", ".join(map(str, [options.out / "summary.json", *files])))
+    return DONE
+
+
+def _fit(arguments: Sequence[str]) -> int:
+    _need_torch()
+    from swarm_envs.training.force_model.pipeline import FitConfig, fit
+
+    config = _read("fit", FitConfig, arguments)
+    report = fit(config)
+    errors = report.findings.errors
+    print(
+        f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, scenario mean "
+        f"{errors.scenario_mean:.2f}); wrote the weights and the report into {config.out}"
+    )
+    return DONE
+
+
+COMMANDS: Mapping[str, Command] = {
+    "demo": Command("two drones swap places through each other's downwash", _demo),
+    "fit": Command("fit a force model to rows of measured or simulated force", _fit),
+}
+"""Every command by its name. To add one, write a function like `_demo` and name it here."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command line and return its exit code.
+
+    Args:
+        arguments: after the program's name; None for those of the process.
+
+    Returns:
+        0 only if the command did its job; 2 for a command or option that cannot be.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if not given or given[0] in ("-h", "--help"):
+        print(_overview())
+        return DONE if given else MISUSED
+    if given[0] == "--version":
+        print(f"{PROGRAM} {__version__}")
+        return DONE
+    name, rest = given[0], given[1:]
+    if name not in COMMANDS:
+        return _complain(PROGRAM, unknown_name("command", name, COMMANDS), MISUSED)
+    where = f"{PROGRAM} {name}"
+    try:
+        return COMMANDS[name].run(rest)
+    except Misuse as error:
+        return _complain(where, str(error), MISUSED)
+    except (OSError, ImportError) as error:  # the machine lacks something: no traceback helps
+        return _complain(where, str(error), FAILED)
+    except KeyboardInterrupt:
+        return _complain(where, "interrupted", INTERRUPTED)
+
+
+def _overview() -> str:
+    width = max(map(len, COMMANDS))
+    lines = [f"  {name.ljust(width)}  {c.summary}" for name, c in COMMANDS.items()]
+    return "\n".join(
+        [
+            f"usage: {PROGRAM} COMMAND [options]",
+            "",
+            "commands:",
+            *lines,
+            "",
+            f"`{PROGRAM} COMMAND --help` explains a command's options; "
+            f"`{PROGRAM} --version` says which version this is.",
+        ]
+    )
+
+
+def _read(name: str, options: type[Options], arguments: Sequence[str]) -> Options:
+    """Read a command's options into their dataclass; bad ones are explained, exit code 2."""
+    import tyro
+
+    try:
+        return tyro.cli(options, args=list(arguments), prog=f"{PROGRAM} {name}")
+    except ValueError as error:  # raised by the dataclass itself
+        raise Misuse(str(error)) from error
+
+
+def _need_torch() -> None:
+    if importlib.util.find_spec("torch") is None:
+        raise ImportError("training needs torch; install it by: pip install 'swarm-envs[train]'")
+
+
+def _require(option: str, value: Any, holds: bool, rule: str) -> None:
+    if not holds:
+        raise Misuse(f"{option} is {value}, but must be {rule}")
+
+
+def _complain(where: str, message: str, code: int) -> int:
+    sys.stderr.write(f"{where}: error: {message}\n")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

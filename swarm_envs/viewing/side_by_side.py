@@ -1,0 +1,229 @@
+"""Two flights of the same task in one video: without and with compensation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.viewing.camera import Camera
+from swarm_envs.viewing.plots import COMPENSATED_COLOR, WITHOUT_COLOR
+from swarm_envs.viewing.record import FlightRecord
+
+if TYPE_CHECKING:
+    from PIL.ImageDraw import ImageDraw
+    from PIL.ImageFont import FreeTypeFont
+
+WIDTH, HEIGHT = 1280, 720
+_HEADER, _CHART = 56, 184
+_SMOOTH = 2
+"""Everything is drawn at this many times the size and then averaged: neither Bullet's renderer
+nor lines are smoothed otherwise."""
+_INK, _PALE, _PAPER = "#202428", "#7A8088", "#FFFFFF"
+_ARROW_M_PER_G = 0.012
+_CAPTIONS = ("Without compensation", "With compensation")
+_COLORS = (WITHOUT_COLOR, COMPENSATED_COLOR)
+
+
+class SideBySide:
+    """Draws frames of two flights beside each other, with their height errors below.
+
+    Each half shows the way that the lowest drone should fly (dashed), the way that it flew, and
+    the force of the air on it as an arrow. Use it in `with`.
+
+    Args:
+        title: stands above.
+        flights: the flight without compensation, then the one with it; of one team and task.
+        duration_s: of the video, s; it ends earlier if both flights do.
+
+    Raises:
+        ImportError: pybullet is not installed.
+    """
+
+    def __init__(
+        self, title: str, flights: tuple[FlightRecord, FlightRecord], duration_s: float
+    ) -> None:
+        self.title, self.flights = title, flights
+        self.duration_s = min(duration_s, max(float(flight.time[-1]) for flight in flights))
+        size = (_SMOOTH * WIDTH // 2, _SMOOTH * (HEIGHT - _HEADER - _CHART))
+        self._camera = Camera(
+            flights[0].team, *size, azimuth_deg=_beside(flights[0]), elevation_deg=9.0
+        )
+        self._camera.aim(np.concatenate([f.position.reshape(-1, 3) for f in flights]))
+        errors = np.concatenate([f.height_error_cm() for f in flights])
+        self._range_cm = (
+            math.floor(errors.min() / 5.0) * 5.0 - 1.0,
+            math.ceil(max(float(errors.max()), 1.0) / 5.0) * 5.0 + 1.0,
+        )
+
+    def __enter__(self) -> SideBySide:
+        """Use as a context that closes itself."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close."""
+        self.close()
+
+    def close(self) -> None:
+        """Free the renderer. May be called more than once."""
+        self._camera.close()
+
+    def count(self, fps: int) -> int:
+        """How many frames `frames` gives."""
+        return math.floor(self.duration_s * fps) + 1
+
+    def frames(self, fps: int) -> Iterator[npt.NDArray[np.uint8]]:
+        """Frames (720, 1280, 3) of both flights, in real time.
+
+        Args:
+            fps: frames per second.
+        """
+        for k in range(self.count(fps)):
+            yield self.frame(k / fps)
+
+    def frame(self, time: float) -> npt.NDArray[np.uint8]:
+        """The frame (720, 1280, 3) at a time, s."""
+        from PIL import Image, ImageDraw
+
+        canvas = Image.new("RGB", (_SMOOTH * WIDTH, _SMOOTH * HEIGHT), _PAPER)
+        for side, flight in enumerate(self.flights):
+            index = min(int(np.searchsorted(flight.time, time + 1e-9)), len(flight.time)) - 1
+            half = Image.fromarray(self._camera.picture(_state(flight, index)))
+            self._annotate(ImageDraw.Draw(half), side, index)
+            canvas.paste(half, (side * _SMOOTH * WIDTH // 2, _SMOOTH * _HEADER))
+        pen = ImageDraw.Draw(canvas)
+        middle = _SMOOTH * WIDTH // 2
+        pen.line(
+            [(middle, _SMOOTH * _HEADER), (middle, _SMOOTH * (HEIGHT - _CHART))],
+            fill=_PAPER,
+            width=4 * _SMOOTH,
+        )
+        _write(pen, (20, 15), self.title, 22, bold=True)
+        _write(pen, (WIDTH - 20, 17), f"{time:.1f} s", 20, anchor="ra")
+        self._chart(pen, time)
+        return np.asarray(canvas.reduce(_SMOOTH))
+
+    def _annotate(self, pen: ImageDraw, side: int, index: int) -> None:
+        flight, color = self.flights[side], _COLORS[side]
+        lens = self._camera.lens
+        _dash(pen, lens.project(flight.reference[:, -1]), _PALE)
+        flown = lens.project(flight.position[: index + 1, -1])
+        if index:
+            pen.line(_points(flown), fill=color, width=3 * _SMOOTH, joint="curve")
+        force = float(flight.vertical_force_g()[index])
+        foot = flight.position[index, -1]
+        tip = foot + np.array([0.0, 0.0, _ARROW_M_PER_G * force])
+        _arrow(pen, lens.project(np.stack([foot, tip])), _INK)
+        error = float(flight.height_error_cm()[index])
+        _write(pen, (20, 14), _CAPTIONS[side], 21, bold=True, color=color)
+        _write(pen, (20, 44), f"height error {_signed(error)} cm", 18)
+        _write(pen, (20, 68), f"force of the air {_signed(force)} g", 18)
+
+    def _chart(self, pen: ImageDraw, time: float) -> None:
+        left, right, top, bottom = 84, WIDTH - 24, HEIGHT - _CHART + 34, HEIGHT - 30
+        last = self.duration_s
+        low, high = self._range_cm
+
+        def place(t: FloatArray, error: FloatArray) -> FloatArray:
+            x = left + (right - left) * t / last
+            y = bottom - (bottom - top) * (error - low) / (high - low)
+            return np.stack([x, y], axis=-1) * _SMOOTH
+
+        _write(pen, (20, HEIGHT - _CHART + 8), "Height error of the lowest drone (cm)", 16)
+        for tick in np.arange(math.ceil(low / 5.0) * 5.0, high, 5.0):
+            ends = place(np.array([0.0, last]), np.array([tick, tick]))
+            pen.line(_points(ends), fill="#C9CED4" if tick else _PALE, width=_SMOOTH)
+            _write(pen, (left - 10, ends[0, 1] / _SMOOTH), _signed(tick, 0), 14, anchor="rm")
+        for tick in range(math.floor(last) + 1):
+            x = place(np.array([float(tick)]), np.zeros(1))[0, 0] / _SMOOTH
+            _write(pen, (x, bottom + 6), f"{tick} s", 14, anchor="ma", color=_PALE)
+        for flight, color in zip(self.flights, _COLORS, strict=True):
+            past = flight.time <= time + 1e-9
+            line = place(flight.time[past], flight.height_error_cm()[past])
+            if len(line) > 1:
+                pen.line(_points(line), fill=color, width=3 * _SMOOTH, joint="curve")
+            x, y = line[-1]
+            r = 5 * _SMOOTH
+            pen.ellipse((x - r, y - r, x + r, y + r), fill=color)
+
+
+def _beside(flight: FlightRecord) -> float:
+    """Azimuth, degrees, from which the lowest drone's way is seen from the side."""
+    way = flight.reference[-1, -1] - flight.reference[0, -1]
+    return math.degrees(math.atan2(float(way[1]), float(way[0]))) - 90.0
+
+
+def _state(flight: FlightRecord, index: int) -> SwarmState:
+    n = len(flight.team)
+    zero = np.zeros((n, 3))
+    pose = flight.position[index], flight.quaternion[index]
+    return SwarmState(pose[0], zero, pose[1], zero, np.zeros((n, 4)), np.ones(n))
+
+
+def _signed(value: float, digits: int = 1) -> str:
+    text = f"{value:+.{digits}f}".replace("-", "\N{MINUS SIGN}")
+    return text[1:] if float(f"{value:.{digits}f}") == 0.0 else text
+
+
+def _points(pixels: FloatArray) -> list[tuple[float, float]]:
+    return [(float(x), float(y)) for x, y in pixels]
+
+
+def _dash(pen: ImageDraw, pixels: FloatArray, color: str) -> None:
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(pixels, axis=0), axis=1))])
+    step = 9.0 * _SMOOTH
+    for start in np.arange(0.0, along[-1] - step / 2, 2 * step):
+        ends = [
+            [np.interp(s, along, pixels[:, 0]), np.interp(s, along, pixels[:, 1])]
+            for s in (start, min(start + step, along[-1]))
+        ]
+        pen.line(_points(np.array(ends)), fill=color, width=2 * _SMOOTH)
+
+
+def _arrow(pen: ImageDraw, pixels: FloatArray, color: str) -> None:
+    foot, tip = pixels
+    length = float(np.linalg.norm(tip - foot))
+    head = 9.0 * _SMOOTH
+    if length < head:  # too weak to point anywhere
+        return
+    ahead = (tip - foot) / length
+    across = np.array([-ahead[1], ahead[0]])
+    neck = tip - head * ahead
+    pen.line(_points(np.stack([foot, neck])), fill=color, width=3 * _SMOOTH)
+    corners = np.stack([tip, neck + 0.55 * head * across, neck - 0.55 * head * across])
+    pen.polygon(_points(corners), fill=color)
+
+
+def _write(
+    pen: ImageDraw,
+    at: Sequence[float],
+    text: str,
+    size: int,
+    *,
+    bold: bool = False,
+    anchor: str = "la",
+    color: str = _INK,
+) -> None:
+    place = (at[0] * _SMOOTH, at[1] * _SMOOTH)
+    pen.text(place, text, fill=color, font=_font(size * _SMOOTH, bold), anchor=anchor)
+
+
+@cache
+def _font(size: int, bold: bool) -> FreeTypeFont | Any:
+    from matplotlib import get_data_path
+    from PIL import ImageFont
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / name), size)
