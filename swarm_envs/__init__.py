@@ -1,7 +1,7 @@
 """PettingZoo environments for swarms of small quadrotors that blow on each other.
 
-    from swarm_envs import swap_v0
-    env = swap_v0.parallel_env(num_drones=4)
+from swarm_envs import swap_v0
+env = swap_v0.parallel_env(num_drones=4)
 """
 
 from __future__ import annotations

@@ -41,9 +41,7 @@ class TrackingAgent:
 
     privileged = True
 
-    def __init__(
-        self, controller: ControllerConfig | None = None, decision_rate: int = 48
-    ) -> None:
+    def __init__(self, controller: ControllerConfig | None = None, decision_rate: int = 48) -> None:
         self.requires: Mapping[str, object] = {
             "action": "setpoint",
             "decision_rate": decision_rate,

@@ -1,7 +1,7 @@
 """Aerodynamic interaction forces between drones, and between a drone and the ground.
 
-    from swarm_envs.interactions import load
-    force = load("learned").forces(position, velocity, "LS")    # (E, N, 3) newton
+from swarm_envs.interactions import load
+force = load("learned").forces(position, velocity, "LS")    # (E, N, 3) newton
 """
 
 from swarm_envs.interactions.base import MODELS, InteractionModel, load

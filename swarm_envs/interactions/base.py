@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,10 +14,10 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_array, unknown_name
-from swarm_envs.interactions.deep_set import load_deep_set
 from swarm_envs.interactions.field import ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.wake import load_wake
+from swarm_envs.interactions.weights_file import load_deep_set
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
@@ -34,7 +35,7 @@ class InteractionModel:
     """The interaction types it knows; a `Vehicle` names its own."""
     field: ForceField
     """The numbers that compiled kernels read."""
-    notes: dict[str, Any] = field(default_factory=dict)
+    notes: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Where it comes from: provenance and errors that the weights file carries."""
 
     def type_indices(self, team: Sequence[Vehicle]) -> IntArray:

@@ -7,8 +7,8 @@ lateral distance r down with
 
 so nothing is felt above or beside it. The jet tilts: its axis at depth dz lies where the upper
 drone was when that air left it (its own velocity tells; the relative one fits the flights worse).
-Several jets together push less than their sum: (sum_k f_k^q)^(1/q). Near the ground the downwash is mitigated, and a drone's
-own jet carries it (ground effect). Linear drag acts on its motion.
+Several jets together push less than their sum: (sum_k f_k^q)^(1/q). Near the ground the downwash is
+mitigated, and a drone's own jet carries it (ground effect). Linear drag acts on its motion.
 """
 
 from __future__ import annotations
@@ -102,9 +102,5 @@ def wake_forces(
                 total += (weight * jet_force(field, types[j], types[i], lateral, dz)) ** q
         height = max(position[i, 2], _LOWEST_MEASURED)
         lost = mitigation[0] * math.exp(-height / mitigation[1])
-        lift = ground[types[i], 0] * math.exp(
-            (_LOWEST_MEASURED - height) / ground[types[i], 1]
-        )
+        lift = ground[types[i], 0] * math.exp((_LOWEST_MEASURED - height) / ground[types[i], 1])
         out[i, 2] += lift - (1.0 - lost) * total ** (1.0 / q)
-
-

@@ -1,9 +1,9 @@
 """Rigid-body physics in two engines with one interface.
 
-    from swarm_envs.physics import BatchPhysics
-    physics = BatchPhysics("LS", num_envs=1, interactions="learned")
-    state = physics.reset()
-    state = physics.step(commands)      # (E, N, 4) newton a rotor, 1/240 s
+from swarm_envs.physics import BatchPhysics
+physics = BatchPhysics("LS", num_envs=1, interactions="learned")
+state = physics.reset()
+state = physics.step(commands)      # (E, N, 4) newton a rotor, 1/240 s
 """
 
 from swarm_envs.physics.base import Physics

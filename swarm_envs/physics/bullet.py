@@ -116,7 +116,7 @@ class BulletPhysics(Physics):
 
     def _placed(self, mask: BoolArray) -> None:
         state, bullet = self._state, self._bullet
-        for e in np.flatnonzero(mask):
+        for e in np.flatnonzero(mask).tolist():
             client = self._client(e)
             for i, body in enumerate(self.bodies[e]):
                 bullet.resetBasePositionAndOrientation(

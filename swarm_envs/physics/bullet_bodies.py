@@ -1,4 +1,4 @@
-"""What stands in a Bullet world: the vehicles, as spheres that look like quadrotors, and a floor."""
+"""What stands in a Bullet world: vehicles, as spheres that look like quadrotors, and a floor."""
 
 from __future__ import annotations
 

@@ -124,9 +124,7 @@ def step_environment(
 
 
 @kernel
-def step_all(
-    world: World, commands: FloatArray, external: FloatArray, total: FloatArray
-) -> None:
+def step_all(world: World, commands: FloatArray, external: FloatArray, total: FloatArray) -> None:
     """One physics step of every environment on the compiled engine."""
     for e in range(total.shape[0]):
         blow(e, world)

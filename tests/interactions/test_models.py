@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -176,10 +177,11 @@ def deep_set_file(
 ) -> dict[str, np.ndarray]:
     """Write a random deep set of three layers and return its tensors."""
     tensors: dict[str, np.ndarray] = {}
-    networks = {f"phi.{t}": (6, 9, 7, 5) for t in types} | {"phi.environment": (4, 9, 7, 5)}
+    networks: dict[str, tuple[int, ...]] = {f"phi.{t}": (6, 9, 7, 5) for t in types}
+    networks["phi.environment"] = (4, 9, 7, 5)
     networks |= {f"rho.{t}": (5, 8, 1) for t in types}
     for name, widths in networks.items():
-        for k, (inputs, outputs) in enumerate(zip(widths, widths[1:], strict=False)):
+        for k, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
             tensors[f"{name}.{k}.weight"] = rng.normal(size=(outputs, inputs))
             tensors[f"{name}.{k}.bias"] = rng.normal(size=outputs)
     notes = {"format": "deep-set-1", "types": types, "anchor_height_m": anchor, "window": None}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
@@ -19,7 +21,7 @@ def engine(request: pytest.FixtureRequest) -> type[Physics]:
     return chosen
 
 
-def touched(engine: type[Physics], team: str, positions: list[list[float]]) -> Physics:
+def touched(engine: type[Physics], team: str, positions: Sequence[Sequence[float]]) -> Physics:
     physics = engine(team, interactions="none", arena=ARENA)
     state = hover_state(parse_team(team), positions)
     physics.reset(state)
@@ -45,7 +47,7 @@ def test_a_drone_between_two_names_the_nearer(engine: type[Physics]) -> None:
 
 
 def test_floor_wall_and_ceiling(engine: type[Physics]) -> None:
-    positions = [[0, 0, 0.05], [1.95, 0, 1], [0, -1.95, 1], [0, 0, 2.46], [1, 1, 0.07]]
+    positions = [[0.0, 0, 0.05], [1.95, 0, 1], [0.0, -1.95, 1], [0.0, 0, 2.46], [1.0, 1, 0.07]]
     physics = touched(engine, "SSSSS", positions)
     assert physics.contacts.floor.tolist() == [[True, False, False, False, False]]
     assert physics.contacts.wall.tolist() == [[False, True, True, True, False]]
@@ -55,7 +57,7 @@ def test_floor_wall_and_ceiling(engine: type[Physics]) -> None:
 def test_flags_are_those_of_the_last_step(engine: type[Physics]) -> None:
     physics = engine("SS", interactions="none")
     apart = hover_state(parse_team("SS"), [[0, 0, 1], [1, 0, 1]])
-    close = hover_state(parse_team("SS"), [[0, 0, 1], [0.1, 0, 1]])
+    close = hover_state(parse_team("SS"), [[0.0, 0, 1], [0.1, 0, 1]])
     physics.reset(close)
     physics.step(close.rotor_thrust)
     assert physics.contact.all()
@@ -69,7 +71,7 @@ def test_flags_are_those_of_the_last_step(engine: type[Physics]) -> None:
 @pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
 def test_bullet_pushes_colliding_drones_apart_and_floors_hold() -> None:
     physics = BulletPhysics("SS", interactions="none")
-    state = hover_state(parse_team("SS"), [[0, 0, 1], [0.3, 0, 1]])
+    state = hover_state(parse_team("SS"), [[0.0, 0, 1], [0.3, 0, 1]])
     state.velocity[0, 0, 0] = 1.0
     physics.reset(state)
     for _ in range(120):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import resource
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -92,7 +93,7 @@ def test_bad_options_say_what_would_do(
     engine: type[Physics], options: dict[str, object], complaint: str
 ) -> None:
     with pytest.raises(ValueError, match=complaint):
-        engine(**{"team": "SL", **options})
+        engine(**cast(Any, {"team": "SL", **options}))
 
 
 def test_state_is_read_only(engine: type[Physics]) -> None:
