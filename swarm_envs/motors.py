@@ -118,8 +118,8 @@ class BatteryModel:
     idle_current_a: float = 0.24
     """Current with the rotors at rest, A (Bitcraze, "PWM to thrust", at 0 % PWM)."""
     current_per_newton: float = 7.0
-    """Current for a newton of total thrust, A/N: least squares through the 16 rows of the same
-    table, which it meets within 0.25 A. Taken for every vehicle."""
+    """Current for a newton of total thrust, A/N: a line through the rows of the same table up to
+    37 g, which it meets within 0.1 A. Taken for every vehicle."""
     open_circuit_v: tuple[float, ...] = _LITHIUM_POLYMER_V
     """Voltage without load at evenly spaced charges from empty to full, V: a typical
     lithium-polymer cell, rising with charge."""
@@ -158,13 +158,6 @@ class BatteryModel:
             force_to_pwm=np.array([v.force_to_pwm for v in team], dtype=np.float64),
             pwm_to_max_force=np.array([v.pwm_to_max_force for v in team], dtype=np.float64),
         )
-
-
-def no_battery(team: Sequence[Vehicle]) -> BatteryArrays:
-    """Batteries that stay full and limit nothing, for physics in which they do not count."""
-    arrays = BatteryModel(idle_current_a=0.0, current_per_newton=0.0).compile(team)
-    arrays.pwm_to_max_force[:] = (np.inf, 0.0, 0.0)
-    return arrays
 
 
 @kernel

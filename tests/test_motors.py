@@ -14,7 +14,6 @@ from swarm_envs.motors import (
     battery_step,
     current,
     max_rotor_force_g,
-    no_battery,
     pwm_for_force,
     rotor_force_g,
     rotor_limit,
@@ -178,13 +177,6 @@ def test_the_limit_is_never_above_the_vehicles_own(vehicle):
     own = 0.5 * vehicle.max_thrust
     model = BatteryModel().compile((vehicle,))
     assert rotor_limit(1.0, own, own, model, 0) == own / 4
-
-
-def test_without_a_battery_nothing_falls():
-    arrays = no_battery((SMALL, LARGE))
-    for i, vehicle in enumerate((SMALL, LARGE)):
-        step = battery_step(1.0, vehicle.max_thrust, vehicle.max_thrust, arrays, i, 1e6)
-        assert step == (1.0, vehicle.max_thrust / 4)
 
 
 def test_each_drone_has_its_own_row():
