@@ -104,6 +104,5 @@ def parallel_env(
         layout=layout,
         stacked=stacked or StackedLayout(),
         reward_weights={**REWARD_WEIGHTS, **(reward_weights or {})},
-        decision_s=config.decision_s,
     )
     return SwarmParallelEnv(task, config, render_mode)

@@ -2,7 +2,7 @@
 
 | mode | numbers | meaning |
 |---|---|---|
-| `acceleration` | 3 in [-1, 1] | the set-point accelerates by 5 m/s^2 times this; its speed ends at 2 m/s |
+| `acceleration` | 3 in [-1, 1] | acceleration of the set-point over 5 m/s^2, up to 2 m/s |
 | `rotors` | 4 in [-1, 1] | thrust of each rotor, from none to the largest |
 | `setpoint` | 14, SI | position, velocity, acceleration, jerk (3 each), yaw, yaw rate |
 """
@@ -74,9 +74,7 @@ def _apply_acceleration(
     accelerate(actions, pilot.setpoint, running, decision_s)
 
 
-def _apply_rotors(
-    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
-) -> None:
+def _apply_rotors(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
     share = 0.5 * (actions[running] + 1.0)
     pilot.commands[running] = share * pilot.nominal.max_rotor_thrust[running][..., None]
 
@@ -108,7 +106,7 @@ def check_range(mode: ActionMode, actions: FloatArray) -> None:
     Raises:
         ValueError: naming the entry, the bounds and the fix.
     """
-    if not mode.bounded or (abs(actions) <= 1.0 + _ROUNDING).all():
+    if not mode.bounded or np.abs(actions).max() <= 1.0 + _ROUNDING:
         return
     e, i, k = (int(n) for n in np.argwhere(abs(actions) > 1.0 + _ROUNDING)[0])
     raise ValueError(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.errors import check_name
 from swarm_envs.envs.actions import ACTIONS
+from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import bullet_available

@@ -16,6 +16,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_range
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.flight import Flight
+from swarm_envs.envs.judge import Rules, judge, new_verdict
 from swarm_envs.envs.observation import (
     Float32Array,
     observation_width,
@@ -27,11 +28,11 @@ from swarm_envs.errors import check_array, check_name
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, hover_state
-from swarm_envs.tasks.base import Situation, Task, check_placement, new_mission
-from swarm_envs.tasks.metrics import measure, new_record
+from swarm_envs.tasks.base import Task, check_placement, new_mission
+from swarm_envs.tasks.metrics import new_record
+from swarm_envs.tasks.rewards import weigh
 from swarm_envs.trajectories import rest
 
-_ROUNDING = 1e-9
 _RESET_OPTIONS = ("start", "goal")
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
@@ -43,8 +44,8 @@ class StepResult(NamedTuple):
     """(E, N, width) rows; see `observation_layout`. A buffer, valid until the next step."""
     rewards: FloatArray
     """(E, N)."""
-    reward_terms: dict[str, FloatArray]
-    """Each bounded term (E, N), before its weight."""
+    reward_terms: FloatArray
+    """(T, E, N) each bounded term before its weight, in the order of the task's `reward_names`."""
     terminated: BoolArray
     """(E,) ended by a crash or by success."""
     truncated: BoolArray
@@ -71,16 +72,26 @@ class SwarmCore:
         self.record = new_record(num_envs, drones)
         self.time: FloatArray = np.zeros(num_envs)
         self.running: BoolArray = np.zeros(num_envs, dtype=np.bool_)
-        self.crashed: BoolArray = np.zeros((num_envs, drones), dtype=np.bool_)
-        self.succeeded: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+        self.verdict = new_verdict(num_envs, drones)
         self.generators = [np.random.default_rng() for _ in range(num_envs)]
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._types = type_codes(task.team)
         width = observation_width(config.num_neighbors)
         self._rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
-        self._error: FloatArray = np.zeros((num_envs, drones))
+        self._rules = Rules(
+            radius=float(task.success.radius),
+            hold_s=float(task.success.hold_s),
+            decision_s=config.decision_s,
+            horizon_s=float(config.horizon_s),
+            end_on_success=bool(config.end_on_success),
+            bounded=self.mode.bounded,
+        )
+        weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
+        self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._reference = rest(self.mission.goal)
-        self._measure: Callable[..., None] | None = None
+        self._judge: Callable[..., None] | None = None
+        self._write_terms: Callable[..., None] | None = None
+        self._weigh: Callable[..., None] = weigh
         self._write: Callable[..., None] | None = None
 
     @property
@@ -129,8 +140,7 @@ class SwarmCore:
         self.record.clear(where)
         self.time[where] = 0.0
         self.running[where] = True
-        self.crashed[where] = False
-        self.succeeded[where] = False
+        self.verdict.clear(where)
         self._reference = self.task.reference(self.mission, self.time)
         return self._observe(where)
 
@@ -147,63 +157,54 @@ class SwarmCore:
         shape = (self.num_envs, self.num_drones, self.mode.width)
         checked = check_array("actions", actions, shape, "(E, N, numbers per drone)")
         check_range(self.mode, checked)
-        running = self.running.copy()
-        self.mode.apply(checked, self.flight.pilot, running, self.config.decision_s)
-        self.flight.fly(self._substeps, running)
-        self.time[running] += self.config.decision_s
-        situation = self._judge(running, checked)
-        terms = self.task.reward_terms(situation)
-        rewards: FloatArray = np.zeros(shape[:2])
-        for name, weight in self.task.reward_weights.items():
-            if weight:
-                rewards += weight * terms[name]
-        terminated = self.crashed.any(axis=1)
-        if self.config.end_on_success:
-            terminated = terminated | self.succeeded
-        truncated = ~terminated & (self.time >= self.config.horizon_s - _ROUNDING)
-        self.running &= ~(terminated | truncated)
-        return StepResult(self._observe(running), rewards, terms, terminated, truncated)
+        checked = np.ascontiguousarray(checked)
+        flown = self.running.copy()
+        self.mode.apply(checked, self.flight.pilot, flown, self.config.decision_s)
+        self.flight.fly(self._substeps, flown)
+        self.time += self.config.decision_s * flown
+        self._reference = self.task.reference(self.mission, self.time)
+        self._decide(checked)
+        rewards, terms = self._reward(flown)
+        return StepResult(
+            self._observe(flown),
+            rewards,
+            terms,
+            self.verdict.terminated.copy(),
+            self.verdict.truncated.copy(),
+        )
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
         """What environment `e`'s episode is judged by, so far; see `episode_metrics`."""
         return episode_metrics(self, e)
 
-    def _judge(self, running: BoolArray, actions: FloatArray) -> Situation:
-        contacts, mission = self.physics.contacts, self.mission
-        self.crashed |= (contacts.any() | contacts.tumbling) & running[:, None]
-        last = mission.distance.copy()
-        self._reference = self.task.reference(mission, self.time)
+    def _decide(self, actions: FloatArray) -> None:
         arguments = (
-            self.physics.state.position,
-            mission.goal,
-            self._reference.position,
-            contacts.separation,
-            contacts.clearance,
+            actions,
             self.time,
-            self.task.success.radius,
-            running,
+            self.physics.state.position,
+            self._reference.position,
+            self.physics.contacts,
+            self._rules,
+            self.mission,
             self.record,
-            mission.distance,
-            self._error,
+            self.verdict,
+            self.running,
         )
-        self._measure = self._measure or entry_point(measure, *arguments)
-        self._measure(*arguments)
-        there = (mission.distance < self.task.success.radius).all(axis=1)
-        mission.held[running] += self.config.decision_s
-        mission.held[~there] = 0.0
-        done = there & (mission.held >= self.task.success.hold_s - _ROUNDING)
-        done &= running & ~self.crashed.any(axis=1)
-        first = done & ~self.succeeded
-        self.succeeded |= done
-        return Situation(
-            distance=mission.distance,
-            last_distance=last,
-            tracking_error=self._error,
-            effort=np.square(actions).mean(axis=2) if self.mode.bounded else np.zeros(last.shape),
-            clearance=contacts.clearance,
-            crashed=self.crashed,
-            succeeded=first,
-        )
+        self._judge = self._judge or entry_point(judge, *arguments)
+        self._judge(*arguments)
+
+    def _reward(self, flown: BoolArray) -> tuple[FloatArray, FloatArray]:
+        shape = (self.num_envs, self.num_drones)
+        rewards: FloatArray = np.empty(shape)
+        terms: FloatArray = np.empty((len(self._weights), *shape))
+        situation = self.verdict.situation(self.mission, self.physics.contacts)
+        if self._write_terms is None:
+            write = self.task.write_reward_terms
+            self._write_terms = entry_point(write, situation, self._rules.decision_s, terms)
+            self._weigh = entry_point(weigh, terms, self._weights, flown, rewards)
+        self._write_terms(situation, self._rules.decision_s, terms)
+        self._weigh(terms, self._weights, flown, rewards)
+        return rewards, terms
 
     def _observe(self, mask: BoolArray) -> Float32Array:
         arguments = (

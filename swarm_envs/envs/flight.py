@@ -20,6 +20,7 @@ from swarm_envs.interactions import load
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces
 from swarm_envs.physics import BulletPhysics, Physics
+from swarm_envs.physics.contact import NO_DRONE, Contacts
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment
 from swarm_envs.state import (
@@ -124,6 +125,15 @@ def count(e: int, world: World, tally: Tally, disc_area: FloatArray) -> None:
 
 
 @kernel
+def forget(e: int, contacts: Contacts) -> None:
+    """Forget what environment `e` touched, before the next decision is flown."""
+    for i in range(contacts.drone.shape[1]):
+        contacts.drone[e, i] = NO_DRONE
+        contacts.floor[e, i] = contacts.wall[e, i] = contacts.tumbling[e, i] = False
+        contacts.separation[e, i] = contacts.clearance[e, i] = np.inf
+
+
+@kernel
 def fly_compiled(
     world: World,
     pilot: Pilot,
@@ -148,6 +158,7 @@ def fly_compiled(
     """
     for e in range(total.shape[0]):
         if running[e]:
+            forget(e, world.contacts)
             for _ in range(steps):
                 decide(e, world, pilot)
                 blow(e, world)
@@ -158,6 +169,7 @@ def fly_compiled(
 @kernel
 def prepare_flight(
     e: int,
+    first: bool,
     world: World,
     pilot: Pilot,
     tally: Tally,
@@ -165,11 +177,20 @@ def prepare_flight(
     still: FloatArray,
     wrench: FloatArray,
 ) -> None:
-    """One step of environment `e` up to the wrench, for Bullet; see `fly_compiled`.
+    """One step of environment `e` up to the wrench, for Bullet.
 
     Args:
+        e: the environment.
+        first: whether it is the first step of a decision.
+        world: changed in place.
+        pilot: changed in place.
+        tally: changed in place.
+        disc_area: (N,) swept area of one rotor, m^2.
+        still: (E, N, 3) zeros, N: the external force.
         wrench: (N, 6) force (N) and torque (N m) on each body in its own frame, written.
     """
+    if first:
+        forget(e, world.contacts)
     decide(e, world, pilot)
     blow(e, world)
     count(e, world, tally, disc_area)
@@ -226,7 +247,6 @@ class Flight:
 
     def fly(self, steps: int, running: BoolArray) -> None:
         """Fly `steps` physics steps in the running environments (E,)."""
-        self.physics.contacts.clear(running)
         if isinstance(self.physics, BulletPhysics):
             self._fly_bullet(self.physics, steps, running)
         else:
@@ -238,8 +258,8 @@ class Flight:
     def _fly_bullet(self, physics: BulletPhysics, steps: int, running: BoolArray) -> None:
         arguments = (*self._arguments, physics.wrench)
         if self._entry is None:
-            self._entry = entry_point(prepare_flight, 0, *arguments)
+            self._entry = entry_point(prepare_flight, 0, True, *arguments)
         for e in np.flatnonzero(running).tolist():
-            for _ in range(steps):
-                self._entry(e, *arguments)
+            for k in range(steps):
+                self._entry(e, k == 0, *arguments)
                 physics.move_bodies(e)

@@ -38,7 +38,9 @@ class Field(NamedTuple):
     """The quantity is the observed number times this."""
 
 
-_SELF = (
+_Entries = tuple[tuple[str, int, str, float], ...]
+
+_SELF: _Entries = (
     ("position", 3, "m", 1.0),
     ("velocity", 3, "m/s", SPEED_LIMIT),
     ("attitude", 9, "", 1.0),
@@ -47,14 +49,14 @@ _SELF = (
     ("setpoint_offset", 3, "m", 1.0),
     ("type", len(VEHICLES), "one-hot", 1.0),
 )
-_NEIGHBOR = (
+_NEIGHBOR: _Entries = (
     ("position", 3, "m", 1.0),
     ("velocity", 3, "m/s", SPEED_LIMIT),
     ("goal", 3, "m", 1.0),
     ("type", len(VEHICLES), "one-hot", 1.0),
     ("mask", 1, "", 1.0),
 )
-_TASK = (
+_TASK: _Entries = (
     ("goal", 3, "m", 1.0),
     ("reference_position", 3, "m", 1.0),
     ("reference_velocity", 3, "m/s", SPEED_LIMIT),
@@ -73,7 +75,7 @@ def observation_layout(num_neighbors: int) -> tuple[Field, ...]:
     drone, a neighbour's velocity too; its `goal` is relative to itself. Where there are fewer than
     K neighbours, `mask` is 0 and the rest zero.
     """
-    groups = [("self", _SELF)]
+    groups: list[tuple[str, _Entries]] = [("self", _SELF)]
     groups += [(f"neighbor_{k}", _NEIGHBOR) for k in range(num_neighbors)]
     groups += [("task", _TASK)]
     fields, start = [], 0

@@ -195,8 +195,8 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         return dict(zip(self.possible_agents, rows[0].copy(), strict=True))
 
     def _infos(self, result: StepResult, ended: bool) -> dict[str, dict[str, Any]]:
-        names = list(result.reward_terms)
-        columns = np.array([term[0] for term in result.reward_terms.values()]).T.tolist()
+        names = self.core.task.reward_names
+        columns = result.reward_terms[:, 0].T.tolist()
         contacts = self.core.physics.contacts
         touched = contacts.drone[0].tolist()
         floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()

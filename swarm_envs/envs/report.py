@@ -31,7 +31,7 @@ def episode_metrics(core: SwarmCore, e: int) -> dict[str, Any]:
     separation = float(record.separation[e].min())
     arrival = float(record.arrival[e].max())
     return {
-        "success": bool(core.succeeded[e]),
+        "success": bool(core.verdict.succeeded[e]),
         "length_s": float(core.time[e]),
         "collided_drones": int((contacts.drone[e] >= 0).sum()),
         "collided_floor": int(contacts.floor[e].sum()),

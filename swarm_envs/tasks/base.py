@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -115,7 +115,12 @@ class Task(ABC):
     team: Team
     success: Success
     reward_weights: Mapping[str, float]
-    """Weight of each reward term that `reward_terms` returns."""
+    """Weight of each reward term; a term left out has none."""
+    reward_names: tuple[str, ...]
+    """Names of the T reward terms."""
+    write_reward_terms: Callable[[Situation, float, FloatArray], None]
+    """A kernel that writes the bounded terms (T, E, N) of a `Situation`; it is also told the time
+    between decisions, s."""
 
     @property
     def arena(self) -> FloatArray:
@@ -138,10 +143,6 @@ class Task(ABC):
     @abstractmethod
     def reference(self, mission: Mission, time: FloatArray) -> Reference:
         """Where the drones should be at `time` (E,), s: arrays (E, N, 3)."""
-
-    @abstractmethod
-    def reward_terms(self, situation: Situation) -> dict[str, FloatArray]:
-        """Each bounded reward term by name, (E, N)."""
 
 
 def check_placement(
@@ -178,7 +179,7 @@ def check_placement(
 
 
 def draw_apart(
-    rng: np.random.Generator, low: npt.ArrayLike, high: npt.ArrayLike, n: int, distance: float
+    rng: np.random.Generator, low: Sequence[float], high: Sequence[float], n: int, distance: float
 ) -> FloatArray:
     """Draw n points (n, 3) in a box, all at least `distance` (m) apart, one after another.
 

@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import kernel
+from swarm_envs.physics.contact import Contacts
 from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tasks.base import Mission
 
 NEAR_MISS = 1.5
 """Drones that come closer than this times the sum of their radii had a near miss."""
@@ -42,7 +44,13 @@ def new_record(num_envs: int, num_drones: int) -> Record:
     """A record of environments that have not begun."""
     shape = (num_envs, num_drones)
     record = Record(
-        *(np.zeros(shape) for _ in range(5)), np.zeros(num_envs, np.int64), np.zeros(shape)
+        separation=np.zeros(shape),
+        clearance=np.zeros(shape),
+        worst_error=np.zeros(shape),
+        worst_height_error=np.zeros(shape),
+        squared_error=np.zeros(shape),
+        decisions=np.zeros(num_envs, np.int64),
+        arrival=np.zeros(shape),
     )
     record.clear(np.ones(num_envs, dtype=np.bool_))
     return record
@@ -50,51 +58,45 @@ def new_record(num_envs: int, num_drones: int) -> Record:
 
 @kernel
 def measure(
+    e: int,
     position: FloatArray,
-    goal: FloatArray,
     reference: FloatArray,
-    separation: FloatArray,
-    clearance: FloatArray,
+    contacts: Contacts,
+    mission: Mission,
     time: FloatArray,
     radius: float,
-    mask: BoolArray,
     record: Record,
-    distance: FloatArray,
     error: FloatArray,
 ) -> None:
-    """Measure every drone against its goal and its reference, and add that to the record.
+    """Measure the drones of environment `e` against goal and reference, and add to the record.
 
     Args:
+        e: the environment.
         position: (E, N, 3) m.
-        goal: (E, N, 3) m.
         reference: (E, N, 3) m.
-        separation: (E, N) smallest distance to another drone in this decision, m.
-        clearance: (E, N) the same over the sum of radii.
+        contacts: of this decision.
+        mission: its distances to the goal are updated.
         time: (E,) s.
         radius: how near counts as arrived, m.
-        mask: (E,) environments to measure.
         record: changed in place.
-        distance: (E, N) distance to the goal, m, written.
-        error: (E, N) distance to the reference, m, written.
+        error: (N,) distance to the reference, m, written.
     """
-    for e in range(position.shape[0]):
-        if not mask[e]:
-            continue
-        record.decisions[e] += 1
-        for i in range(position.shape[1]):
-            to_goal = 0.0
-            to_reference = 0.0
-            for k in range(3):
-                to_goal += (position[e, i, k] - goal[e, i, k]) ** 2
-                to_reference += (position[e, i, k] - reference[e, i, k]) ** 2
-            distance[e, i], error[e, i] = math.sqrt(to_goal), math.sqrt(to_reference)
-            height = abs(position[e, i, 2] - reference[e, i, 2])
-            record.separation[e, i] = min(record.separation[e, i], separation[e, i])
-            record.clearance[e, i] = min(record.clearance[e, i], clearance[e, i])
-            record.worst_error[e, i] = max(record.worst_error[e, i], error[e, i])
-            record.worst_height_error[e, i] = max(record.worst_height_error[e, i], height)
-            record.squared_error[e, i] += to_reference
-            if distance[e, i] >= radius:
-                record.arrival[e, i] = np.inf
-            elif record.arrival[e, i] == np.inf:
-                record.arrival[e, i] = time[e]
+    goal, distance = mission.goal, mission.distance
+    record.decisions[e] += 1
+    for i in range(position.shape[1]):
+        to_goal = 0.0
+        to_reference = 0.0
+        for k in range(3):
+            to_goal += (position[e, i, k] - goal[e, i, k]) ** 2
+            to_reference += (position[e, i, k] - reference[e, i, k]) ** 2
+        distance[e, i], error[i] = math.sqrt(to_goal), math.sqrt(to_reference)
+        height = abs(position[e, i, 2] - reference[e, i, 2])
+        record.separation[e, i] = min(record.separation[e, i], contacts.separation[e, i])
+        record.clearance[e, i] = min(record.clearance[e, i], contacts.clearance[e, i])
+        record.worst_error[e, i] = max(record.worst_error[e, i], error[i])
+        record.worst_height_error[e, i] = max(record.worst_height_error[e, i], height)
+        record.squared_error[e, i] += to_reference
+        if distance[e, i] >= radius:
+            record.arrival[e, i] = np.inf
+        elif record.arrival[e, i] == np.inf:
+            record.arrival[e, i] = time[e]

@@ -11,12 +11,14 @@ Layouts:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
 
+from swarm_envs.compiled import kernel
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import (
@@ -51,7 +53,33 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
         "success": 1.0,
     }
 )
-"""Default weight of each reward term; see `SwapTask.reward_terms`."""
+"""Default weight of each reward term; see `write_swap_terms`."""
+
+
+@kernel
+def write_swap_terms(situation: Situation, decision_s: float, out: FloatArray) -> None:
+    """Write the bounded reward terms (T, E, N), in the order of `REWARD_WEIGHTS`.
+
+    `progress` towards the goal over the most possible, in [-1, 1]; `at_goal` near the goal;
+    `tracking` near the reference; `effort` mean square action; `proximity` to the nearest drone;
+    `crash` on the step that ends badly for the drone; `success` once, for all.
+
+    Args:
+        situation: arrays (E, N).
+        decision_s: time between decisions, s.
+        out: (T, E, N), written.
+    """
+    farthest = SPEED_LIMIT * decision_s
+    for e in range(out.shape[1]):
+        for i in range(out.shape[2]):
+            before, now = situation.last_distance[e, i], situation.distance[e, i]
+            out[0, e, i] = progress(before, now, farthest)
+            out[1, e, i] = bell(now, 0.15)
+            out[2, e, i] = bell(situation.tracking_error[e, i], 0.10)
+            out[3, e, i] = situation.effort[e, i]
+            out[4, e, i] = proximity(situation.clearance[e, i])
+            out[5, e, i] = situation.crashed[e, i]
+            out[6, e, i] = situation.succeeded[e]
 
 
 @dataclass(frozen=True)
@@ -96,16 +124,18 @@ class SwapTask(Task):
     """When the team has swapped."""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
     """Weight of each reward term."""
-    decision_s: float = 1 / 48
-    """Time between decisions, s: scales the progress term."""
 
     name = "swap_v0"
+    reward_names = tuple(REWARD_WEIGHTS)
+    write_reward_terms = staticmethod(write_swap_terms)
 
     def __post_init__(self) -> None:
         """Refuse an unknown layout, and weights of terms that do not exist."""
         check_name("layout", self.layout, LAYOUTS)
-        for term in self.reward_weights:
+        for term, weight in self.reward_weights.items():
             check_name("reward term", term, REWARD_WEIGHTS)
+            if not math.isfinite(weight):
+                raise ValueError(f"the weight of {term!r} is {weight}, but must be finite")
 
     def place(
         self,
@@ -153,23 +183,3 @@ class SwapTask(Task):
             duration = np.maximum(mission.duration, _SHORTEST)[:, None]
             return ramped_line(mission.start, mission.goal, duration, time[:, None])
         return rest(mission.goal)
-
-    def reward_terms(self, situation: Situation) -> dict[str, FloatArray]:
-        """The bounded reward terms (E, N).
-
-        `progress` towards the goal over the most possible, in [-1, 1]; `at_goal` near the goal;
-        `tracking` near the reference; `effort` mean square action; `proximity` to the nearest
-        drone; `crash` on the step that ends badly for the drone; `success` once, for all.
-        """
-        shape = situation.distance.shape
-        return {
-            "progress": progress(
-                situation.last_distance, situation.distance, SPEED_LIMIT * self.decision_s
-            ),
-            "at_goal": bell(situation.distance, 0.15),
-            "tracking": bell(situation.tracking_error, 0.10),
-            "effort": situation.effort,
-            "proximity": proximity(situation.clearance),
-            "crash": situation.crashed.astype(np.float64),
-            "success": np.broadcast_to(situation.succeeded[:, None].astype(np.float64), shape),
-        }
