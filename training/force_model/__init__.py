@@ -2,7 +2,8 @@
 
 Order of reading: `rows` (the data), `calibration` and `drag` (what is taken out of the labels),
 `network` (the heterogeneous deep set, Neural-Swarm2 eq. 10), `train`, `export`, `evaluate`,
-`pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows.
+`pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows; `card` writes the
+model card of both.
 
 Command: `python -m swarm_envs.training.force_model --data FILE --out DIR --seed 0`.
 """

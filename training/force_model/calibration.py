@@ -5,8 +5,8 @@ battery reading gives a bias (small drones about -1 g, large ones about +2 g). I
 aerodynamics, and a model that an environment blows with must not carry it.
 
 The bias differs between vehicles of one type by a gram, and drifts from flight to flight: in
-flights of a lone large drone above the ground effect its mean goes from +0.3 to +4.7 g, while it
-stays within some tenths of a gram inside one flight. So each flight of each vehicle has its own
+flights of a lone large drone above the ground effect its mean goes from +0.3 to +4.7 g, and
+between the thirds of one such flight by 0.6 g (median). So each flight of each vehicle has its own
 offset, drawn towards the vehicle's own where a flight has few quiet rows.
 """
 

@@ -22,6 +22,7 @@ def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     save_file({name: t.contiguous() for name, t in tensors.items()}, partial, metadata=metadata)
+    partial.chmod(0o644)  # safetensors makes files that only their owner can read
     partial.replace(path)
 
 

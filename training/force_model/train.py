@@ -45,10 +45,10 @@ class TrainConfig:
     """weight of that penalty, (g per m)^2, beside the mean squared error, g^2"""
     slope_inputs: int = 256
     """random inputs per step on which the slope is looked at"""
-    position_jitter_m: float = 0.01
+    position_jitter_m: float = 0.02
     """standard deviation of noise on neighbours' relative positions: rounds off the sharp tips
     that layers of ReLU make on the axis of a wake, where there are few rows"""
-    velocity_jitter: float = 0.1
+    velocity_jitter: float = 0.08
     """the same for relative velocities, m/s"""
     balance: float = 1.0
     """how far squared errors are weighed by the inverse mean square label of the drone's type: 0

@@ -56,7 +56,7 @@ class WakeFitConfig:
     """file of rows"""
     out: Path
     """folder for `wake.json`"""
-    rows: int = 60_000
+    rows: int = 100_000
     """training rows to use, drawn at random"""
     seed: int = 0
     """of that draw"""
