@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from swarm_envs import __version__
 from swarm_envs.errors import unknown_name
@@ -29,10 +29,6 @@ class Command:
     """Takes the arguments after the command's name and gives the exit code."""
 
 
-class Misuse(Exception):
-    """Options that cannot be; the message says which, and what would do."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
     """Fly randomised stacked swaps with and without compensation of the downwash.
@@ -51,11 +47,16 @@ class DemoOptions:
     json: Path | None = None
     """write what was measured to this file too"""
 
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing can be flown."""
+        if self.seed < 0:
+            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
+        if not 1 <= self.swaps <= 1000:
+            raise ValueError(f"--swaps is {self.swaps}, but must be from 1 to 1000")
+
 
 def _demo(arguments: Sequence[str]) -> int:
     options = _read("demo", DemoOptions, arguments)
-    _require("--seed", options.seed, options.seed >= 0, "0 or more")
-    _require("--swaps", options.swaps, 1 <= options.swaps <= 1000, "from 1 to 1000")
     from swarm_envs.baselines.neural_swarm.demo import format_table, run_demo
     from swarm_envs.viewing.files import write_json
 
@@ -85,8 +86,21 @@ def _fit(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _collect(arguments: Sequence[str]) -> int:
+    _need_torch()
+    import tyro
+
+    from swarm_envs.training.collection.__main__ import run
+
+    tyro.cli(
+        run, args=list(arguments), prog=f"{PROGRAM} collect", config=(tyro.conf.OmitArgPrefixes,)
+    )
+    return DONE
+
+
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("two drones swap places through each other's downwash", _demo),
+    "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "fit": Command("fit a force model to rows of measured or simulated force", _fit),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
@@ -114,8 +128,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     where = f"{PROGRAM} {name}"
     try:
         return COMMANDS[name].run(rest)
-    except Misuse as error:
-        return _complain(where, str(error), MISUSED)
     except (OSError, ImportError) as error:  # the machine lacks something: no traceback helps
         return _complain(where, str(error), FAILED)
     except KeyboardInterrupt:
@@ -142,20 +154,12 @@ def _read(name: str, options: type[Options], arguments: Sequence[str]) -> Option
     """Read a command's options into their dataclass; bad ones are explained, exit code 2."""
     import tyro
 
-    try:
-        return tyro.cli(options, args=list(arguments), prog=f"{PROGRAM} {name}")
-    except ValueError as error:  # raised by the dataclass itself
-        raise Misuse(str(error)) from error
+    return tyro.cli(options, args=list(arguments), prog=f"{PROGRAM} {name}")
 
 
 def _need_torch() -> None:
     if importlib.util.find_spec("torch") is None:
         raise ImportError("training needs torch; install it by: pip install 'swarm-envs[train]'")
-
-
-def _require(option: str, value: Any, holds: bool, rule: str) -> None:
-    if not holds:
-        raise Misuse(f"{option} is {value}, but must be {rule}")
 
 
 def _complain(where: str, message: str, code: int) -> int:

@@ -1,0 +1,284 @@
+"""Camera, video, plots: what they draw stands where geometry says, and files are whole."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import imageio.v3 as iio
+import imageio_ffmpeg
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image, ImageSequence
+
+from swarm_envs import swap_v0
+from swarm_envs.physics import bullet_available
+from swarm_envs.state import SwarmState, hover_state
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
+from swarm_envs.viewing.camera import Camera
+from swarm_envs.viewing.files import write_json, written_whole
+from swarm_envs.viewing.lens import Lens, aim
+from swarm_envs.viewing.plots import COMPENSATED_COLOR, WITHOUT_COLOR, plot_comparisons
+from swarm_envs.viewing.record import Comparison, FlightRecord, Recorder
+from swarm_envs.viewing.side_by_side import HEIGHT, WIDTH, SideBySide
+from swarm_envs.viewing.video import VideoError, write_video, write_video_or_gif
+
+needs_bullet = pytest.mark.skipif(not bullet_available(), reason="pybullet draws")
+LS = parse_team("LS")
+
+
+def state_at(*position) -> SwarmState:
+    return SwarmState(*(a[0] for a in hover_state(LS, np.array(position, dtype=float))))
+
+
+APART = state_at((-0.4, 0.0, 1.2), (0.4, 0.0, 0.8))
+
+
+@pytest.fixture
+def camera():
+    with_client = Camera(LS, 320, 200)
+    yield with_client
+    with_client.close()
+
+
+def looking_along_y() -> Lens:
+    x, y, z = np.eye(3)
+    return Lens(200, 100, 1.0, eye=np.array([0.0, -2.0, 1.0]), right=x, up=z, forward=y)
+
+
+def test_a_pinhole_projects_by_similar_triangles():
+    # Half the picture's height, 50 pixels, is 1 m at 1 m and so 2 m at 2 m: 25 pixels a metre.
+    lens = looking_along_y()
+    points = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 2.0], [1.0, 2.0, 1.0]]
+    np.testing.assert_allclose(
+        lens.project(points), [[100.0, 50.0], [125.0, 50.0], [100.0, 25.0], [112.5, 50.0]]
+    )
+    behind, beside = [0.0, -3.0, 1.0], [9.0, 0.0, 1.0]
+    assert lens.sees([points[0], behind, beside]).tolist() == [True, False, False]
+
+
+def test_rays_lead_back_to_their_pixels():
+    lens = looking_along_y()
+    columns, rows = np.meshgrid(np.arange(200) + 0.5, np.arange(100) + 0.5)
+    seen = lens.project(lens.eye + 3.0 * lens.rays())
+    np.testing.assert_allclose(seen, np.stack([columns, rows], axis=-1))
+
+
+@given(
+    st.floats(-180, 180), st.floats(0, 80), st.floats(10, 90), st.integers(0, 2**32), st.booleans()
+)
+def test_a_camera_that_aims_sees_every_point_and_the_margin(azimuth, elevation, opening, seed, one):
+    points = np.random.default_rng(seed).uniform(-2, 2, (1 if one else 7, 3))
+    lens = aim(points, 320, 200, azimuth, elevation, opening, 0.2)
+    nudges = 0.19 * np.array([lens.right, -lens.right, lens.up, -lens.up])
+    assert lens.sees(points[:, None] + nudges).all()
+
+
+@needs_bullet
+def test_drones_are_drawn_where_they_are(camera):
+    picture = camera.picture(APART).astype(int)
+    assert picture.shape == (200, 320, 3)
+    red, blue = picture[..., 0], picture[..., 2]
+    for drone, mask in enumerate([red - blue > 60, blue - red > 60]):  # L is orange, S is blue
+        rows, columns = np.nonzero(mask)
+        assert len(rows) > 20
+        column, row = camera.lens.project(APART.position[drone])
+        assert abs(columns.mean() - column) < 2.0
+        assert abs(rows.mean() - row) < 3.0
+
+
+@needs_bullet
+def test_pictures_follow_the_state_alone(camera):
+    first = camera.picture(APART)
+    np.testing.assert_array_equal(camera.picture(APART), first)
+    moved = state_at((-0.3, 0.0, 1.2), (0.4, 0.0, 0.8))
+    assert (camera.picture(moved) != first).any(axis=2).sum() > 50
+    tilted = APART.copy()
+    tilted.quaternion[0] = [0.0, np.sin(0.3), 0.0, np.cos(0.3)]
+    assert (camera.picture(tilted) != first).any(axis=2).sum() > 20
+    np.testing.assert_array_equal(camera.picture(APART), first)
+
+
+@needs_bullet
+def test_the_camera_stands_still_until_a_drone_leaves_the_picture(camera):
+    camera.picture(APART)
+    eye = camera.lens.eye
+    camera.picture(state_at((-0.35, 0.1, 1.2), (0.4, 0.0, 0.7)))
+    assert camera.lens.eye is eye
+    away = state_at((-3.0, 0.0, 1.2), (3.0, 0.0, 0.8))
+    camera.picture(away)
+    assert camera.lens.sees(away.position).all()
+
+
+@needs_bullet
+@pytest.mark.parametrize("engine", ["batch", "bullet"])
+def test_environments_render_from_any_engine(engine):
+    env = swap_v0.parallel_env(team="LS", physics=engine, render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    assert first is not None
+    assert first.shape == (400, 640, 3)
+    assert first.dtype == np.uint8
+    for _ in range(24):
+        env.step({agent: np.array([0.5, 0.0, 0.0], np.float32) for agent in env.agents})
+    last = env.render()
+    assert last is not None
+    assert not np.array_equal(last, first)
+    env.close()
+    env.close()
+
+
+@needs_bullet
+def test_the_camera_refuses_what_it_cannot_draw(camera):
+    with pytest.raises(ValueError, match=r"\(1, 2, 3\).*without the leading axis"):
+        camera.picture(hover_state(LS, APART.position))
+    broken = APART.copy()
+    broken.position[0, 0] = np.nan
+    with pytest.raises(ValueError, match="NaN"):
+        camera.picture(broken)
+    camera.close()
+    camera.close()
+    with pytest.raises(RuntimeError, match="closed"):
+        camera.picture(APART)
+    with pytest.raises(ValueError, match=r"width is 0.*\[16, 4096\]"):
+        Camera(LS, width=0)
+
+
+def test_without_pybullet_the_camera_says_how_to_get_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pybullet", None)
+    with pytest.raises(ImportError, match="pip install pybullet"):
+        Camera(LS)
+
+
+def read_video(path: Path, height: int, width: int) -> tuple[np.ndarray, str]:
+    """Frames of a video, and what ffmpeg says about it. (imageio's reader leaves pipes open.)"""
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", str(path), "-f", "rawvideo", "-pix_fmt"]
+    done = subprocess.run([*command, "rgb24", "-"], capture_output=True, check=True)
+    frames = np.frombuffer(done.stdout, np.uint8).reshape(-1, height, width, 3)
+    return frames, done.stderr.decode()
+
+
+def gray_frames(count, shape=(48, 64, 3)):
+    return [np.full(shape, 20 * k, dtype=np.uint8) for k in range(count)]
+
+
+def test_a_video_has_every_frame_in_order(tmp_path):
+    write_video(tmp_path / "a.mp4", gray_frames(10), fps=24)
+    read, said = read_video(tmp_path / "a.mp4", 48, 64)
+    assert len(read) == 10
+    np.testing.assert_allclose(read.mean(axis=(1, 2, 3)), 20 * np.arange(10), atol=4)
+    assert re.search(r"h264 .*yuv420p.* 24 fps", said)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.mp4"]
+
+
+@pytest.mark.parametrize(
+    ("frames", "why"),
+    [
+        ([], "at least one"),
+        (gray_frames(2, (47, 64, 3)), "even sizes"),
+        (gray_frames(2) + gray_frames(1, (48, 66, 3)), r"\(48, 66, 3\)"),
+    ],
+)
+def test_frames_that_make_no_video_leave_no_file(tmp_path, frames, why):
+    with pytest.raises(ValueError, match=why):
+        write_video(tmp_path / "a.mp4", frames, fps=24)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_broken_ffmpeg_gives_a_gif(tmp_path, monkeypatch):
+    # A program that ends at once with an error, as a broken ffmpeg does.
+    monkeypatch.setattr(imageio_ffmpeg, "get_ffmpeg_exe", lambda: "/bin/false")
+    with pytest.raises(VideoError, match="ended with code 1"):
+        write_video(tmp_path / "a.mp4", gray_frames(4), fps=24)
+    path = write_video_or_gif(tmp_path / "a.mp4", lambda: gray_frames(9), fps=20)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.gif"]
+    with Image.open(path) as gif:
+        assert len(list(ImageSequence.Iterator(gif))) == 5
+        assert (gif.size, gif.info["duration"]) == ((32, 24), 100)
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    file = tmp_path / "new" / "a.json"
+    write_json(file, {"a": 1})
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(file, {"a": float("nan")})
+    with pytest.raises(RuntimeError), written_whole(file) as partial:
+        partial.write_text("half")
+        raise RuntimeError
+    assert file.read_text() == '{\n "a": 1\n}\n'
+    assert list(file.parent.iterdir()) == [file]
+
+
+def drop(depth: float, steps: int = 40) -> FlightRecord:
+    """Two drones that cross at 0.5 s, the lower of which dips by `depth`, m."""
+    time = np.linspace(0.0, 1.0, steps)
+    reference = np.zeros((steps, 2, 3))
+    reference[:, 0] = np.stack([1.0 - 2.0 * time, 0 * time, 0 * time + 1.2], axis=1)
+    reference[:, 1] = np.stack([2.0 * time - 1.0, 0 * time, 0 * time + 0.8], axis=1)
+    position = reference.copy()
+    position[:, 1, 2] -= depth * np.sin(np.pi * time) ** 2
+    quaternion = np.zeros((steps, 2, 4))
+    quaternion[..., 3] = 1.0
+    force = np.zeros((steps, 2, 3))
+    force[:, 1, 2] = -10.0 * GRAM_FORCE * np.sin(np.pi * time) ** 2
+    return FlightRecord(LS, time, position, quaternion, reference, force)
+
+
+def test_a_record_measures_the_lowest_drone():
+    flight = drop(0.17, steps=41)
+    assert flight.worst_height_error_cm() == pytest.approx(17.0)
+    assert flight.height_error_cm().min() == pytest.approx(-17.0)
+    assert flight.vertical_force_g().min() == pytest.approx(-10.0)
+    assert flight.worst_height_error_cm(0) == 0.0
+
+
+def test_a_recorder_keeps_what_the_environment_was():
+    env = swap_v0.parallel_env(team="LS", layout="stacked", physics="batch")
+    recorder, kept = Recorder(), []
+    with pytest.raises(RuntimeError, match="nothing was recorded"):
+        recorder.record()
+    env.reset(seed=3)
+    for _ in range(5):
+        recorder(env)
+        kept.append(env.view.state.position.copy())
+        env.step({agent: np.zeros(3, np.float32) for agent in env.agents})
+    record = recorder.record()
+    np.testing.assert_array_equal(record.position, kept)
+    np.testing.assert_allclose(record.time, np.arange(5) / 48)
+    np.testing.assert_array_equal(record.reference[0], kept[0])
+    assert record.force.shape == (5, 2, 3)
+    env.close()
+
+
+def has_color(picture: np.ndarray, color: str) -> bool:
+    rgb = [int(color[i : i + 2], 16) for i in (1, 3, 5)]
+    return bool((np.abs(picture[..., :3].astype(int) - rgb).max(axis=-1) < 8).sum() > 200)
+
+
+def test_plots_show_both_sides_and_flights_that_ended_early(tmp_path):
+    file = tmp_path / "a.png"
+    comparison = Comparison("LS", [drop(0.17), drop(0.15, 25)], [drop(0.02), drop(0.03)])
+    assert comparison.without_cm.max() == pytest.approx(17.0, abs=0.1)
+    plot_comparisons(file, [comparison, comparison], "Headline")
+    picture = iio.imread(file)
+    assert has_color(picture, WITHOUT_COLOR)
+    assert has_color(picture, COMPENSATED_COLOR)
+    assert list(tmp_path.iterdir()) == [file]
+    with pytest.raises(ValueError, match="at least one"):
+        plot_comparisons(Path("a.png"), [], "Headline")
+
+
+@needs_bullet
+def test_two_flights_beside_each_other():
+    with SideBySide("LS", (drop(0.17), drop(0.01)), duration_s=0.5) as film:
+        assert film.count(4) == len(list(film.frames(4))) == 3
+        start, middle = film.frame(0.0), film.frame(0.5)
+    assert start.shape == (HEIGHT, WIDTH, 3)
+    scene = np.s_[150:500]
+    left, right = np.s_[:, 4 : WIDTH // 2 - 4], np.s_[:, WIDTH // 2 + 4 : WIDTH - 4]
+    np.testing.assert_array_equal(start[scene][left], start[scene][right])
+    assert (middle[scene][left] != middle[scene][right]).any(axis=2).sum() > 500
