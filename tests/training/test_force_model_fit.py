@@ -17,11 +17,10 @@ from swarm_envs.training.force_model.calibration import (
     subtract_offsets,
 )
 from swarm_envs.training.force_model.drag import fit_drag
-from swarm_envs.training.force_model.evaluate import mean_squared_errors
 from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.network import OUTER_FADE, DeepSetSpec
 from swarm_envs.training.force_model.pipeline import FitConfig, fit, measured_range
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows, save_rows
+from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 from swarm_envs.training.force_model.train import TrainConfig, predict, to_batch, train
 from swarm_envs.training.force_model.wake_fit import WakeFitConfig, fit_wake, run
 from swarm_envs.training.force_model.wake_model import WakeParameters, wake_force_g, wake_rows
@@ -280,41 +279,3 @@ def test_wake_fit_writes_its_file(tmp_path):
     assert written["advection_velocity"] == "neighbor"
     assert set(written["pair"]) == {"S>S", "S>L", "L>S", "L>L"}
     assert written["pair"]["L>S"]["A_g"] == pytest.approx(20.0, rel=0.2)
-
-
-def test_rows_survive_their_file(tmp_path):
-    rows = planted_rows(100)
-    save_rows(tmp_path / "rows.npz", rows)
-    again = read_rows(tmp_path / "rows.npz")
-    for entry in dataclasses.fields(rows):
-        assert np.array_equal(getattr(again, entry.name), getattr(rows, entry.name)), entry.name
-    assert again.types == rows.types
-
-
-def test_bad_rows_are_refused(tmp_path):
-    rows = planted_rows(10)
-    with pytest.raises(ValueError, match=r"velocity has shape \(9, 3\), but must have shape"):
-        dataclasses.replace(rows, velocity=rows.velocity[:9])
-    with pytest.raises(ValueError, match=r"neighbor_type lies in \[.*, 2\]"):
-        dataclasses.replace(rows, neighbor_type=np.full((10, 2), 2))
-    force = rows.force_g.copy()
-    force[4, 1] = np.nan
-    with pytest.raises(ValueError, match=r"force_g is nan at index \(4, 1\)"):
-        dataclasses.replace(rows, force_g=force)
-    np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(ValueError, match="neither 'interaction-rows-1'"):
-        read_rows(tmp_path / "other.npz")
-    with pytest.raises(FileNotFoundError, match="no file of interaction rows"):
-        read_rows(tmp_path / "none.npz")
-
-
-def test_errors_stand_beside_trivial_predictors():
-    rows = planted_rows(1000)
-    label, held_out = rows.force_g[:, 2], rows.validation
-    perfect = mean_squared_errors(label, rows)
-    assert perfect.overall == 0
-    assert perfect.zero == pytest.approx(np.mean(label[held_out] ** 2))
-    none = mean_squared_errors(np.zeros(1000), rows)
-    assert none.overall == none.zero
-    assert none.scenario == none.scenario_zero
-    assert 0 < none.scenario_mean < none.zero
