@@ -61,6 +61,16 @@ def kernel(function: F) -> F:
     return dispatcher
 
 
+def inlined_kernel(function: F) -> F:
+    """A kernel that becomes part of each kernel that calls it, and is compiled with it.
+
+    For the pieces of a step that take whole worlds of arrays: compiled by themselves, each would
+    spend a second or two of compilation on taking its arguments apart.
+    """
+    inlined: F = numba.njit(error_model="numpy", inline="always")(function)
+    return inlined
+
+
 def entry_point(compiled: F, *arguments: object) -> F:
     """Compile a kernel for the types of these arguments, and return what to call directly.
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import entry_point, kernel
+from swarm_envs.compiled import entry_point, inlined_kernel, kernel
 from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
 from swarm_envs.control.state import ControllerState, Setpoint
 from swarm_envs.control.tracking import extrapolate, track_env
@@ -77,7 +77,7 @@ class Tally(NamedTuple):
             array[mask] = 0
 
 
-@kernel
+@inlined_kernel
 def decide(e: int, world: World, pilot: Pilot) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
     if pilot.direct:
@@ -99,7 +99,7 @@ def decide(e: int, world: World, pilot: Pilot) -> None:
     extrapolate(pilot.setpoint, e, TIME_STEP)
 
 
-@kernel
+@inlined_kernel
 def count(e: int, world: World, tally: Tally, disc_area: FloatArray) -> None:
     """Add one physics step of environment `e`, its force just evaluated, to the tally.
 

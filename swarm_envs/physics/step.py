@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import inlined_kernel, kernel
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces, outside_measured_range
 from swarm_envs.motors import BatteryArrays, battery_step
@@ -49,7 +49,7 @@ class World(NamedTuple):
     """(2, 3) corners of the walls, m."""
 
 
-@kernel
+@inlined_kernel
 def blow(e: int, world: World) -> None:
     """Evaluate the interaction force on environment `e` at its present state, if it is due."""
     if world.age[e] % world.hold == 0:
@@ -60,7 +60,7 @@ def blow(e: int, world: World) -> None:
     world.age[e] += 1
 
 
-@kernel
+@inlined_kernel
 def drain(e: int, world: World) -> None:
     """Take one step's charge from the batteries of environment `e`; their rotors' limits follow."""
     state, parameters = world.state, world.parameters
@@ -78,7 +78,7 @@ def drain(e: int, world: World) -> None:
         )
 
 
-@kernel
+@inlined_kernel
 def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
     """Rotor lag and battery of environment `e` over one step, towards `commands` (E, N, 4), N."""
     thrust = world.state.rotor_thrust
@@ -87,7 +87,7 @@ def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
         drain(e, world)
 
 
-@kernel
+@inlined_kernel
 def touch(e: int, world: World) -> None:
     """Add what environment `e` touches now to the contacts."""
     state = world.state
@@ -102,7 +102,7 @@ def touch(e: int, world: World) -> None:
     )
 
 
-@kernel
+@inlined_kernel
 def step_environment(
     e: int, world: World, commands: FloatArray, external: FloatArray, total: FloatArray
 ) -> None:
@@ -140,7 +140,7 @@ def blow_and_prepare(
     prepare_wrench(e, world, commands, external, out)
 
 
-@kernel
+@inlined_kernel
 def prepare_wrench(
     e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
 ) -> None:
