@@ -1,0 +1,9 @@
+"""The deep set that the compensated controller believes, from flights inside the environment.
+
+Command: `python -m swarm_envs.training.collection.belief --out DIR --seed 0`.
+"""
+
+from swarm_envs.training.collection.belief.fit import BeliefConfig, fit_belief
+from swarm_envs.training.collection.belief.judge import SwapJudgement, judge
+
+__all__ = ["BeliefConfig", "SwapJudgement", "fit_belief", "judge"]

@@ -1,0 +1,121 @@
+"""Collect flights, fit a heterogeneous deep set to them, judge it in flight, write what ships."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from swarm_envs.interactions import load
+from swarm_envs.training.collection.belief.card import model_card
+from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, judge
+from swarm_envs.training.collection.collect import MANIFEST, collect, fingerprint
+from swarm_envs.training.collection.config import CollectionConfig
+from swarm_envs.training.collection.flight import LOG_RATE
+from swarm_envs.training.collection.table import interaction_rows
+from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
+from swarm_envs.training.force_model import fit as fit_force_model
+from swarm_envs.training.force_model.report import file_sha256, json_ready, write_json
+from swarm_envs.training.force_model.rows import save_rows
+
+COMMAND = "python -m swarm_envs.training.collection.belief --out DIR"
+
+
+@dataclass(frozen=True)
+class BeliefConfig:
+    """How the belief is made."""
+
+    out: Path
+    """folder for `belief.safetensors`, `belief.json`, `MODEL_CARD.md`; `flights` below it keeps
+    the logs"""
+    seed: int = 0
+    """seed of flights and fit"""
+    steps: int = 4000
+    """optimiser steps"""
+    collection: CollectionConfig = field(default_factory=CollectionConfig)
+    """what is flown; its seed is `seed`"""
+    progress: bool = True
+    """show progress bars"""
+
+
+@dataclass(frozen=True)
+class BeliefReport:
+    """The content of `belief.json`."""
+
+    command: str
+    interactions: str
+    """Force model of the environment that was flown in."""
+    interactions_sha256: str
+    """Fingerprint of its numbers."""
+    flights: int
+    flown_s: float
+    rows: int
+    rows_sha256: str
+    fit: FitReport
+    judgements: list[SwapJudgement]
+    wall_time_s: float
+
+
+def fit_belief(config: BeliefConfig) -> BeliefReport:
+    """Make the belief: see the module. Killed and called again, it goes on.
+
+    Raises:
+        ValueError: the folder holds flights of another configuration or force model.
+    """
+    began = time.perf_counter()
+    flights = collect(config.collection, config.out / "flights", config.progress)
+    rows = interaction_rows(flights)
+    table = config.out / "flights" / "rows.npz"
+    save_rows(table, rows)
+    fitted = fit_force_model(fit_config(config, table))
+    model = load(config.collection.interactions)
+    command = f"{COMMAND} --seed {config.seed}"
+    provenance: dict[str, object] = {
+        "command": command,
+        "data": f"flights simulated with the force model {model.name!r}",
+        "interactions_sha256": fingerprint(model),
+        "manifest_sha256": file_sha256(config.out / "flights" / MANIFEST),
+        "seed": config.seed,
+    }
+    path = config.out / "belief.safetensors"
+    network = load_network(config.out / "fit" / "learned.safetensors")
+    save_network(path, network, provenance)
+    report = BeliefReport(
+        command=command,
+        interactions=model.name,
+        interactions_sha256=fingerprint(model),
+        flights=len(flights),
+        flown_s=round(sum(len(flight.log.position) for flight in flights) / LOG_RATE, 1),
+        rows=len(rows),
+        rows_sha256=file_sha256(table),
+        fit=fitted,
+        judgements=judge_all(path, config),
+        wall_time_s=round(time.perf_counter() - began, 1),
+    )
+    write_json(config.out / "belief.json", json_ready(report))
+    limits = network.spec.input_range
+    assert limits is not None  # an anchored fit has one
+    (config.out / "MODEL_CARD.md").write_text(model_card(report, config.collection, limits))
+    return report
+
+
+def fit_config(config: BeliefConfig, table: Path) -> FitConfig:
+    """Options of the trainer: labels of simulated flights have no calibration offset."""
+    return FitConfig(
+        data=table,
+        out=config.out / "fit",
+        offsets="none",
+        steps=config.steps,
+        slope_limit=None,
+        position_jitter_m=0.0,
+        velocity_jitter=0.0,
+        lipschitz_samples=0,
+        seed=config.seed,
+        progress=config.progress,
+    )
+
+
+def judge_all(belief: Path, config: BeliefConfig) -> list[SwapJudgement]:
+    """Fly every trial without and with the belief."""
+    environment = load(config.collection.interactions)
+    return [judge(trial, load(belief), environment) for trial in TRIALS]

@@ -1,0 +1,103 @@
+"""Is a belief worth following? Stacked swaps with and without it, as the demonstration flies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm import TrackingAgent
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.vehicles import parse_team
+
+PAPER_LAYOUT = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
+"""The flight of Neural-Swarm2, Fig. 8: radius 0.5 m, 4 s."""
+
+
+@dataclass(frozen=True)
+class SwapTrial:
+    """Randomised stacked swaps of one team."""
+
+    team: str
+    layout: StackedLayout
+    episodes: int
+
+
+TRIALS = (
+    *(SwapTrial(team, PAPER_LAYOUT, 30) for team in ("S2S", "L2S", "SS2S")),
+    *(SwapTrial(team, StackedLayout(), 30) for team in ("S2S", "L2S", "SS2S")),
+    *(SwapTrial(team, StackedLayout(), 12) for team in ("S2L", "L2L", "SL2S", "LL2S", "SS2L")),
+)
+"""What a shipped belief is judged by; seeds count from 0."""
+
+
+@dataclass(frozen=True)
+class SwapJudgement:
+    """Worst height error of the lowest drone over the episodes of a trial, cm."""
+
+    team: str
+    layout: StackedLayout
+    episodes: int
+    uncompensated_median_cm: float
+    compensated_median_cm: float
+    largest_ratio: float
+    """Largest of an episode's compensated over its uncompensated error."""
+    worse: int
+    """Episodes that compensation made worse."""
+    upper_largest_growth_cm: float
+    """Largest growth of another drone's worst height error by compensation."""
+
+
+def judge(
+    trial: SwapTrial, belief: InteractionModel, environment: str | InteractionModel = "learned"
+) -> SwapJudgement:
+    """Fly a trial twice, on the same seeds, references and gains: without and with the belief."""
+    without = worst_height_errors(trial, ControllerConfig(), environment)
+    believing = ControllerConfig(feedforward=belief)
+    compensated = worst_height_errors(trial, believing, environment)
+    lowest, lowest_without = compensated[:, -1], without[:, -1]
+    return SwapJudgement(
+        team=trial.team,
+        layout=trial.layout,
+        episodes=trial.episodes,
+        uncompensated_median_cm=round(100 * float(np.median(lowest_without)), 2),
+        compensated_median_cm=round(100 * float(np.median(lowest)), 2),
+        largest_ratio=round(float((lowest / lowest_without).max()), 3),
+        worse=int((lowest > lowest_without).sum()),
+        upper_largest_growth_cm=round(100 * float((compensated - without)[:, :-1].max()), 2),
+    )
+
+
+def worst_height_errors(
+    trial: SwapTrial, controller: ControllerConfig, environment: str | InteractionModel
+) -> FloatArray:
+    """Largest vertical distance of each drone to its reference, (episodes, N), m.
+
+    Raises:
+        RuntimeError: drones collided.
+    """
+    agent = TrackingAgent(controller)
+    task = SwapTask(parse_team(trial.team), "stacked", trial.layout)
+    config = EnvConfig(
+        physics="batch",
+        interactions=environment,
+        action="setpoint",
+        decision_rate=48,
+        controller=agent.requires["controller"],  # type: ignore[arg-type]
+        horizon_s=trial.layout.duration_s[1] + 2.0,
+        end_on_success=False,
+    )
+    core = SwarmCore(task, config, trial.episodes)
+    core.reset(list(range(trial.episodes)))
+    while core.running.any():
+        reference = task.reference(core.mission, core.time)
+        yaw = np.zeros((trial.episodes, core.num_drones, 2))
+        core.step(np.concatenate([*reference, yaw], axis=-1))
+    if core.verdict.crashed.any():
+        raise RuntimeError(f"swap of {trial.team}: drones collided in a trial with {controller}")
+    return core.record.worst_height_error.copy()

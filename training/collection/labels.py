@@ -1,0 +1,82 @@
+"""Interaction force from a log, as Neural-Swarm2 computes it (Sec. VII-B, with the lag of eq. 1c).
+
+    f_a = m a + m g k - R T k
+
+The acceleration a is differentiated from the logged velocity, the thrust T is what the motor lag
+makes of the logged commands, the attitude R is as logged. Nothing is read from a simulator.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarm_envs.state import FloatArray
+from swarm_envs.training.collection.flight import LOG_RATE, FlightLog
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
+
+SMOOTHING_S = 0.1
+"""Width of the window that labels are averaged over: a drone moves some centimetres meanwhile."""
+
+
+def derivative(values: FloatArray, step: float) -> FloatArray:
+    """Five-point derivative along the first axis (T, ...); NaN for the two entries at each end."""
+    result = np.full(values.shape, np.nan)
+    outer, inner = values[4:] - values[:-4], values[3:-1] - values[1:-3]
+    result[2:-2] = (8.0 * inner - outer) / (12.0 * step)
+    return result
+
+
+def lagged_thrust(commands: FloatArray, team: Team, step: float) -> FloatArray:
+    """Total thrust (T, N), N, that commands (T, N, 4), N, lead to: eq. (1c), from hover.
+
+    Between two entries the command is taken as their mean.
+    """
+    command = commands.sum(axis=-1)
+    blend = np.array([-np.expm1(-vehicle.motor_rate * step) for vehicle in team])
+    thrust = np.empty_like(command)
+    thrust[0] = [4.0 * vehicle.hover_rotor_thrust for vehicle in team]
+    for k in range(1, len(command)):
+        held = 0.5 * (command[k - 1] + command[k])
+        thrust[k] = thrust[k - 1] + blend * (held - thrust[k - 1])
+    return thrust
+
+
+def thrust_direction(quaternion: FloatArray) -> FloatArray:
+    """Direction R k (..., 3) of the thrust at attitudes (..., 4)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    parts = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+    return np.stack(parts, axis=-1)
+
+
+def smooth(values: FloatArray, width: int) -> FloatArray:
+    """Average along the first axis with a Hann window of `width` entries; NaN where it is cut."""
+    window = np.hanning(width + 2)[1:-1]
+    window /= window.sum()
+    result = np.full(values.shape, np.nan)
+    half, count = width // 2, len(values) - width + 1
+    total = np.zeros((max(count, 0), *values.shape[1:]))
+    for offset, weight in enumerate(window):
+        total += weight * values[offset : offset + count]
+    result[half : half + count] = total
+    return result
+
+
+def interaction_force(log: FlightLog, team: Team, smoothing_s: float = SMOOTHING_S) -> FloatArray:
+    """Interaction force on every drone at every entry of a log.
+
+    Args:
+        log: T entries of N drones.
+        team: the N vehicles.
+        smoothing_s: width of the Hann window over which the force is averaged, s; less than two
+            log entries for none.
+
+    Returns:
+        (T, N, 3) force in gram-force, world frame; NaN near both ends, where it is unknown.
+    """
+    step = 1.0 / LOG_RATE
+    mass = np.array([vehicle.mass for vehicle in team])[:, None]
+    thrust = lagged_thrust(log.commands, team, step)[..., None]
+    force = mass * derivative(log.velocity, step) - thrust * thrust_direction(log.quaternion)
+    force[..., 2] += mass[:, 0] * GRAVITY
+    width = 2 * round(0.5 * smoothing_s * LOG_RATE) + 1
+    return (smooth(force, width) if width > 1 else force) / GRAM_FORCE

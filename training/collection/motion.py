@@ -1,0 +1,261 @@
+"""Motions of a collection: random walks kept apart by artificial potentials, and stacked swaps.
+
+Random walk (Neural-Swarm2, Sec. VII-B): each drone has a set-point, a point mass that an
+attractive potential draws to a goal in a small box; goals are drawn anew at a fixed frequency.
+Half of the time all goals stand in one vertical line, so that drones pass over and under each
+other. Neighbours and the floor repel with the potential of Khatib (1986),
+
+    U(c) = strength / 2 (1/c - 1/reach)^2 for clearances c < reach,
+
+whose slope at the *measured* positions accelerates the set-point. The constants are ours.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from swarm_envs.state import FloatArray
+from swarm_envs.trajectories import Reference, ramped_line
+from swarm_envs.vehicles import Team
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class MotionRanges:
+    """What motions are drawn from. SI units; a pair is (lowest, highest)."""
+
+    half_width_m: float = 0.25
+    """half width of the box of a random walk"""
+    walk_heights_m: Range = (0.6, 1.5)
+    """heights of goals of a walk aloft"""
+    low_walk_heights_m: Range = (0.07, 0.8)
+    """heights of goals near the ground; a drone's goal is at least 2 cm above touching the floor"""
+    goal_period_s: float = 1.5
+    """time between new goals of a walk"""
+    aligned: float = 0.5
+    """share of goals that stand in one vertical line"""
+    attraction: Range = (2.0, 4.5)
+    """natural frequency of the attraction to goals, drawn per flight, rad/s"""
+    acceleration_limit: float = 3.0
+    """largest acceleration by attraction, m/s^2"""
+    reach_m: float = 0.10
+    """clearance between two spheres below which they repel"""
+    strength: float = 2e-3
+    """strength of the repulsion, m^4/s^2"""
+    repulsion_limit: float = 8.0
+    """largest acceleration by repulsion from one neighbour or the floor, m/s^2"""
+    radius_m: Range = (0.35, 0.75)
+    """radius of the circle of a swap"""
+    gap_m: Range = (0.15, 0.45)
+    """distance of neighbouring planes of a swap, beyond what keeps spheres 5 cm apart at least"""
+    crossing_s: Range = (2.0, 5.0)
+    """time of one crossing"""
+    pause_s: Range = (0.2, 0.8)
+    """rest between crossings"""
+    miss_m: float = 0.06
+    """standard deviation of ends of crossings in x and y, so that drones also pass off the axis"""
+    lowest_m: Range = (0.6, 1.0)
+    """height of the lowest plane of a swap aloft"""
+    low_lowest_m: Range = (0.14, 0.4)
+    """the same near the ground"""
+
+
+class Target(NamedTuple):
+    """Where E teams of N drones are to be now, and what moves them. World frame, (E, N, 3), SI."""
+
+    position: FloatArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+
+class Motion(Protocol):
+    """A motion of E teams of N drones."""
+
+    start: FloatArray
+    """(E, N, 3) where the drones start, at rest, m."""
+
+    def target(self, time: float, position: FloatArray) -> Target:
+        """Set-points at `time`, s, given measured positions (E, N, 3), m.
+
+        Called once per time step, in order.
+        """
+
+
+def repulsion(clearance: FloatArray, reach: float, strength: float, limit: float) -> FloatArray:
+    """Acceleration -dU/dc away from what is at a clearance c, m, of Khatib's potential, m/s^2."""
+    c = np.maximum(clearance, 1e-3)
+    slope = strength * (1.0 / c - 1.0 / reach) / (c * c)
+    return np.where(c < reach, np.minimum(slope, limit), 0.0)
+
+
+class RandomWalk:
+    """Random walks of E teams in a small box.
+
+    Args:
+        team: the N vehicles.
+        rngs: E generators, one per flight.
+        ranges: what is drawn.
+        heights: lowest and highest goal, m.
+        duration: length of the flights, s.
+        step: time between calls of `target`, s.
+    """
+
+    def __init__(
+        self,
+        team: Team,
+        rngs: list[np.random.Generator],
+        ranges: MotionRanges,
+        heights: Range,
+        duration: float,
+        step: float,
+    ) -> None:
+        self.ranges, self.step = ranges, step
+        self.radius = np.array([vehicle.radius for vehicle in team])
+        count = int(duration / ranges.goal_period_s) + 2
+        goals = [draw_goals(self.radius, rng, ranges, heights, count) for rng in rngs]
+        self.goals = np.stack(goals)
+        self.frequency = np.array([rng.uniform(*ranges.attraction) for rng in rngs])[:, None, None]
+        self.start = np.stack([separated(g[0], self.radius) for g in self.goals])
+        self._goal = self.start.copy()
+        self._position, self._velocity = self.start.copy(), np.zeros_like(self.start)
+
+    def target(self, time: float, position: FloatArray) -> Target:
+        """Set-points after one more step; see `Motion`."""
+        wanted = self.goals[:, int(time / self.ranges.goal_period_s)]
+        # Goals jump; a low-pass of the time constant 1 / frequency keeps the acceleration smooth.
+        self._goal += self.step * self.frequency * (wanted - self._goal)
+        w = self.frequency
+        pull = w * w * (self._goal - self._position) - 2.0 * w * self._velocity
+        size = np.sqrt((pull * pull).sum(axis=-1, keepdims=True))
+        pull *= self.ranges.acceleration_limit / np.maximum(size, self.ranges.acceleration_limit)
+        acceleration = pull + self._push(position)
+        self._velocity = self._velocity + self.step * acceleration
+        self._position = self._position + self.step * self._velocity
+        return Target(self._position, self._velocity, acceleration)
+
+    def _push(self, position: FloatArray) -> FloatArray:
+        r = self.ranges
+        push = np.zeros_like(position)
+        floor = position[..., 2] - self.radius
+        push[..., 2] = repulsion(floor, 0.5 * r.reach_m, 0.1 * r.strength, r.repulsion_limit)
+        for i in range(len(self.radius)):
+            for j in range(i):
+                apart = position[:, i] - position[:, j]
+                distance = np.sqrt((apart * apart).sum(axis=-1))
+                clearance = distance - (self.radius[i] + self.radius[j])
+                size = repulsion(clearance, r.reach_m, r.strength, r.repulsion_limit)
+                away = apart * (size / np.maximum(distance, 1e-6))[:, None]
+                push[:, i] += away
+                push[:, j] -= away
+        return push
+
+
+def draw_goals(
+    radius: FloatArray, rng: np.random.Generator, ranges: MotionRanges, heights: Range, count: int
+) -> FloatArray:
+    """Goals (count, N, 3) of one flight, m, for spheres of the radii (N,), m."""
+    n, width = len(radius), ranges.half_width_m
+    goals = np.empty((count, n, 3))
+    goals[..., :2] = rng.uniform(-width, width, (count, n, 2))
+    aligned = rng.random(count) < ranges.aligned
+    line = goals[:, :1, :2] + rng.normal(0.0, 0.03, (count, n, 2))
+    goals[..., :2] = np.where(aligned[:, None, None], line, goals[..., :2])
+    low = np.maximum(heights[0], radius + 0.02)
+    goals[..., 2] = rng.uniform(low, heights[1], (count, n))
+    return goals
+
+
+def separated(points: FloatArray, radius: FloatArray) -> FloatArray:
+    """Starts (N, 3), m: each drone beside the lower-numbered ones, in x, where it would touch."""
+    start = points.copy()
+    for i in range(1, len(start)):
+        for _ in range(i):
+            reach = radius[:i] + radius[i] + 0.1
+            near = np.linalg.norm(start[:i] - start[i], axis=1) < reach
+            if near.any():
+                start[i, 0] = (start[:i, 0] + reach)[near].max()
+    return start
+
+
+class StackedSwaps:
+    """Swaps of E teams on cylinders, there and back, each drone in its own plane.
+
+    Args:
+        team: the N vehicles; their order from top to bottom is drawn per flight.
+        rngs: E generators, one per flight.
+        ranges: what is drawn.
+        lowest: range of the lowest plane, m.
+        duration: length of the flights, s.
+        step: time between calls of `target`, s.
+    """
+
+    def __init__(
+        self,
+        team: Team,
+        rngs: list[np.random.Generator],
+        ranges: MotionRanges,
+        lowest: Range,
+        duration: float,
+        step: float,
+    ) -> None:
+        self.step = step
+        radius = np.array([vehicle.radius for vehicle in team])
+        flights = [draw_swaps(radius, rng, ranges, lowest, duration, step) for rng in rngs]
+        parts = zip(*flights, strict=True)
+        self.reference = Reference(*(np.stack(part) for part in parts))
+        self.start = self.reference.position[:, 0].copy()
+
+    def target(self, time: float, position: FloatArray) -> Target:
+        """Set-points at a time; the measured positions change nothing; see `Motion`."""
+        index = round(time / self.step)
+        p, v, a, _ = (part[:, index] for part in self.reference)
+        return Target(p, v, a)
+
+
+def draw_swaps(
+    radius: FloatArray,
+    rng: np.random.Generator,
+    ranges: MotionRanges,
+    lowest: Range,
+    duration: float,
+    step: float,
+) -> Reference:
+    """References (T, N, 3) of one flight of swaps; see `StackedSwaps`."""
+    n = len(radius)
+    height = stacked_heights(radius, rng.permutation(n), rng, ranges, lowest)
+    angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(n) / n
+    size = rng.uniform(*ranges.radius_m)
+    ends = size * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    time, begin = np.arange(round(duration / step) + 1) * step, 0.0
+    here = np.column_stack([ends, height])
+    pieces = []
+    while begin <= time[-1]:
+        ends = -ends
+        there = np.column_stack([ends + rng.normal(0.0, ranges.miss_m, (n, 2)), height])
+        crossing = rng.uniform(*ranges.crossing_s)
+        end = begin + crossing + rng.uniform(*ranges.pause_s)
+        now = time[(time >= begin) & (time < end)]
+        pieces.append(ramped_line(here, there, np.full(n, crossing), now[:, None] - begin))
+        here, begin = there, end
+    return Reference(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
+
+
+def stacked_heights(
+    radius: FloatArray,
+    order: np.ndarray,
+    rng: np.random.Generator,
+    ranges: MotionRanges,
+    lowest: Range,
+) -> FloatArray:
+    """Height (N,) of each drone's plane, m; `order` lists the drones from the lowest up."""
+    height = np.empty(len(radius))
+    height[order[0]] = rng.uniform(*lowest)
+    for below, above in itertools.pairwise(order):
+        gap = max(rng.uniform(*ranges.gap_m), radius[below] + radius[above] + 0.05)
+        height[above] = height[below] + gap
+    return height
