@@ -22,16 +22,23 @@ from numba.core.caching import FunctionCache
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
-_KERNEL_FOLDERS = ("physics", "interactions", "control", "envs", "tasks", "baselines")
+_CORE_FOLDERS = ("physics", "interactions", "control", "envs", "tasks")
+_USES_KERNELS = b"from swarm_envs.compiled import"
+
+
+def _kernel_sources() -> list[Path]:
+    """Files that hold kernels, or constants that kernels have taken in."""
+    files = sorted(file for file in _PACKAGE.glob("*.py") if file.name != "cli.py")
+    for folder in _CORE_FOLDERS:
+        files += sorted((_PACKAGE / folder).rglob("*.py"))
+    others = sorted((_PACKAGE / "baselines").rglob("*.py"))
+    return files + [file for file in others if _USES_KERNELS in file.read_bytes()]
 
 
 @cache
 def _sources_stamp() -> str:
-    files = sorted(_PACKAGE.glob("*.py"))
-    for folder in _KERNEL_FOLDERS:
-        files += sorted((_PACKAGE / folder).rglob("*.py"))
     digest = hashlib.sha256(numba.__version__.encode())
-    for file in files:
+    for file in _kernel_sources():
         digest.update(file.read_bytes())
     return digest.hexdigest()
 
