@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.compiled import kernel
 from swarm_envs.control.state import Setpoint
@@ -100,16 +101,32 @@ ACTIONS: dict[str, ActionMode] = {
 """Every action mode by name."""
 
 
-def check_range(mode: ActionMode, actions: FloatArray) -> None:
-    """Refuse actions (E, N, width) outside the mode's Box.
+def check_actions(
+    mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int]
+) -> FloatArray:
+    """Return actions (E, N, width) as contiguous float64, refusing what the mode's Box excludes.
 
     Raises:
-        ValueError: naming the entry, the bounds and the fix.
+        ValueError: a wrong shape, or an entry that is not finite or outside the bounds; the
+            message names the drone, the value, the rule and the fix.
     """
-    if not mode.bounded or np.abs(actions).max() <= 1.0 + _ROUNDING:
-        return
-    e, i, k = (int(n) for n in np.argwhere(abs(actions) > 1.0 + _ROUNDING)[0])
+    array: FloatArray = np.ascontiguousarray(actions, dtype=np.float64)
+    if array.shape != shape:
+        raise ValueError(
+            f"actions have shape {array.shape}, but must have shape {shape}: environments, drones, "
+            f"numbers of action {mode.name!r}"
+        )
+    largest = np.abs(array).max()
+    if largest <= 1.0 + _ROUNDING or (not mode.bounded and largest < np.inf):
+        return array
+    wrong = ~np.isfinite(array)
+    rule, fix = "every number must be finite", "look for what made it so"
+    if not wrong.any():
+        wrong = np.abs(array) > 1.0 + _ROUNDING
+        rule, fix = "must lie in [-1, 1]", "clip it, as with np.clip(action, -1, 1)"
+    e, i, k = (int(n) for n in np.argwhere(wrong)[0])
+    where = f" in environment {e}" if shape[0] > 1 else ""
     raise ValueError(
-        f"action {mode.name!r} of drone {i} in environment {e} has {actions[e, i, k]:.6g} at "
-        f"index {k}, but must lie in [-1, 1]; clip it before step, as with np.clip(action, -1, 1)"
+        f"action {mode.name!r} of drone_{i}{where} has {array[e, i, k]:.8g} at index {k}, but "
+        f"{rule}; {fix}"
     )

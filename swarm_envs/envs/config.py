@@ -57,10 +57,12 @@ class EnvConfig:
                     f"{name} is {rate!r}, but must be {PHYSICS_RATE} over an integer, such as "
                     "240, 120, 48, 24 or 10"
                 )
-        if self.num_neighbors < 0:
-            raise ValueError(f"num_neighbors is {self.num_neighbors}, but must not be negative")
-        if not 0.0 < self.horizon_s < float("inf"):
-            raise ValueError(f"horizon_s is {self.horizon_s}, but must be positive and finite")
+        if not isinstance(self.num_neighbors, int) or self.num_neighbors < 0:
+            raise ValueError(
+                f"num_neighbors is {self.num_neighbors!r}, but must be an integer of at least 0"
+            )
+        if not isinstance(self.horizon_s, int | float) or not 0.0 < self.horizon_s < float("inf"):
+            raise ValueError(f"horizon_s is {self.horizon_s!r}, but must be positive and finite")
 
     @property
     def engine(self) -> str:

@@ -6,6 +6,7 @@ Every interface (PettingZoo, Gymnasium, Stable-Baselines3) is a thin view of thi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.actions import ACTIONS, check_range
+from swarm_envs.envs.actions import ACTIONS, check_actions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.flight import Flight
 from swarm_envs.envs.judge import Rules, judge, new_verdict
@@ -124,11 +125,11 @@ class SwarmCore:
         """
         where = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
         given = self._check_options(options or {})
-        generators = list(self.generators)
-        placements = {}
+        # Draws are made from copies: a refused reset leaves the generators where they were.
+        generators, placements = list(self.generators), {}
         for e in np.flatnonzero(where).tolist():
-            if seeds is not None and seeds[e] is not None:
-                generators[e] = np.random.default_rng(seeds[e])
+            seed = None if seeds is None else seeds[e]
+            generators[e] = deepcopy(generators[e]) if seed is None else np.random.default_rng(seed)
             placements[e] = self.task.place(generators[e], **given)
             for name in _RESET_OPTIONS:
                 radius = self.physics.parameters.radius[e]
@@ -155,9 +156,7 @@ class SwarmCore:
                 has changed then.
         """
         shape = (self.num_envs, self.num_drones, self.mode.width)
-        checked = check_array("actions", actions, shape, "(E, N, numbers per drone)")
-        check_range(self.mode, checked)
-        checked = np.ascontiguousarray(checked)
+        checked = check_actions(self.mode, actions, shape)
         flown = self.running.copy()
         self.mode.apply(checked, self.flight.pilot, flown, self.config.decision_s)
         self.flight.fly(self._substeps, flown)

@@ -73,7 +73,8 @@ def observation_layout(num_neighbors: int) -> tuple[Field, ...]:
     row; `self.body_rate` in the body frame; `self.setpoint_offset` from the drone to the
     controller's set-point (zero for `rotors`). Neighbours' and task positions are relative to the
     drone, a neighbour's velocity too; its `goal` is relative to itself. Where there are fewer than
-    K neighbours, `mask` is 0 and the rest zero.
+    K neighbours, `mask` is 0 and the rest zero. Where a task gives no reference, it rests at the
+    goal; that of a stacked swap never moves vertically.
     """
     groups: list[tuple[str, _Entries]] = [("self", _SELF)]
     groups += [(f"neighbor_{k}", _NEIGHBOR) for k in range(num_neighbors)]

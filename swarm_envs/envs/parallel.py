@@ -166,6 +166,11 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         return self.possible_agents.index(agent)
 
     def _join(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
+        if not isinstance(actions, Mapping):
+            raise TypeError(
+                f"actions are {type(actions).__name__}, but must be a dict with an action for each "
+                "of env.agents"
+            )
         if len(actions) != len(self.agents) or any(a not in actions for a in self.agents):
             self._refuse_agents(actions)
         width = self.core.mode.width

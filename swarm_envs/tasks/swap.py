@@ -104,6 +104,10 @@ class StackedLayout:
                     f"StackedLayout.{name} is {(low, high)}, but must be (low, high) with "
                     "0 < low <= high"
                 )
+        if not 0.0 < self.lowest_m < np.inf:
+            raise ValueError(
+                f"StackedLayout.lowest_m is {self.lowest_m}, but must be positive and finite"
+            )
 
 
 @dataclass(frozen=True)
@@ -132,10 +136,22 @@ class SwapTask(Task):
     def __post_init__(self) -> None:
         """Refuse an unknown layout, and weights of terms that do not exist."""
         check_name("layout", self.layout, LAYOUTS)
+        if self.layout == "stacked":
+            self._check_stack()
         for term, weight in self.reward_weights.items():
             check_name("reward term", term, REWARD_WEIGHTS)
             if not math.isfinite(weight):
                 raise ValueError(f"the weight of {term!r} is {weight}, but must be finite")
+
+    def _check_stack(self) -> None:
+        ranges, ceiling = self.stacked, self.arena[1, 2] - self.team[0].radius
+        top = ranges.lowest_m + ranges.gap_m[1] * (len(self.team) - 1)
+        if top > ceiling:
+            raise ValueError(
+                f"{len(self.team)} drones stacked from {ranges.lowest_m} m with gaps of up to "
+                f"{ranges.gap_m[1]} m reach {top:.2f} m, but the first of the team must stay below "
+                f"{ceiling:.2f} m; use fewer drones or stacked=StackedLayout(gap_m=...)"
+            )
 
     def place(
         self,

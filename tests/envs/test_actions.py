@@ -1,0 +1,211 @@
+"""What actions do: hover, limits, extrapolation, rotors, and vehicles other than the nominal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs import swap_v0
+from swarm_envs.agents import fly_episode
+from swarm_envs.baselines.neural_swarm import TrackingAgent
+from swarm_envs.baselines.neural_swarm.plain import PlainTrackingController, Target
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.interactions import load
+from swarm_envs.physics import bullet_available
+from swarm_envs.tasks.swap import StackedLayout
+from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle
+
+VEHICLES = {
+    "S": SMALL,
+    "L": LARGE,
+    "S*": SMALL_STRONG,
+    "light": replace(SMALL, mass=0.7 * SMALL.mass),
+    "heavy": replace(LARGE, mass=1.3 * LARGE.mass),
+}
+every_vehicle = pytest.mark.parametrize("vehicle", VEHICLES.values(), ids=VEHICLES)
+
+
+def lone(vehicle: Vehicle = SMALL, engine: str = "batch", **options: Any) -> SwarmParallelEnv:
+    """One drone in still air, 1 m high in the middle of the arena."""
+    env = swap_v0.parallel_env(team=[vehicle], physics=engine, interactions="none", **options)
+    env.reset(seed=1, options={"start": [[0.0, 0.0, 1.0]]})
+    return env
+
+
+def repeat(env: SwarmParallelEnv, action: list[float] | np.ndarray, steps: int) -> None:
+    for _ in range(steps):
+        env.step({"drone_0": np.array(action)})
+
+
+@every_vehicle
+def test_no_acceleration_hovers(vehicle, engine):
+    env = lone(vehicle, engine)
+    repeat(env, np.zeros(3, np.float32), 96)
+    np.testing.assert_allclose(env.view.state.position, [[0.0, 0.0, 1.0]], atol=1e-9)
+    env.close()
+
+
+@every_vehicle
+def test_rotors_at_hover_thrust_hover(vehicle, engine):
+    env = lone(vehicle, engine, action="rotors")
+    share = vehicle.mass * 9.80665 / vehicle.max_thrust
+    repeat(env, np.full(4, 2.0 * share - 1.0), 48)
+    np.testing.assert_allclose(env.view.state.position, [[0.0, 0.0, 1.0]], atol=1e-9)
+    env.close()
+
+
+@every_vehicle
+def test_follows_a_setpoint_after_a_disturbance(vehicle):
+    """The loop knows its vehicle's own mass: no offset remains."""
+    env = lone(vehicle, action="setpoint", horizon_s=30.0, end_on_success=False)
+    goal = np.zeros(14)
+    goal[:3] = 0.1, -0.1, 1.2
+    repeat(env, goal, 48 * 20)
+    np.testing.assert_allclose(env.view.state.position, [goal[:3]], atol=1e-3)
+
+
+def test_rotor_commands_are_a_share_of_the_largest_thrust():
+    env = lone(action="rotors")
+    repeat(env, [-1.0, 0.0, 0.5, 1.0], 1)
+    commands = env.core.flight.pilot.commands[0, 0]
+    expected = np.array([0.0, 0.5, 0.75, 1.0]) * SMALL.max_rotor_thrust
+    np.testing.assert_allclose(commands, expected, rtol=1e-15)
+    assert env.view.state.rotor_thrust[0, 0] < SMALL.hover_rotor_thrust < commands[3]
+
+
+def test_acceleration_moves_the_setpoint():
+    env = lone()
+    repeat(env, [0.6, 0.0, -0.2], 1)
+    a, t = np.array([3.0, 0.0, -1.0]), 1 / 48
+    np.testing.assert_allclose(env.view.setpoint.velocity[0], a * t, atol=1e-15)
+    np.testing.assert_allclose(env.view.setpoint.position[0], [0, 0, 1] + a * t**2 / 2, atol=1e-15)
+    repeat(env, [0.0, 0.0, 0.0], 1)
+    np.testing.assert_allclose(env.view.setpoint.velocity[0], a * t, atol=1e-15)
+
+
+def test_setpoints_stay_below_the_speed_limit():
+    env = lone(horizon_s=100.0)
+    rng = np.random.default_rng(0)
+    env.reset(seed=1, options={"start": [[-1.5, 0.0, 1.0]]})
+    fastest = 0.0
+    for _ in range(60):  # full ahead until the limit, then turning at it
+        repeat(env, [1.0, rng.uniform(-0.2, 0.2), 0.0], 1)
+        assert env.agents
+        speed = float(np.linalg.norm(env.view.setpoint.velocity[0]))
+        assert speed <= 2.0 + 1e-12
+        fastest = max(fastest, speed)
+        assert np.linalg.norm(env.view.state.velocity[0]) < 2.6  # the drone follows, with overshoot
+    assert fastest == pytest.approx(2.0, abs=1e-9)
+    assert np.linalg.norm(env.view.state.velocity[0]) > 1.7
+
+
+def test_setpoint_extrapolates_with_its_jerk():
+    rng = np.random.default_rng(3)
+    action = rng.uniform(-0.5, 0.5, 14)
+    action[2] += 1.0
+    for rate in (240, 48, 10):
+        env = lone(action="setpoint", decision_rate=rate)
+        repeat(env, action, 1)
+        t, (p, v, a, j) = 1 / rate, action[:12].reshape(4, 3)
+        setpoint = env.view.setpoint
+        expected = p + v * t + a * t**2 / 2 + j * t**3 / 6
+        np.testing.assert_allclose(setpoint.position[0], expected, atol=1e-14)
+        np.testing.assert_allclose(setpoint.velocity[0], v + a * t + j * t**2 / 2, atol=1e-14)
+        np.testing.assert_allclose(setpoint.acceleration[0], a + j * t, atol=1e-14)
+        np.testing.assert_allclose(setpoint.yaw[0], action[12] + action[13] * t, atol=1e-14)
+
+
+def crossing(action: str, engine: str, belief: str | None = None) -> SwarmParallelEnv:
+    """Two small drones and a strong one cross in a stack, wind on; decisions at 240 Hz."""
+    feedforward = None if belief is None else load(belief)
+    return swap_v0.parallel_env(
+        team="SLS*",
+        layout="stacked",
+        physics=engine,
+        action=action,
+        decision_rate=240,
+        controller=ControllerConfig(feedforward=feedforward),
+        stacked=StackedLayout(radius_m=(0.5, 0.5), duration_s=(3.0, 3.0)),
+        end_on_success=False,
+        horizon_s=3.5,
+    )
+
+
+def plain_commands(
+    env: SwarmParallelEnv, loops: list[PlainTrackingController], belief: str | None
+) -> dict[str, np.ndarray]:
+    view = env.view
+    state, reference = view.state, view.reference(view.time)
+    force = np.zeros((len(loops), 3))
+    if belief is not None:
+        force = load(belief).forces(state.position[None], state.velocity[None], view.team)[0]
+    actions = {}
+    for i, (agent, loop) in enumerate(zip(env.agents, loops, strict=True)):
+        target = Target(reference.position[i], reference.velocity[i], reference.acceleration[i])
+        p, v, q, w = (array[i] for array in state[:4])
+        command = loop.commands(p, v, q, w, target, force[i])
+        actions[agent] = 2.0 * command / loop.vehicle.max_rotor_thrust - 1.0
+    return actions
+
+
+@pytest.mark.parametrize("belief", [None, "wake"])
+def test_plain_loop_through_rotors_flies_like_the_compiled_one(belief):
+    """Design: a plain reference of the loop, flying through `rotors` at 240 Hz, to 1e-9."""
+    agent = TrackingAgent(decision_rate=240)
+    own, rotors = crossing("setpoint", "batch", belief), crossing("rotors", "batch", belief)
+    observations, _ = own.reset(seed=6)
+    rotors.reset(seed=6)
+    agent.reset(own, 6)
+    loops = [PlainTrackingController(vehicle) for vehicle in own.view.team]
+    worst, force = 0.0, 0.0
+    while own.agents and rotors.agents:
+        rotors.step(plain_commands(rotors, loops, belief))
+        observations = own.step(agent.act(observations, own.view))[0]
+        for ours, theirs in zip(own.view.state, rotors.view.state, strict=True):
+            worst = max(worst, np.abs(ours - theirs).max())
+        force = max(force, np.abs(own.view.force[:, 2]).max())
+    assert own.agents == rotors.agents == []
+    assert own.core.metrics()["length_s"] == pytest.approx(3.5)
+    assert force > 0.02  # newton: they did blow on each other
+    assert worst < 1e-9
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+@pytest.mark.parametrize("action", ["setpoint", "acceleration"])
+def test_engines_agree_until_the_first_contact(action):
+    envs = [crossing(action, engine) for engine in ("batch", "bullet")]
+    agent, rng = TrackingAgent(decision_rate=240), np.random.default_rng(2)
+    first, second = (env.reset(seed=3)[0] for env in envs)
+    agent.reset(envs[0], 3)
+    steps = 0
+    while envs[0].agents:
+        rows = rng.uniform(-0.2, 0.2, (3, 3)).astype(np.float32)
+        actions = dict(zip(envs[0].agents, rows, strict=True))
+        if action == "setpoint":
+            actions = agent.act(first, envs[0].view)
+        (first, rewards, *_), (second, others, *_) = (env.step(actions) for env in envs)
+        if envs[0].core.physics.contact.any():
+            break
+        for ours, theirs in zip(envs[0].view.state, envs[1].view.state, strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-9, rtol=0)
+        for name, row in first.items():
+            np.testing.assert_allclose(row, second[name], atol=1e-6)
+            assert rewards[name] == pytest.approx(others[name], abs=1e-8)
+        steps += 1
+    assert steps >= 480
+    envs[1].close()
+
+
+def test_lone_drone_flies_alone_whatever_the_model():
+    """`fly_episode` with the tracking agent: a drone that nobody blows on follows closely."""
+    env = swap_v0.parallel_env(
+        team="S", layout="stacked", physics="batch", **dict[str, Any](TrackingAgent().requires)
+    )
+    metrics = fly_episode(env, TrackingAgent(), seed=1)
+    assert metrics["success"]
+    assert 0.0 < metrics["worst_tracking_error_m"] < 0.05
+    assert metrics["minimum_separation_m"] is None

@@ -1,0 +1,147 @@
+"""Many environments at once: each is the single one with the same seed, to the last bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.vehicles import parse_team
+
+SEEDS = (3, 14, 15, 92)
+STEPS = 120
+
+
+def cores(engine: str, num_envs: int, team: str = "LSS*", **options: object) -> SwarmCore:
+    layout = str(options.pop("layout", "random"))
+    config = EnvConfig(physics=engine, **options)  # type: ignore[arg-type]  # by name
+    return SwarmCore(SwapTask(team=parse_team(team), layout=layout), config, num_envs)
+
+
+def everything(core: SwarmCore) -> list[np.ndarray]:
+    """Copies of all arrays (E, ...) that change over an episode."""
+    groups = (
+        core.physics.state,
+        core.physics.contacts,
+        core.flight.pilot.setpoint,
+        core.flight.pilot.memory,
+        core.flight.tally,
+        core.mission,
+        core.record,
+        core.verdict,
+        (core.time, core.running, core.physics.force, core.flight.pilot.commands),
+    )
+    return [array.copy() for group in groups for array in group]
+
+
+def check_same(one: SwarmCore, many: SwarmCore, e: int) -> None:
+    for single, batch in zip(everything(one), everything(many), strict=True):
+        np.testing.assert_array_equal(single[0], batch[e])
+
+
+def check_results(one: StepResult, many: StepResult, e: int) -> None:
+    np.testing.assert_array_equal(one.observations[0], many.observations[e])
+    np.testing.assert_array_equal(one.rewards[0], many.rewards[e])
+    np.testing.assert_array_equal(one.reward_terms[:, 0], many.reward_terms[:, e])
+    assert one.terminated[0] == many.terminated[e]
+    assert one.truncated[0] == many.truncated[e]
+
+
+@pytest.mark.parametrize("action", ["acceleration", "rotors"])
+def test_each_environment_of_a_batch_is_the_single_one(engine, action):
+    """With resets of those that end, each by itself, going on with its own generator."""
+    many = cores(engine, len(SEEDS), action=action)
+    ones = [cores(engine, 1, action=action) for _ in SEEDS]
+    rows = many.reset(SEEDS).copy()
+    for e, (one, seed) in enumerate(zip(ones, SEEDS, strict=True)):
+        np.testing.assert_array_equal(one.reset([seed])[0], rows[e])
+    rng, resets = np.random.default_rng(0), 0
+    for _ in range(STEPS):
+        actions = rng.uniform(-1, 1, (len(SEEDS), 3, many.mode.width))
+        result = many.step(actions)
+        singles = [one.step(actions[e : e + 1]) for e, one in enumerate(ones)]
+        for e, single in enumerate(singles):
+            check_results(single, result, e)
+            check_same(ones[e], many, e)
+        over = result.terminated | result.truncated
+        np.testing.assert_array_equal(over, ~many.running)
+        if over.any():
+            rows = many.reset(mask=over).copy()
+            for e in np.flatnonzero(over).tolist():
+                np.testing.assert_array_equal(ones[e].reset()[0], rows[e])
+                resets += 1
+    assert resets >= 2
+    for e, one in enumerate(ones):
+        assert one.metrics() == many.metrics(e)
+        one.close()
+    many.close()
+
+
+@pytest.mark.parametrize("layout", ["random", "stacked"])
+def test_masked_reset_leaves_the_others_untouched(engine, layout):
+    core = cores(engine, 3, layout=layout)
+    core.reset([1, 2, 3])
+    for _ in range(10):
+        core.step(np.full((3, 3, 3), 0.1))
+    before = everything(core)
+    generators = [g.bit_generator.state for g in core.generators]
+    core.reset(mask=np.array([False, True, False]))
+    for then, now in zip(before, everything(core), strict=True):
+        np.testing.assert_array_equal(now[[0, 2]], then[[0, 2]])
+    assert core.time.tolist() == [pytest.approx(10 / 48), 0.0, pytest.approx(10 / 48)]
+    states = [g.bit_generator.state for g in core.generators]
+    assert [a == b for a, b in zip(generators, states, strict=True)] == [True, False, True]
+    core.close()
+
+
+def test_ended_environments_stay_as_they_ended():
+    core = cores("batch", 2, horizon_s=1.0)
+    core.reset([1, 2])
+    core.step(np.zeros((2, 3, 3)))
+    core.reset([7, None], mask=np.array([True, False]))  # the second is one decision ahead
+    for _ in range(47):
+        result = core.step(np.zeros((2, 3, 3)))
+    assert result.truncated.tolist() == [False, True]
+    assert core.running.tolist() == [True, False]
+    ended = everything(core)
+    result = core.step(np.full((2, 3, 3), 0.5))
+    for then, now in zip(ended, everything(core), strict=True):
+        np.testing.assert_array_equal(now[1], then[1])
+    assert result.rewards[1].tolist() == [0.0, 0.0, 0.0]
+    assert result.rewards[0].any()
+
+
+def test_layout_of_memory_does_not_matter():
+    """Compiled entries take C order: other arrays must be brought into it."""
+    results = []
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-0.5, 0.5, (2, 3, 3))
+    frozen = actions.copy()
+    frozen.flags.writeable = False
+    for given in (actions, np.asfortranarray(actions), frozen, actions.tolist()):
+        core = cores("batch", 2)
+        core.reset([1, 2])
+        results.append(core.step(given).observations.copy())
+        results.append(core.step(given).observations.copy())
+    for k in range(2, len(results)):
+        np.testing.assert_array_equal(results[k], results[k % 2])
+
+
+@pytest.mark.parametrize("force_rate", [120, 48, 24])
+def test_force_is_held_between_its_evaluations(force_rate):
+    """In between it is the same array; at its rate it is the model's at the state before."""
+    core = cores("batch", 1, layout="stacked", decision_rate=240, force_rate=force_rate)
+    core.reset([1])
+    hold, forces = 240 // force_rate, []
+    for k in range(4 * hold):
+        state = core.physics.state.copy()
+        core.step(np.zeros((1, 3, 3)))
+        forces.append(core.physics.force.copy())
+        model = core.physics.interactions
+        if k % hold == 0:
+            now = model.forces(state.position, state.velocity, "LSS*")
+            np.testing.assert_allclose(forces[-1], now, atol=1e-15)
+        else:
+            np.testing.assert_array_equal(forces[-1], forces[-2])

@@ -1,0 +1,262 @@
+"""How episodes end, what rewards are made of, what metrics say."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs import swap_v0
+from swarm_envs.agents import fly_episode
+from swarm_envs.baselines.neural_swarm import TrackingAgent
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.tasks.swap import REWARD_WEIGHTS, StackedLayout
+from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL
+
+Infos = dict[str, dict[str, Any]]
+BOUNDS = dict.fromkeys(REWARD_WEIGHTS, (0.0, 1.0)) | {"progress": (-1.0, 1.0)}
+
+
+def fly(
+    env: SwarmParallelEnv, start: Sequence[Sequence[float]], actions: Sequence[Sequence[float]]
+) -> tuple[Infos, list[dict[str, float]]]:
+    """Fly from the start with the same actions until the end; the last infos and all rewards."""
+    env.reset(seed=1, options={"start": start})
+    rows = dict(zip(env.agents, np.array(actions, np.float32), strict=True))
+    rewards = []
+    while True:
+        _, reward, terminated, truncated, infos = env.step(rows)
+        rewards.append(reward)
+        assert len(set(terminated.values())) == len(set(truncated.values())) == 1
+        assert not any(terminated[a] and truncated[a] for a in rows)
+        assert set(terminated) == set(truncated) == set(infos) == set(reward) == set(rows)
+        over = terminated["drone_0"] or truncated["drone_0"]
+        assert (env.agents == []) == over
+        assert all(("episode_metrics" in info) == over for info in infos.values())
+        if over:
+            env.close()
+            return infos, rewards
+
+
+def contacts(infos: Infos) -> list[tuple[object, bool, bool]]:
+    return [tuple(info["contact"].values()) for info in infos.values()]
+
+
+def check_crash(infos: Infos, rewards: list[dict[str, float]], crashed: list[bool]) -> None:
+    """Only the drones that crashed are punished, once; the team has not succeeded."""
+    for hit, (agent, info) in zip(crashed, infos.items(), strict=True):
+        assert info["reward_terms"]["crash"] == float(hit)
+        assert info["reward_terms"]["success"] == 0.0
+        assert (rewards[-1][agent] < -0.9) == hit
+        assert rewards[0][agent] > -0.9
+    assert not infos["drone_0"]["episode_metrics"]["success"]
+
+
+def test_collision(engine):
+    env = swap_v0.parallel_env(team="SLS", physics=engine)
+    start: list[list[float]] = [[-0.2, 0, 1], [0.2, 0, 1], [1, 1, 1]]
+    infos, rewards = fly(env, start, [[1, 0, 0], [-1, 0, 0], [0, 0, 0]])
+    others = [touched for touched, floor, wall in contacts(infos) if not floor and not wall]
+    assert others == ["drone_1", "drone_0", None]
+    proximity = [info["reward_terms"]["proximity"] for info in infos.values()]
+    assert proximity == [1.0, 1.0, 0.0]
+    check_crash(infos, rewards, [True, True, False])
+    metrics = infos["drone_0"]["episode_metrics"]
+    assert metrics["collided_drones"] == 2
+    assert metrics["collided_floor"] == metrics["collided_wall"] == metrics["tumbled"] == 0
+    touching = SMALL.radius + LARGE.radius
+    assert 0.8 * touching < metrics["minimum_separation_m"] < touching
+    assert metrics["length_s"] == pytest.approx(len(rewards) / 48)
+
+
+def test_floor(engine):
+    env = swap_v0.parallel_env(team="SS", physics=engine)
+    infos, rewards = fly(env, [[0, 0, 0.2], [1, 1, 1]], [[0, 0, -1], [0, 0, 0]])
+    assert contacts(infos) == [(None, True, False), (None, False, False)]
+    check_crash(infos, rewards, [True, False])
+    assert infos["drone_1"]["episode_metrics"]["collided_floor"] == 1
+
+
+@pytest.mark.parametrize("direction", [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]])
+def test_walls_and_ceiling(direction):
+    env = swap_v0.parallel_env(team="SS", physics="batch")
+    near = np.array([0.0, 0.0, 1.0]) + np.array(direction) * [1.8, 1.8, 1.3]
+    infos, rewards = fly(env, [near.tolist(), [1, 1, 1]], [direction, [0, 0, 0]])
+    assert contacts(infos) == [(None, False, True), (None, False, False)]
+    check_crash(infos, rewards, [True, False])
+    assert infos["drone_0"]["episode_metrics"]["collided_wall"] == 1
+
+
+def test_tumbling(engine):
+    env = swap_v0.parallel_env(team="SS", physics=engine, action="rotors")
+    hover = [2 * SMALL.hover_rotor_thrust / SMALL.max_rotor_thrust - 1] * 4
+    infos, rewards = fly(env, [[0, 0, 1], [1, 1, 1]], [[1, 1, -1, -1], hover])
+    assert contacts(infos) == [(None, False, False)] * 2
+    check_crash(infos, rewards, [True, False])
+    assert infos["drone_0"]["episode_metrics"]["tumbled"] == 1
+
+
+def test_the_clock_truncates(engine):
+    env = swap_v0.parallel_env(team="SS", physics=engine, horizon_s=1.5)
+    infos, rewards = fly(env, [[0, 0, 1], [1, 1, 1]], [[0, 0, 0]] * 2)
+    assert len(rewards) == 72
+    metrics = infos["drone_0"]["episode_metrics"]
+    assert metrics["length_s"] == pytest.approx(1.5)
+    assert metrics["time_to_goal_s"] is None
+    assert contacts(infos) == [(None, False, False)] * 2
+
+
+def stacked(agent: TrackingAgent, **options: Any) -> SwarmParallelEnv:
+    layout = StackedLayout(radius_m=(0.5, 0.5), duration_s=(3.0, 3.0))
+    fixed = {"layout": "stacked", "stacked": layout, "physics": "batch", **agent.requires}
+    return swap_v0.parallel_env(**{**fixed, **options})
+
+
+def watched(
+    env: SwarmParallelEnv, agent: TrackingAgent, record: Callable[[SwarmParallelEnv], Any]
+) -> tuple[dict[str, Any], list[Any]]:
+    """Fly an episode; its metrics, and what `record` gave after the reset and every step."""
+    log: list[Any] = []
+    metrics = fly_episode(env, agent, seed=4, watch=lambda env: log.append(record(env)))
+    return metrics, log
+
+
+def test_success_ends_the_episode_after_the_hold(engine):
+    agent = TrackingAgent()
+    env = stacked(agent, team="SS", physics=engine, interactions="none")
+
+    def farthest(env: SwarmParallelEnv) -> float:
+        view = env.view
+        return np.linalg.norm(view.state.position - view.goals, axis=1).max()
+
+    metrics, distance = watched(env, agent, farthest)
+    assert metrics["success"]
+    inside = np.array(distance) < 0.10
+    assert inside[-24:].all()  # 0.5 s at 48 Hz
+    assert not inside[-25]
+    assert metrics["length_s"] == pytest.approx((len(distance) - 1) / 48)
+    assert metrics["time_to_goal_s"] == pytest.approx(metrics["length_s"] - 23 / 48)
+    env.close()
+
+
+def test_success_is_rewarded_once_and_may_go_on():
+    agent = TrackingAgent()
+    env = stacked(agent, team="SS", interactions="none", end_on_success=False, horizon_s=5.0)
+    observations, _ = env.reset(seed=4)
+    agent.reset(env, 4)
+    given = dict.fromkeys(env.agents, 0.0)
+    while env.agents:
+        observations, _, terminated, truncated, infos = env.step(agent.act(observations, env.view))
+        for name, info in infos.items():
+            given[name] += info["reward_terms"]["success"]
+    assert given == {"drone_0": 1.0, "drone_1": 1.0}
+    assert all(truncated.values())
+    assert not any(terminated.values())
+    assert infos["drone_1"]["episode_metrics"]["success"]
+    assert infos["drone_1"]["episode_metrics"]["length_s"] == pytest.approx(5.0)
+
+
+def test_rewards_are_the_weighted_sum_of_bounded_terms():
+    weights = {"progress": 0.3, "tracking": 0.7, "effort": -0.2}
+    env = swap_v0.parallel_env(team="LSS*", physics="batch", reward_weights=weights)
+    full = {**REWARD_WEIGHTS, **weights}
+    rng = np.random.default_rng(0)
+    seen: dict[str, list[float]] = {name: [] for name in full}
+    for seed in range(15):
+        env.reset(seed=seed)
+        while env.agents:
+            actions = {a: rng.uniform(-1, 1, 3).astype(np.float32) for a in env.agents}
+            before = np.linalg.norm(env.view.goals - env.view.state.position, axis=1)
+            _, rewards, _, _, infos = env.step(actions)
+            after = np.linalg.norm(env.view.goals - env.view.state.position, axis=1)
+            for i, (agent, info) in enumerate(infos.items()):
+                terms = info["reward_terms"]
+                assert list(terms) == list(full)
+                assert rewards[agent] == pytest.approx(sum(full[n] * terms[n] for n in full))
+                assert terms["effort"] == pytest.approx(np.mean(actions[agent] ** 2.0))
+                assert terms["at_goal"] == pytest.approx(np.exp(-((after[i] / 0.15) ** 2)))
+                expected = np.clip((before[i] - after[i]) * 48 / 2.0, -1, 1)
+                assert terms["progress"] == pytest.approx(expected, abs=1e-12)
+                for name, value in terms.items():
+                    seen[name].append(value)
+    for name, values in seen.items():
+        low, high = BOUNDS[name]
+        assert low <= min(values) <= max(values) <= high
+    assert min(seen["progress"]) < 0 < max(seen["progress"])
+    assert max(seen["crash"]) == 1.0
+
+
+def test_metrics_against_a_logged_flight(engine):
+    """Decisions at 240 Hz, so that the log holds every physics step."""
+    agent = TrackingAgent(decision_rate=240)
+    env = stacked(agent, team="LSS", physics=engine, end_on_success=False, horizon_s=3.5)
+
+    def record(env: SwarmParallelEnv) -> tuple[np.ndarray, ...]:
+        view = env.view
+        reference = view.reference(view.time).position
+        state = view.state
+        arrays = (state.position, reference, view.force, state.rotor_thrust)
+        return tuple(array.copy() for array in arrays)
+
+    metrics, log = watched(env, agent, record)
+    position, reference, force, thrust = (np.array(column) for column in zip(*log, strict=True))
+    error = np.linalg.norm(position - reference, axis=2)[1:]
+    height = np.abs(position - reference)[1:, :, 2]
+    assert metrics["worst_tracking_error_m"] == pytest.approx(error.max())
+    assert metrics["rms_tracking_error_m"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert metrics["worst_height_error_m"] == pytest.approx(height.max())
+    assert metrics["worst_height_error_by_drone_m"] == pytest.approx(height.max(axis=0))
+    assert metrics["worst_tracking_error_by_drone_m"] == pytest.approx(error.max(axis=0))
+
+    pairs = [(0, 1), (0, 2), (1, 2)]
+    apart = [np.linalg.norm(position[1:, i] - position[1:, j], axis=1).min() for i, j in pairs]
+    assert metrics["minimum_separation_m"] == pytest.approx(min(apart))
+    radius = [vehicle.radius for vehicle in env.view.team]
+    reach = [radius[i] + radius[j] for i, j in pairs]
+    share = dict(zip(pairs, np.array(apart) / reach, strict=True))
+    assert min(share.values()) >= 1.0
+    near = {i for pair, ratio in share.items() if ratio < 1.5 for i in pair}
+    assert metrics["near_misses"] == len(near)
+
+    strongest = np.linalg.norm(force, axis=2).max()
+    assert metrics["worst_force_g"] == pytest.approx(strongest / GRAM_FORCE)
+    assert metrics["worst_force_g"] > 3.0
+    area = np.array([np.pi * vehicle.rotor_radius**2 for vehicle in env.view.team])
+    power = thrust[:-1] ** 1.5 / np.sqrt(2 * 1.225 * area[:, None])  # momentum theory
+    assert metrics["energy_j"] == pytest.approx(power.sum() / 240)
+    there = np.linalg.norm(position - env.view.goals, axis=2) < 0.10
+    arrival = 1 + np.flatnonzero(~there.all(axis=1)).max() if there[-1].all() else None
+    if arrival is None:
+        assert metrics["time_to_goal_s"] is None
+    else:
+        assert metrics["time_to_goal_s"] == pytest.approx(arrival / 240)
+    assert 0.0 <= metrics["fraction_outside_measured_range"] <= 1.0
+    env.close()
+
+
+def test_separation_counts_what_happens_between_decisions():
+    """Seen at 240 Hz, whatever the decision rate."""
+    closest = []
+    for rate in (240, 10):
+        env = swap_v0.parallel_env(team="SS", physics="batch", decision_rate=rate, horizon_s=0.6)
+        start = [[-0.3, -0.15, 1.0], [0.3, 0.15, 1.0]]
+        infos, _ = fly(env, start, [[1, 0, 0], [-1, 0, 0]])
+        closest.append(infos["drone_0"]["episode_metrics"]["minimum_separation_m"])
+    assert closest[0] == pytest.approx(closest[1], abs=2e-3)
+
+
+def test_forces_outside_the_measured_range_are_counted():
+    """A lone drone's input is its speed: the share of steps flown faster than what was measured."""
+    env = swap_v0.parallel_env(team="S", physics="batch", decision_rate=240, horizon_s=1.0)
+    fastest = env.core.physics.interactions.notes["input_range"]["environment"][1][1]
+    for action, some in ((0.0, False), (1.0, True)):
+        env.reset(seed=1, options={"start": [[-1.0, 0.0, 1.0]]})
+        speeds = []
+        while env.agents:
+            speeds.append(abs(env.view.state.velocity[0, 0]))
+            infos = env.step({"drone_0": [action, 0.0, 0.0]})[-1]
+        share = infos["drone_0"]["episode_metrics"]["fraction_outside_measured_range"]
+        assert share == pytest.approx(np.mean(np.array(speeds) > fastest))
+        assert (share > 0.2) == some

@@ -1,0 +1,149 @@
+"""Every field of an observation against numbers computed from the true state in another way."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from swarm_envs import swap_v0
+from swarm_envs.envs.observation import Field, observation_layout
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.vehicles import VEHICLES
+
+TEAM = "LSS*SL"
+TYPES = list(VEHICLES)
+
+
+def shaken(
+    seed: int = 2, steps: int = 20, **options: Any
+) -> tuple[SwarmParallelEnv, dict[str, Any]]:
+    """An environment after some random accelerations, and what was observed there."""
+    env = swap_v0.parallel_env(**{"team": TEAM, "physics": "batch", **options})
+    observations, _ = env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    mode = env.core.mode
+    for _ in range(steps):
+        shape = (len(env.agents), mode.width)
+        actions = rng.uniform(-1, 1, shape) if mode.name != "rotors" else rng.normal(0, 0.1, shape)
+        observations = env.step(dict(zip(env.agents, actions, strict=True)))[0]
+        assert env.agents
+    return env, observations
+
+
+def fields(env: SwarmParallelEnv, row: np.ndarray) -> dict[str, np.ndarray]:
+    """The named fields of a row in their units."""
+    return {f.name: row[f.where].astype(float) * f.scale for f in env.observation_layout}
+
+
+def near(actual: np.ndarray, expected: np.ndarray | float) -> None:
+    np.testing.assert_allclose(actual, expected, rtol=3e-7, atol=3e-7)
+
+
+@pytest.mark.parametrize("num_neighbors", [0, 1, 3, 7])
+def test_layout_covers_the_row_without_gaps(num_neighbors):
+    layout = observation_layout(num_neighbors)
+    env = swap_v0.parallel_env(team="LS", physics="batch", num_neighbors=num_neighbors)
+    assert env.observation_layout == layout
+    covered = [k for field in layout for k in range(field.where.start, field.where.stop)]
+    assert covered == list(range(env.observation_space("drone_0").shape[0]))
+    assert len({field.name for field in layout}) == len(layout)
+    assert sum(field.name.startswith("neighbor_") for field in layout) == 5 * num_neighbors
+    assert all(isinstance(field, Field) and field.scale > 0 for field in layout)
+
+
+def test_self(engine):
+    env, observations = shaken(physics=engine)
+    state = env.view.state
+    for i, agent in enumerate(env.agents):
+        seen, vehicle = fields(env, observations[agent]), env.view.team[i]
+        turn = Rotation.from_quat(state.quaternion[i].copy())
+        near(seen["self.position"], state.position[i])
+        near(seen["self.velocity"], state.velocity[i])
+        near(seen["self.attitude"], turn.as_matrix().ravel())
+        rate = turn.inv().apply(state.angular_velocity[i].copy())
+        np.testing.assert_allclose(seen["self.body_rate"], rate, rtol=1e-6, atol=3e-6)
+        near(seen["self.thrust"], state.rotor_thrust[i].sum() / vehicle.max_thrust)
+        near(seen["self.setpoint_offset"], env.view.setpoint.position[i] - state.position[i])
+        assert seen["self.type"].tolist() == [float(t == vehicle.token) for t in TYPES]
+    assert np.abs(state.angular_velocity).max() > 0.5  # the flight was shaken
+    env.close()
+
+
+@pytest.mark.parametrize("num_neighbors", [2, 3, 6])
+def test_neighbors(num_neighbors):
+    env, observations = shaken(num_neighbors=num_neighbors)
+    state, goals = env.view.state, env.view.goals
+    for i, agent in enumerate(env.agents):
+        seen = fields(env, observations[agent])
+        distance = np.linalg.norm(state.position - state.position[i], axis=1)
+        others = [j for j in np.argsort(distance) if j != i][:num_neighbors]
+        for k, j in enumerate(others):
+            near(seen[f"neighbor_{k}.position"], state.position[j] - state.position[i])
+            near(seen[f"neighbor_{k}.velocity"], state.velocity[j] - state.velocity[i])
+            near(seen[f"neighbor_{k}.goal"], goals[j] - state.position[j])
+            expected = [float(t == env.view.team[j].token) for t in TYPES]
+            assert seen[f"neighbor_{k}.type"].tolist() == expected
+            assert seen[f"neighbor_{k}.mask"] == [1.0]
+        for k in range(len(others), num_neighbors):
+            for name in ("position", "velocity", "goal", "type", "mask"):
+                assert not seen[f"neighbor_{k}.{name}"].any()
+
+
+def test_neighbors_that_leave_are_forgotten():
+    """Rows are written into a buffer: nothing of the last step may stay behind."""
+    env = swap_v0.parallel_env(team="S", physics="batch")
+    observations, _ = env.reset(seed=1)
+    for k in range(3):
+        assert fields(env, observations["drone_0"])[f"neighbor_{k}.mask"] == [0.0]
+    assert env.observation_space("drone_0").shape == (22 + 3 + 3 * 13 + 13,)
+
+
+@pytest.mark.parametrize("layout", ["random", "stacked"])
+def test_task(layout):
+    env, observations = shaken(team="LSS*", layout=layout, horizon_s=5.0)
+    view = env.view
+    reference = view.reference(view.time)
+    for i, agent in enumerate(env.agents):
+        seen, p = fields(env, observations[agent]), view.state.position[i]
+        near(seen["task.goal"], view.goals[i] - p)
+        near(seen["task.reference_position"], reference.position[i] - p)
+        near(seen["task.reference_velocity"], reference.velocity[i])
+        near(seen["task.reference_acceleration"], reference.acceleration[i])
+        near(seen["task.time_left"], 1.0 - view.time / 5.0)
+    assert view.time == pytest.approx(20 / 48)
+    moving = np.abs(reference.velocity).max() > 0.01
+    assert moving == (layout == "stacked")
+
+
+def test_rotors_have_no_setpoint():
+    env, observations = shaken(action="rotors", steps=3)
+    for agent in env.agents:
+        assert not fields(env, observations[agent])["self.setpoint_offset"].any()
+
+
+def constants(layout: str) -> set[str]:
+    """Fields, with index, that are the same number in every observation of 20 flights."""
+    rows = []
+    for seed in range(20):
+        env, observations = shaken(seed, steps=5, layout=layout, team="LSS*S")
+        rows += [observations[agent] for agent in env.agents]
+        observations = env.step({agent: np.ones(3, np.float32) for agent in env.agents})[0]
+        rows += [observations[agent] for agent in observations]
+    still = np.ptp(np.array(rows), axis=0) == 0.0
+    return {
+        f"{field.name}[{k - field.where.start}]"
+        for field in env.observation_layout
+        for k in range(field.where.start, field.where.stop)
+        if still[k]
+    }
+
+
+def test_nothing_constant_but_what_is_documented():
+    masks = {f"neighbor_{k}.mask[0]" for k in range(3)}  # four drones: three neighbours, always
+    still = {f"task.reference_{what}[2]" for what in ("velocity", "acceleration")}
+    assert constants("stacked") == masks | still
+    horizontal = {name.replace("[2]", f"[{k}]") for name in still for k in range(2)}
+    assert constants("random") == masks | still | horizontal

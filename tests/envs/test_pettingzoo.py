@@ -1,0 +1,161 @@
+"""PettingZoo's contract: its own test, spaces, seeds, the same bytes for the same seed."""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import warnings
+
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+import swarm_envs
+from swarm_envs import swap_v0
+from swarm_envs.envs.parallel import SwarmParallelEnv
+
+STEPS = 500
+
+
+def flight_hash(env: SwarmParallelEnv, seed: int = 11) -> str:
+    """SHA-256 of everything that 500 steps of sampled actions give, resets included."""
+    digest = hashlib.sha256()
+    observations, _ = env.reset(seed=seed)
+    for i, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(seed + i)
+    episodes = 0
+    for _ in range(STEPS):
+        if not env.agents:
+            observations, _ = env.reset()
+            episodes += 1
+        actions = {agent: env.action_space(agent).sample() for agent in env.agents}
+        observations, rewards, *ends, infos = env.step(actions)
+        for agent in env.possible_agents:
+            digest.update(observations[agent].tobytes())
+            digest.update(np.float64(rewards[agent]).tobytes())
+            digest.update(repr((ends, infos[agent])).encode())
+        for array in env.view.state:
+            digest.update(array.tobytes())
+    assert episodes >= 1  # random flight must have ended before the last step
+    return digest.hexdigest()
+
+
+@pytest.mark.parametrize("action", ["acceleration", "rotors", "setpoint"])
+def test_api(engine, action):
+    env = swap_v0.parallel_env(team="LS", physics=engine, action=action)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(env, num_cycles=300)
+        env.reset(seed=5)
+        parallel_api_test(env, num_cycles=100)
+    env.close()
+
+
+def test_seeds(engine):
+    parallel_seed_test(lambda: swap_v0.parallel_env(num_drones=2, physics=engine), 100)
+
+
+def test_same_bytes_after_reset_with_the_same_seed(engine):
+    env = swap_v0.parallel_env(team="LSS*", physics=engine)
+    first = flight_hash(env)
+    assert flight_hash(env) == first
+    assert flight_hash(env, seed=12) != first
+    env.close()
+
+
+def test_same_bytes_in_two_processes(engine):
+    script = (
+        "import importlib.util; from swarm_envs import swap_v0\n"
+        f"spec = importlib.util.spec_from_file_location('here', {__file__!r})\n"
+        "here = importlib.util.module_from_spec(spec); spec.loader.exec_module(here)\n"
+        f"print(here.flight_hash(swap_v0.parallel_env(team='LSS*', physics={engine!r})))"
+    )
+    command = [sys.executable, "-c", script]
+    runs = [subprocess.Popen(command, stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    first, second = (run.communicate()[0].split()[-1] for run in runs)
+    assert all(run.returncode == 0 for run in runs)
+    assert first == second
+    env = swap_v0.parallel_env(team="LSS*", physics=engine)
+    assert flight_hash(env) == first
+    env.close()
+
+
+def test_reset_without_a_seed_goes_on_with_the_generator():
+    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    starts = []
+    for seed in (4, None, None, 4, None):
+        env.reset(seed=seed)
+        starts.append(env.view.state.position.copy())
+    np.testing.assert_array_equal(starts[0], starts[3])
+    np.testing.assert_array_equal(starts[1], starts[4])
+    assert not np.array_equal(starts[0], starts[1])
+    assert not np.array_equal(starts[1], starts[2])
+
+
+def test_unseeded_environments_differ():
+    starts = []
+    for _ in range(2):
+        env = swap_v0.parallel_env(num_drones=2, physics="batch")
+        env.reset()
+        starts.append(env.view.state.position.copy())
+    assert not np.array_equal(starts[0], starts[1])
+
+
+def test_spaces_are_the_same_objects_at_every_call():
+    env = swap_v0.parallel_env(num_drones=3, physics="batch")
+    for agent in env.possible_agents:
+        assert env.action_space(agent) is env.action_space(agent)
+        assert env.observation_space(agent) is env.observation_space(agent)
+    samples = [env.action_space(agent).sample() for agent in env.possible_agents]
+    assert not np.array_equal(samples[0], samples[1])
+
+
+def test_observations_lie_in_their_space_and_keep_their_memory():
+    env = swap_v0.parallel_env(num_drones=3, physics="batch")
+    before, _ = env.reset(seed=1)
+    kept = {agent: row.copy() for agent, row in before.items()}
+    zero = {agent: np.full(3, 0.5, np.float32) for agent in env.agents}
+    after = env.step(zero)[0]
+    for agent in env.possible_agents:
+        assert after[agent].dtype == np.float32
+        assert env.observation_space(agent).contains(after[agent])
+        assert not np.shares_memory(before[agent], after[agent])
+        np.testing.assert_array_equal(before[agent], kept[agent])
+        assert not np.array_equal(before[agent], after[agent])
+    after["drone_0"][:] = 7.0  # what a user writes there must not come back
+    assert (env.step(zero)[0]["drone_0"] != 7.0).all()
+
+
+def test_make_by_name():
+    env = swarm_envs.make("swap_v0", team="LS", physics="batch")
+    assert isinstance(env, SwarmParallelEnv)
+    assert env.metadata["name"] == "swap_v0"
+    assert env.physics_name == "batch"
+    assert env.possible_agents == ["drone_0", "drone_1"]
+
+
+def test_view_is_read_only():
+    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    env.reset(seed=1)
+    view = env.view
+    arrays = [*view.state, *view.setpoint, *view.reference(0.5), view.goals, view.force]
+    for array in arrays:
+        with pytest.raises(ValueError, match="read-only"):
+            array[...] = 0.0
+
+
+def test_render_and_close_twice():
+    env = swap_v0.parallel_env(team="LS", physics="batch", render_mode="rgb_array")
+    env.reset(seed=1)
+    picture = env.render()
+    assert picture is not None
+    assert picture.dtype == np.uint8
+    assert picture.ndim == 3
+    assert picture.shape[2] == 3
+    assert len(np.unique(picture)) > 10  # something is in it
+    env.close()
+    env.close()
+    silent = swap_v0.parallel_env(team="LS", physics="batch")
+    silent.reset(seed=1)
+    assert silent.render() is None
