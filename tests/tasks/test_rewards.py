@@ -1,0 +1,100 @@
+"""Shapes of reward terms, and when a team has succeeded."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.tasks.base import Success
+from swarm_envs.tasks.rewards import bell, progress, proximity, ramp, weigh
+from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.vehicles import parse_team
+
+number = st.floats(-1e6, 1e6)
+
+
+@given(number)
+def test_bell(x):
+    assert bell(0.0, 0.15) == 1.0
+    assert bell(0.15, 0.15) == pytest.approx(1 / math.e)
+    assert bell(x, 0.15) == bell(-x, 0.15)
+    assert 0.0 <= bell(x, 0.15) <= 1.0
+
+
+@given(number)
+def test_ramp(x):
+    assert ramp(2.5, 2.5, 1.0) == 0.0
+    assert ramp(1.0, 2.5, 1.0) == 1.0
+    assert ramp(1.75, 2.5, 1.0) == pytest.approx(0.5)
+    assert 0.0 <= ramp(x, 2.5, 1.0) <= 1.0
+    assert proximity(x) == ramp(x, 2.5, 1.0)
+
+
+def test_proximity_of_a_lone_drone_is_nothing():
+    assert proximity(math.inf) == 0.0
+
+
+@given(number, number)
+def test_progress(before, now):
+    assert progress(1.0, 0.98, 0.04) == pytest.approx(0.5)
+    assert progress(1.0, 1.02, 0.04) == pytest.approx(-0.5)
+    assert -1.0 <= progress(before, now, 0.04) <= 1.0
+    assert progress(before, now, 0.04) == -progress(now, before, 0.04)
+
+
+def test_weighted_sum():
+    rng = np.random.default_rng(0)
+    terms, weights = rng.normal(size=(7, 3, 4)), rng.normal(size=7)
+    rewards = np.full((3, 4), 5.0)
+    weigh(terms, weights, np.array([True, False, True]), rewards)
+    expected = np.tensordot(weights, terms, 1)
+    np.testing.assert_allclose(rewards[[0, 2]], expected[[0, 2]], rtol=1e-13)
+    np.testing.assert_array_equal(rewards[1], 0.0)
+
+
+def hovering(success: Success, start: list[list[float]], steps: int) -> list[bool]:
+    """Whether a hovering team has succeeded after each decision; its goals are at z = 1."""
+    task = SwapTask(team=parse_team("SS"), success=success)
+    core = SwarmCore(task, EnvConfig(physics="batch", interactions="none", end_on_success=False))
+    goal = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    core.reset([0], options={"start": start, "goal": goal})
+    succeeded = []
+    for _ in range(steps):
+        core.step(np.zeros((1, 2, 3)))
+        succeeded.append(bool(core.verdict.succeeded[0]))
+    return succeeded
+
+
+@pytest.mark.parametrize("hold_s", [0.25, 0.5, 1.0])
+def test_success_needs_the_hold(hold_s):
+    near = [[0.09, 0.0, 1.0], [1.0, 0.0, 0.91]]
+    succeeded = hovering(Success(hold_s=hold_s), near, 60)
+    first = round(hold_s * 48)
+    assert succeeded == [k >= first for k in range(1, 61)]
+
+
+def test_success_needs_every_drone():
+    assert not any(hovering(Success(), [[0.0, 0.0, 1.0], [1.0, 0.11, 1.0]], 60))
+    assert any(hovering(Success(radius=0.12), [[0.0, 0.0, 1.0], [1.0, 0.11, 1.0]], 60))
+
+
+def test_leaving_the_goal_starts_the_hold_anew():
+    task = SwapTask(team=parse_team("S"))
+    core = SwarmCore(task, EnvConfig(physics="batch", interactions="none"))
+    points = {"start": [[0.0, 0.0, 1.0]], "goal": [[0.0, 0.0, 1.0]]}
+    core.reset([0], options=points)
+    held = []
+    for k in range(48):
+        core.step(np.array([[[0.6 if k < 24 else -0.6, 0.0, 0.0]]]))
+        held.append(float(core.mission.held[0]))
+        distance = np.linalg.norm(core.physics.state.position[0, 0] - [0, 0, 1])
+        assert (held[-1] > 0) == (distance < 0.10)
+    assert max(held) > 0.1
+    assert 0.0 in held
+    assert not core.verdict.succeeded[0]

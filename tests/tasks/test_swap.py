@@ -1,0 +1,187 @@
+"""The two layouts of swap: where drones start, where they belong, what the reference does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import (
+    Mission,
+    Placement,
+    arena_of,
+    check_placement,
+    derangement,
+    draw_apart,
+    new_mission,
+)
+from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.trajectories import Reference
+from swarm_envs.vehicles import parse_team
+
+SEEDS = range(20)
+
+
+def drawn(task: SwapTask, seed: int) -> Placement:
+    return task.place(np.random.default_rng(seed))
+
+
+def mission_of(placement: Placement) -> Mission:
+    mission = new_mission(1, len(placement.start))
+    mission.place(0, placement)
+    return mission
+
+
+def at(task: SwapTask, mission: Mission, time: float) -> Reference:
+    full = task.reference(mission, np.array([time]))
+    return Reference(*(array[0] for array in full))
+
+
+@pytest.mark.parametrize("team", ["S", "LS", "SSL", "LSS*S", "SSSSS"])
+def test_stacked_stands_on_a_cylinder_in_the_order_of_the_team(team):
+    task = SwapTask(team=parse_team(team), layout="stacked")
+    radii, gaps, times = [], [], []
+    for seed in SEEDS:
+        start, goal, duration = drawn(task, seed)
+        radius = np.hypot(start[:, 0], start[:, 1])
+        np.testing.assert_allclose(radius, radius[0], rtol=1e-12)
+        assert start[-1, 2] == pytest.approx(0.8)
+        if len(start) > 1:
+            step = -np.diff(start[:, 2])  # from the top down
+            np.testing.assert_allclose(step, step[0], rtol=1e-9)
+            gaps.append(step[0])
+        np.testing.assert_allclose(goal, start * [-1, -1, 1], atol=1e-12)  # the opposite side
+        angle = np.sort(np.arctan2(start[:, 1], start[:, 0]) % (2 * np.pi))
+        apart = np.diff([*angle, angle[0] + 2 * np.pi])
+        np.testing.assert_allclose(apart, 2 * np.pi / len(start), atol=1e-9)
+        radii.append(radius[0])
+        times.append(duration)
+        check_placement(
+            Placement(start, goal, duration), np.full(len(start), 0.095), arena_of(len(start))
+        )
+    for values, low, high in ((radii, 0.5, 0.75), (gaps, 0.2, 0.3), (times, 3.0, 4.0)):
+        if values:
+            assert low <= min(values) < low + 0.2 * (high - low)
+            assert high - 0.2 * (high - low) < max(values) <= high
+
+
+def test_stacked_reference_aligns_all_half_way():
+    task = SwapTask(team=parse_team("LSS"), layout="stacked")
+    for seed in SEEDS:
+        placement = drawn(task, seed)
+        mission, half = mission_of(placement), placement.duration / 2
+        middle = at(task, mission, half)
+        np.testing.assert_allclose(middle.position[:, :2], 0.0, atol=1e-12)
+        np.testing.assert_allclose(middle.position[:, 2], placement.start[:, 2], atol=1e-12)
+        np.testing.assert_allclose(middle.acceleration, 0.0, atol=1e-12)
+        first, last = at(task, mission, 0.0), at(task, mission, placement.duration)
+        np.testing.assert_array_equal(first.position, placement.start)
+        np.testing.assert_array_equal(last.position, placement.goal)
+        np.testing.assert_array_equal(at(task, mission, 99.0).position, placement.goal)
+        for end in (first, last):
+            np.testing.assert_allclose(np.array(end[1:]), 0.0, atol=1e-9)
+
+
+def test_stacked_reference_flies_straight_at_constant_speed_between_ramps():
+    task = SwapTask(team=parse_team("LS"), layout="stacked")
+    placement = drawn(task, 1)
+    mission, total = mission_of(placement), placement.duration
+    speeds = []
+    for share in np.linspace(0.0, 1.0, 101):
+        reference = at(task, mission, share * total)
+        speeds.append(np.linalg.norm(reference.velocity, axis=1)[0])
+        way = placement.goal - placement.start
+        offset = reference.position - placement.start
+        np.testing.assert_allclose(np.cross(offset, way), 0.0, atol=1e-12)
+    distance = np.linalg.norm(placement.goal[0] - placement.start[0])
+    cruise = distance / (0.8 * total)  # two ramps of 20 %, each at half the speed on average
+    np.testing.assert_allclose(speeds[20:81], cruise, rtol=1e-9)
+    assert (np.diff(speeds[:21]) > 0).all()
+    np.testing.assert_allclose(speeds, speeds[::-1], atol=1e-9)
+    early, late = (at(task, mission, t).position for t in (0.7 - 1e-6, 0.7 + 1e-6))
+    np.testing.assert_allclose((late - early) / 2e-6, at(task, mission, 0.7).velocity, atol=1e-7)
+
+
+def test_equal_ends_fix_a_stack():
+    layout = StackedLayout((0.6, 0.6), (0.25, 0.25), 1.0, (2.0, 2.0))
+    task = SwapTask(team=parse_team("SS"), layout="stacked", stacked=layout)
+    for seed in SEEDS:
+        start, _, duration = drawn(task, seed)
+        np.testing.assert_allclose(start[:, 2], [1.25, 1.0])
+        np.testing.assert_allclose(np.hypot(*start[:, :2].T), 0.6)
+        assert duration == 2.0
+
+
+@pytest.mark.parametrize("n", [1, 2, 4, 16, 40])
+def test_random_starts_are_apart_and_goals_deranged(n):
+    task = SwapTask(team=parse_team("S" * n))
+    grown = max(1.0, (n / 16) ** (1 / 3))
+    np.testing.assert_allclose(task.arena, np.array([[-2, -2, 0], [2, 2, 2.5]]) * grown)
+    for seed in SEEDS if n < 40 else range(3):
+        start, goal, duration = drawn(task, seed)
+        assert duration == 0.0
+        assert start.shape == goal.shape == (n, 3)
+        assert (np.abs(start[:, :2]) <= 2.0 * grown - 0.3).all()
+        assert (start[:, 2] >= 0.5).all()
+        assert (start[:, 2] <= 2.0 * grown).all()
+        distance = np.linalg.norm(start[:, None] - start[None], axis=2) + 9.0 * np.eye(n)
+        assert distance.min() >= 0.5
+        own = np.linalg.norm(goal - start, axis=1)
+        assert own.min() >= 0.5  # nobody is at its goal already
+        if n > 1:
+            places = np.argmin(np.linalg.norm(goal[:, None] - start[None], axis=2), axis=1)
+            assert sorted(places) == list(range(n))
+            np.testing.assert_array_equal(start[places], goal)
+
+
+def test_random_fills_its_box():
+    task = SwapTask(team=parse_team("SSSS"))
+    points: FloatArray = np.concatenate([drawn(task, seed).start for seed in range(200)])
+    np.testing.assert_allclose(points.min(axis=0), [-1.7, -1.7, 0.5], atol=0.05)
+    np.testing.assert_allclose(points.max(axis=0), [1.7, 1.7, 2.0], atol=0.05)
+
+
+def test_random_has_no_reference_but_its_goals():
+    task = SwapTask(team=parse_team("SS"))
+    placement = drawn(task, 0)
+    reference = at(task, mission_of(placement), 1.0)
+    np.testing.assert_array_equal(reference.position, placement.goal)
+    np.testing.assert_array_equal(np.array(reference[1:]), 0.0)
+
+
+def test_overfull_boxes_raise_instead_of_searching_for_ever():
+    task = SwapTask(team=parse_team("S" * 16), spacing_m=2.0)
+    with pytest.raises(RuntimeError, match=r"found room for \d+ of 16 drones 2.0 m apart .* use"):
+        drawn(task, 0)
+
+
+def test_given_starts_and_goals_are_kept():
+    task = SwapTask(team=parse_team("SS"))
+    start = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    rng = np.random.default_rng(0)
+    np.testing.assert_array_equal(task.place(rng, start=start).start, start)
+    np.testing.assert_array_equal(task.place(rng, goal=start).goal, start)
+
+
+def test_draws_are_the_seed_s():
+    task = SwapTask(team=parse_team("SSS"))
+    for a, b in zip(drawn(task, 5), drawn(task, 5), strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert not np.array_equal(drawn(task, 5).start, drawn(task, 6).start)
+
+
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_derangements_leave_nothing_in_its_place(n):
+    rng = np.random.default_rng(0)
+    orders = [tuple(derangement(rng, n)) for _ in range(300)]
+    for order in orders:
+        assert sorted(order) == list(range(n))
+        assert all(order[i] != i for i in range(n))
+    assert len(set(orders)) == {2: 1, 3: 2, 5: 24}[n]  # every cycle comes up
+
+
+def test_points_are_drawn_apart():
+    points = draw_apart(np.random.default_rng(0), [0, 0, 0], [1, 1, 1], 10, 0.3)
+    distance = np.linalg.norm(points[:, None] - points[None], axis=2)
+    assert distance[np.triu_indices(10, 1)].min() >= 0.3
+    assert ((points >= 0) & (points <= 1)).all()
