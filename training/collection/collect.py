@@ -21,7 +21,7 @@ from swarm_envs.vehicles import parse_team
 
 MANIFEST = "manifest.json"
 HELD_OUT_EVERY = 5
-"""Every fifth flight of a team and kind is for validation."""
+"""Of the flights of a team and kind one in so many is for validation."""
 
 
 def collect(config: CollectionConfig, out: Path, progress: bool = True) -> list[Flight]:
@@ -120,8 +120,7 @@ def make_motion(
     team, ranges, step = parse_team(batch.team), config.motion, TIME_STEP
     low = batch.kind.startswith("low")
     if batch.kind.endswith("walk"):
-        heights = ranges.low_walk_heights_m if low else ranges.walk_heights_m
-        return RandomWalk(team, rngs, ranges, heights, config.duration_s, step)
+        return RandomWalk(team, rngs, ranges, low, config.duration_s, step)
     lowest = ranges.low_lowest_m if low else ranges.lowest_m
     return StackedSwaps(team, rngs, ranges, lowest, config.duration_s, step)
 
@@ -146,14 +145,14 @@ def read_flights(config: CollectionConfig, out: Path) -> list[Flight]:
 def read_batch(out: Path, batch: FlightBatch) -> list[Flight]:
     """Read the flights of a batch."""
     return [
-        Flight(name, batch.team, read_log(flight_file(out, name)), is_held_out(index))
+        Flight(name, batch.team, read_log(flight_file(out, name)), is_held_out(index, batch.count))
         for index, name in enumerate(batch.names)
     ]
 
 
-def is_held_out(index: int) -> bool:
-    """Whether the flight of this index in its batch is for validation."""
-    return index % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+def is_held_out(index: int, count: int) -> bool:
+    """Whether flight `index` of `count` is for validation: every fifth, or the last of fewer."""
+    return count > 1 and index % HELD_OUT_EVERY == min(HELD_OUT_EVERY, count) - 1
 
 
 def read_log(path: Path) -> FlightLog:

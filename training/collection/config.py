@@ -22,7 +22,7 @@ class CollectionConfig:
     """who flies together; each drone is in turn the one that feels the force, so that `SL` gives
     the scenarios L2S and S2L"""
     walks: int = 5
-    """flights per team that walk at random aloft, at least 1"""
+    """flights per team that walk at random aloft"""
     low_walks: int = 5
     """flights per team that walk at random near the ground"""
     swaps: int = 5
@@ -48,6 +48,8 @@ class CollectionConfig:
         """
         for team in self.teams:
             parse_team(team)
+        if len(set(self.teams)) < len(self.teams):
+            raise ValueError(f"teams are {self.teams}, but each may be named once: they name files")
         for name in ("walks", "low_walks", "swaps", "low_swaps", "seed"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}, but must not be negative")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -37,6 +37,17 @@ class SensorNoise:
     """of the state estimator, m/s"""
     attitude_rad: float = 3e-3
     """of the state estimator, rad"""
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            ValueError: a standard deviation is negative or not finite.
+        """
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{entry.name} is {value}, but must be finite and not negative")
 
 
 NO_NOISE = SensorNoise(0.0, 0.0, 0.0)

@@ -13,7 +13,7 @@ whose slope at the *measured* positions accelerates the set-point. The constants
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -31,10 +31,12 @@ class MotionRanges:
 
     half_width_m: float = 0.25
     """half width of the box of a random walk"""
-    walk_heights_m: Range = (0.6, 1.5)
+    walk_heights_m: Range = (0.5, 1.7)
     """heights of goals of a walk aloft"""
     low_walk_heights_m: Range = (0.07, 0.8)
-    """heights of goals near the ground; a drone's goal is at least 2 cm above touching the floor"""
+    """heights of goals near the ground; a drone's goal is at least 1 cm above touching the floor"""
+    low_walk_power: float = 2.0
+    """heights near the ground are the lowest plus the span times u^power, u uniform"""
     goal_period_s: float = 1.5
     """time between new goals of a walk"""
     aligned: float = 0.5
@@ -43,16 +45,20 @@ class MotionRanges:
     """natural frequency of the attraction to goals, drawn per flight, rad/s"""
     acceleration_limit: float = 3.0
     """largest acceleration by attraction, m/s^2"""
-    reach_m: float = 0.10
+    reach_m: float = 0.15
     """clearance between two spheres below which they repel"""
-    strength: float = 2e-3
+    strength: float = 3e-3
     """strength of the repulsion, m^4/s^2"""
+    floor_reach_m: float = 0.04
+    """clearance from the floor below which it repels"""
+    floor_strength: float = 1e-5
+    """strength of the floor's repulsion, m^4/s^2"""
     repulsion_limit: float = 8.0
     """largest acceleration by repulsion from one neighbour or the floor, m/s^2"""
     radius_m: Range = (0.35, 0.75)
     """radius of the circle of a swap"""
     gap_m: Range = (0.15, 0.45)
-    """distance of neighbouring planes of a swap, beyond what keeps spheres 5 cm apart at least"""
+    """distance of neighbouring planes of a swap; more where spheres would come within 1.5 cm"""
     crossing_s: Range = (2.0, 5.0)
     """time of one crossing"""
     pause_s: Range = (0.2, 0.8)
@@ -63,6 +69,24 @@ class MotionRanges:
     """height of the lowest plane of a swap aloft"""
     low_lowest_m: Range = (0.14, 0.4)
     """the same near the ground"""
+
+    def __post_init__(self) -> None:
+        """Check every number.
+
+        Raises:
+            ValueError: a range is empty or a number negative.
+        """
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            low, high = value if isinstance(value, tuple) else (value, value)
+            if not 0.0 <= low <= high < np.inf:
+                raise ValueError(
+                    f"{entry.name} is {value}, but must be finite, not negative, and as a range "
+                    "(lowest, highest)"
+                )
+        for name in ("goal_period_s", "reach_m", "floor_reach_m", "crossing_s"):
+            if np.min(getattr(self, name)) <= 0.0:
+                raise ValueError(f"{name} is {getattr(self, name)}, but must be positive")
 
 
 class Target(NamedTuple):
@@ -100,7 +124,7 @@ class RandomWalk:
         team: the N vehicles.
         rngs: E generators, one per flight.
         ranges: what is drawn.
-        heights: lowest and highest goal, m.
+        low: near the ground, else aloft.
         duration: length of the flights, s.
         step: time between calls of `target`, s.
     """
@@ -110,14 +134,14 @@ class RandomWalk:
         team: Team,
         rngs: list[np.random.Generator],
         ranges: MotionRanges,
-        heights: Range,
+        low: bool,
         duration: float,
         step: float,
     ) -> None:
         self.ranges, self.step = ranges, step
         self.radius = np.array([vehicle.radius for vehicle in team])
         count = int(duration / ranges.goal_period_s) + 2
-        goals = [draw_goals(self.radius, rng, ranges, heights, count) for rng in rngs]
+        goals = [draw_goals(self.radius, rng, ranges, low, count) for rng in rngs]
         self.goals = np.stack(goals)
         self.frequency = np.array([rng.uniform(*ranges.attraction) for rng in rngs])[:, None, None]
         self.start = np.stack([separated(g[0], self.radius) for g in self.goals])
@@ -142,7 +166,7 @@ class RandomWalk:
         r = self.ranges
         push = np.zeros_like(position)
         floor = position[..., 2] - self.radius
-        push[..., 2] = repulsion(floor, 0.5 * r.reach_m, 0.1 * r.strength, r.repulsion_limit)
+        push[..., 2] = repulsion(floor, r.floor_reach_m, r.floor_strength, r.repulsion_limit)
         for i in range(len(self.radius)):
             for j in range(i):
                 apart = position[:, i] - position[:, j]
@@ -156,7 +180,7 @@ class RandomWalk:
 
 
 def draw_goals(
-    radius: FloatArray, rng: np.random.Generator, ranges: MotionRanges, heights: Range, count: int
+    radius: FloatArray, rng: np.random.Generator, ranges: MotionRanges, low: bool, count: int
 ) -> FloatArray:
     """Goals (count, N, 3) of one flight, m, for spheres of the radii (N,), m."""
     n, width = len(radius), ranges.half_width_m
@@ -165,8 +189,10 @@ def draw_goals(
     aligned = rng.random(count) < ranges.aligned
     line = goals[:, :1, :2] + rng.normal(0.0, 0.03, (count, n, 2))
     goals[..., :2] = np.where(aligned[:, None, None], line, goals[..., :2])
-    low = np.maximum(heights[0], radius + 0.02)
-    goals[..., 2] = rng.uniform(low, heights[1], (count, n))
+    lowest, highest = ranges.low_walk_heights_m if low else ranges.walk_heights_m
+    power = ranges.low_walk_power if low else 1.0
+    reachable = np.maximum(lowest, radius + 0.01)
+    goals[..., 2] = reachable + (highest - reachable) * rng.random((count, n)) ** power
     return goals
 
 
@@ -256,6 +282,6 @@ def stacked_heights(
     height = np.empty(len(radius))
     height[order[0]] = rng.uniform(*lowest)
     for below, above in itertools.pairwise(order):
-        gap = max(rng.uniform(*ranges.gap_m), radius[below] + radius[above] + 0.05)
+        gap = max(rng.uniform(*ranges.gap_m), radius[below] + radius[above] + 0.015)
         height[above] = height[below] + gap
     return height

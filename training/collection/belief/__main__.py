@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import tyro
 
 from swarm_envs.training.collection.belief.fit import BeliefConfig, fit_belief
@@ -12,8 +10,7 @@ from swarm_envs.training.collection.belief.fit import BeliefConfig, fit_belief
 def main() -> None:
     """Make the belief and say how it does."""
     config = tyro.cli(BeliefConfig, description="Fit the compensated controller's belief.")
-    collection = dataclasses.replace(config.collection, seed=config.seed)
-    report = fit_belief(dataclasses.replace(config, collection=collection))
+    report = fit_belief(config)
     errors = report.fit.findings.errors
     print(f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f})")
     for j in report.judgements:

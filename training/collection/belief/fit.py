@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+import tyro
 
 from swarm_envs.interactions import load
 from swarm_envs.training.collection.belief.card import model_card
-from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, judge
+from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, SwapTrial, judge
 from swarm_envs.training.collection.collect import MANIFEST, collect, fingerprint
 from swarm_envs.training.collection.config import CollectionConfig
 from swarm_envs.training.collection.flight import LOG_RATE
@@ -17,8 +21,6 @@ from swarm_envs.training.force_model import FitConfig, FitReport, load_network, 
 from swarm_envs.training.force_model import fit as fit_force_model
 from swarm_envs.training.force_model.report import file_sha256, json_ready, write_json
 from swarm_envs.training.force_model.rows import save_rows
-
-COMMAND = "python -m swarm_envs.training.collection.belief --out DIR"
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,9 @@ class BeliefConfig:
     steps: int = 4000
     """optimiser steps"""
     collection: CollectionConfig = field(default_factory=CollectionConfig)
-    """what is flown; its seed is `seed`"""
+    """what is flown; `seed` takes the place of its seed"""
+    trials: tyro.conf.Suppress[tuple[SwapTrial, ...]] = TRIALS
+    """what the belief is judged by in flight"""
     progress: bool = True
     """show progress bars"""
 
@@ -63,15 +67,15 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
         ValueError: the folder holds flights of another configuration or force model.
     """
     began = time.perf_counter()
-    flights = collect(config.collection, config.out / "flights", config.progress)
+    collection = dataclasses.replace(config.collection, seed=config.seed)
+    flights = collect(collection, config.out / "flights", config.progress)
     rows = interaction_rows(flights)
     table = config.out / "flights" / "rows.npz"
     save_rows(table, rows)
     fitted = fit_force_model(fit_config(config, table))
-    model = load(config.collection.interactions)
-    command = f"{COMMAND} --seed {config.seed}"
+    model = load(collection.interactions)
     provenance: dict[str, object] = {
-        "command": command,
+        "command": command(config),
         "data": f"flights simulated with the force model {model.name!r}",
         "interactions_sha256": fingerprint(model),
         "manifest_sha256": file_sha256(config.out / "flights" / MANIFEST),
@@ -81,7 +85,7 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
     network = load_network(config.out / "fit" / "learned.safetensors")
     save_network(path, network, provenance)
     report = BeliefReport(
-        command=command,
+        command=command(config),
         interactions=model.name,
         interactions_sha256=fingerprint(model),
         flights=len(flights),
@@ -95,8 +99,30 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
     write_json(config.out / "belief.json", json_ready(report))
     limits = network.spec.input_range
     assert limits is not None  # an anchored fit has one
-    (config.out / "MODEL_CARD.md").write_text(model_card(report, config.collection, limits))
+    (config.out / "MODEL_CARD.md").write_text(model_card(report, collection, limits))
     return report
+
+
+def command(config: BeliefConfig) -> str:
+    """Command line that makes this belief, with the folder left out."""
+    words = ["python -m swarm_envs.training.collection.belief --out DIR", f"--seed {config.seed}"]
+    if config.steps != BeliefConfig.steps:
+        words.append(f"--steps {config.steps}")
+    return " ".join(words + changed_options("collection", config.collection, CollectionConfig()))
+
+
+def changed_options(prefix: str, config: Any, default: Any) -> list[str]:
+    """Options of a nested configuration that differ from the default, without its seed."""
+    words = []
+    for entry in dataclasses.fields(config):
+        value, usual = getattr(config, entry.name), getattr(default, entry.name)
+        name = f"{prefix}.{entry.name.replace('_', '-')}"
+        if dataclasses.is_dataclass(value):
+            words += changed_options(name, value, usual)
+        elif value != usual and entry.name != "seed":
+            given = value if isinstance(value, tuple) else (value,)
+            words.append(f"--{name} {' '.join(map(str, given))}")
+    return words
 
 
 def fit_config(config: BeliefConfig, table: Path) -> FitConfig:
@@ -118,4 +144,4 @@ def fit_config(config: BeliefConfig, table: Path) -> FitConfig:
 def judge_all(belief: Path, config: BeliefConfig) -> list[SwapJudgement]:
     """Fly every trial without and with the belief."""
     environment = load(config.collection.interactions)
-    return [judge(trial, load(belief), environment) for trial in TRIALS]
+    return [judge(trial, load(belief), environment) for trial in config.trials]

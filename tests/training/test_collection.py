@@ -1,0 +1,258 @@
+"""Collection of flights: labels against what really acted, repulsion, resumption, determinism."""
+
+import dataclasses
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from swarm_envs.interactions import load
+from swarm_envs.training.collection import (
+    CollectionConfig,
+    FlightLog,
+    SensorNoise,
+    collect,
+    interaction_force,
+    interaction_rows,
+    read_flights,
+)
+from swarm_envs.training.collection.collect import flight_generator, make_motion
+from swarm_envs.training.collection.config import FlightBatch
+from swarm_envs.training.collection.flight import LOG_RATE, fly, with_noise
+from swarm_envs.training.collection.labels import derivative, lagged_thrust, smooth
+from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, repulsion
+from swarm_envs.training.collection.table import scenario_name
+from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL, parse_team
+
+SHORT = CollectionConfig(
+    teams=("S", "SL"), walks=2, low_walks=1, swaps=1, low_swaps=0, duration_s=3.0
+)
+
+
+def noiseless(team, kind, duration_s, motion=SHORT.motion, count=1):
+    config = dataclasses.replace(SHORT, motion=motion, duration_s=duration_s)
+    batch = FlightBatch(team, kind, count)
+    rngs = [flight_generator(config, name) for name in batch.names]
+    return fly(parse_team(team), make_motion(config, batch, rngs), "learned", duration_s)
+
+
+@pytest.mark.parametrize(
+    ("team", "kind"), [("SL", "walk"), ("SSL", "low-walk"), ("SL", "low-swap"), ("L", "low-walk")]
+)
+def test_labels_are_the_force_that_acted(team, kind):
+    (log,) = noiseless(team, kind, 6.0)
+    acted = load("learned").forces(log.position, log.velocity, team) / GRAM_FORCE
+    assert np.abs(acted[..., 2]).max() > 1.5  # there is something to find
+    error = interaction_force(log, parse_team(team), smoothing_s=0.0) - acted
+    known = np.all(np.isfinite(error), axis=(1, 2))
+    assert known.sum() == known.size - 4
+    assert np.sqrt(np.mean(error[known] ** 2, axis=(0, 1))).max() < 0.3
+
+
+def test_noisy_labels_are_unbiased_and_smoothing_calms_them():
+    (log,) = noiseless("SL", "walk", 8.0)
+    team = parse_team("SL")
+    noisy = with_noise(log, SensorNoise(), np.random.default_rng(0))
+    exact = interaction_force(log, team, 0.0)
+    error = {s: (interaction_force(noisy, team, s) - exact)[20:-20] for s in (0.0, 0.1)}
+    assert np.abs(error[0.1].mean(axis=0)).max() < 0.15
+    rough, calm = (np.sqrt((error[s] ** 2).mean(axis=0)) for s in (0.0, 0.1))
+    assert (calm < rough / 5).all()
+
+
+def test_derivative_and_smoothing_of_polynomials():
+    t = np.arange(60, dtype=np.float64) * 0.01
+    value = derivative(3.0 * t**4 - t, 0.01)
+    assert np.isnan(value[[0, 1, -2, -1]]).all()
+    np.testing.assert_allclose(value[2:-2], (12.0 * t**3 - 1.0)[2:-2], atol=1e-9)
+    calm = smooth(t, 13)
+    np.testing.assert_allclose(calm[6:-6], t[6:-6])
+    assert np.isnan(calm[:6]).all() and np.isnan(calm[-6:]).all()
+
+
+def test_thrust_follows_a_step_of_the_command_with_the_motors_rate():
+    count = 120
+    commands = np.full((count, 1, 4), 0.15)
+    thrust = lagged_thrust(commands, (LARGE,), 1 / LOG_RATE)[:, 0]
+    hover = 4 * LARGE.hover_rotor_thrust
+    time = np.arange(count) / LOG_RATE
+    np.testing.assert_allclose(thrust, 0.6 + (hover - 0.6) * np.exp(-16.0 * time))
+
+
+def test_noise_has_the_stated_size_and_attitudes_stay_unit():
+    (log,) = noiseless("S", "walk", 6.0)
+    noise = SensorNoise(1e-3, 0.02, 5e-3)
+    noisy = with_noise(log, noise, np.random.default_rng(1))
+    assert np.std(noisy.position - log.position) == pytest.approx(1e-3, rel=0.1)
+    assert np.std(noisy.velocity - log.velocity) == pytest.approx(0.02, rel=0.1)
+    cosine = np.abs((noisy.quaternion * log.quaternion).sum(axis=-1))
+    angle = 2 * np.arccos(np.minimum(cosine, 1.0))
+    assert np.sqrt(np.mean(angle**2)) == pytest.approx(np.sqrt(3) * 5e-3, rel=0.1)
+    np.testing.assert_allclose(np.linalg.norm(noisy.quaternion, axis=-1), 1.0)
+    np.testing.assert_array_equal(noisy.commands, log.commands)
+
+
+def test_repulsion_is_the_slope_of_its_potential():
+    c, step = np.linspace(0.03, 0.14, 20), 1e-6
+
+    def potential(clearance):
+        return 0.5 * 3e-3 * (1 / clearance - 1 / 0.15) ** 2
+
+    slope = (potential(c - step) - potential(c + step)) / (2 * step)
+    np.testing.assert_allclose(repulsion(c, 0.15, 3e-3, np.inf), slope, rtol=1e-5)
+    assert repulsion(np.array([0.15, 1.0]), 0.15, 3e-3, 8.0).tolist() == [0.0, 0.0]
+    assert repulsion(np.array([-0.1, 0.0]), 0.15, 3e-3, 8.0).tolist() == [8.0, 8.0]
+
+
+def test_repulsion_keeps_random_walks_apart():
+    flown = {}
+    for strength in (0.0, MotionRanges.strength):
+        ranges = MotionRanges(strength=strength)
+        logs = noiseless("SSL", "low-walk", 10.0, ranges, count=6)
+        flown[strength] = sum(len(log.position) for log in logs) / (6 * 10.0 * LOG_RATE)
+    assert flown[0.0] < 0.5  # without it they soon touch
+    assert flown[MotionRanges.strength] > 0.8
+
+
+def test_walks_pass_over_and_under_each_other_near_and_far():
+    logs = noiseless("SS", "walk", 15.0, count=6)
+    apart = np.concatenate([log.position[:, 1] - log.position[:, 0] for log in logs])
+    assert (np.abs(apart[:, :2]) < 0.35).all(axis=1).mean() > 0.5
+    above = np.hypot(apart[:, 0], apart[:, 1]) < 0.08
+    for sign in (-1, 1):
+        heights = sign * apart[above, 2]
+        assert (heights > 0.6).any() and ((heights > 0.12) & (heights < 0.25)).any()
+    assert (np.abs(apart[:, 2]) < 0.05).any()
+
+
+def test_low_walks_come_down_to_the_ground():
+    (log,) = noiseless("S", "low-walk", 15.0)
+    assert SMALL.radius < log.position[:, 0, 2].min() < 0.11
+
+
+def test_walks_are_the_same_alone_and_in_a_batch():
+    ranges, team = MotionRanges(), parse_team("SL")
+
+    def walk(seeds):
+        rngs = [np.random.default_rng(seed) for seed in seeds]
+        return fly(team, RandomWalk(team, rngs, ranges, False, 2.0, 1 / 240), "learned", 2.0)
+
+    for together, alone in zip(walk([0, 1]), [*walk([0]), *walk([1])], strict=True):
+        for a, b in zip(together, alone, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.fixture(scope="module")
+def collection(tmp_path_factory):
+    out = tmp_path_factory.mktemp("flights")
+    return out, collect(SHORT, out, progress=False)
+
+
+def contents(folder):
+    return {file.name: file.read_bytes() for file in folder.iterdir()}
+
+
+def test_the_same_seed_gives_the_same_files_and_another_does_not(collection, tmp_path):
+    out, flights = collection
+    collect(SHORT, tmp_path / "again", progress=False)
+    assert contents(tmp_path / "again") == contents(out)
+    other = collect(dataclasses.replace(SHORT, seed=1), tmp_path / "other", progress=False)
+    assert not np.array_equal(other[0].log.position, flights[0].log.position)
+
+
+def test_a_killed_collection_goes_on_and_ends_the_same(collection, tmp_path, monkeypatch):
+    out, _ = collection
+    module, flown = sys.modules[collect.__module__], []
+    original = module.fly_batch
+
+    def counted(config, batch, model):
+        flown.append(batch.names)
+        if len(flown) == 3:
+            raise KeyboardInterrupt
+        return original(config, batch, model)
+
+    monkeypatch.setattr(module, "fly_batch", counted)
+    with pytest.raises(KeyboardInterrupt):
+        collect(SHORT, tmp_path, progress=False)
+    assert len(contents(tmp_path)) < len(contents(out))
+    collect(SHORT, tmp_path, progress=False)
+    assert contents(tmp_path) == contents(out)
+    assert len(set(flown[:2])) == 2 and flown[2] == flown[3]
+
+
+def test_a_folder_of_another_configuration_is_refused(collection):
+    out, _ = collection
+    with pytest.raises(ValueError, match=r"another folder"):
+        collect(dataclasses.replace(SHORT, seed=1), out, progress=False)
+    with pytest.raises(ValueError, match=r"another folder"):
+        collect(dataclasses.replace(SHORT, interactions="wake"), out, progress=False)
+
+
+def test_manifest_and_files_agree(collection):
+    out, flights = collection
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert {entry["name"] for entry in manifest["flights"]} == {f.stem for f in out.glob("*.npz")}
+    for entry, flight in zip(manifest["flights"], read_flights(SHORT, out), strict=True):
+        assert entry["seconds"] == pytest.approx(len(flight.log.position) / LOG_RATE, abs=1e-3)
+        assert (entry["team"], entry["validation"]) == (flight.team, flight.validation)
+    assert sum(flight.validation for flight in flights) == 2  # of two walks, by two teams
+
+
+def test_rows_say_what_the_logs_say(collection):
+    _, flights = collection
+    rows = interaction_rows(flights)
+    assert set(rows.scenario_names) == {"Ge2S", "S2L", "L2S"}
+    index = next(i for i, flight in enumerate(flights) if flight.name == "SL-swap-000")
+    large = np.flatnonzero((rows.flight == index) & (rows.ego_type == 1))
+    assert len(large) > 5
+    log, step = flights[index].log, rows.step[large]
+    np.testing.assert_array_equal(rows.position[large], log.position[step, 1])
+    offset = log.position[step, 0] - log.position[step, 1]
+    np.testing.assert_array_equal(rows.neighbor[large, 0, :3], offset)
+    assert (np.abs(offset) <= [0.35, 0.35, 1.1]).all()
+    assert (rows.neighbor_type[large] == 0).all()
+    force = interaction_force(log, parse_team("SL"))
+    np.testing.assert_array_equal(rows.force_g[large], force[step, 1])
+    alone = rows.neighbor_type[rows.scenario == rows.scenario_names.index("Ge2S")]
+    assert (alone == -1).all()
+
+
+def test_scenarios_are_named_as_in_the_paper():
+    assert scenario_name("S", ["L", "S"]) == "SL2S"
+    assert scenario_name("L", []) == "Ge2L"
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: CollectionConfig(teams=("SX",)), "token 'X'"),
+        (lambda: CollectionConfig(teams=("S", "S")), "named once"),
+        (lambda: CollectionConfig(walks=-1), "walks is -1"),
+        (lambda: CollectionConfig(duration_s=float("nan")), "duration_s is nan"),
+        (lambda: MotionRanges(gap_m=(0.4, 0.2)), "gap_m"),
+        (lambda: MotionRanges(reach_m=0.0), "reach_m"),
+        (lambda: SensorNoise(velocity=-1.0), "velocity is -1.0"),
+        (lambda: interaction_rows([]), "no row"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_a_log_is_cut_before_the_first_contact():
+    class Collide:
+        start = np.array([[[0.0, 0.0, 1.0], [0.4, 0.0, 1.0]]])
+
+        def target(self, time, position):
+            from swarm_envs.training.collection.motion import Target
+
+            still = np.zeros((1, 2, 3))
+            return Target(self.start * [0.0, 1.0, 1.0], still, still)
+
+    (log,) = fly(parse_team("SS"), Collide(), "none", 4.0)
+    assert isinstance(log, FlightLog) and 10 < len(log.position) < 4.0 * LOG_RATE
+    distance = np.linalg.norm(log.position[:, 0] - log.position[:, 1], axis=1)
+    assert distance.min() >= 2 * SMALL.radius
+    assert distance[-1] < 2 * SMALL.radius + 0.03
