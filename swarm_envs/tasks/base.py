@@ -187,10 +187,11 @@ def draw_apart(
         RuntimeError: the box is too full: no place was found in 10,000 draws.
     """
     points = np.empty((n, 3))
-    placed = 0
+    placed, corner, size = 0, np.array(low), np.subtract(high, low)
     for _ in range(10_000):
-        point = rng.uniform(low, high)
-        if (np.linalg.norm(points[:placed] - point, axis=-1) >= distance).all():
+        point = corner + size * rng.random(3)
+        offset = points[:placed] - point
+        if (np.square(offset).sum(axis=1) >= distance**2).all():
             points[placed] = point
             placed += 1
             if placed == n:
