@@ -22,6 +22,8 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 _ROUNDING = 1e-6
+_LARGEST = 1e30
+"""Of numbers in an unbounded Box: further, float32 observations could not hold what follows."""
 
 
 @dataclass(frozen=True)
@@ -116,14 +118,16 @@ def check_actions(
             f"actions have shape {array.shape}, but must have shape {shape}: environments, drones, "
             f"numbers of action {mode.name!r}"
         )
-    largest = np.abs(array).max()
-    if largest <= 1.0 + _ROUNDING or (not mode.bounded and largest < np.inf):
+    limit = 1.0 + _ROUNDING if mode.bounded else _LARGEST
+    if np.abs(array).max() <= limit:
         return array
     wrong = ~np.isfinite(array)
     rule, fix = "every number must be finite", "look for what made it so"
     if not wrong.any():
-        wrong = np.abs(array) > 1.0 + _ROUNDING
-        rule, fix = "must lie in [-1, 1]", "clip it, as with np.clip(action, -1, 1)"
+        wrong = np.abs(array) > limit
+        edge = 1 if mode.bounded else f"{_LARGEST:g}"
+        rule = f"must lie in [-{edge}, {edge}]"
+        fix = f"clip it, as with np.clip(action, -{edge}, {edge})"
     e, i, k = (int(n) for n in np.argwhere(wrong)[0])
     where = f" in environment {e}" if shape[0] > 1 else ""
     raise ValueError(

@@ -32,7 +32,7 @@ from swarm_envs.state import BoolArray, FloatArray, hover_state
 from swarm_envs.tasks.base import Task, check_placement, new_mission
 from swarm_envs.tasks.metrics import new_record
 from swarm_envs.tasks.rewards import weigh
-from swarm_envs.trajectories import rest
+from swarm_envs.trajectories import Reference
 
 _RESET_OPTIONS = ("start", "goal")
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
@@ -89,7 +89,7 @@ class SwarmCore:
         )
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
-        self._reference = rest(self.mission.goal)
+        self._reference = Reference(*(np.zeros((num_envs, drones, 3)) for _ in range(4)))
         self._judge: Callable[..., None] | None = None
         self._write_terms: Callable[..., None] | None = None
         self._weigh: Callable[..., None] = weigh
@@ -123,7 +123,9 @@ class SwarmCore:
         Raises:
             ValueError: an option is unknown, or a start or goal impossible.
         """
-        where = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
+        where = np.ones(self.num_envs, dtype=np.bool_)
+        if mask is not None:
+            where[:] = mask
         given = self._check_options(options or {})
         # Draws are made from copies: a refused reset leaves the generators where they were.
         generators, placements = list(self.generators), {}
@@ -142,7 +144,7 @@ class SwarmCore:
         self.time[where] = 0.0
         self.running[where] = True
         self.verdict.clear(where)
-        self._reference = self.task.reference(self.mission, self.time)
+        self._look_up_reference()
         return self._observe(where)
 
     def step(self, actions: npt.ArrayLike) -> StepResult:
@@ -161,7 +163,7 @@ class SwarmCore:
         self.mode.apply(checked, self.flight.pilot, flown, self.config.decision_s)
         self.flight.fly(self._substeps, flown)
         self.time += self.config.decision_s * flown
-        self._reference = self.task.reference(self.mission, self.time)
+        self._look_up_reference()
         self._decide(checked)
         rewards, terms = self._reward(flown)
         return StepResult(
@@ -175,6 +177,12 @@ class SwarmCore:
     def metrics(self, e: int = 0) -> dict[str, Any]:
         """What environment `e`'s episode is judged by, so far; see `episode_metrics`."""
         return episode_metrics(self, e)
+
+    def _look_up_reference(self) -> None:
+        # Into arrays of our own: kernels called directly take only the very types they know.
+        reference = self.task.reference(self.mission, self.time)
+        for mine, given in zip(self._reference, reference, strict=True):
+            mine[...] = given
 
     def _decide(self, actions: FloatArray) -> None:
         arguments = (

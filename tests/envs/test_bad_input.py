@@ -249,6 +249,18 @@ def test_actions_that_are_not_finite(engine, action, value):
     )
 
 
+def test_setpoints_too_far_to_be_observed():
+    env = flying("batch", "setpoint")
+    change = {"drone_1": bad_row(14, -2e38)}
+    message = r"drone_1 has -2e\+38 at index 1, but must lie in \[-1e\+30, 1e\+30\]; clip it"
+    refused(env, lambda: env.step(good(env) | change), ValueError, message)
+    env = flying("batch", "setpoint")
+    while env.agents:  # absurd, but allowed: everything stays finite until it ends
+        observations, rewards, *_ = env.step({agent: np.full(14, 1e30) for agent in env.agents})
+        assert all(np.isfinite(row).all() for row in observations.values())
+        assert all(np.isfinite(reward) for reward in rewards.values())
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [
