@@ -40,7 +40,7 @@ def check_name(kind: str, name: object, valid: Iterable[str]) -> str:
 def check_array(
     name: str, value: npt.ArrayLike, shape: tuple[int, ...], rule: str = ""
 ) -> npt.NDArray[np.float64]:
-    """Return `value` as a finite float64 array of exactly the given shape.
+    """Return `value` as a finite, contiguous float64 array of exactly the given shape.
 
     Raises:
         ValueError: it is no array of numbers, the shape is another, or an entry is NaN or infinite;
@@ -48,7 +48,7 @@ def check_array(
     """
     extra = f" ({rule})" if rule else ""
     try:
-        array = np.asarray(value, dtype=np.float64)
+        array = np.asarray(value, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise ValueError(
             f"{name} is {value!r:.80}, but must be numbers of shape {shape}{extra}"
