@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -75,7 +76,11 @@ def load_network(path: str | os.PathLike[str]) -> DeepSet:
             f"{os.fspath(path)!r} has format {description.get('format')!r}, but must have "
             f"{FORMAT!r}; write it with save_network"
         )
-    network = DeepSet(_spec(description), dtype=torch.float64)
+    spec = _spec(description)
+    rho = f"rho.{spec.types[0]}"
+    hidden, depth = tensors[f"{rho}.0.weight"].shape[1], sum(_is_layer(n, rho) for n in tensors)
+    spec = replace(spec, hidden=hidden, layers=depth)
+    network = DeepSet(spec, dtype=torch.float64)
     with torch.no_grad():
         for prefix, module in _parts(network).items():
             for index, layer in enumerate(layers(module)):
@@ -91,6 +96,10 @@ def description_of(path: str | os.PathLike[str]) -> dict[str, object]:
     with safe_open(path, framework="pt") as file:
         result: dict[str, object] = json.loads(file.metadata()[METADATA_KEY])
     return result
+
+
+def _is_layer(tensor: str, prefix: str) -> bool:
+    return tensor.startswith(f"{prefix}.") and tensor.endswith(".weight")
 
 
 def _parts(network: DeepSet) -> dict[str, torch.nn.Module]:

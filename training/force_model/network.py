@@ -13,7 +13,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
@@ -21,11 +21,8 @@ from torch import Tensor, nn
 
 from swarm_envs.vehicles import GRAM_FORCE
 
-PHI_WIDTHS = (25, 40, 40, 20)
-"""Widths of phi after its input (6 for a vehicle, 4 for the environment): hidden layers, output."""
-
-RHO_WIDTHS = (20, 40, 40, 40, 1)
-"""Widths of rho from its input to its output."""
+_FIRST_WIDTH = 25  # of phi's first hidden layer
+_WIDTH = 40  # of every other hidden layer
 
 HARD_LATERAL_M = 0.35
 HARD_VERTICAL_M = 1.1
@@ -56,6 +53,7 @@ class InputRange:
 UNLIMITED = InputRange(((-math.inf,) * 6, (math.inf,) * 6), ((-math.inf,) * 4, (math.inf,) * 4))
 """No clamp at all."""
 
+_FAR = InputRange(((-1e6,) * 6, (1e6,) * 6), ((-1e6,) * 4, (1e6,) * 4))  # JSON has no infinity
 
 OUTER_FADE = Window()
 """The fade of the models that ship: over the outer 0.1 m laterally and 0.3 m vertically."""
@@ -73,6 +71,44 @@ class DeepSetSpec:
     """Clamp of the inputs; None leaves them."""
     anchor_height_m: float | None = 0.6
     """At and above this height a lone drone feels exactly zero; None for the paper's form."""
+    hidden: int = 20
+    """H, the number of outputs of every phi and inputs of every rho (Sec. VII-C)."""
+    layers: int = 4
+    """L, the number of layers of every phi and rho; 40-wide ones come or go (Sec. VII-C)."""
+
+    def __post_init__(self) -> None:
+        """Check the sizes.
+
+        Raises:
+            ValueError: there would be no hidden state, or phi no hidden layer.
+        """
+        if self.hidden < 1:
+            raise ValueError(f"hidden is {self.hidden}, but must be at least 1")
+        if self.layers < 2:
+            raise ValueError(f"layers is {self.layers}, but must be at least 2")
+
+    @property
+    def phi_widths(self) -> tuple[int, ...]:
+        """Widths of phi after its input (6 for a vehicle, 4 for the environment)."""
+        return (_FIRST_WIDTH, *(_WIDTH,) * (self.layers - 2), self.hidden)
+
+    @property
+    def rho_widths(self) -> tuple[int, ...]:
+        """Widths of rho from its input to its output."""
+        return (self.hidden, *(_WIDTH,) * (self.layers - 1), 1)
+
+
+def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
+    """The same function, blind to velocities: the range they are clamped to is the point 0.
+
+    The environment is a neighbour at rest, so its relative velocity goes too. Being a clamp, the
+    blindness is part of the weights file, and every reader of it is as blind.
+    """
+    limits = spec.input_range or _FAR
+    still = (0.0, 0.0, 0.0)
+    pair = ((*limits.pair[0][:3], *still), (*limits.pair[1][:3], *still))
+    environment = ((limits.environment[0][0], *still), (limits.environment[1][0], *still))
+    return replace(spec, input_range=InputRange(pair, environment))
 
 
 class Batch(NamedTuple):
@@ -120,10 +156,10 @@ class DeepSet(nn.Module):
         """
         super().__init__()
         self.spec = spec
-        phi = {name: perceptron((6, *PHI_WIDTHS), dtype) for name in spec.types}
+        phi = {name: perceptron((6, *spec.phi_widths), dtype) for name in spec.types}
         self.phi = nn.ModuleDict(phi)
-        self.phi_environment = perceptron((4, *PHI_WIDTHS), dtype)
-        self.rho = nn.ModuleDict({name: perceptron(RHO_WIDTHS, dtype) for name in spec.types})
+        self.phi_environment = perceptron((4, *spec.phi_widths), dtype)
+        self.rho = nn.ModuleDict({name: perceptron(spec.rho_widths, dtype) for name in spec.types})
         limits = spec.input_range or UNLIMITED
         constants = {
             "pair_low": limits.pair[0],
@@ -171,7 +207,7 @@ class DeepSet(nn.Module):
         pair = batch.pair.reshape(rows * slots, 6)
         weight = self.window(pair)
         kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
-        total = pair.new_zeros(rows, PHI_WIDTHS[-1])
+        total = pair.new_zeros(rows, self.spec.hidden)
         for index, name in enumerate(self.spec.types):
             chosen = torch.nonzero(kind == index).squeeze(1)
             if len(chosen):

@@ -26,6 +26,7 @@ from swarm_envs.training.force_model.network import (
     OUTER_FADE,
     DeepSetSpec,
     InputRange,
+    without_velocity,
 )
 from swarm_envs.training.force_model.report import (
     FitReport,
@@ -66,6 +67,12 @@ class FitConfig(TrainConfig):
     """calibration offsets of an anchored fit; `none` if the labels are exact"""
     anchor_height_m: float = 0.6
     """height from which a lone drone feels exactly nothing, in an anchored fit"""
+    hidden: int = 20
+    """H, length of the hidden state between phi and rho"""
+    layers: int = 4
+    """L, layers of every phi and rho"""
+    relative_velocity: bool = True
+    """let the network see velocities; without, it sees positions alone"""
     lipschitz_samples: int = 1_000_000
     """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
@@ -94,6 +101,8 @@ def fit(config: FitConfig) -> FitReport:
     if not anchored:
         drag[:, 2] = 0.0  # the network learns the vertical drag with the rest
     spec = _spec(rows, config) if anchored else DeepSetSpec(rows.types, EVERYWHERE, None, None)
+    spec = dataclasses.replace(spec, hidden=config.hidden, layers=config.layers)
+    spec = spec if config.relative_velocity else without_velocity(spec)
     treated = subtract_offsets(rows, offsets)
     vertical_drag_g = drag[rows.ego_type, 2] * rows.velocity[:, 2] / GRAM_FORCE
     target = treated.with_vertical_force(treated.force_g[:, 2] + vertical_drag_g)

@@ -37,8 +37,9 @@ class TrainConfig:
     """rows per step, drawn with replacement"""
     learning_rate: float = 3e-3
     """Adam's rate at the start; a cosine takes it to zero at the last step"""
-    max_spectral_norm: float = 3.0
-    """limit of every weight matrix (the paper's gamma is its fourth power), held after each step"""
+    max_spectral_norm: float | None = 3.0
+    """limit of every weight matrix (the paper's gamma is its fourth power), held after each step;
+    None for none"""
     slope_limit: float | None = 250.0
     """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
     slope_weight: float = 0.01
@@ -118,7 +119,8 @@ def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         network = DeepSet(spec)
-    clip_spectral_norms(network, config.max_spectral_norm)
+    if config.max_spectral_norm is not None:
+        clip_spectral_norms(network, config.max_spectral_norm)
     optimiser = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
     return Training(network, optimiser)
 
@@ -217,7 +219,8 @@ def _step(run: Training, batch: Batch, label: Tensor, weight: Tensor, config: Tr
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
     run.optimiser.step()
-    clip_spectral_norms(run.network, config.max_spectral_norm)
+    if config.max_spectral_norm is not None:
+        clip_spectral_norms(run.network, config.max_spectral_norm)
     run.step += 1
     return float(squared.detach().mean())
 
