@@ -98,10 +98,24 @@ def _collect(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _reproduce(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.reproduce.options import ReproduceOptions, run
+
+    options = _read("reproduce", ReproduceOptions, arguments)
+    if options.table is not None:
+        _need_torch()
+    try:
+        print(run(options))
+    except ValueError as error:  # a model, a table or an older run is not what it should be
+        return _complain(f"{PROGRAM} reproduce", str(error), FAILED)
+    return DONE
+
+
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("two drones swap places through each other's downwash", _demo),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "fit": Command("fit a force model to rows of measured or simulated force", _fit),
+    "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
 
