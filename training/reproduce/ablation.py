@@ -142,7 +142,7 @@ def _table(
     budget: Budget,
     digest: str,
 ) -> dict[str, Any]:
-    rows = []
+    rows: list[dict[str, Any]] = []
     for cell in cells:
         own = [reports[cell.name, s] for s in seeds if (cell.name, s) in reports]
         errors = [report["findings"]["errors"]["overall"] for report in own]

@@ -63,7 +63,8 @@ def _scatter(axis: Axes, bins: Sequence[Bin]) -> None:
         axis.errorbar(x, y, xerr=spread, fmt="none", ecolor=color, elinewidth=0.7, alpha=0.3)
         size = [8 + 14 * np.log10(max(b.rows, 10) / 10) for b in own]
         axis.scatter(x, y, size, color, label=scenario, edgecolor="white", linewidth=0.5, zorder=3)
-    axis.legend(loc="upper left", handletextpad=0.2)
+    if bins:
+        axis.legend(loc="upper left", handletextpad=0.2)
 
 
 def plot_curves(path: Path, bins: Sequence[Bin], model: str) -> None:
@@ -131,10 +132,14 @@ def _curves(axis: Axes, bins: Sequence[Bin], kind: str) -> None:
         LATERAL: "Lateral distance (m)",
     }
     axis.set_xlabel(labels[kind])
-    if kind != GROUND:
+    if kind != GROUND and bins:
         title = "lateral distance" if kind == VERTICAL else "relative speed"
-        place = "lower left" if kind == VERTICAL else "lower right"
-        axis.legend(title=title, loc=place, fontsize=8, title_fontsize=8)
+        axis.legend(
+            title=title,
+            loc="lower left" if kind == VERTICAL else "lower right",
+            fontsize=8,
+            title_fontsize=8,
+        )
 
 
 def _without_gaps(bins: Sequence[Bin]) -> list[list[Bin]]:

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.maps import HALF_WIDTH_M, HEIGHT_M, LOWEST_MEASURED_M, ForceMap
+from swarm_envs.training.reproduce.maps import (
+    BELOW_M,
+    HALF_WIDTH_M,
+    HEIGHT_M,
+    LOWEST_MEASURED_M,
+    ForceMap,
+)
 from swarm_envs.training.reproduce.style import (
     INK,
     draw_drone,
@@ -80,7 +86,7 @@ def _draw(
     steps = steps[np.abs(steps) > 1e-9]
     if len(steps) and np.ptp(value) > contour_g:
         lines = axis.contour(found.y, found.z, value, steps, colors=INK, linewidths=0.5, alpha=0.55)
-        axis.clabel(lines, lines.levels[::2], fmt="%g", fontsize=7)
+        axis.clabel(lines, steps[::2], fmt="%g", fontsize=7)
     if found.case.ground:
         draw_ground(axis)
         axis.axhline(LOWEST_MEASURED_M, color=INK, linewidth=0.7, linestyle=":", zorder=3)
@@ -90,8 +96,8 @@ def _draw(
             _draw_arrow(axis, neighbour.y, neighbour.z, neighbour.vy)
     base = found.case.floor_m
     axis.set(xlim=(-HALF_WIDTH_M, HALF_WIDTH_M), xticks=[-0.4, -0.2, 0, 0.2, 0.4])
-    axis.set_ylim(base - (0.06 if found.case.ground else 0.0), base + HEIGHT_M)
-    axis.set_aspect("equal", anchor="N")
+    axis.set_ylim(base - BELOW_M, base + HEIGHT_M)
+    axis.set_aspect("equal")
     return colors
 
 

@@ -152,7 +152,7 @@ def plot_swarms(path: Path, swarms: Sequence[Swarm], model: InteractionModel) ->
             _growth(figure.add_subplot(grid[row, -1]), model, formation)
         figure.supxlabel(
             f"The flights have at most {MEASURED_NEIGHBOURS} neighbours: beyond, a model "
-            "extrapolates how they add up",
+            "extrapolates how they add up. Filled: joint force; open: sum of its pairs.",
             fontsize=9,
         )
 

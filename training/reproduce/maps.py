@@ -15,6 +15,8 @@ from swarm_envs.vehicles import parse_team
 
 HALF_WIDTH_M, HEIGHT_M = 0.5, 1.0
 """Size of a map: y from -0.5 to 0.5 m, z over 1 m."""
+BELOW_M = 0.06
+"""What a picture shows below: ground, or more of the air."""
 LOWEST_MEASURED_M = 0.07
 """No flight of a small drone was lower."""
 
@@ -61,7 +63,9 @@ def force_map(model: InteractionModel, case: Case, step_m: float = 0.01) -> Forc
     if not 0.001 <= step_m <= 0.25:
         raise ValueError(f"step_m is {step_m}, but must be from 0.001 to 0.25")
     y = np.linspace(-HALF_WIDTH_M, HALF_WIDTH_M, round(2 * HALF_WIDTH_M / step_m) + 1)
-    z = case.floor_m + np.linspace(0.0, HEIGHT_M, round(HEIGHT_M / step_m) + 1)
+    below = 0.0 if case.ground else BELOW_M
+    steps = round((HEIGHT_M + below) / step_m) + 1
+    z = case.floor_m + np.linspace(-below, HEIGHT_M, steps)
     team = [EGO, *(n.kind for n in case.neighbours)]
     position = np.zeros((len(z) * len(y), len(team), 3))
     velocity = np.zeros_like(position)

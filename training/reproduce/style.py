@@ -23,7 +23,7 @@ COLORS = {"S2S": "#0072B2", "L2S": "#D55E00", "S2L": "#009E73", "L2L": "#CC79A7"
 """Okabe and Ito's palette, which colour-blind readers can tell apart, by scenario."""
 COLORS |= {"Ge2S": "#56B4E9", "Ge2L": "#E69F00"}
 
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 10,
     "axes.spines.top": False,
     "axes.spines.right": False,
@@ -81,7 +81,7 @@ def draw_drone(axis: Axes, kind: str, y: float, z: float) -> None:
     from matplotlib.patches import Ellipse, FancyBboxPatch
 
     radius = parse_team(kind)[0].radius
-    edge = {"facecolor": INK, "edgecolor": "white", "linewidth": 0.5, "zorder": 6}
+    edge: Any = {"facecolor": INK, "edgecolor": "white", "linewidth": 0.5, "zorder": 6}
     rotor = 0.42 * radius
     for side in (-1, 1):
         foot = y + side * (radius - rotor)

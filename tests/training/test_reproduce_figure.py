@@ -1,0 +1,213 @@
+"""Fig. 5: maps, superposition gap, calibration and larger swarms against closed forms."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from swarm_envs.cli import main
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.training.reproduce.bins import (
+    COLUMNS,
+    KINDS,
+    compare,
+    predict_bins,
+    read_bins,
+)
+from swarm_envs.training.reproduce.cases import CASES, READINGS
+from swarm_envs.training.reproduce.figure import reproduce_figure
+from swarm_envs.training.reproduce.forces import force_on_ego_g, superposed_force_g
+from swarm_envs.training.reproduce.larger import examine, rings, stack
+from swarm_envs.training.reproduce.maps import all_maps, force_map
+from swarm_envs.training.reproduce.style import force_colors
+
+CASE = {case.letter: case for case in CASES}
+
+
+def wake_that_adds(exponent):
+    """The closed form with another rule of combining wakes, and nothing lost at the ground."""
+    wake = load("wake")
+    field = wake.field._replace(wake_combine=exponent, wake_mitigation=np.array([0.0, 1.0]))
+    return InteractionModel("planted", wake.types, field)
+
+
+def jet_g(upper, lower, lateral, depth):
+    """Downward push of one jet, from the formula in the equations, gram-force."""
+    field = load("wake").field
+    index = "SL".index(upper), "SL".index(lower)
+    amplitude, width, spread, exponent = field.wake_pair[index]
+    below = width + spread * max(depth, 0.0)
+    shape = (width / below) ** exponent * math.exp(-0.5 * (lateral / below) ** 2)
+    return amplitude / 0.00980665 * shape / (1 + math.exp(-depth / 0.03))
+
+
+def test_the_cases_are_those_of_the_paper():
+    assert "".join(CASE) == "abcdefgh"
+    assert not CASE["a"].neighbours
+    assert [tuple(n) for n in CASE["e"].neighbours] == [("L", -0.1, 0.5, 0), ("S", 0.1, 0.5, 0)]
+    assert [n.kind for n in CASE["g"].neighbours] == ["S"] * 3
+    assert [n.vy for c in CASES for n in c.neighbours if n.vy] == [0.8]
+    assert {r.paper_g for r in READINGS} == {5.0, -10.0, 11.4}
+
+
+def test_a_map_is_the_closed_form():
+    found = force_map(wake_that_adds(1.0), CASE["c"], 0.05)
+    for y, z in ((0.0, 1.2), (0.05, 1.3), (-0.1, 1.1)):
+        column, row = np.abs(found.y - y).argmin(), np.abs(found.z - z).argmin()
+        expected = -jet_g("S", "S", abs(found.y[column]), 1.5 - found.z[row])
+        assert found.at(y, z) == pytest.approx(expected, abs=1e-6)
+        assert found.force_g[row, column] == found.at(y, z)
+
+
+def test_the_wake_of_a_moving_neighbour_trails():
+    found = force_map(load("wake"), CASE["d"], 0.01)
+    row = int(np.abs(found.z - 1.1).argmin())
+    speed = 1.0 / load("wake").field.wake_delay[0]
+    assert found.y[found.force_g[row].argmin()] == pytest.approx(-0.8 * 0.4 / speed, abs=0.011)
+
+
+def test_gaps_are_zero_where_pairs_add_up():
+    for found in all_maps(wake_that_adds(1.0), 0.1):
+        assert np.abs(found.gap_g).max() < 1e-9
+    for letter in "abcd":
+        assert np.abs(force_map(load("learned"), CASE[letter], 0.1).gap_g).max() < 1e-9
+
+
+def test_the_gap_of_two_equal_wakes_is_known():
+    model = wake_that_adds(2.0)
+    position = np.array([[[0, 0, 2.0], [0, 0.05, 2.3], [0, -0.05, 2.3]]])
+    one = jet_g("S", "S", 0.05, 0.3)
+    joint = force_on_ego_g(model, "SSS", position)[0]
+    assert joint == pytest.approx(-math.sqrt(2.0) * one, rel=1e-6)
+    gap = superposed_force_g(model, "SSS", position)[0] - joint
+    assert gap == pytest.approx((math.sqrt(2.0) - 2.0) * one, rel=1e-6)
+
+
+def test_where_a_drone_fits():
+    found = force_map(wake_that_adds(1.0), CASE["b"], 0.01)
+    y, z = np.meshgrid(found.y, found.z)
+    fits = (np.hypot(y, z - 0.5) >= 0.12 - 1e-9) & (z >= 0.07 - 1e-9)
+    assert (found.free == fits).mean() > 0.9995  # points on the very edge may round either way
+    with pytest.raises(ValueError, match=r"step_m is 0\.5"):
+        force_map(load("wake"), CASE["b"], 0.5)
+
+
+def write_table(path, means, drop=()):
+    ground, pair, _ = KINDS
+    lines = [(ground, "Ge2S", low, low + 0.01, "") for low in (0.08, 0.12, 0.4)]
+    lines += [(pair, "L2S", low, low + 0.1, "lat[0,0.05)") for low in (-0.4, 0.2, 0.3)]
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        for line, mean in zip(lines, means, strict=True):
+            if line[2] not in drop:
+                writer.writerow([*line[:4], 100, mean, 0.5, line[4]])
+    return path
+
+
+def table(path, offset_g=0.0, add_g=0.0, drop=()):
+    """Bins as `wake` itself would measure them, but for an offset, and an error in the last."""
+    found = predict_bins(load("wake"), read_bins(write_table(path, [0.0] * 6)))
+    means = [b.predicted_g + offset_g for b in found]
+    means[-1] += add_g
+    return write_table(path, means, drop)
+
+
+def test_calibration_forgives_offsets_and_nothing_else(tmp_path):
+    model = load("wake")
+    errors = compare(predict_bins(model, read_bins(table(tmp_path / "a.csv", offset_g=2.0))))
+    assert errors["all"]["root_mean_square_error_g"] == 0.0
+    assert errors["all"]["variance_explained"] == 1.0
+    errors = compare(predict_bins(model, read_bins(table(tmp_path / "b.csv", 2.0, add_g=1.5))))
+    assert errors["ground Ge2S"]["largest_error_g"] == 0.0
+    assert errors["vertical L2S"]["largest_error_g"] == -1.5
+    assert errors["vertical L2S"]["mean_error_g"] == -0.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("fa_delay_mean", "mean", r"lacks the columns .*fa_delay_mean"),
+        ("ground: f", "round: f", "unknown case 'round: f vs z"),
+        ("Ge2S", "G2S", "unknown scenario 'G2S'; did you mean 'Ge2S'"),
+        (",100,", ",many,", "holds what is no number"),
+        ("lat[0,0.05)", "near", "needs a range like"),
+    ],
+)
+def test_bad_tables_are_explained(old, new, said, tmp_path):
+    path = table(tmp_path / "bins.csv")
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(ValueError, match=said):
+        read_bins(path)
+
+
+def test_a_scenario_without_a_baseline_is_refused(tmp_path):
+    bins = read_bins(table(tmp_path / "bins.csv", drop=(-0.4,)))
+    with pytest.raises(ValueError, match="scenario 'L2S' has no bin far from every effect"):
+        predict_bins(load("wake"), bins)
+    with pytest.raises(FileNotFoundError, match="no table of measured bins"):
+        read_bins(tmp_path / "none.csv")
+
+
+def test_the_shipped_model_is_calibrated(shared_data):
+    bins = read_bins(shared_data / "reference" / "measured_force_bins.csv")
+    assert len(bins) == 287
+    errors = compare(predict_bins(load("learned"), bins))
+    assert errors["all"]["variance_explained"] > 0.97
+    assert all(group["root_mean_square_error_g"] < 1.0 for group in errors.values())
+
+
+def test_larger_swarms_count_their_neighbours():
+    swarm = examine(wake_that_adds(1.0), "stack", "S" * 16)
+    assert swarm.neighbours.tolist() == [4, 5, 6, 7, *[8] * 8, 7, 6, 5, 4]
+    assert swarm.joint_g == pytest.approx(swarm.superposed_g, abs=1e-9)
+    assert swarm.joint_g[-1] == pytest.approx(0.0, abs=1e-2)
+    assert examine(load("wake"), "rings", "S" * 16).neighbours.tolist() == [15] * 16
+    assert np.ptp(stack(5)[:, 2]) == pytest.approx(1.0)
+    apart = np.linalg.norm(rings(16)[:, None] - rings(16)[None], axis=-1)
+    assert apart[apart > 0].min() > 0.12  # no two small drones touch
+
+
+def test_colours_are_as_strong_either_way():
+    for low, high in ((-20.0, 5.0), (-1.0, 1.0)):
+        colors = force_colors(low, high)
+        white, strongest_down, strongest_up = colors(-low / (high - low)), colors(0.0), colors(1.0)
+        assert min(white) > 0.95
+        assert strongest_down[0] > strongest_down[2]
+        assert strongest_up[2] > strongest_up[0]
+    narrow, wide = force_colors(-20.0, 5.0), force_colors(-20.0, 20.0)
+    assert np.allclose(narrow(1.0), wide(0.625), atol=0.02)
+
+
+def test_pictures_and_numbers_are_written(tmp_path):
+    bins = table(tmp_path / "bins.csv")
+    summary = reproduce_figure(tmp_path / "out", "wake", bins, step_m=0.1, progress=False)
+    assert json.loads((tmp_path / "out" / "figure_5.json").read_text()) == json.loads(
+        json.dumps(summary)
+    )
+    assert len(summary["files"]) == 5
+    for name in summary["files"].values():
+        with Image.open(tmp_path / "out" / name) as image:
+            assert min(image.size) > 600
+            assert len(np.unique(np.asarray(image.convert("L")))) > 100
+
+
+def test_the_command_puts_the_paper_beside_ours(capsys, tmp_path):
+    out, copy = tmp_path / "out", tmp_path / "copy.json"
+    command = ["reproduce", "neural-swarm2", "--figure", "5", "--model", "wake"]
+    assert main([*command, "--out", str(out), "--json", str(copy)]) == 0
+    said = capsys.readouterr().out
+    summary = json.loads(copy.read_text())
+    ours = {r["name"]: r["ours_g"] for r in summary["readings"]}
+    assert f"11.4          3.7{ours['superposition_gap']:8.1f}" in said
+    assert "13 more than measured" in said
+    assert "calibration" not in summary
+    assert main([*command, "--out", str(out), "--bins", str(tmp_path / "none.csv")]) == 1
+    assert "no table of measured bins" in capsys.readouterr().err
+    assert main([*command[:-1], "wak", "--out", str(out)]) == 1
+    assert "did you mean 'wake'" in capsys.readouterr().err

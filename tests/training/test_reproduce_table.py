@@ -1,0 +1,232 @@
+"""Table III: what its cells change in a fit, and a table that is kept, resumed and compared."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from swarm_envs.cli import main
+from swarm_envs.interactions import load
+from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, layers, without_velocity
+from swarm_envs.training.force_model.pipeline import fit
+from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.reproduce.ablation import (
+    Budget,
+    fit_config,
+    format_table,
+    run_ablation,
+    run_folder,
+)
+from swarm_envs.training.reproduce.cells import CELLS
+from swarm_envs.vehicles import GRAM_FORCE
+
+CELL = {cell.name: cell for cell in CELLS}
+FIT = "swarm_envs.training.reproduce.ablation.fit"
+SOME = [CELL["H=10"], CELL["no-spectral-norm"]]
+
+
+@pytest.fixture(scope="module")
+def budget(tmp_path_factory):
+    """Rows in which the force is -20 g m/s times the neighbour's speed in x."""
+    rng, count = np.random.default_rng(0), 600
+    neighbor = rng.uniform(-0.3, 0.3, (count, 1, 6))
+    force = np.zeros((count, 3))
+    force[:, 2] = -20.0 * np.abs(neighbor[:, 0, 3])
+    kind = rng.integers(2, size=(2, count))
+    rows = InteractionRows(
+        types=("S", "L"),
+        ego_type=kind[0],
+        position=rng.uniform(0.5, 1.0, (count, 3)),
+        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
+        neighbor=neighbor,
+        neighbor_type=kind[1][:, None],
+        force_g=force,
+        flight=np.zeros(count, dtype=np.int64),
+        step=np.arange(count),
+        vehicle=np.where(kind[0], 101, 50),
+        scenario=kind[0],
+        validation=np.arange(count) // 50 % 5 == 0,
+        scenario_names=("S", "L"),
+    )
+    path = tmp_path_factory.mktemp("rows") / "rows.npz"
+    save_rows(path, rows)
+    return Budget(path, steps=8, batch_size=64)
+
+
+@pytest.mark.parametrize(
+    ("name", "phi", "rho"),
+    [
+        ("H=20,L=4", [25, 40, 40, 20], [40, 40, 40, 1]),
+        ("H=10", [25, 40, 40, 10], [40, 40, 40, 1]),
+        ("H=40", [25, 40, 40, 40], [40, 40, 40, 1]),
+        ("L=3", [25, 40, 20], [40, 40, 1]),
+        ("L=5", [25, 40, 40, 40, 20], [40, 40, 40, 40, 1]),
+    ],
+)
+def test_sizes_are_those_of_the_paper(name, phi, rho):
+    cell = CELL[name]
+    network = DeepSet(DeepSetSpec(("S", "L"), hidden=cell.hidden, layers=cell.layers))
+    for module in (*network.phi.values(), network.phi_environment):
+        assert [layer.out_features for layer in layers(module)] == phi
+    for module in network.rho.values():
+        assert [layer.out_features for layer in layers(module)] == rho
+        assert layers(module)[0].in_features == cell.hidden
+
+
+def test_the_values_are_those_of_the_paper():
+    values = {c.name: (c.paper_mean, c.paper_deviation) for c in CELLS}
+    assert values["H=10"] == (6.70, 0.05)
+    assert values["H=20,L=4"] == (6.42, 0.18)
+    assert values["H=40"] == (6.63, 0.35)
+    assert values["L=3"] == (6.52, 0.17)
+    assert values["L=5"] == (7.21, 0.28)
+    assert values["no-relative-velocity"] == (7.60, None)
+    assert values["no-spectral-norm"] == (None, None)
+
+
+@pytest.mark.parametrize("sizes", [{"hidden": 0}, {"layers": 1}])
+def test_impossible_sizes_are_refused(sizes):
+    with pytest.raises(ValueError, match="must be at least"):
+        DeepSetSpec(("S",), **sizes)
+
+
+@pytest.mark.parametrize("anchor", [None, 0.6])
+@pytest.mark.parametrize(("hidden", "depth", "blind"), [(10, 3, False), (40, 5, True)])
+def test_every_size_flies_as_it_was_fitted(hidden, depth, blind, anchor, tmp_path):
+    spec = DeepSetSpec(("S", "L"), anchor_height_m=anchor, hidden=hidden, layers=depth)
+    spec = without_velocity(spec) if blind else spec
+    torch.manual_seed(0)
+    path = tmp_path / "learned.safetensors"
+    save_network(path, DeepSet(spec, dtype=torch.float64))
+    network = load_network(path)
+    assert network.spec == spec
+    rng = np.random.default_rng(0)
+    position, velocity = rng.uniform(0.1, 0.5, (2, 20, 3, 3))
+    flown = load(path).forces(position, velocity, "SLS")[..., 2] / GRAM_FORCE
+    arguments = torch.from_numpy(position), torch.from_numpy(velocity), "SLS"
+    with torch.no_grad():
+        fitted = network.force_g(*arguments).numpy()
+    assert flown == pytest.approx(fitted, abs=1e-9)
+    still = load(path).forces(position, 0 * velocity, "SLS")[..., 2] / GRAM_FORCE
+    assert (np.abs(still - flown).max() < 1e-12) == blind
+
+
+def test_each_cell_changes_one_thing(budget, tmp_path):
+    plain = vars(fit_config(CELL["H=20,L=4"], 0, budget, tmp_path))
+    changed = {
+        cell.name: {
+            k: v for k, v in vars(fit_config(cell, 0, budget, tmp_path)).items() if v != plain[k]
+        }
+        for cell in CELLS
+    }
+    assert changed == {
+        "H=20,L=4": {},
+        "H=10": {"hidden": 10},
+        "H=40": {"hidden": 40},
+        "L=3": {"layers": 3},
+        "L=5": {"layers": 5},
+        "no-relative-velocity": {"relative_velocity": False},
+        "no-spectral-norm": {"max_spectral_norm": None},
+    }
+
+
+def test_velocity_counts_where_the_force_depends_on_it(budget, tmp_path):
+    cells = [CELL["H=20,L=4"], CELL["no-relative-velocity"]]
+    table = run_ablation(
+        tmp_path, budget._replace(steps=300, learning_rate=1e-2), [0], cells, progress=False
+    )
+    seen, blind = (row["ours_g2"] / table["scenario_mean_g2"] for row in table["rows"])
+    assert seen < 0.7  # of the labels' variance, which the blind one cannot explain
+    assert blind > 0.95
+
+
+def test_without_the_clip_weights_grow_past_it(budget, tmp_path):
+    norms = {}
+    for cell in (CELL["H=20,L=4"], CELL["no-spectral-norm"]):
+        run_ablation(
+            tmp_path, budget._replace(steps=40, learning_rate=0.1), [0], [cell], progress=False
+        )
+        network = load_network(run_folder(tmp_path, cell, 0) / "learned.safetensors")
+        matrices = [p.detach().numpy() for p in network.parameters() if p.ndim == 2]
+        norms[cell.clipped] = max(np.linalg.norm(m, 2) for m in matrices)
+    assert norms[True] <= 3.0 + 1e-4
+    assert norms[False] > 3.5
+
+
+def test_an_interrupted_table_goes_on(budget, tmp_path, monkeypatch):
+    fits: list[Path] = []
+
+    def counted(config):
+        if len(fits) == 3:
+            raise KeyboardInterrupt
+        fits.append(config.out)
+        return fit(config)
+
+    monkeypatch.setattr(FIT, counted)
+    with pytest.raises(KeyboardInterrupt):
+        run_ablation(tmp_path, budget, [4, 5], SOME, progress=False)
+    partial = json.loads((tmp_path / "table_3.json").read_text())
+    assert (partial["runs_done"], partial["runs_wanted"]) == (3, 4)
+    monkeypatch.setattr(FIT, fit)
+    table = run_ablation(tmp_path, budget, [4, 5], SOME, progress=False)
+    assert json.loads((tmp_path / "table_3.json").read_text()) == table
+    monkeypatch.setattr(FIT, None)  # nothing is left to be fitted
+    assert run_ablation(tmp_path, budget, [4, 5], SOME, progress=False) == table
+    for cell, row in zip(SOME, table["rows"], strict=True):
+        runs = [run_folder(tmp_path, cell, seed) / "learned.json" for seed in (4, 5)]
+        errors = [json.loads(p.read_text())["findings"]["errors"]["overall"] for p in runs]
+        assert row["ours_g2"] == pytest.approx(sum(errors) / 2, abs=1e-4)
+        assert row["ours_deviation_g2"] == pytest.approx(
+            abs(errors[0] - errors[1]) / 2**0.5, abs=1e-4
+        )
+    with (tmp_path / "table_3.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["paper_g2"] for line in lines] == ["6.7", ""]
+    assert [float(line["ours_g2"]) for line in lines] == [row["ours_g2"] for row in table["rows"]]
+    assert "6.70 ± 0.05" in format_table(table)
+
+
+def test_runs_of_other_settings_are_refused(budget, tmp_path):
+    run_ablation(tmp_path, budget, [0], SOME[:1], progress=False)
+    with pytest.raises(ValueError, match="was made with other steps; choose another folder"):
+        run_ablation(tmp_path, budget._replace(steps=9), [0], SOME[:1], progress=False)
+    with pytest.raises(FileNotFoundError, match="give its path by --data"):
+        run_ablation(tmp_path, budget._replace(data=tmp_path / "no.npz"), [0], SOME)
+
+
+def test_the_command_fits_a_cell(budget, capsys, tmp_path):
+    command = ["reproduce", "neural-swarm2", "--table", "3", "--out", str(tmp_path)]
+    options = ["--cells", "L=5", "--seeds", "1", "--seed", "7", "--steps", "3"]
+    assert main([*command, "--data", str(budget.data), *options]) == 0
+    said = capsys.readouterr()
+    assert "7.21 ± 0.28" in said.out
+    assert "Table III" in said.err
+    assert run_folder(tmp_path, CELL["L=5"], 7).is_dir()
+    assert main([*command, "--data", str(tmp_path / "no.npz")]) == 1
+    assert "no file of rows" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ([], "either --figure 5 or --table 3"),
+        (["--figure", "5", "--table", "3"], "either --figure 5 or --table 3"),
+        (["--table", "3"], "--data PATH"),
+        (["--figure", "6"], "6"),
+        (["--figure", "5", "--seed", "-1"], "--seed is -1"),
+        (["--table", "3", "--data", "x.npz", "--seeds", "0"], "--seeds is 0"),
+        (["--table", "3", "--data", "x.npz", "--cells", "H=11"], "did you mean 'H=10'"),
+    ],
+)
+def test_bad_options_are_explained(options, said, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "160")
+    with pytest.raises(SystemExit) as end:
+        main(["reproduce", "neural-swarm2", *options])
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err
