@@ -100,7 +100,7 @@ def format_summary(summary: dict[str, Any]) -> str:
         lines.append(
             f"{s['formation']} of {s['drones']}, {_team(s['team_from_below'])}: up to "
             f"{s['most_neighbours']} neighbours, {s['neighbours_beyond_measured']} more than "
-            f"measured; forces {s['strongest_force_g']:.1f} to {s['highest_force_g']:+.1f} g"
+            f"measured; forces {s['strongest_force_g']:z.1f} to {s['highest_force_g']:+z.1f} g"
         )
     if "calibration" in summary:
         whole = summary["calibration"]["errors"]["all"]
