@@ -77,7 +77,12 @@ def _fit(arguments: Sequence[str]) -> int:
     from swarm_envs.training.force_model.pipeline import FitConfig, fit
 
     config = _read("fit", FitConfig, arguments)
-    report = fit(config)
+    try:
+        report = fit(config)
+    except ValueError as error:  # the data cannot be fitted; the message says why
+        return _complain(f"{PROGRAM} fit", str(error), FAILED)
+    for line in report.logs.lines() if report.logs else ():
+        print(line)
     errors = report.findings.errors
     print(
         f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, scenario mean "
@@ -101,7 +106,7 @@ def _collect(arguments: Sequence[str]) -> int:
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("two drones swap places through each other's downwash", _demo),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
-    "fit": Command("fit a force model to rows of measured or simulated force", _fit),
+    "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
 

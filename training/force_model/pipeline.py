@@ -17,8 +17,10 @@ from swarm_envs.training.force_model.calibration import (
     estimate_offsets,
     subtract_offsets,
 )
+from swarm_envs.training.force_model.data import data_sha256, read_data
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,
     HARD_LATERAL_M,
@@ -30,11 +32,10 @@ from swarm_envs.training.force_model.network import (
 from swarm_envs.training.force_model.report import (
     FitReport,
     examine,
-    file_sha256,
     json_ready,
     write_json,
 )
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows
+from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.train import TrainConfig, train
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -56,7 +57,8 @@ class FitConfig(TrainConfig):
     """What to fit, from which rows, and where to put the result."""
 
     data: Path
-    """file of rows: the published flights' table, or what `save_rows` wrote"""
+    """rows: the published flights' table, or what `save_rows` wrote; or flight logs: one .csv or
+    .parquet file, or a folder of them (the format: docs/flight-logs.md)"""
     out: Path
     """folder for the weights `learned.safetensors`, the report `learned.json`, the checkpoint"""
     mode: Literal["anchored", "measured"] = "anchored"
@@ -70,6 +72,8 @@ class FitConfig(TrainConfig):
     """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
     """show a progress bar"""
+    logs: LogOptions = LogOptions()
+    """how flight logs become rows"""
 
 
 def fit(config: FitConfig) -> FitReport:
@@ -85,7 +89,7 @@ def fit(config: FitConfig) -> FitReport:
     began = time.perf_counter()
     if config.mode == "measured":
         config = dataclasses.replace(config, **AS_IN_THE_PAPER)
-    rows = read_rows(config.data)
+    rows, logs = read_data(config.data, config.logs, config.progress)
     _check(rows)
     drag = fit_drag(rows)
     anchored = config.mode == "anchored"
@@ -104,7 +108,7 @@ def fit(config: FitConfig) -> FitReport:
     path = config.out / "learned.safetensors"
     provenance: dict[str, object] = {
         "command": command(config),
-        "data_sha256": file_sha256(config.data),
+        "data_sha256": data_sha256(config.data),
         "mode": config.mode,
         "seed": config.seed,
     }
@@ -112,13 +116,14 @@ def fit(config: FitConfig) -> FitReport:
     report = FitReport(
         command=command(config),
         config=json_ready(config),
-        data_sha256=file_sha256(config.data),
+        data_sha256=data_sha256(config.data),
         offset_rule=RULE if calibrated else "none",
         vehicle_offsets_g={str(vehicle): g for vehicle, g in offsets.vehicle.items()},
         drag={name: drag[index].tolist() for index, name in enumerate(rows.types)},
         history=run.history,
         findings=examine(load_network(path), rows, offsets, config.lipschitz_samples, config.seed),
         wall_time_s=round(time.perf_counter() - began, 1),
+        logs=logs,
     )
     write_json(config.out / "learned.json", json_ready(report))
     checkpoint.unlink()
@@ -128,12 +133,19 @@ def fit(config: FitConfig) -> FitReport:
 def command(config: FitConfig) -> str:
     """Command line that makes this fit, with the folders left out of its file names."""
     words = ["python -m swarm_envs.training.force_model", f"--data {config.data.name}", "--out DIR"]
+    return " ".join([*words, *_options(config)])
+
+
+def _options(config: FitConfig | LogOptions, prefix: str = "--") -> list[str]:
+    """Options that differ from their defaults."""
+    words = []
     for entry in dataclasses.fields(config):
-        value = getattr(config, entry.name)
-        required = entry.default is dataclasses.MISSING
-        if not required and entry.name != "progress" and value != entry.default:
-            words.append(f"--{entry.name.replace('_', '-')} {value}")
-    return " ".join(words)
+        value, name = getattr(config, entry.name), prefix + entry.name.replace("_", "-")
+        if isinstance(value, LogOptions):
+            words += _options(value, f"{name}.")
+        elif entry.default is not dataclasses.MISSING and value != entry.default:
+            words += [] if entry.name == "progress" else [f"{name} {value}"]
+    return words
 
 
 def _check(rows: InteractionRows) -> None:

@@ -8,6 +8,7 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from swarm_envs.training.force_model.lipschitz import (
 )
 from swarm_envs.training.force_model.network import DeepSet
 from swarm_envs.training.force_model.rows import InteractionRows
+
+if TYPE_CHECKING:
+    from swarm_envs.training.flight_logs import LogReport
 
 _SWARM_SIZES = (2, 3, 5, 8, 16)
 _SWARMS = 2000
@@ -71,6 +75,8 @@ class FitReport:
     """Step, training loss and validation MSE, g^2."""
     wall_time_s: float
     """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
+    logs: LogReport | None = None
+    """What became of flight logs; None where the data were rows already."""
 
 
 def examine(
