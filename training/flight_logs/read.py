@@ -18,6 +18,7 @@ from swarm_envs.training.flight_logs.collected import MANIFEST, read_collected
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
 from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.report import (
+    Calibration,
     FileReport,
     LogReport,
     ScenarioReport,
@@ -65,7 +66,7 @@ def read_logs(
             refused.append(FileReport(file.name, str(error)))
         else:
             flights.append(flight)
-            kinds |= flight.file.drones or {}
+            kinds |= flight.file.drones
     if not flights:
         reasons = "; ".join(f"{file.file}: {file.refused}" for file in refused)
         raise ValueError(f"no flight of {str(path)!r} is sound: {reasons}")
@@ -136,7 +137,14 @@ def _file_report(
 def _assemble(
     flights: list[_Flight], refused: list[FileReport], names: list[str], options: LogOptions
 ) -> tuple[InteractionRows, LogReport]:
+    vehicles = {name: index for index, name in enumerate(names)}
     flights = _guarded(flights, blocks := _blocks(flights, options), options)
+    unknown = _uncalibrated(flights, blocks, vehicles, options)
+    for flight in flights:
+        flight.rows[:] = [
+            rows.select(np.full(len(rows.step), rows.name not in unknown), "vehicle not calibrated")
+            for rows in flight.rows
+        ]
     scenarios = _scenarios(flights, blocks, options)
     kept = [name for name, scenario in scenarios.items() if scenario.refused is None]
     for flight in flights:
@@ -152,10 +160,9 @@ def _assemble(
             f"{len(flights)} flights give no row (entries left out: {reasons}); fly longer, or "
             "nearer to each other"
         )
-    vehicles = {name: index for index, name in enumerate(names)}
     table = _rows(flights, blocks, vehicles, kept, options)
     files = sorted([*files, *refused], key=lambda file: file.file)
-    calibration = calibrate(table, vehicles)
+    calibration = calibrate(table, vehicles) | unknown
     held_out = int(table.validation.sum())
     return table, LogReport(files, scenarios, calibration, len(table), held_out)
 
@@ -181,6 +188,22 @@ def _guarded(flights: list[_Flight], blocks: list[BoolArray], options: LogOption
         ]
         result.append(flight._replace(rows=rows))
     return result
+
+
+def _uncalibrated(
+    flights: list[_Flight], blocks: list[BoolArray], vehicles: dict[str, int], options: LogOptions
+) -> dict[str, Calibration]:
+    """Vehicles with too few quiet rows, by name."""
+    scenarios = sorted({rows.scenario for flight in flights for rows in flight.rows})
+    if not any(len(rows.step) for flight in flights for rows in flight.rows):
+        return {}
+    found = calibrate(_rows(flights, blocks, vehicles, scenarios, options), vehicles)
+    reason = (
+        f"fewer than {options.min_quiet_rows} training rows are aloft, slow and away from wakes; "
+        "add lone flight, or set min_quiet_rows to 0 if the labels are exact"
+    )
+    few = {name: c for name, c in found.items() if c.quiet_rows < options.min_quiet_rows}
+    return {name: dataclasses.replace(c, refused=reason) for name, c in few.items()}
 
 
 def _scenarios(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,7 +17,7 @@ class FileReport:
     file: str
     refused: str | None = None
     """Which rule it breaks; nothing of it was used then."""
-    drones: dict[str, str] | None = None
+    drones: dict[str, str] = field(default_factory=dict)
     """Type by name."""
     seconds: float = 0.0
     """Time that all drones have in common."""
@@ -32,7 +32,7 @@ class FileReport:
     entries: int = 0
     """Of all drones on the common clock."""
     rows: int = 0
-    dropped: dict[str, int] | None = None
+    dropped: dict[str, int] = field(default_factory=dict)
     """Entries that are no rows, by reason; with `rows` they make up `entries`."""
 
 
@@ -50,6 +50,8 @@ class Calibration:
     """Median vertical label of those: error of mass and thrust curve. None without such rows."""
     spread_g: float | None
     """Half the range between their 16 % and 84 % quantiles."""
+    refused: str | None = None
+    """Why none of its rows was used."""
 
 
 @dataclass(frozen=True)
@@ -100,15 +102,17 @@ def _notes(file: FileReport) -> list[str]:
     if file.uncommon_seconds > 0.1:
         notes.append(f"{file.uncommon_seconds:.2f} s that not all drones logged are left out")
     if file.refused is None and file.rows == 0:
-        reasons = ", ".join(f"{name}: {n}" for name, n in (file.dropped or {}).items() if n)
+        reasons = ", ".join(f"{name}: {n}" for name, n in file.dropped.items() if n)
         notes.append(f"gives no row ({reasons})")
     return notes
 
 
 def _offset(vehicle: Calibration) -> str:
+    if vehicle.refused is not None:
+        return f"unknown, so its {vehicle.rows} rows are left out: {vehicle.refused}"
     if vehicle.offset_g is None:
-        return "unknown: no row aloft, slow and away from wakes; add lone flight"
-    return f"{vehicle.offset_g:+.2f} g from {vehicle.quiet_rows} rows of lone flight"
+        return "unknown: no row is aloft, slow and away from wakes; add lone flight"
+    return f"{vehicle.offset_g:+.2f} g from {vehicle.quiet_rows} rows aloft, slow, away from wakes"
 
 
 def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibration]:

@@ -15,7 +15,7 @@ def held_out_blocks(lengths: Sequence[int], share: float, seed: int) -> list[Boo
 
     Args:
         lengths: number of blocks of each flight; a group of blocks runs on into the next flight.
-        share: of the blocks to hold out.
+        share: of the blocks to hold out; of a single block nothing.
         seed: of the draw.
 
     Returns:
@@ -24,7 +24,7 @@ def held_out_blocks(lengths: Sequence[int], share: float, seed: int) -> list[Boo
     rng, total = np.random.default_rng(seed), sum(lengths)
     chosen = np.zeros(total, dtype=np.bool_)
     size = round(1.0 / share)
-    for start in range(0, total, size):
+    for start in range(0, total if total > 1 else 0, size):
         place = start + int(rng.integers(size if start else min(size, total)))
         chosen[place : place + 1] = True
     return np.split(chosen, np.cumsum(lengths)[:-1])

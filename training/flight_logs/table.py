@@ -119,7 +119,7 @@ def check_columns(names: Sequence[str]) -> None:
 
 def _missing(missing: Sequence[str], names: Sequence[str]) -> str:
     unknown = [name for name in names if name not in COLUMNS]
-    near = difflib.get_close_matches(missing[0], unknown, n=1, cutoff=0.4)
+    near = difflib.get_close_matches(missing[0], unknown, n=1, cutoff=0.3)
     hint = f"the nearest there is {near[0]!r}; rename it, or " if near else ""
     if len(names) == 1 and re.search(r"[;\t]", names[0]):
         hint = "separate columns by commas, or "

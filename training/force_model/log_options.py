@@ -30,6 +30,10 @@ class LogOptions:
     min_scenario_rows: int = 100
     """scenarios with fewer training rows are left out"""
 
+    min_quiet_rows: int = 30
+    """vehicles with fewer training rows aloft, slow and away from wakes are left out, since their
+    calibration offset is unknown; 0 keeps all"""
+
     def __post_init__(self) -> None:
         """Check every number.
 
@@ -40,7 +44,7 @@ class LogOptions:
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value}, but must be finite and above 0")
-        for name in ("smoothing_s", "guard_s", "split_seed", "min_scenario_rows"):
+        for name in ("smoothing_s", "guard_s", "split_seed", "min_scenario_rows", "min_quiet_rows"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name} is {value}, but must be finite and not negative")
