@@ -109,16 +109,15 @@ def test_a_planted_force_is_recovered_from_noisy_logs_through_the_whole_chain(
         )
     out = tmp_path / "fit"
     config = FitConfig(
-        data=tmp_path, out=out, steps=2500, batch_size=512, lipschitz_samples=0, progress=False
+        data=tmp_path, out=out, steps=2000, batch_size=512, lipschitz_samples=0, progress=False
     )
     report = fit(config)
     assert report.vehicle_offsets_g == pytest.approx({"0": -1.0, "1": -1.0}, abs=0.3)
     acting, found = load("learned"), load(str(out / "learned.safetensors"))
-    for kind in ("walk", "swap"):
+    for kind, least in (("walk", 0.9), ("swap", 0.45)):  # eight walks and two swaps were logged
         log = flown("SL", kind, 30.0, seed=99)
         near = (np.abs(log.position[:, 0] - log.position[:, 1]) < [0.35, 0.35, 1.1]).all(axis=1)
-        truth, ours = (m.forces(log.position, log.velocity, "SL")[near] for m in (acting, found))
-        for drone in range(2):
-            left = ours[:, drone, 2] - truth[:, drone, 2]
-            print(kind, drone, 1.0 - left.var() / truth[:, drone, 2].var())
-            assert 1.0 - left.var() / truth[:, drone, 2].var() > 0.5
+        truth, ours = (
+            m.forces(log.position, log.velocity, "SL")[near, :, 2] for m in (acting, found)
+        )
+        assert 1.0 - (ours - truth).var() / truth.var() > least
