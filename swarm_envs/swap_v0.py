@@ -71,7 +71,8 @@ def parallel_env(
         action: `acceleration`, `rotors` or `setpoint`.
         decision_rate: actions per second, 240 over an integer.
         force_rate: evaluations of the interaction force per second, 240 over an integer.
-        controller: configuration of the tracking loop between actions and rotors.
+        controller: configuration of the tracking loop between actions and rotors; None for the
+            action's own.
         num_neighbors: how many neighbours a drone observes.
         horizon_s: the clock, s.
         end_on_success: whether success ends the episode.

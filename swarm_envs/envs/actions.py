@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.compiled import kernel
+from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.flight import Pilot
 from swarm_envs.state import BoolArray, FloatArray
@@ -39,6 +40,8 @@ class ActionMode:
     """Whether it commands rotors, past the tracking loop."""
     apply: Callable[[FloatArray, Pilot, BoolArray, float], None]
     """Write actions (E, N, width) into set-points or commands, where running (E,)."""
+    controller: ControllerConfig = ControllerConfig()
+    """The tracking loop's configuration, unless the user gives another."""
 
 
 @kernel
@@ -92,10 +95,15 @@ def _apply_setpoint(
     pilot.setpoint.yaw_rate[running] = given[..., 13]
 
 
+# The desired body rate is differentiated from the desired attitude, and an acceleration that steps
+# from decision to decision makes it kick: a slower filter halves how far random actions throw the
+# drone off its set-point.
+_STEPWISE = ControllerConfig(desired_rate_cutoff_hz=2.0)
+
 ACTIONS: dict[str, ActionMode] = {
     mode.name: mode
     for mode in (
-        ActionMode("acceleration", 3, True, False, _apply_acceleration),
+        ActionMode("acceleration", 3, True, False, _apply_acceleration, _STEPWISE),
         ActionMode("rotors", 4, True, True, _apply_rotors),
         ActionMode("setpoint", 14, False, False, _apply_setpoint),
     )

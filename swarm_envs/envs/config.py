@@ -35,7 +35,7 @@ class EnvConfig:
     force_rate: int = 240
     """Evaluations of the interaction force per second: 240 over an integer."""
     controller: ControllerConfig | None = None
-    """The tracking loop between actions and rotors; None for its default."""
+    """The tracking loop between actions and rotors; None for the action's own."""
     num_neighbors: int = 3
     """K, how many neighbours a drone observes."""
     horizon_s: float = 8.0

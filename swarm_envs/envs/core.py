@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.compiled import entry_point
-from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_actions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.flight import Flight
@@ -66,7 +65,7 @@ class SwarmCore:
         self.task, self.config, self.num_envs = task, config, num_envs
         self.mode = ACTIONS[config.action]
         self.physics = self._make_physics()
-        controller = config.controller or ControllerConfig()
+        controller = config.controller or self.mode.controller
         self.flight = Flight(self.physics, controller, self.mode.direct)
         drones = len(task.team)
         self.mission = new_mission(num_envs, drones)

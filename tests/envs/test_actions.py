@@ -13,11 +13,13 @@ from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.baselines.neural_swarm.plain import PlainTrackingController, Target
 from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.interactions import load
 from swarm_envs.physics import bullet_available
-from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle
+from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle, parse_team
 
 VEHICLES = {
     "S": SMALL,
@@ -209,3 +211,22 @@ def test_lone_drone_flies_alone_whatever_the_model():
     assert metrics["success"]
     assert 0.0 < metrics["worst_tracking_error_m"] < 0.05
     assert metrics["minimum_separation_m"] is None
+
+
+def test_random_accelerations_are_followed():
+    """Exploration at 10 Hz: the drone stays near the set-point that its actions move."""
+    core = SwarmCore(
+        SwapTask(team=parse_team("SL"), layout="random"),
+        EnvConfig(physics="batch", interactions="none", decision_rate=10),
+        num_envs=16,
+    )
+    rng = np.random.default_rng(0)
+    core.reset(list(range(16)))
+    for array in (core.physics._state.position, core.flight.pilot.setpoint.position):
+        array[..., 2] += 500.0
+    core.physics.arena[:] = [[-1e3] * 3, [1e3] * 3]
+    for _ in range(20):
+        core.step(rng.uniform(-1.0, 1.0, (16, 2, 3)))
+        core.running[:] = True
+    offset = core.physics.state.position - core.flight.pilot.setpoint.position
+    assert np.quantile(np.linalg.norm(offset, axis=-1), 0.95) < 0.35
