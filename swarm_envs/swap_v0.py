@@ -35,6 +35,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import refuse_unknown, team_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.errors import check_kind
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, StackedLayout, SwapTask
@@ -42,6 +43,7 @@ from swarm_envs.vehicles import Vehicle
 
 
 def parallel_env(
+    *,
     num_drones: int = 4,
     team: str | Sequence[Vehicle] | None = None,
     layout: str = "random",
@@ -71,8 +73,7 @@ def parallel_env(
         action: `acceleration`, `rotors` or `setpoint`.
         decision_rate: actions per second, 240 over an integer.
         force_rate: evaluations of the interaction force per second, 240 over an integer.
-        controller: configuration of the tracking loop between actions and rotors; None for the
-            action's own.
+        controller: configuration of the tracking loop between actions and rotors.
         num_neighbors: how many neighbours a drone observes.
         horizon_s: the clock, s.
         end_on_success: whether success ends the episode.
@@ -100,6 +101,10 @@ def parallel_env(
         end_on_success=end_on_success,
         battery=battery,
     )
+    if stacked is not None:
+        check_kind("stacked", stacked, StackedLayout, "StackedLayout(duration_s=(4.0, 4.0))")
+    if reward_weights is not None:
+        check_kind("reward_weights", reward_weights, Mapping, "{'success': 5.0}")
     task = SwapTask(
         team=team_of(team, num_drones),
         layout=layout,

@@ -149,6 +149,17 @@ class Physics(ABC):
         self._advance(u, external)
         return self.state
 
+    def __reduce__(self) -> str:
+        """Refuse to be copied or pickled: views of the state would come apart from it.
+
+        Raises:
+            TypeError: always, saying what to do instead.
+        """
+        raise TypeError(
+            f"{type(self).__name__} cannot be copied or pickled; make another and "
+            "reset(state=physics.state.copy())"
+        )
+
     def close(self) -> None:
         """Free what the engine holds. May be called more than once."""
 
