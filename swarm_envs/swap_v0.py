@@ -14,8 +14,8 @@
 
 World frame: x, y horizontal, z up, metres. A drone follows its set-point, whose acceleration lags
 what is asked for by 0.1 s and whose speed stays within 2 m/s. Rotors: front right, back right, back
-left, front left; the first and the third turn counter-clockwise. Yaw in rad. What is observed is the
-number in the row times its field's scale.
+left, front left; the first and the third turn counter-clockwise. Yaw in rad. What is observed is
+the number in the row times its field's scale.
 
 **Start.** `random`: starts at least 0.5 m apart, 0.5-2.0 m high, each drone's goal is another's
 start. `stacked`: on a circle of radius 0.5-0.75 m seen from above, in planes 0.2-0.3 m apart, the
