@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,9 +15,11 @@ from swarm_envs.training.force_model.calibration import (
     estimate_offsets,
     subtract_offsets,
 )
+from swarm_envs.training.force_model.config import FitConfig as FitConfig
 from swarm_envs.training.force_model.data import data_sha256, read_data
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.files import json_ready, write_json
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,
@@ -29,14 +29,9 @@ from swarm_envs.training.force_model.network import (
     DeepSetSpec,
     InputRange,
 )
-from swarm_envs.training.force_model.report import (
-    FitReport,
-    examine,
-    json_ready,
-    write_json,
-)
+from swarm_envs.training.force_model.report import FitReport, examine
 from swarm_envs.training.force_model.rows import InteractionRows
-from swarm_envs.training.force_model.train import TrainConfig, train
+from swarm_envs.training.force_model.train import train
 from swarm_envs.vehicles import GRAM_FORCE
 
 VOLUME_M = np.array([HARD_LATERAL_M, HARD_LATERAL_M, HARD_VERTICAL_M])
@@ -50,30 +45,6 @@ AS_IN_THE_PAPER: dict[str, Any] = {
     "balance": 0.0,
 }
 """What a measured fit leaves out of the training."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitConfig(TrainConfig):
-    """What to fit, from which rows, and where to put the result."""
-
-    data: Path
-    """rows: the published flights' table, or what `save_rows` wrote; or flight logs: one .csv or
-    .parquet file, or a folder of them (the format: docs/flight-logs.md)"""
-    out: Path
-    """folder for the weights `learned.safetensors`, the report `learned.json`, the checkpoint"""
-    mode: Literal["anchored", "measured"] = "anchored"
-    """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
-    `measured`: the paper's form on the labels as they are, every neighbour seen"""
-    offsets: Literal["estimated", "none"] = "estimated"
-    """calibration offsets of an anchored fit; `none` if the labels are exact"""
-    anchor_height_m: float = 0.6
-    """height from which a lone drone feels exactly nothing, in an anchored fit"""
-    lipschitz_samples: int = 1_000_000
-    """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
-    progress: bool = True
-    """show a progress bar"""
-    logs: LogOptions = LogOptions()
-    """how flight logs become rows"""
 
 
 def fit(config: FitConfig) -> FitReport:
