@@ -19,7 +19,7 @@ Actions = dict[str, npt.NDArray[Any]]
 class Agent(Protocol):
     """Anything that flies a team: a scripted baseline, a trained policy, a student's file."""
 
-    requires: Mapping[str, object]
+    requires: Mapping[str, Any]
     """Environment options without which it cannot act: action, decision_rate, controller ..."""
     privileged: bool
     """Whether it wants `view`: the true state, goals and reference."""
@@ -34,6 +34,21 @@ class Agent(Protocol):
             observations: of the environment, by agent name.
             view: the truth if the agent is privileged, else None.
         """
+
+
+def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
+    """Refuse an environment in which an agent would fly as something else.
+
+    Raises:
+        ValueError: an option that the agent requires has another value; the message names it.
+    """
+    for name, wanted in agent.requires.items():
+        have = getattr(env.core.config, name)
+        if have is not wanted and have != wanted:
+            raise ValueError(
+                f"{type(agent).__name__} requires {name}={wanted!r:.80}, but the environment has "
+                f"{have!r:.80}; make it with parallel_env(..., **agent.requires)"
+            )
 
 
 def fly_episode(
@@ -51,7 +66,11 @@ def fly_episode(
         seed: of the episode, for environment and agent.
         watch: called after the reset and after every step.
         options: for the environment's reset.
+
+    Raises:
+        ValueError: the environment lacks what the agent requires.
     """
+    check_requirements(env, agent)
     observations, _ = env.reset(seed=seed, options=options)
     agent.reset(env, seed)
     infos: dict[str, dict[str, Any]] = {}

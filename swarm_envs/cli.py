@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,6 +18,10 @@ DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 
 Options = TypeVar("Options")
+
+
+class Misuse(ValueError):
+    """Options with which a command cannot do its job, found before it begins."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +62,10 @@ class DemoOptions:
 
 def _demo(arguments: Sequence[str]) -> int:
     options = _read("demo", DemoOptions, arguments)
-    from swarm_envs.baselines.neural_swarm.demo import format_table, run_demo
+    _check_folder("--out", options.out)
+    if options.json is not None:
+        _check_file("--json", options.json)
+    from swarm_envs.baselines.neural_swarm.demo import crashed_flights, format_table, run_demo
     from swarm_envs.viewing.files import write_json
 
     summary = run_demo(options.out, options.seed, options.swaps, options.video)
@@ -69,15 +77,24 @@ def _demo(arguments: Sequence[str]) -> int:
         print(f"note: {note}")
     files = [options.out / name for name in summary["files"].values() if name]
     print("wrote", ", ".join(map(str, [options.out / "summary.json", *files])))
+    crashed = crashed_flights(summary)
+    if crashed:
+        message = f"{crashed} flights ended before the clock: their error is not their worst"
+        return _complain(f"{PROGRAM} demo", message, FAILED)
     return DONE
 
 
 def _fit(arguments: Sequence[str]) -> int:
-    _need_torch()
-    from swarm_envs.training.force_model.pipeline import FitConfig, fit
+    from swarm_envs.training.force_model.config import FitConfig
 
-    config = _read("fit", FitConfig, arguments)
+    config = _read("fit", FitConfig, arguments, prefixes=True)
+    _check_folder("--out", config.out)
+    _need_torch()
+    from swarm_envs.training.force_model.pipeline import fit
+
     report = fit(config)
+    for line in report.logs.lines() if report.logs else ():
+        print(line)
     errors = report.findings.errors
     print(
         f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, scenario mean "
@@ -87,14 +104,11 @@ def _fit(arguments: Sequence[str]) -> int:
 
 
 def _collect(arguments: Sequence[str]) -> int:
-    _need_torch()
-    import tyro
+    from swarm_envs.training.collection.__main__ import CollectOptions, run
 
-    from swarm_envs.training.collection.__main__ import run
-
-    tyro.cli(
-        run, args=list(arguments), prog=f"{PROGRAM} collect", config=(tyro.conf.OmitArgPrefixes,)
-    )
+    options = _read("collect", CollectOptions, arguments)
+    _check_folder("--out", options.out)
+    run(options)
     return DONE
 
 
@@ -112,9 +126,9 @@ def _reproduce(arguments: Sequence[str]) -> int:
 
 
 COMMANDS: Mapping[str, Command] = {
-    "demo": Command("two drones swap places through each other's downwash", _demo),
+    "demo": Command("drones swap places through each other's downwash", _demo),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
-    "fit": Command("fit a force model to rows of measured or simulated force", _fit),
+    "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
@@ -142,7 +156,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     where = f"{PROGRAM} {name}"
     try:
         return COMMANDS[name].run(rest)
-    except (OSError, ImportError) as error:  # the machine lacks something: no traceback helps
+    except Misuse as error:
+        return _complain(where, str(error), MISUSED)
+    except (OSError, ImportError, ValueError) as error:  # a traceback would not say more
         return _complain(where, str(error), FAILED)
     except KeyboardInterrupt:
         return _complain(where, "interrupted", INTERRUPTED)
@@ -164,16 +180,45 @@ def _overview() -> str:
     )
 
 
-def _read(name: str, options: type[Options], arguments: Sequence[str]) -> Options:
-    """Read a command's options into their dataclass; bad ones are explained, exit code 2."""
+def _read(
+    name: str, options: type[Options], arguments: Sequence[str], prefixes: bool = False
+) -> Options:
+    """Read a command's options into their dataclass; bad ones are explained, exit code 2.
+
+    With `prefixes`, options of a nested dataclass are named after it: `--logs.guard-s`.
+    """
     import tyro
 
-    return tyro.cli(options, args=list(arguments), prog=f"{PROGRAM} {name}")
+    return tyro.cli(
+        options,
+        args=list(arguments),
+        prog=f"{PROGRAM} {name}",
+        config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
+    )
 
 
 def _need_torch() -> None:
     if importlib.util.find_spec("torch") is None:
-        raise ImportError("training needs torch; install it by: pip install 'swarm-envs[train]'")
+        raise ImportError(
+            "training needs torch; install it by: pip install 'swarm-envs[train]' "
+            "(and where CUDA is not wanted, a CPU build of torch first)"
+        )
+
+
+def _check_folder(option: str, folder: Path) -> None:
+    """Refuse a folder that cannot be made or written, before hours are spent on its content."""
+    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
+    if not existing.is_dir():
+        raise Misuse(f"{option} is {str(folder)!r}, but {str(existing)!r} is a file; name a folder")
+    if not os.access(existing, os.W_OK | os.X_OK):
+        raise Misuse(f"{option} is {str(folder)!r}, but {str(existing)!r} cannot be written")
+
+
+def _check_file(option: str, file: Path) -> None:
+    """Refuse a file that cannot be written."""
+    if file.is_dir():
+        raise Misuse(f"{option} is {str(file)!r}, but that is a folder; name a file")
+    _check_folder(option, file.absolute().parent)
 
 
 def _complain(where: str, message: str, code: int) -> int:

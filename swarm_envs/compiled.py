@@ -17,18 +17,19 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numba
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
 _CORE_FOLDERS = ("physics", "interactions", "control", "envs", "tasks")
+_COMMANDS = ("cli.py", "__main__.py")
 _USES_KERNELS = b"from swarm_envs.compiled import"
 
 
 def _kernel_sources() -> list[Path]:
     """Files that hold kernels, or constants that kernels have taken in."""
-    files = sorted(file for file in _PACKAGE.glob("*.py") if file.name != "cli.py")
+    files = sorted(file for file in _PACKAGE.glob("*.py") if file.name not in _COMMANDS)
     for folder in _CORE_FOLDERS:
         files += sorted((_PACKAGE / folder).rglob("*.py"))
     others = sorted((_PACKAGE / "baselines").rglob("*.py"))
@@ -43,16 +44,48 @@ def _sources_stamp() -> str:
     return digest.hexdigest()
 
 
+class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba is untyped
+    """The files of one kernel's cache: an index that cannot be read counts as empty."""
+
+    def _load_index(self) -> dict[Any, str]:
+        try:
+            index: dict[Any, str] = super()._load_index()
+        except Exception:  # cut short or overwritten, a pickle fails in any way
+            return {}
+        return index
+
+
 class _KernelCache(FunctionCache):  # type: ignore[misc]  # numba is untyped
-    """Numba's on-disk cache, stale as soon as any file with kernels has changed."""
+    """Numba's on-disk cache, stale as soon as any file with kernels has changed.
+
+    A file of it that a full disk or a killed process has cut short is compiled anew.
+    """
 
     def __init__(self, py_func: Callable[..., Any]) -> None:
         super().__init__(py_func)
-        self._cache_file._source_stamp = _sources_stamp()
+        self._cache_file = _CacheFile(self._cache_path, self._impl.filename_base, _sources_stamp())
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """The compiled version for a signature, or None if there is none that can be read."""
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception as error:
+            _report_damage(repr(error))
+            return None
 
     def holds_anything(self) -> bool:
         """Whether a compiled version of the function, of the current sources, is on disk."""
         return bool(self._cache_file._load_index())
+
+
+@cache
+def _report_damage(cause: str) -> None:
+    _say(f"a cached kernel cannot be read ({cause}); compiling it again ...")
+
+
+def _say(message: str) -> None:
+    sys.stderr.write(f"swarm_envs: {message}\n")
+    sys.stderr.flush()
 
 
 def kernel(function: F) -> F:
@@ -97,13 +130,18 @@ _announced = False
 
 
 def announce_compilation(entry: Any) -> None:
-    """Say on stderr, once a process, that the first call of an uncached kernel takes a while."""
+    """Say on stderr, once a process, that the first call of an uncached kernel takes a while.
+
+    Without a folder for the cache it is so in every process, and the message says how to end that.
+    """
     global _announced
     if _announced or numba.config.DISABLE_JIT or entry.signatures:
         return
     _announced = True
-    if not (isinstance(entry._cache, _KernelCache) and entry._cache.holds_anything()):
-        sys.stderr.write(
-            "swarm_envs: compiling kernels, once after installation (about 15 s) ...\n"
+    if not isinstance(entry._cache, _KernelCache):
+        _say(
+            "compiling kernels (about 20 s), in every process, because no folder to keep them in "
+            "can be written; set NUMBA_CACHE_DIR to one that can ..."
         )
-        sys.stderr.flush()
+    elif not entry._cache.holds_anything():
+        _say("compiling kernels, once after installation (about 20 s) ...")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from numbers import Integral
 
 import numpy as np
 import numpy.typing as npt
@@ -35,6 +36,29 @@ def check_name(kind: str, name: object, valid: Iterable[str]) -> str:
     if not isinstance(name, str) or name not in names:
         raise ValueError(unknown_name(kind, name, names))
     return name
+
+
+def check_integer(name: str, value: object, least: int) -> int:
+    """Return `value` as an int if it is an integer, of Python or numpy, of at least `least`.
+
+    Raises:
+        ValueError: it is not; booleans are not integers here.
+    """
+    if isinstance(value, bool | np.bool_) or not isinstance(value, Integral) or value < least:
+        raise ValueError(f"{name} is {value!r}, but must be an integer of at least {least}")
+    return int(value)
+
+
+def check_kind(name: str, value: object, kind: type, example: str) -> None:
+    """Refuse an option of a wrong type.
+
+    Raises:
+        TypeError: naming the option, what it is and what it must be.
+    """
+    if not isinstance(value, kind):
+        raise TypeError(
+            f"{name} is {value!r:.80}, but must be a {kind.__name__}, such as {example}"
+        )
 
 
 def check_array(

@@ -6,9 +6,16 @@
 | | |
 |---|---|
 | Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; all end together |
-| Actions | see `swarm_envs.envs.actions` |
-| Observations | flat float32 row, see `env.observation_layout` |
+| `acceleration` | 3 in [-1, 1]: acceleration of a set-point along world x, y, z, in 5 m/s^2 |
+| `rotors` | 4 in [-1, 1]: thrust of each rotor, from none to the largest |
+| `setpoint` | 14, SI, world frame: position, velocity, acceleration, jerk, yaw, yaw rate |
+| Observations | float32 row; `env.observation_layout` has name, place, unit, scale of each field |
 | Arena | 4 x 4 x 2.5 m, grown with (N / 16)^(1/3) above 16 drones |
+
+World frame: x, y horizontal, z up, metres. A drone follows its set-point, whose acceleration lags
+what is asked for by 0.1 s and whose speed stays within 2 m/s. Rotors: front right, back right, back
+left, front left; the first and the third turn counter-clockwise. Yaw in rad. What is observed is
+the number in the row times its field's scale.
 
 **Start.** `random`: starts at least 0.5 m apart, 0.5-2.0 m high, each drone's goal is another's
 start. `stacked`: on a circle of radius 0.5-0.75 m seen from above, in planes 0.2-0.3 m apart, the
@@ -18,7 +25,8 @@ half way.
 **Success.** Every drone within 0.10 m of its goal for 0.5 s, without a collision.
 
 **Rewards** (per drone, weights in `SwapTask.reward_weights`): `progress`, `at_goal`, `tracking`,
-`effort`, `proximity`, `crash`, `success`; each bounded, each in `infos[agent]["reward_terms"]`.
+`effort`, `proximity`, `crash`, `success`; each bounded, each in `infos[agent]["reward_terms"]`; see
+`swarm_envs.tasks.swap.write_swap_terms`. Returns do not depend on the decision rate.
 
 **End.** Terminated by a collision, the floor, a wall, tumbling (150 rad/s) or success; truncated by
 the clock, after 8 s.
@@ -35,6 +43,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import refuse_unknown, team_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.errors import check_kind
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, StackedLayout, SwapTask
@@ -42,6 +51,7 @@ from swarm_envs.vehicles import Vehicle
 
 
 def parallel_env(
+    *,
     num_drones: int = 4,
     team: str | Sequence[Vehicle] | None = None,
     layout: str = "random",
@@ -99,6 +109,10 @@ def parallel_env(
         end_on_success=end_on_success,
         battery=battery,
     )
+    if stacked is not None:
+        check_kind("stacked", stacked, StackedLayout, "StackedLayout(duration_s=(4.0, 4.0))")
+    if reward_weights is not None:
+        check_kind("reward_weights", reward_weights, Mapping, "{'success': 5.0}")
     task = SwapTask(
         team=team_of(team, num_drones),
         layout=layout,

@@ -54,6 +54,31 @@ class Vehicle:
     pwm_to_max_force: tuple[float, float, float]
     """psi3 of Table I: coefficients of 1, p, v; gives the largest grams of one rotor."""
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot fly.
+
+        Raises:
+            ValueError: a quantity is not positive and finite; the message names it.
+        """
+        if len(self.inertia) != 3:
+            raise ValueError(
+                f"Vehicle.inertia is {self.inertia}, but must hold the three principal moments"
+            )
+        positive = (
+            "mass",
+            "max_thrust",
+            "diameter",
+            "arm",
+            "rotor_radius",
+            "thrust_to_torque",
+            "motor_rate",
+        )
+        values = [(name, getattr(self, name)) for name in positive]
+        values += [(f"inertia[{k}]", moment) for k, moment in enumerate(self.inertia)]
+        for name, value in values:
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"Vehicle.{name} is {value}, but must be positive and finite")
+
     @property
     def radius(self) -> float:
         """Radius of the collision sphere, m."""
@@ -158,10 +183,19 @@ def parse_team(team: str | Sequence[Vehicle]) -> Team:
     Raises:
         ValueError: the team is empty, or holds an unknown token.
     """
-    if not isinstance(team, str):
-        vehicles = tuple(team)
-    else:
+    if not isinstance(team, Sequence):
+        raise ValueError(f"team is {team!r}, but must be a string such as 'SSL' or Vehicles")
+    vehicles: Team
+    if isinstance(team, str):
         vehicles = tuple(_vehicle(token, team) for token in _TOKEN.findall(team) if token != "2")
+    else:
+        vehicles = tuple(team)
+        for vehicle in vehicles:
+            if not isinstance(vehicle, Vehicle):
+                raise ValueError(
+                    f"team holds {vehicle!r}, but must be a string such as 'SSL' or hold Vehicles, "
+                    "such as swarm_envs.vehicles.SMALL"
+                )
     if not vehicles:
         raise ValueError(f"team {team!r} has no drones; name at least one, such as 'S' or 'SSL'")
     return vehicles

@@ -24,8 +24,9 @@ def test_the_version(capsys):
     assert capsys.readouterr().out == f"swarm-envs {swarm_envs.__version__}\n"
 
 
-def test_the_program_exits_with_the_command_s_code():
-    script = [sys.executable, "-m", "swarm_envs.cli", "dmeo"]
+@pytest.mark.parametrize("module", ["swarm_envs", "swarm_envs.cli"])
+def test_the_program_exits_with_the_command_s_code(module):
+    script = [sys.executable, "-m", module, "dmeo"]
     done = subprocess.run(script, capture_output=True, text=True)
     assert done.returncode == 2
     assert "unknown command 'dmeo'; did you mean 'demo'?" in done.stderr
@@ -33,8 +34,6 @@ def test_the_program_exits_with_the_command_s_code():
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_explains_every_option(name, capsys):
-    if name in ("fit", "collect"):
-        pytest.importorskip("torch")
     with pytest.raises(SystemExit) as end:
         main([name, "--help"])
     assert end.value.code == 0
@@ -61,10 +60,71 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, capsys, mon
     assert not (tmp_path / "out").exists()
 
 
-def test_what_cannot_be_written_is_a_failure(capsys, tmp_path):
-    (tmp_path / "file").touch()
-    assert main(["demo", "--out", str(tmp_path / "file")]) == 1
-    assert "swarm-envs demo: error:" in capsys.readouterr().err
+WITHOUT_TORCH = """
+import sys
+from importlib.machinery import PathFinder
+
+class WithoutTorch:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        hidden = name.partition(".")[0] == "torch"
+        return None if hidden else PathFinder.find_spec(name, path, target)
+
+sys.meta_path[sys.meta_path.index(PathFinder)] = WithoutTorch
+from swarm_envs.cli import main
+"""
+
+
+def run_without_torch(*arguments: str) -> subprocess.CompletedProcess[str]:
+    script = WITHOUT_TORCH + f"sys.exit(main({list(arguments)!r}))"
+    return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+
+
+@pytest.mark.parametrize("name", ["fit", "collect"])
+def test_help_does_not_need_torch(name):
+    done = run_without_torch(name, "--help")
+    assert done.returncode == 0, done.stderr
+    assert "--seed" in done.stdout
+    assert "--out" in done.stdout
+
+
+def test_a_fit_without_torch_says_how_to_get_it(tmp_path):
+    done = run_without_torch("fit", "--data", "rows.npz", "--out", str(tmp_path / "out"))
+    assert done.returncode == 1
+    assert "pip install 'swarm-envs[train]'" in done.stderr
+    assert "CPU build of torch" in done.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "said"),
+    [
+        ("demo --out FILE", "--out is"),
+        ("demo --out FILE/inside", "--out is"),
+        ("demo --out OUT --json FILE/copy.json", "--json is"),
+        ("demo --out OUT --json FOLDER", "--json is"),
+        ("collect --out FILE", "--out is"),
+        ("fit --data rows.npz --out FILE", "--out is"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_before_any_flight(command, said, capsys, tmp_path):
+    (tmp_path / "FILE").write_text("mine", encoding="utf-8")
+    (tmp_path / "FOLDER").mkdir()
+    names = ("FILE", "FOLDER", "OUT")
+    words = [str(tmp_path / w) if w.startswith(names) else w for w in command.split()]
+    assert main(words) == 2
+    error = capsys.readouterr().err
+    assert f"swarm-envs {words[0]}: error: {said}" in error
+    assert (tmp_path / "FILE").read_text(encoding="utf-8") == "mine"
+    assert not (tmp_path / "OUT").exists()
+    assert not list((tmp_path / "FOLDER").iterdir())
+
+
+def test_what_fails_later_is_a_failure(capsys, tmp_path):
+    pytest.importorskip("torch")
+    data, out = tmp_path / "rows.npz", tmp_path / "out"
+    assert main(["fit", "--data", str(data), "--out", str(out)]) == 1
+    assert "swarm-envs fit: error:" in capsys.readouterr().err
 
 
 def test_the_demo_prints_its_table_and_writes_its_numbers_twice(capsys, tmp_path):

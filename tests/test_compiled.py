@@ -96,6 +96,36 @@ def test_a_read_only_installation_caches_with_the_user(package, tmp_path):
     assert run(package, **user) == ("8 8 1", "")
 
 
+@pytest.mark.parametrize("suffix", ["nbc", "nbi"])
+@pytest.mark.parametrize("size", [0, 100])
+def test_a_damaged_cache_is_compiled_again_and_overwritten(package, suffix, size):
+    run(package)
+    files = list(package.rglob(f"*.{suffix}"))
+    assert files
+    for file in files:
+        file.write_bytes(file.read_bytes()[:size])
+    result, said = run(package)
+    assert result == "8 8 0"
+    assert said.count("\n") == 1
+    assert ("cached kernel cannot be read" if suffix == "nbc" else MESSAGE) in said
+    assert run(package) == ("8 8 1", "")
+
+
+def test_without_any_folder_for_a_cache_the_message_says_what_to_set(package, tmp_path):
+    nowhere = tmp_path / "file"
+    for file in (package / "__pycache__", package / "physics" / "__pycache__", nowhere):
+        file.write_text("no folder can be made here", encoding="utf-8")
+    user = {"HOME": str(nowhere), "XDG_CACHE_HOME": str(nowhere)}
+    for _ in range(2):
+        result, said = run(package, **user)
+        assert result == "8 8 0"
+        assert "in every process" in said
+        assert "NUMBA_CACHE_DIR" in said
+    user["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
+    run(package, **user)
+    assert run(package, **user) == ("8 8 1", "")
+
+
 def test_without_compilation_the_kernel_is_plain_python(package):
     script = "from swarm_envs.physics.step import step; print(step(3))"
     assert run(package, script, NUMBA_DISABLE_JIT="1") == ("8", "")

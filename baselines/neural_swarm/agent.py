@@ -9,8 +9,10 @@ it the controller is the paper's baseline, identical in everything else.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,6 +23,7 @@ from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel, load
 
 
+@cache
 def load_belief() -> InteractionModel:
     """The deep set that the compensated controller believes: fitted to simulated flights.
 
@@ -42,7 +45,7 @@ class TrackingAgent:
     privileged = True
 
     def __init__(self, controller: ControllerConfig | None = None, decision_rate: int = 48) -> None:
-        self.requires: Mapping[str, object] = {
+        self.requires: Mapping[str, Any] = {
             "action": "setpoint",
             "decision_rate": decision_rate,
             "controller": controller or ControllerConfig(),

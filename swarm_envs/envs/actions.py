@@ -2,7 +2,7 @@
 
 | mode | numbers | meaning |
 |---|---|---|
-| `acceleration` | 3 in [-1, 1] | acceleration of the set-point over 5 m/s^2, up to 2 m/s |
+| `acceleration` | 3 in [-1, 1] | acceleration of the set-point over 5 m/s^2; see `accelerate` |
 | `rotors` | 4 in [-1, 1] | thrust of each rotor, from none to the largest |
 | `setpoint` | 14, SI | position, velocity, acceleration, jerk (3 each), yaw, yaw rate |
 """
@@ -20,6 +20,9 @@ from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.flight import Pilot
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
+
+ACCELERATION_LAG = 0.1
+"""Time constant with which a set-point's acceleration approaches what is asked for, s."""
 
 _ROUNDING = 1e-6
 _LARGEST = 1e30
@@ -45,30 +48,34 @@ class ActionMode:
 def accelerate(
     actions: FloatArray, setpoint: Setpoint, running: BoolArray, decision_s: float
 ) -> None:
-    """Accelerate the set-points, each up to the speed limit at the end of the decision.
+    """Let the set-points' accelerations approach what is asked for, within the speed limit.
+
+    With time constant tau the velocity that a set-point coasts to, u = v + tau a, moves at the
+    acceleration asked for; u is kept within the speed limit, and so v is. Over the decision the
+    acceleration is a straight ramp (the trapezoidal rule), so the attitude can follow.
 
     Args:
         actions: (E, N, 3) in [-1, 1], times 5 m/s^2.
-        setpoint: changed in place: its acceleration, constant until the next decision.
+        setpoint: changed in place: its jerk, constant until the next decision.
         running: (E,) environments to change.
         decision_s: time until the next decision, s.
     """
     velocity, acceleration, jerk = setpoint.velocity, setpoint.acceleration, setpoint.jerk
-    end = np.empty(3)
+    tau, coast = max(ACCELERATION_LAG, 0.5 * decision_s), np.empty(3)
     for e in range(actions.shape[0]):
         if not running[e]:
             continue
         for i in range(actions.shape[1]):
             square = 0.0
             for k in range(3):
-                end[k] = velocity[e, i, k] + ACCELERATION_LIMIT * actions[e, i, k] * decision_s
-                square += end[k] * end[k]
+                asked = ACCELERATION_LIMIT * actions[e, i, k]
+                coast[k] = velocity[e, i, k] + tau * acceleration[e, i, k] + asked * decision_s
+                square += coast[k] * coast[k]
             scale = min(1.0, SPEED_LIMIT / np.sqrt(square)) if square > 0.0 else 1.0
             for k in range(3):
-                acceleration[e, i, k] = (end[k] * scale - velocity[e, i, k]) / decision_s
-                jerk[e, i, k] = 0.0
-            setpoint.yaw[e, i] = 0.0
-            setpoint.yaw_rate[e, i] = 0.0
+                now = acceleration[e, i, k]
+                gained = scale * coast[k] - velocity[e, i, k] - 0.5 * decision_s * now
+                jerk[e, i, k] = (gained / (tau + 0.5 * decision_s) - now) / decision_s
 
 
 def _apply_acceleration(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_integer, check_kind, check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import bullet_available
@@ -51,18 +53,21 @@ class EnvConfig:
         if self.physics is not None:
             check_name("physics", self.physics, ENGINES)
         for name in ("decision_rate", "force_rate"):
-            rate = getattr(self, name)
-            if not isinstance(rate, int) or rate < 1 or PHYSICS_RATE % rate:
+            rate = check_integer(name, getattr(self, name), 1)
+            if PHYSICS_RATE % rate:
                 raise ValueError(
-                    f"{name} is {rate!r}, but must be {PHYSICS_RATE} over an integer, such as "
+                    f"{name} is {rate}, but must be {PHYSICS_RATE} over an integer, such as "
                     "240, 120, 48, 24 or 10"
                 )
-        if not isinstance(self.num_neighbors, int) or self.num_neighbors < 0:
-            raise ValueError(
-                f"num_neighbors is {self.num_neighbors!r}, but must be an integer of at least 0"
-            )
-        if not isinstance(self.horizon_s, int | float) or not 0.0 < self.horizon_s < float("inf"):
-            raise ValueError(f"horizon_s is {self.horizon_s!r}, but must be positive and finite")
+        check_integer("num_neighbors", self.num_neighbors, 0)
+        horizon = self.horizon_s
+        if isinstance(horizon, bool) or not isinstance(horizon, Real) or not 0 < horizon < math.inf:
+            raise ValueError(f"horizon_s is {horizon!r}, but must be positive and finite, in s")
+        if self.controller is not None:
+            check_kind("controller", self.controller, ControllerConfig, "ControllerConfig()")
+        if self.battery is not None:
+            check_kind("battery", self.battery, BatteryModel, "BatteryModel()")
+        check_kind("end_on_success", self.end_on_success, bool, "True")
 
     @property
     def engine(self) -> str:

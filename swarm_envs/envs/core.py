@@ -6,7 +6,6 @@ Every interface (PettingZoo, Gymnasium, Stable-Baselines3) is a thin view of thi
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from copy import deepcopy
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,11 +24,11 @@ from swarm_envs.envs.observation import (
     write_observations,
 )
 from swarm_envs.envs.report import episode_metrics
-from swarm_envs.errors import check_array, check_name
+from swarm_envs.errors import check_array, check_integer, check_kind, check_name
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray, hover_state
-from swarm_envs.tasks.base import Task, check_placement, new_mission
+from swarm_envs.state import BoolArray, FloatArray, IntArray, hover_state
+from swarm_envs.tasks.base import Placement, Task, check_placement, new_mission
 from swarm_envs.tasks.metrics import new_record
 from swarm_envs.tasks.rewards import weigh
 from swarm_envs.trajectories import Reference
@@ -71,6 +70,7 @@ class SwarmCore:
         drones = len(task.team)
         self.mission = new_mission(num_envs, drones)
         self.record = new_record(num_envs, drones)
+        self.decisions: IntArray = np.zeros(num_envs, dtype=np.int64)
         self.time: FloatArray = np.zeros(num_envs)
         self.running: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self.verdict = new_verdict(num_envs, drones)
@@ -123,29 +123,48 @@ class SwarmCore:
         Raises:
             ValueError: an option is unknown, or a start or goal impossible.
         """
-        where = np.ones(self.num_envs, dtype=np.bool_)
-        if mask is not None:
-            where[:] = mask
+        where = self._check_mask(mask)
+        if seeds is not None and len(seeds) != self.num_envs:
+            raise ValueError(f"seeds has {len(seeds)} entries, but must have {self.num_envs}")
         given = self._check_options(options or {})
-        # Draws are made from copies: a refused reset leaves the generators where they were.
-        generators, placements = list(self.generators), {}
-        for e in np.flatnonzero(where).tolist():
-            seed = None if seeds is None else seeds[e]
-            generators[e] = deepcopy(generators[e]) if seed is None else np.random.default_rng(seed)
-            placements[e] = self.task.place(generators[e], **given)
-            for name in _RESET_OPTIONS:
-                radius = self.physics.parameters.radius[e]
-                check_placement(placements[e], radius, self.physics.arena, name)
-        self.generators = generators
+        placements = self._draw(np.flatnonzero(where).tolist(), seeds, given)
         for e, placement in placements.items():
             self.mission.place(e, placement)
         self.flight.reset(hover_state(self.task.team, self.mission.start), where)
         self.record.clear(where)
+        there = self.mission.distance < self.task.success.radius
+        self.record.arrival[where[:, None] & there] = 0.0
+        self.decisions[where] = 0
         self.time[where] = 0.0
         self.running[where] = True
         self.verdict.clear(where)
         self._look_up_reference()
         return self._observe(where)
+
+    def _draw(
+        self,
+        environments: Sequence[int],
+        seeds: Sequence[int | None] | None,
+        given: Mapping[str, FloatArray],
+    ) -> dict[int, Placement]:
+        """Draw placements; if one is refused, every generator goes back to where it was."""
+        generators, placements = list(self.generators), {}
+        before = {e: generators[e].bit_generator.state for e in environments}
+        try:
+            for e in environments:
+                seed = None if seeds is None else seeds[e]
+                if seed is not None:
+                    generators[e] = np.random.default_rng(check_integer("seed", seed, 0))
+                placements[e] = self.task.place(generators[e], **given)
+                radius = self.physics.parameters.radius[e]
+                for name in _RESET_OPTIONS:
+                    check_placement(placements[e], radius, self.physics.arena, name)
+        except Exception:
+            for e, state in before.items():
+                self.generators[e].bit_generator.state = state
+            raise
+        self.generators = generators
+        return placements
 
     def step(self, actions: npt.ArrayLike) -> StepResult:
         """Fly every running environment from this decision to the next.
@@ -162,7 +181,8 @@ class SwarmCore:
         flown = self.running.copy()
         self.mode.apply(checked, self.flight.pilot, flown, self.config.decision_s)
         self.flight.fly(self._substeps, flown)
-        self.time += self.config.decision_s * flown
+        self.decisions += flown
+        self.time[:] = self.decisions / self.config.decision_rate
         self._look_up_reference()
         self._decide(checked)
         rewards, terms = self._reward(flown)
@@ -205,11 +225,12 @@ class SwarmCore:
         rewards: FloatArray = np.empty(shape)
         terms: FloatArray = np.empty((len(self._weights), *shape))
         situation = self.verdict.situation(self.mission, self.physics.contacts)
+        clock = (self._rules.decision_s, self._rules.horizon_s)
         if self._write_terms is None:
             write = self.task.write_reward_terms
-            self._write_terms = entry_point(write, situation, self._rules.decision_s, terms)
+            self._write_terms = entry_point(write, situation, *clock, terms)
             self._weigh = entry_point(weigh, terms, self._weights, flown, rewards)
-        self._write_terms(situation, self._rules.decision_s, terms)
+        self._write_terms(situation, *clock, terms)
         self._weigh(terms, self._weights, flown, rewards)
         return rewards, terms
 
@@ -221,7 +242,7 @@ class SwarmCore:
             self.mode.direct,
             self.mission.goal,
             self._reference,
-            1.0 - self.time / self.config.horizon_s,
+            np.maximum(1.0 - self.time / self.config.horizon_s, 0.0),
             self._types,
             self.config.num_neighbors,
             mask,
@@ -242,7 +263,31 @@ class SwarmCore:
             force_rate=self.config.force_rate,
         )
 
+    def __reduce__(self) -> str:
+        """Refuse to be copied or pickled.
+
+        Raises:
+            TypeError: always, saying what to do instead.
+        """
+        raise TypeError(
+            "an environment holds a physics engine and cannot be copied or pickled; make another "
+            "with the same options, or hand its constructor to the other process, as with "
+            "functools.partial(swap_v0.parallel_env, team='SL')"
+        )
+
+    def _check_mask(self, mask: BoolArray | None) -> BoolArray:
+        if mask is None:
+            return np.ones(self.num_envs, dtype=np.bool_)
+        array = np.array(mask)
+        if array.dtype != np.bool_ or array.shape != (self.num_envs,):
+            raise ValueError(
+                f"mask has type {array.dtype} and shape {array.shape}, but must be {self.num_envs} "
+                "booleans, one an environment"
+            )
+        return array
+
     def _check_options(self, options: Mapping[str, Any]) -> dict[str, FloatArray]:
+        check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
         shape = (self.num_drones, 3)
         given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
         for name in given:

@@ -111,7 +111,7 @@ def judge(
         reference: (E, N, 3) where drones should be, m.
         contacts: of this decision.
         rules: of success and end.
-        mission: its distances and held times are updated.
+        mission: its distances are updated.
         record: updated.
         verdict: written.
         running: (E,) environments to judge; those that have ended are taken out.
@@ -128,16 +128,15 @@ def judge(
                 for k in range(width):
                     square += actions[e, i, k] * actions[e, i, k]
                 verdict.effort[e, i] = square / width
-        distance, error = mission.distance[e], verdict.error[e]
+        error = verdict.error[e]
         measure(e, position, reference, contacts, mission, time, rules.radius, record, error)
-        arrived, crashed = True, False
+        since, crashed = 0.0, False
         for i in range(drones):
             touched = contacts.drone[e, i] != NO_DRONE or contacts.floor[e, i]
             verdict.crashed[e, i] |= touched or contacts.wall[e, i] or contacts.tumbling[e, i]
             crashed |= verdict.crashed[e, i]
-            arrived &= distance[i] < rules.radius
-        mission.held[e] = mission.held[e] + rules.decision_s if arrived else 0.0
-        if arrived and not crashed and mission.held[e] >= rules.hold_s - _ROUNDING:
+            since = max(since, record.arrival[e, i])
+        if not crashed and time[e] - since >= rules.hold_s - _ROUNDING:
             verdict.just_succeeded[e] = not verdict.succeeded[e]
             verdict.succeeded[e] = True
         over = crashed or (rules.end_on_success and verdict.succeeded[e])

@@ -5,9 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 
-import numpy as np
-
-from swarm_envs.errors import unknown_name
+from swarm_envs.errors import check_integer, unknown_name
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
 
@@ -30,6 +28,4 @@ def team_of(team: str | Sequence[Vehicle] | None, num_drones: int) -> Team:
     """
     if team is not None:
         return parse_team(team)
-    if not isinstance(num_drones, int | np.integer) or num_drones < 1:
-        raise ValueError(f"num_drones is {num_drones!r}, but must be an integer of at least 1")
-    return parse_team("S" * num_drones)
+    return parse_team("S" * check_integer("num_drones", num_drones, 1))

@@ -140,6 +140,7 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode."""
+        self._check_open("render")
         if self.render_mode is None:
             return None
         if self._camera is None:
@@ -176,7 +177,7 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         width = self.core.mode.width
         rows = [actions[agent] for agent in self.agents]
         try:
-            joined = np.array(rows, dtype=np.float64)
+            joined = np.array(rows)
         except (ValueError, TypeError):
             joined = np.empty(0)
         if joined.shape != (len(rows), width):
@@ -186,8 +187,11 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
                         f"action of {agent!r} has shape {np.shape(row)}, but action "
                         f"{self.core.mode.name!r} takes {width} numbers: shape ({width},)"
                     )
-            raise ValueError("actions must be numbers")
-        return joined[None]
+        if joined.dtype.kind not in "fiu":
+            raise ValueError(
+                f"actions are of type {joined.dtype}, but must be numbers, such as float32"
+            )
+        return joined[None].astype(np.float64)
 
     def _refuse_agents(self, actions: Mapping[str, npt.ArrayLike]) -> None:
         for agent in actions:
@@ -219,7 +223,6 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
             )
         }
         if ended:
-            metrics = self.core.metrics()
             for info in infos.values():
-                info["episode_metrics"] = metrics
+                info["episode_metrics"] = self.core.metrics()
         return infos

@@ -22,8 +22,10 @@ def episode_metrics(core: SwarmCore, e: int) -> dict[str, Any]:
     - `minimum_separation_m`: smallest distance between two drones (None if alone).
     - `worst_tracking_error_m`, `rms_tracking_error_m`, `worst_height_error_m`: against the
       reference, over all drones; the lists `..._by_drone_m` say which. None without a reference.
-    - `worst_force_g`: largest interaction force on a drone; `energy_j`: ideal induced energy of
-      all rotors; `fraction_outside_measured_range`: of drone-steps whose force was extrapolated.
+      Errors are taken at decisions, so compare them at one decision rate.
+    - `worst_force_g`: largest force of the air on a drone, its drag included; `energy_j`: ideal
+      induced energy of all rotors; `fraction_outside_measured_range`: of drone-steps whose force
+      was extrapolated.
     - `time_to_goal_s`: when the last drone came to stay at its goal (None if one did not).
     """
     contacts, record, tally = core.physics.contacts, core.record, core.flight.tally

@@ -18,46 +18,53 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class View:
-    """The truth about environment `e`, float64, valid until the next step."""
+    """The truth about one environment, float64, valid until the next step.
 
-    core: SwarmCore
-    e: int = 0
+    Arrays are read-only views: copy what should last, or what goes to a library that refuses
+    read-only arrays, as scipy's `Rotation.from_quat` does.
+    """
+
+    _core: SwarmCore
+    _e: int = 0
 
     @property
     def team(self) -> Team:
         """The N vehicles."""
-        return self.core.task.team
+        return self._core.task.team
 
     @property
     def time(self) -> float:
         """Seconds since the episode began."""
-        return float(self.core.time[self.e])
+        return float(self._core.time[self._e])
 
     @property
     def state(self) -> SwarmState:
         """State whose arrays lead with N alone."""
-        return SwarmState(*(array[self.e] for array in self.core.physics.state))
+        return SwarmState(*(array[self._e] for array in self._core.physics.state))
 
     @property
     def goals(self) -> FloatArray:
         """(N, 3) goal positions, m."""
-        return _frozen(self.core.mission.goal[self.e])
+        return _frozen(self._core.mission.goal[self._e])
 
     @property
     def setpoint(self) -> Setpoint:
         """What the tracking loop follows now; arrays lead with N alone."""
-        return Setpoint(*(_frozen(array[self.e]) for array in self.core.flight.pilot.setpoint))
+        return Setpoint(*(_frozen(array[self._e]) for array in self._core.flight.pilot.setpoint))
 
     @property
-    def force(self) -> FloatArray:
-        """(N, 3) interaction force of the last physics step, N, world frame: the environment's."""
-        return _frozen(self.core.physics.force[self.e])
+    def oracle_force(self) -> FloatArray:
+        """(N, 3) the environment's own force of the last physics step, N, world frame.
+
+        For plots and oracles: a controller that reads it knows what no real one could.
+        """
+        return _frozen(self._core.physics.force[self._e])
 
     def reference(self, time: float) -> Reference:
         """Where the drones should be at `time`, s: arrays (N, 3)."""
-        times = np.full(self.core.num_envs, time)
-        full = self.core.task.reference(self.core.mission, times)
-        return Reference(*(_frozen(array[self.e]) for array in full))
+        times = np.full(self._core.num_envs, time)
+        full = self._core.task.reference(self._core.mission, times)
+        return Reference(*(_frozen(array[self._e]) for array in full))
 
 
 def _frozen(array: FloatArray) -> FloatArray:

@@ -25,9 +25,12 @@ MODELS = ("none", "wake", "learned")
 """The models that ship, by name."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class InteractionModel:
-    """Forces f_a that air puts on drones beyond rotor thrust and gravity. Get one with `load`."""
+    """Forces f_a that air puts on drones beyond rotor thrust and gravity. Get one with `load`.
+
+    Two models are equal if they are one object: arrays have no single truth to compare by.
+    """
 
     name: str
     """The name or path it was loaded from."""

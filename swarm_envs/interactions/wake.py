@@ -42,9 +42,11 @@ def wake_field(parameters: dict[str, Any]) -> ForceField:
         field.wake_ground[a] = lift["G_g"] * GRAM_FORCE, lift["h_m"]
         field.wake_delay[a] = 1.0 / parameters["advection_speed"][upper]
         field.drag[a] = parameters["drag"][upper]
-    mitigation = parameters["mitigation"]
+    mitigation, measured = parameters["mitigation"], parameters["input_range"]
     return field._replace(
         kind=WAKE,
+        environment_range=np.array(measured["environment"], dtype=np.float64),
+        pair_range=np.array(measured["pair"], dtype=np.float64),
         wake_combine=float(parameters["combine_q"]),
         wake_mitigation=np.array([mitigation["M"], mitigation["hm_m"]]),
     )

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from safetensors import SafetensorError, safe_open
 
+from swarm_envs.errors import check_array
 from swarm_envs.interactions.field import (
     LATERAL_REACH,
     LEARNED,
@@ -27,6 +28,8 @@ from swarm_envs.state import FloatArray
 
 FORMAT = "deep-set-1"
 ENVIRONMENT = "environment"
+LARGEST = 1e6
+"""No number of a network that was fitted comes near it; one beyond it was damaged."""
 
 
 def load_deep_set(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
@@ -43,7 +46,7 @@ def load_deep_set(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, An
         )
     try:
         tensors, notes = _read(path)
-        types = tuple(notes["types"])
+        types = _types(notes["types"])
         field = _assemble(types, tensors, notes)
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         raise ValueError(
@@ -58,13 +61,29 @@ def _read(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         metadata = file.metadata() or {}
         names = file.keys()  # the file itself cannot be iterated
         tensors = {name: np.asarray(file.get_tensor(name), np.float64) for name in names}
-    notes: dict[str, Any] = json.loads(metadata.get("swarm_envs", "{}"))
+    notes = json.loads(metadata.get("swarm_envs", "{}"))
+    if not isinstance(notes, dict):
+        raise ValueError(f"its note is {notes!r:.80}, not a JSON object")
     if notes.get("format") != FORMAT:
         raise ValueError(f"its format is {notes.get('format')!r}")
     for name, tensor in tensors.items():
         if not np.isfinite(tensor).all():
             raise ValueError(f"tensor {name!r} holds a number that is not finite")
+        if (np.abs(tensor) > LARGEST).any():
+            raise ValueError(f"tensor {name!r} holds a number beyond {LARGEST:g}")
     return tensors, notes
+
+
+def _types(value: object) -> tuple[str, ...]:
+    """The interaction types: a list of different names, none of them that of the environment."""
+    if not isinstance(value, list) or not value:
+        raise ValueError(f"types is {value!r:.80}, but must be a list of names")
+    for name in value:
+        if not isinstance(name, str) or not name or name == ENVIRONMENT:
+            raise ValueError(f"{name!r:.80} is no name of an interaction type")
+    if len(set(value)) < len(value):
+        raise ValueError(f"types is {value!r:.80}, but each may stand there only once")
+    return tuple(value)
 
 
 def _assemble(
@@ -72,6 +91,7 @@ def _assemble(
 ) -> ForceField:
     names = [*(f"phi.{t}" for t in types), f"phi.{ENVIRONMENT}", *(f"rho.{t}" for t in types)]
     networks = [_layers(name, tensors) for name in names]
+    _check_all_read(tensors, networks)
     _check_widths(names, networks)
     deepest = max(len(layers) for layers in networks)
     layout = np.zeros((len(names), 2 * deepest + 2), dtype=np.int64)
@@ -84,16 +104,16 @@ def _assemble(
             row[2 + deepest + k] = position
             flat += [weight.T.ravel(), bias]
             position += weight.size + bias.size
-    window, ranges = notes.get("window"), notes.get("input_range")
+    own_range, pair_range = _ranges(notes.get("input_range"))
     return empty_field(len(types))._replace(
         kind=LEARNED,
         drag=np.array([_drag(t, tensors) for t in types]),
-        window=_window(window),
-        environment_range=np.array(ranges["environment"], float) if ranges else unlimited(4),
-        pair_range=np.array(ranges["pair"], float) if ranges else unlimited(6),
+        window=_window(notes.get("window")),
+        environment_range=own_range,
+        pair_range=pair_range,
         weights=np.concatenate(flat),
         layout=layout,
-        anchor_height=float(notes.get("anchor_height_m") or 0.0),
+        anchor_height=_anchor_height(notes.get("anchor_height_m")),
     )
 
 
@@ -101,13 +121,29 @@ def _layers(name: str, tensors: dict[str, FloatArray]) -> list[tuple[FloatArray,
     layers: list[tuple[FloatArray, FloatArray]] = []
     while f"{name}.{len(layers)}.weight" in tensors:
         prefix = f"{name}.{len(layers)}"
-        layers.append((tensors[f"{prefix}.weight"], tensors[f"{prefix}.bias"]))
+        weight, bias = tensors[f"{prefix}.weight"], tensors[f"{prefix}.bias"]
+        if weight.ndim != 2 or weight.size == 0 or bias.shape != weight.shape[:1]:
+            raise ValueError(
+                f"layer {prefix!r} has a weight of shape {weight.shape} and a bias of shape "
+                f"{bias.shape}, not (outputs, inputs) and (outputs,)"
+            )
+        layers.append((weight, bias))
     if not layers:
         raise KeyError(f"network {name!r} is missing")
     for (first, _), (second, _) in pairwise(layers):
         if first.shape[0] != second.shape[1]:
             raise ValueError(f"layers of {name!r} do not fit each other")
     return layers
+
+
+def _check_all_read(
+    tensors: dict[str, FloatArray], networks: list[list[tuple[FloatArray, FloatArray]]]
+) -> None:
+    """Refuse layers that nothing reads: one before them is missing, or a type is not named."""
+    found = sum(name.startswith(("phi.", "rho.")) for name in tensors)
+    read = 2 * sum(map(len, networks))
+    if found != read:
+        raise ValueError(f"it holds {found} weights and biases, but its networks have {read}")
 
 
 def _check_widths(names: list[str], networks: list[list[tuple[FloatArray, FloatArray]]]) -> None:
@@ -129,7 +165,42 @@ def _drag(name: str, tensors: dict[str, FloatArray]) -> FloatArray:
     return drag
 
 
-def _window(window: dict[str, list[float]] | None) -> FloatArray:
+def _window(window: object) -> FloatArray:
     if window is None:
         return np.array([LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH, VERTICAL_REACH])
-    return np.array([*window["lateral_m"], *window["vertical_m"]], dtype=np.float64)
+    if not isinstance(window, dict):
+        raise ValueError(f"window is {window!r:.80}, but must be null or an object")
+    edges = [_numbers(name, window[name], (2,)) for name in ("lateral_m", "vertical_m")]
+    for full, end in edges:
+        if not 0.0 <= full <= end:
+            raise ValueError(f"the window fades from {full:g} to {end:g} m, not outwards from 0")
+    return np.concatenate(edges)
+
+
+def _ranges(ranges: object) -> tuple[FloatArray, FloatArray]:
+    """The ranges (2, 4) of the environment's and (2, 6) of a pair's inputs."""
+    if ranges is None:
+        return unlimited(4), unlimited(6)
+    if not isinstance(ranges, dict):
+        raise ValueError(f"input_range is {ranges!r:.80}, but must be null or an object")
+    own = _numbers("input_range.environment", ranges[ENVIRONMENT], (2, 4))
+    pair = _numbers("input_range.pair", ranges["pair"], (2, 6))
+    if (own[0] > own[1]).any() or (pair[0] > pair[1]).any():
+        raise ValueError("an input_range has a lower end above its upper end")
+    return own, pair
+
+
+def _anchor_height(value: object) -> float:
+    """The anchor height, m; 0 where the model is not anchored."""
+    height = 0.0 if value is None else float(_numbers("anchor_height_m", value, ()))
+    if height < 0.0:
+        raise ValueError(f"anchor_height_m is {height:g}, but must not be negative")
+    return height
+
+
+def _numbers(name: str, value: object, shape: tuple[int, ...]) -> FloatArray:
+    """Finite numbers of a shape; neither truth values nor text that reads as numbers."""
+    array = np.asarray(value)
+    if array.dtype.kind not in "iuf":
+        raise ValueError(f"{name} is {value!r:.80}, but must be numbers of shape {shape}")
+    return check_array(name, array, shape)

@@ -117,6 +117,9 @@ class Physics(ABC):
         check_state(new, self._state)
         where: BoolArray = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
         self._state.assign(new, where)
+        # Bullet keeps quaternions of exactly unit length, so its twin starts from one too.
+        length = np.linalg.norm(self._state.quaternion, axis=-1, keepdims=True)
+        self._state.quaternion[where] /= length[where]
         self.world.age[where] = 0
         self.world.rotor_limit[where] = self.parameters.max_rotor_thrust[where]
         self.force[where] = 0.0
@@ -148,6 +151,17 @@ class Physics(ABC):
         self.contacts.clear()
         self._advance(u, external)
         return self.state
+
+    def __reduce__(self) -> str:
+        """Refuse to be copied or pickled: views of the state would come apart from it.
+
+        Raises:
+            TypeError: always, saying what to do instead.
+        """
+        raise TypeError(
+            f"{type(self).__name__} cannot be copied or pickled; make another and "
+            "reset(state=physics.state.copy())"
+        )
 
     def close(self) -> None:
         """Free what the engine holds. May be called more than once."""

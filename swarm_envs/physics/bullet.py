@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -25,24 +25,35 @@ _ORIGIN = [0.0, 0.0, 0.0]
 
 
 def bullet_available() -> bool:
-    """Whether pybullet can be imported here."""
-    return importlib.util.find_spec("pybullet") is not None
+    """Whether pybullet can be imported here: tried, since it may be there and broken.
+
+    Python keeps the module once it was imported, so that asking again costs nothing.
+    """
+    try:
+        import_bullet()
+    except ImportError:
+        return False
+    return True
 
 
 def import_bullet() -> Any:
     """Import pybullet.
 
     Raises:
-        ImportError: it is not installed; the message says how to get it or do without.
+        ImportError: it is not installed, or broken; the message says why and what to do.
     """
     try:
-        return importlib.import_module("pybullet")
-    except ImportError as error:
+        bullet = importlib.import_module("pybullet")
+        _ = bullet.connect  # any folder of that name on the path can be imported
+    except Exception as error:  # a broken library fails in ways of its own
+        missing = isinstance(error, ModuleNotFoundError) and error.name == "pybullet"
+        state = "is not installed" if missing else "is installed, but does not work"
         raise ImportError(
-            "physics='bullet' needs pybullet, which is not installed. It has wheels for Linux "
+            f"physics='bullet' needs pybullet, which {state} ({error}). It has wheels for Linux "
             "x86-64 and CPython up to 3.11: `pip install pybullet`. Elsewhere use "
             "physics='batch', which computes the same flight."
         ) from error
+    return bullet
 
 
 class BulletPhysics(Physics):
@@ -52,7 +63,7 @@ class BulletPhysics(Physics):
     `find_contacts`, as on the compiled engine. Call `close()` when done, or use it in `with`.
 
     Raises:
-        ImportError: pybullet is not installed.
+        ImportError: pybullet is not installed, or broken.
     """
 
     name = "bullet"

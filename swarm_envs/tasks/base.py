@@ -54,15 +54,12 @@ class Mission(NamedTuple):
     """(E, N, 3) goal positions, m."""
     duration: FloatArray
     """(E,) seconds that the reference takes; 0 if there is none."""
-    held: FloatArray
-    """(E,) seconds for which every drone has been at its goal."""
     distance: FloatArray
     """(E, N) distance to the goal at the last decision, m."""
 
     def place(self, e: int, placement: Placement) -> None:
         """Begin a new episode in environment `e`."""
         self.start[e], self.goal[e], self.duration[e] = placement
-        self.held[e] = 0.0
         self.distance[e] = np.linalg.norm(placement.goal - placement.start, axis=-1)
 
 
@@ -92,7 +89,6 @@ def new_mission(num_envs: int, num_drones: int) -> Mission:
         start=np.zeros((*shape, 3)),
         goal=np.zeros((*shape, 3)),
         duration=np.zeros(num_envs),
-        held=np.zeros(num_envs),
         distance=np.zeros(shape),
     )
 
@@ -104,7 +100,7 @@ class Success:
     radius: float = 0.10
     """How near a drone must be to its goal, m."""
     hold_s: float = 0.5
-    """For how long all must stay there, s."""
+    """For how long all must stay there, s, as seen at decisions."""
 
 
 class Task(ABC):
@@ -118,9 +114,9 @@ class Task(ABC):
     """Weight of each reward term; a term left out has none."""
     reward_names: tuple[str, ...]
     """Names of the T reward terms."""
-    write_reward_terms: Callable[[Situation, float, FloatArray], None]
+    write_reward_terms: Callable[[Situation, float, float, FloatArray], None]
     """A kernel that writes the bounded terms (T, E, N) of a `Situation`; it is also told the time
-    between decisions, s."""
+    between decisions and the clock, s."""
 
     @property
     def arena(self) -> FloatArray:
@@ -203,9 +199,16 @@ def draw_apart(
 
 
 def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
-    """A random permutation (n,), n >= 2, that leaves nothing in its place: cyclic (Sattolo)."""
-    order = np.arange(n)
-    for i in range(n - 1, 0, -1):
-        j = int(rng.integers(i))
-        order[i], order[j] = order[j], order[i]
-    return order
+    """A random permutation (n,), n >= 2, that leaves nothing in its place; each equally likely.
+
+    Permutations are drawn until one fits, which takes e = 2.7 draws on average.
+
+    Raises:
+        RuntimeError: a thousand draws did not fit, which does not happen by chance.
+    """
+    places = np.arange(n)
+    for _ in range(1000):
+        order = rng.permutation(n)
+        if not (order == places).any():
+            return order
+    raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")

@@ -73,7 +73,7 @@ class Recorder:
 
 def _sample(view: View) -> tuple[FloatArray, ...]:
     state, reference = view.state, view.reference(view.time)
-    arrays = (state.position, state.quaternion, reference.position, view.force)
+    arrays = (state.position, state.quaternion, reference.position, view.oracle_force)
     return (np.float64(view.time) * np.ones(()), *(array.copy() for array in arrays))
 
 

@@ -81,7 +81,11 @@ def cpu_seconds(call: Callable[[], object], times: int) -> float:
 def environment_row(engine: str, num_drones: int, start: str, repetitions: int) -> Row:
     """Agent-steps per second of a PettingZoo environment; every repetition has its own start."""
     env = swap_v0.parallel_env(
-        num_drones, physics=engine, interactions="learned", horizon_s=1e6, end_on_success=False
+        num_drones=num_drones,
+        physics=engine,
+        interactions="learned",
+        horizon_s=1e6,
+        end_on_success=False,
     )
     still = {agent: np.zeros(3, np.float32) for agent in env.possible_agents}
     options = {"start": packed(num_drones)} if start == "packed" else None
@@ -147,7 +151,7 @@ def peer_row(effects: str, num_drones: int, repetitions: int) -> Row:
 
 def reset_row(engine: str, num_drones: int, repetitions: int) -> Row:
     """Milliseconds of a reset."""
-    env = swap_v0.parallel_env(num_drones, physics=engine)
+    env = swap_v0.parallel_env(num_drones=num_drones, physics=engine)
     env.reset(seed=0)
     times = [1e3 * cpu_seconds(env.reset, 20) for _ in range(repetitions)]
     env.close()

@@ -61,13 +61,14 @@ def test_collision(engine):
     others = [touched for touched, floor, wall in contacts(infos) if not floor and not wall]
     assert others == ["drone_1", "drone_0", None]
     proximity = [info["reward_terms"]["proximity"] for info in infos.values()]
-    assert proximity == [1.0, 1.0, 0.0]
+    assert proximity == [1 / 48, 1 / 48, 0.0]
     check_crash(infos, rewards, [True, True, False])
     metrics = infos["drone_0"]["episode_metrics"]
     assert metrics["collided_drones"] == 2
     assert metrics["collided_floor"] == metrics["collided_wall"] == metrics["tumbled"] == 0
     touching = SMALL.radius + LARGE.radius
-    assert 0.8 * touching < metrics["minimum_separation_m"] < touching
+    in_one_decision = 2 * 2.5 / 48  # the episode ends with the decision in which they touch
+    assert touching - in_one_decision < metrics["minimum_separation_m"] < touching
     assert metrics["length_s"] == pytest.approx(len(rewards) / 48)
 
 
@@ -134,11 +135,28 @@ def test_success_ends_the_episode_after_the_hold(engine):
     metrics, distance = watched(env, agent, farthest)
     assert metrics["success"]
     inside = np.array(distance) < 0.10
-    assert inside[-24:].all()  # 0.5 s at 48 Hz
-    assert not inside[-25]
+    assert inside[-25:].all()  # 0.5 s at 48 Hz, from the first decision at which all were there
+    assert not inside[-26]
     assert metrics["length_s"] == pytest.approx((len(distance) - 1) / 48)
-    assert metrics["time_to_goal_s"] == pytest.approx(metrics["length_s"] - 23 / 48)
+    assert metrics["time_to_goal_s"] == pytest.approx(metrics["length_s"] - 0.5)
     env.close()
+
+
+@pytest.mark.parametrize("discount", [1.0, 0.99])
+def test_lingering_never_pays(discount):
+    """Standing still beside the goal until the clock earns less than holding it."""
+
+    def returned(goal_x: float) -> float:
+        env = swap_v0.parallel_env(num_drones=1, physics="batch", interactions="none")
+        env.reset(seed=0, options={"start": [[0.0, 0.0, 1.0]], "goal": [[goal_x, 0.0, 1.0]]})
+        total, factor = 0.0, 1.0
+        while env.agents:
+            _, rewards, _, _, infos = env.step({"drone_0": np.zeros(3, np.float32)})
+            total, factor = total + factor * rewards["drone_0"], factor * discount
+        assert infos["drone_0"]["episode_metrics"]["success"] == (goal_x < 0.1)
+        return total
+
+    assert returned(0.0) > 1.2 * returned(0.101)
 
 
 def test_success_is_rewarded_once_and_may_go_on():
@@ -175,9 +193,10 @@ def test_rewards_are_the_weighted_sum_of_bounded_terms():
                 terms = info["reward_terms"]
                 assert list(terms) == list(full)
                 assert rewards[agent] == pytest.approx(sum(full[n] * terms[n] for n in full))
-                assert terms["effort"] == pytest.approx(np.mean(actions[agent] ** 2.0))
-                assert terms["at_goal"] == pytest.approx(np.exp(-((after[i] / 0.15) ** 2)))
-                expected = np.clip((before[i] - after[i]) * 48 / 2.0, -1, 1)
+                assert terms["effort"] == pytest.approx(np.mean(actions[agent] ** 2.0) / 48)
+                share = np.exp(-((after[i] / 0.15) ** 2)) / (48 * 8.0)
+                assert terms["at_goal"] == pytest.approx(share)
+                expected = np.clip((before[i] - after[i]) * 48 / 2.0, -1, 1) / 48
                 assert terms["progress"] == pytest.approx(expected, abs=1e-12)
                 for name, value in terms.items():
                     seen[name].append(value)
@@ -197,7 +216,7 @@ def test_metrics_against_a_logged_flight(engine):
         view = env.view
         reference = view.reference(view.time).position
         state = view.state
-        arrays = (state.position, reference, view.force, state.rotor_thrust)
+        arrays = (state.position, reference, view.oracle_force, state.rotor_thrust)
         return tuple(array.copy() for array in arrays)
 
     metrics, log = watched(env, agent, record)

@@ -139,7 +139,7 @@ def test_view_is_read_only():
     env = swap_v0.parallel_env(num_drones=2, physics="batch")
     env.reset(seed=1)
     view = env.view
-    arrays = [*view.state, *view.setpoint, *view.reference(0.5), view.goals, view.force]
+    arrays = [*view.state, *view.setpoint, *view.reference(0.5), view.goals, view.oracle_force]
     for array in arrays:
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0

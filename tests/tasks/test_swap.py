@@ -170,14 +170,16 @@ def test_draws_are_the_seed_s():
     assert not np.array_equal(drawn(task, 5).start, drawn(task, 6).start)
 
 
-@pytest.mark.parametrize("n", [2, 3, 5])
+@pytest.mark.parametrize("n", [2, 3, 4])
 def test_derangements_leave_nothing_in_its_place(n):
     rng = np.random.default_rng(0)
     orders = [tuple(derangement(rng, n)) for _ in range(300)]
     for order in orders:
         assert sorted(order) == list(range(n))
         assert all(order[i] != i for i in range(n))
-    assert len(set(orders)) == {2: 1, 3: 2, 5: 24}[n]  # every cycle comes up
+    counts = [orders.count(order) for order in set(orders)]
+    assert len(counts) == {2: 1, 3: 2, 4: 9}[n]  # each of them comes up, and about as often
+    assert min(counts) > 0.5 * 300 / len(counts)
 
 
 def test_points_are_drawn_apart():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
@@ -12,24 +13,28 @@ from swarm_envs.training.collection.flight import LOG_RATE
 from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model.rows import save_rows
 
-DEFAULT = CollectionConfig()
-"""What is flown unless options say otherwise."""
+
+@dataclass(frozen=True, kw_only=True)
+class CollectOptions:
+    """Fly drones through each other's wakes in the environment and log them."""
+
+    out: Path
+    """folder for the flights, the manifest and the table `rows.npz`"""
+    config: CollectionConfig = CollectionConfig()
+    """what to fly"""
+    progress: bool = True
+    """show a progress bar"""
 
 
-def run(out: Path, config: CollectionConfig = DEFAULT, progress: bool = True) -> None:
-    """Fly drones through each other's wakes in the environment and log them.
-
-    Args:
-        out: folder for the flights, the manifest and the table `rows.npz`.
-        config: what to fly.
-        progress: show a progress bar.
-    """
-    flights = collect(config, out, progress)
+def run(options: CollectOptions) -> None:
+    """Collect, and say what was collected."""
+    flights = collect(options.config, options.out, options.progress)
+    table = options.out / "rows.npz"
     rows = interaction_rows(flights)
-    save_rows(out / "rows.npz", rows)
+    save_rows(table, rows)
     seconds = sum(len(flight.log.position) for flight in flights) / LOG_RATE
-    print(f"{len(flights)} flights, {seconds:.0f} s, {len(rows)} rows in {out / 'rows.npz'}")
+    print(f"{len(flights)} flights, {seconds:.0f} s, {len(rows)} rows in {table}")
 
 
 if __name__ == "__main__":
-    tyro.cli(run, config=(tyro.conf.OmitArgPrefixes,))
+    run(tyro.cli(CollectOptions, config=(tyro.conf.OmitArgPrefixes,)))

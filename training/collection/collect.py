@@ -16,7 +16,7 @@ from swarm_envs.training.collection.config import CollectionConfig, FlightBatch
 from swarm_envs.training.collection.flight import LOG_RATE, FlightLog, fly, with_noise
 from swarm_envs.training.collection.motion import Motion, RandomWalk, StackedSwaps
 from swarm_envs.training.collection.table import Flight
-from swarm_envs.training.force_model.report import json_ready, write_json
+from swarm_envs.training.force_model.files import json_ready, write_json
 from swarm_envs.vehicles import parse_team
 
 MANIFEST = "manifest.json"

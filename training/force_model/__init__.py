@@ -8,11 +8,16 @@ model card of both.
 Command: `python -m swarm_envs.training.force_model --data FILE --out DIR --seed 0`.
 """
 
-from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, Window
-from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.report import FitReport
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from swarm_envs.training.force_model.config import FitConfig
+    from swarm_envs.training.force_model.export import load_network, save_network
+    from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, Window
+    from swarm_envs.training.force_model.pipeline import fit
+    from swarm_envs.training.force_model.report import FitReport
+    from swarm_envs.training.force_model.rows import InteractionRows, read_rows
 
 __all__ = [
     "DeepSet",
@@ -26,3 +31,20 @@ __all__ = [
     "read_rows",
     "save_network",
 ]
+
+_HOMES = {
+    "config": ("FitConfig",),
+    "export": ("load_network", "save_network"),
+    "network": ("DeepSet", "DeepSetSpec", "Window"),
+    "pipeline": ("fit",),
+    "report": ("FitReport",),
+    "rows": ("InteractionRows", "read_rows"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is asked for: rows and options are read without torch."""
+    for home, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(f"{__name__}.{home}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

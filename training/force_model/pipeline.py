@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,8 +15,12 @@ from swarm_envs.training.force_model.calibration import (
     estimate_offsets,
     subtract_offsets,
 )
+from swarm_envs.training.force_model.config import FitConfig as FitConfig
+from swarm_envs.training.force_model.data import data_sha256, read_data
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.files import json_ready, write_json
+from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,
     HARD_LATERAL_M,
@@ -28,15 +30,9 @@ from swarm_envs.training.force_model.network import (
     InputRange,
     without_velocity,
 )
-from swarm_envs.training.force_model.report import (
-    FitReport,
-    examine,
-    file_sha256,
-    json_ready,
-    write_json,
-)
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows
-from swarm_envs.training.force_model.train import TrainConfig, train
+from swarm_envs.training.force_model.report import FitReport, examine
+from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.force_model.train import train
 from swarm_envs.vehicles import GRAM_FORCE
 
 VOLUME_M = np.array([HARD_LATERAL_M, HARD_LATERAL_M, HARD_VERTICAL_M])
@@ -52,33 +48,6 @@ AS_IN_THE_PAPER: dict[str, Any] = {
 """What a measured fit leaves out of the training."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FitConfig(TrainConfig):
-    """What to fit, from which rows, and where to put the result."""
-
-    data: Path
-    """file of rows: the published flights' table, or what `save_rows` wrote"""
-    out: Path
-    """folder for the weights `learned.safetensors`, the report `learned.json`, the checkpoint"""
-    mode: Literal["anchored", "measured"] = "anchored"
-    """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
-    `measured`: the paper's form on the labels as they are, every neighbour seen"""
-    offsets: Literal["estimated", "none"] = "estimated"
-    """calibration offsets of an anchored fit; `none` if the labels are exact"""
-    anchor_height_m: float = 0.6
-    """height from which a lone drone feels exactly nothing, in an anchored fit"""
-    hidden: int = 20
-    """H, length of the hidden state between phi and rho"""
-    layers: int = 4
-    """L, layers of every phi and rho"""
-    relative_velocity: bool = True
-    """let the network see velocities; without, it sees positions alone"""
-    lipschitz_samples: int = 1_000_000
-    """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
-    progress: bool = True
-    """show a progress bar"""
-
-
 def fit(config: FitConfig) -> FitReport:
     """Fit a deep set to rows and write `learned.safetensors` and `learned.json` into `config.out`.
 
@@ -92,7 +61,7 @@ def fit(config: FitConfig) -> FitReport:
     began = time.perf_counter()
     if config.mode == "measured":
         config = dataclasses.replace(config, **AS_IN_THE_PAPER)
-    rows = read_rows(config.data)
+    rows, logs = read_data(config.data, config.logs, config.progress)
     _check(rows)
     drag = fit_drag(rows)
     anchored = config.mode == "anchored"
@@ -113,7 +82,7 @@ def fit(config: FitConfig) -> FitReport:
     path = config.out / "learned.safetensors"
     provenance: dict[str, object] = {
         "command": command(config),
-        "data_sha256": file_sha256(config.data),
+        "data_sha256": data_sha256(config.data),
         "mode": config.mode,
         "seed": config.seed,
     }
@@ -121,13 +90,14 @@ def fit(config: FitConfig) -> FitReport:
     report = FitReport(
         command=command(config),
         config=json_ready(config),
-        data_sha256=file_sha256(config.data),
+        data_sha256=data_sha256(config.data),
         offset_rule=RULE if calibrated else "none",
         vehicle_offsets_g={str(vehicle): g for vehicle, g in offsets.vehicle.items()},
         drag={name: drag[index].tolist() for index, name in enumerate(rows.types)},
         history=run.history,
         findings=examine(load_network(path), rows, offsets, config.lipschitz_samples, config.seed),
         wall_time_s=round(time.perf_counter() - began, 1),
+        logs=logs,
     )
     write_json(config.out / "learned.json", json_ready(report))
     checkpoint.unlink()
@@ -137,12 +107,19 @@ def fit(config: FitConfig) -> FitReport:
 def command(config: FitConfig) -> str:
     """Command line that makes this fit, with the folders left out of its file names."""
     words = ["python -m swarm_envs.training.force_model", f"--data {config.data.name}", "--out DIR"]
+    return " ".join([*words, *_options(config)])
+
+
+def _options(config: FitConfig | LogOptions, prefix: str = "--") -> list[str]:
+    """Options that differ from their defaults."""
+    words = []
     for entry in dataclasses.fields(config):
-        value = getattr(config, entry.name)
-        required = entry.default is dataclasses.MISSING
-        if not required and entry.name != "progress" and value != entry.default:
-            words.append(f"--{entry.name.replace('_', '-')} {value}")
-    return " ".join(words)
+        value, name = getattr(config, entry.name), prefix + entry.name.replace("_", "-")
+        if isinstance(value, LogOptions):
+            words += _options(value, f"{name}.")
+        elif entry.default is not dataclasses.MISSING and value != entry.default:
+            words += [] if entry.name == "progress" else [f"{name} {value}"]
+    return words
 
 
 def _check(rows: InteractionRows) -> None:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import json
-import os
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +25,9 @@ from swarm_envs.training.force_model.lipschitz import (
 )
 from swarm_envs.training.force_model.network import DeepSet
 from swarm_envs.training.force_model.rows import InteractionRows
+
+if TYPE_CHECKING:
+    from swarm_envs.training.flight_logs import LogReport
 
 _SWARM_SIZES = (2, 3, 5, 8, 16)
 _SWARMS = 2000
@@ -71,6 +70,8 @@ class FitReport:
     """Step, training loss and validation MSE, g^2."""
     wall_time_s: float
     """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
+    logs: LogReport | None = None
+    """What became of flight logs; None where the data were rows already."""
 
 
 def examine(
@@ -103,27 +104,3 @@ def examine(
         axis_bins=axis_bins(network, predicted, treated),
         extremes=[scan_swarms(network, size, _SWARMS, rng) for size in _SWARM_SIZES],
     )
-
-
-def json_ready(value: object) -> object:
-    """Turn dataclasses, tuples and arrays into what JSON holds; a path keeps only its name."""
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        return {f.name: json_ready(getattr(value, f.name)) for f in dataclasses.fields(value)}
-    if isinstance(value, dict):
-        return {str(key): json_ready(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [json_ready(entry) for entry in value]
-    return value.name if isinstance(value, Path) else value
-
-
-def write_json(path: Path, content: object) -> None:
-    """Write JSON so that a reader sees the old file or the whole new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.write_text(json.dumps(content, indent=1) + "\n")
-    partial.replace(path)
-
-
-def file_sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file: says exactly which data was fitted."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -17,6 +17,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from swarm_envs.training.force_model.checkpoint import load_checkpoint, save_checkpoint
+from swarm_envs.training.force_model.config import TrainConfig as TrainConfig
 from swarm_envs.training.force_model.network import (
     Batch,
     DeepSet,
@@ -25,41 +26,6 @@ from swarm_envs.training.force_model.network import (
 )
 from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    """How the network is trained."""
-
-    steps: int = 6000
-    """optimiser steps"""
-    batch_size: int = 1024
-    """rows per step, drawn with replacement"""
-    learning_rate: float = 3e-3
-    """Adam's rate at the start; a cosine takes it to zero at the last step"""
-    max_spectral_norm: float | None = 3.0
-    """limit of every weight matrix (the paper's gamma is its fourth power), held after each step;
-    None for none"""
-    slope_limit: float | None = 250.0
-    """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
-    slope_weight: float = 0.01
-    """weight of that penalty, (g per m)^2, beside the mean squared error, g^2"""
-    slope_inputs: int = 256
-    """random inputs per step on which the slope is looked at"""
-    position_jitter_m: float = 0.02
-    """standard deviation of noise on neighbours' relative positions: rounds off the sharp tips
-    that layers of ReLU make on the axis of a wake, where there are few rows"""
-    velocity_jitter: float = 0.08
-    """the same for relative velocities, m/s"""
-    balance: float = 1.0
-    """how far squared errors are weighed by the inverse mean square label of the drone's type: 0
-    not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
-    symmetric: bool = True
-    """turn and mirror each row at random: the eight symmetries of the square in x and y"""
-    checkpoint_every: int = 500
-    """steps between checkpoints and validation errors"""
-    seed: int = 0
-    """seed of the first weights and of every draw; the same seed gives the same weights"""
 
 
 @dataclass

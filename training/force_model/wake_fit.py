@@ -8,7 +8,7 @@ second pass weighs each type's rows by what the first left over.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +18,9 @@ from scipy.optimize import least_squares
 from swarm_envs.training.force_model.calibration import RULE, estimate_offsets, subtract_offsets
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.evaluate import Errors, mean_squared_errors
+from swarm_envs.training.force_model.files import file_sha256, json_ready, write_json
 from swarm_envs.training.force_model.network import OUTER_FADE
-from swarm_envs.training.force_model.report import file_sha256, json_ready, write_json
+from swarm_envs.training.force_model.pipeline import measured_range
 from swarm_envs.training.force_model.rows import FloatArray, InteractionRows, read_rows
 from swarm_envs.training.force_model.wake_model import (
     WakeParameters,
@@ -190,6 +191,7 @@ def run(config: WakeFitConfig) -> dict[str, object]:
     ends |= {"zero": best.errors.zero, "scenario mean": best.errors.scenario_mean}
     content = description(best, rows.types, drag, ends)
     content["validation_mse_g2_by_scenario"] = best.errors.scenario
+    content["input_range"] = asdict(measured_range(rows))
     content["provenance"] = {
         "data": config.data.name,
         "data_sha256": file_sha256(config.data),

@@ -5,7 +5,7 @@ one vertical line, so that the upper ones blow on the lowest. Both controllers f
 with the same gains, filters and trajectories; they differ in the believed force alone.
 """
 
-from swarm_envs.baselines.neural_swarm.demo.report import format_table
+from swarm_envs.baselines.neural_swarm.demo.report import crashed_flights, format_table
 from swarm_envs.baselines.neural_swarm.demo.run import run_demo
 
-__all__ = ["format_table", "run_demo"]
+__all__ = ["crashed_flights", "format_table", "run_demo"]

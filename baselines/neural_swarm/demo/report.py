@@ -60,6 +60,7 @@ def _scenario(sides: Mapping[str, list[Flight]], seeds: Sequence[int]) -> dict[s
     for name, flights in sides.items():
         worst[name] = np.array([record.worst_height_error_cm() for record, _ in flights])
         entry[name] = {
+            "crashed": sum(metrics["length_s"] < HORIZON_S - 1e-6 for _, metrics in flights),
             "worst_height_error_cm": _statistics(worst[name]),
             "flights": [
                 _flight(seed, *flight) for seed, flight in zip(seeds, flights, strict=True)
@@ -105,14 +106,21 @@ def _versions() -> dict[str, str]:
     return found
 
 
+def crashed_flights(summary: Mapping[str, Any]) -> int:
+    """Number of flights that ended before the clock: their error is not their worst."""
+    entries = summary["scenarios"].values()
+    return sum(int(entry[name]["crashed"]) for entry in entries for name in CONTROLLERS)
+
+
 def format_table(summary: Mapping[str, Any]) -> str:
     """The summary as a table for the terminal: medians, quartiles, ratios."""
-    head = ("scenario", "without (cm)", "with (cm)", "with / without", "made worse")
+    head = ("scenario", "without (cm)", "with (cm)", "with / without", "made worse", "crashed")
     rows = [head]
     for team, entry in summary["scenarios"].items():
         sides = [_spread(entry[name]["worst_height_error_cm"]) for name in CONTROLLERS]
         worse = f"{entry['made_worse']} of {summary['swaps']}"
-        rows.append((team, *sides, f"{entry['ratio_of_medians']:.2f}", worse))
+        crashed = " / ".join(str(entry[name]["crashed"]) for name in CONTROLLERS)
+        rows.append((team, *sides, f"{entry['ratio_of_medians']:.2f}", worse, crashed))
     widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     lines = [
         "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))])

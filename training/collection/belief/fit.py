@@ -19,7 +19,7 @@ from swarm_envs.training.collection.flight import LOG_RATE
 from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
 from swarm_envs.training.force_model import fit as fit_force_model
-from swarm_envs.training.force_model.report import file_sha256, json_ready, write_json
+from swarm_envs.training.force_model.files import file_sha256, json_ready, write_json
 from swarm_envs.training.force_model.rows import save_rows
 
 

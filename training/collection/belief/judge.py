@@ -88,7 +88,7 @@ def worst_height_errors(
         interactions=environment,
         action="setpoint",
         decision_rate=48,
-        controller=agent.requires["controller"],  # type: ignore[arg-type]
+        controller=agent.requires["controller"],
         horizon_s=trial.layout.duration_s[1] + 2.0,
         end_on_success=False,
     )

@@ -1,0 +1,6 @@
+"""`python -m swarm_envs`: the command `swarm-envs`, where its script is not on the path."""
+
+import runpy
+
+if __name__ == "__main__":
+    runpy.run_module("swarm_envs.cli", run_name="__main__")

@@ -1,0 +1,159 @@
+"""Rows of logs against the truth: forces that acted, planted errors of mass and thrust."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from swarm_envs.interactions import load
+from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
+from swarm_envs.training.flight_logs.table import from_columns
+from swarm_envs.training.force_model.calibration import estimate_offsets
+from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL
+
+EXACT = LogOptions(smoothing_s=0.0, keep_every=1, min_scenario_rows=1, min_quiet_rows=0)
+
+
+def acting_g(rows):
+    """What the environment's model does in each row, (R, 3) gram-force."""
+    force = np.empty((len(rows), 3))
+    model = load("learned")
+    for scenario in np.unique(rows.scenario):
+        (own,) = np.nonzero(rows.scenario == scenario)
+        kinds = [rows.ego_type[own[0]], *(k for k in rows.neighbor_type[own[0]] if k >= 0)]
+        shift = rows.neighbor[own][:, : len(kinds) - 1]
+        ego = np.concatenate([rows.position[own], rows.velocity[own]], axis=1)[:, None]
+        state = np.concatenate([ego, ego + shift], axis=1)
+        team = "".join(rows.types[k] for k in kinds)
+        force[own] = model.forces(state[..., :3], state[..., 3:], team)[:, 0] / GRAM_FORCE
+    return force
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+@pytest.mark.parametrize(
+    ("team", "kind"), [("SL", "walk"), ("S", "low-walk"), ("SSL", "swap"), ("S*L", "swap")]
+)
+def test_labels_are_the_force_that_acted(team, kind, accelerometer, flown, as_table, tmp_path):
+    table = as_table(flown(team, kind), team, accelerometer=accelerometer)
+    write_table(tmp_path / "flight.csv", table)
+    rows, report = read_logs(tmp_path / "flight.csv", EXACT)
+    (file,) = report.files
+    assert file.acceleration == ("logged" if accelerometer else "differentiated")
+    truth = acting_g(rows)
+    assert np.abs(truth[:, 2]).max() > 0.3  # there is something to find
+    error = rows.force_g - truth
+    assert np.sqrt(np.mean(error**2, axis=0)).max() < 0.05
+    assert np.abs(error).max() < 0.5
+    assert np.abs(error.mean(axis=0)).max() < 0.01
+
+
+def test_every_entry_is_a_row_or_has_a_reason(flown, as_table, tmp_path):
+    write_table(tmp_path / "flight.csv", as_table(flown("SL"), "SL"))
+    rows, report = read_logs(
+        tmp_path / "flight.csv", LogOptions(min_scenario_rows=1, min_quiet_rows=0)
+    )
+    (file,) = report.files
+    assert file.rows == len(rows) == report.rows
+    assert file.rows + sum(file.dropped.values()) == file.entries
+    assert file.rate_hz == 100.0
+    assert file.dropped["guard gap"] > 0
+    assert set(rows.scenario_names) == {"S2L", "L2S"}
+
+
+def test_planted_mass_is_recovered_from_lone_flight(flown, as_table, tmp_path):
+    for team, mass_g in (("S", -2.0), ("L", 1.5)):
+        table = as_table(flown(team, "walk", 25.0, mass_g), team, names=[f"cf-{team}"])
+        write_table(tmp_path / f"{team}.csv", table)
+    rows, report = read_logs(tmp_path, LogOptions())
+    offsets = estimate_offsets(rows)
+    for name, planted in (("cf-S", 2.0), ("cf-L", -1.5)):  # m a / g - T: too heavy a type, +
+        vehicle = report.vehicles[name]
+        assert vehicle.offset_g == pytest.approx(planted, abs=0.1)
+        assert offsets.vehicle[vehicle.id] == pytest.approx(planted, abs=0.1)
+        assert vehicle.quiet_rows > 100
+    said = f"cf-S: calibration offset {report.vehicles['cf-S'].offset_g:+.2f} g"
+    assert any(said in line for line in report.lines())
+
+
+@pytest.mark.parametrize("vehicle", [SMALL, LARGE])
+def test_planted_thrust_error_is_recovered_from_lone_flight(vehicle, flown, as_table, tmp_path):
+    team, gain = vehicle.token, 1.05
+    write_table(tmp_path / "a.csv", as_table(flown(team), team, thrust_gain=gain))
+    _, report = read_logs(tmp_path / "a.csv", LogOptions())
+    planted = vehicle.mass * 1000.0 * (1.0 - 1.0 / gain)
+    assert report.vehicles["cf0"].offset_g == pytest.approx(planted, abs=0.15)
+
+
+def test_drones_on_clocks_and_signs_of_their_own_give_the_same(flown, as_table, tmp_path):
+    """Other rates, times between, quaternions of either sign, drones one after the other."""
+    log = flown("SL")
+    together = as_table(log, "SL")
+    write_table(tmp_path / "together.csv", together)
+    large = np.arange(len(together)) % 2 == 1
+    keep = ~large | (np.arange(len(together)) // 2 % 5 != 2)  # the large drone's lines: uneven
+    order = np.argsort(large[keep], kind="stable")
+    apart = {name: values[keep][order] for name, values in together.columns().items()}
+    flip = np.where(np.arange(len(order)) % 7 < 3, -1.0, 1.0)
+    for name in ("qx", "qy", "qz", "qw"):
+        apart[name] = apart[name] * flip
+    write_table(tmp_path / "apart.csv", from_columns(apart))
+    a, _ = read_logs(tmp_path / "together.csv", EXACT)
+    b, _ = read_logs(tmp_path / "apart.csv", EXACT)
+    both = np.intersect1d(a.step * 2 + a.ego_type, b.step * 2 + b.ego_type)
+    assert len(both) > 0.9 * len(a)
+    a, b = (r.select(np.isin(r.step * 2 + r.ego_type, both)) for r in (a, b))
+    np.testing.assert_allclose(b.position, a.position, atol=1e-4)
+    assert np.sqrt(np.mean((b.force_g - a.force_g) ** 2)) < 0.05
+
+
+def test_gaps_and_standing_motors_give_no_rows(flown, as_table, tmp_path):
+    table = as_table(flown("S"), "S")
+    time = table.time - table.time[0]
+    gap = (time > 3.0) & (time < 3.5)
+    columns = {name: values[~gap] for name, values in table.columns().items()}
+    time = time[~gap]
+    for k in range(1, 5):
+        columns[f"pwm{k}"][time > 6.0] = 0.0
+    write_table(tmp_path / "a.csv", from_columns(columns))
+    rows, report = read_logs(tmp_path / "a.csv", EXACT)
+    flown_at = rows.step / 100.0
+    assert report.files[0].gap_seconds == pytest.approx(0.5, abs=0.02)
+    assert not ((flown_at > 3.01) & (flown_at < 3.5 + 0.3)).any()
+    assert flown_at.min() >= 0.3 and flown_at.max() <= 6.01
+    assert (rows.force_g[:, 2] ** 2).mean() < 1.0
+    assert any("s in gaps are left out" in line for line in report.lines())
+
+
+def test_only_common_time_counts(flown, as_table, tmp_path):
+    table = as_table(flown("SL"), "SL")
+    early = (table.drone == "cf0") | (table.time < 104.0)
+    cut = from_columns({name: values[early] for name, values in table.columns().items()})
+    write_table(tmp_path / "a.csv", cut)
+    rows, report = read_logs(tmp_path / "a.csv", EXACT)
+    assert rows.step.max() <= 400
+    assert report.files[0].uncommon_seconds == pytest.approx(4.0, abs=0.05)
+    late = dataclasses.replace(table, time=table.time + np.where(table.drone == "cf0", 50.0, 0.0))
+    write_table(tmp_path / "b.csv", late)
+    with pytest.raises(ValueError, match=r"have 0\.00 s in common .*one flight a file"):
+        read_logs(tmp_path / "b.csv", EXACT)
+
+
+def test_a_vehicle_that_never_flew_quietly_is_left_out_and_named(flown, as_table, tmp_path):
+    write_table(tmp_path / "a.csv", as_table(flown("S", "walk", 25.0), "S", names=["known"]))
+    log = flown("S")
+    fast = log._replace(
+        position=log.position + np.arange(len(log.position))[:, None, None] / 120 * [1.0, 0.0, 0.0],
+        velocity=log.velocity + np.array([1.0, 0.0, 0.0]),
+    )
+    write_table(tmp_path / "b.csv", as_table(fast, "S", names=["fast"]))
+    rows, report = read_logs(tmp_path, LogOptions())
+    assert set(rows.vehicle) == {report.vehicles["known"].id}
+    assert report.vehicles["fast"].refused is not None
+    (file,) = (file for file in report.files if file.file == "b.csv")
+    assert file.rows == 0 and file.dropped["vehicle not calibrated"] > 100
+    assert file.rows + sum(file.dropped.values()) == file.entries
+    assert any("fast: calibration offset unknown" in line for line in report.lines())
+    every, _ = read_logs(tmp_path, LogOptions(min_quiet_rows=0))
+    assert len(set(every.vehicle)) == 2

@@ -1,0 +1,123 @@
+"""One clock for all drones of a flight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.training.flight_logs.checks import PWM_SPAN, RUNNING, DroneLog
+from swarm_envs.training.force_model.log_options import LogOptions
+from swarm_envs.vehicles import Team
+
+
+class ClockedFlight(NamedTuple):
+    """A flight of N drones at T evenly spaced times. World frame, SI units; 0 where not `known`."""
+
+    names: tuple[str, ...]
+    team: Team
+    rate_hz: float
+    time: FloatArray
+    """(T,) s since the clock's start."""
+    known: BoolArray
+    """(T,) whether every drone has a measurement here, outside gaps of its log."""
+    running: BoolArray
+    """(T,) whether the motors of every drone run."""
+    position: FloatArray
+    """(T, N, 3)."""
+    velocity: FloatArray
+    """(T, N, 3)."""
+    quaternion: FloatArray
+    """(T, N, 4) of unit length."""
+    acceleration: FloatArray | None
+    """(T, N, 3) with gravity; None if some drone's was not logged."""
+    pwm: FloatArray
+    """(T, N, 4)."""
+    voltage: FloatArray
+    """(T, N)."""
+
+
+class _Resampled(NamedTuple):
+    smooth: FloatArray
+    held: FloatArray
+    known: BoolArray
+
+
+def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlight:
+    """Resample drones to one clock over the time that all of them logged.
+
+    Motion and attitude by cubic splines, motor signals and voltage linearly; nothing is carried
+    across a gap.
+
+    Raises:
+        ValueError: the drones have no second in common.
+    """
+    begin = max(float(drone.time[0]) for drone in drones)
+    end = min(float(drone.time[-1]) for drone in drones)
+    if end - begin < 1.0:
+        spans = ", ".join(f"{d.name}: {d.time[0]:g} to {d.time[-1]:g} s" for d in drones)
+        raise ValueError(
+            f"the drones' logs have {max(end - begin, 0.0):.2f} s in common ({spans}), but must "
+            "have 1 s; give all times on one clock, one flight a file"
+        )
+    rate = min(options.rate_hz, *(1.0 / drone.step_s for drone in drones))
+    time = np.arange(int((end - begin) * rate + 1e-6) + 1) / rate
+    logged = all(drone.acceleration is not None for drone in drones)
+    parts = [_resample(drone, begin + time, logged, options.max_gap_s) for drone in drones]
+    smooth = np.stack([part.smooth for part in parts], axis=1)
+    held = np.stack([part.held for part in parts], axis=1)
+    known = np.stack([part.known for part in parts], axis=1).all(axis=1)
+    length = np.linalg.norm(smooth[..., 6:10], axis=-1, keepdims=True)
+    return ClockedFlight(
+        names=tuple(drone.name for drone in drones),
+        team=tuple(drone.vehicle for drone in drones),
+        rate_hz=rate,
+        time=time,
+        known=np.asarray(known),
+        running=(held[..., :4].mean(axis=-1) > RUNNING * PWM_SPAN).all(axis=1),
+        position=smooth[..., 0:3],
+        velocity=smooth[..., 3:6],
+        quaternion=smooth[..., 6:10] / np.where(length > 0.0, length, 1.0),
+        acceleration=smooth[..., 10:13] if logged else None,
+        pwm=held[..., :4],
+        voltage=held[..., 4],
+    )
+
+
+def pieces(mask: BoolArray) -> list[slice]:
+    """Runs of True in a (T,) mask."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    return [slice(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def _resample(drone: DroneLog, time: FloatArray, logged: bool, max_gap_s: float) -> _Resampled:
+    columns = [drone.position, drone.velocity, continuous(drone.quaternion)]
+    if logged and drone.acceleration is not None:
+        columns.append(drone.acceleration)
+    values, held = np.hstack(columns), np.column_stack([drone.pwm, drone.voltage])
+    result = _Resampled(
+        np.zeros((len(time), values.shape[1])),
+        np.zeros((len(time), held.shape[1])),
+        np.zeros(len(time), dtype=np.bool_),
+    )
+    gaps = np.flatnonzero(np.diff(drone.time) > max(max_gap_s, 3.0 * drone.step_s)) + 1
+    for lines in np.split(np.arange(len(drone.time)), gaps):
+        own = drone.time[lines]
+        inside = (time >= own[0] - 1e-9) & (time <= own[-1] + 1e-9)
+        if len(lines) < 4 or not inside.any():
+            continue
+        result.smooth[inside] = CubicSpline(own, values[lines])(time[inside])
+        for column in range(held.shape[1]):
+            result.held[inside, column] = np.interp(time[inside], own, held[lines, column])
+        result.known[inside] = True
+    return result
+
+
+def continuous(quaternion: FloatArray) -> FloatArray:
+    """The same attitudes (T, 4) without jumps of sign from one to the next."""
+    dot = (quaternion[1:] * quaternion[:-1]).sum(axis=1)
+    sign = np.concatenate([[1.0], np.cumprod(np.where(dot < 0.0, -1.0, 1.0))])
+    return quaternion * sign[:, None]

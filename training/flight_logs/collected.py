@@ -1,0 +1,50 @@
+"""Flights that `swarm-envs collect` wrote: npz files beside a manifest."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from swarm_envs.training.collection.collect import MANIFEST, flight_file, read_log
+from swarm_envs.training.collection.table import Flight, interaction_rows
+from swarm_envs.training.flight_logs.report import FileReport, LogReport, ScenarioReport
+from swarm_envs.training.force_model.rows import InteractionRows
+
+__all__ = ["MANIFEST", "read_collected"]
+
+
+def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
+    """Read the flights of a finished collection; labels, filter and split are the collection's.
+
+    Raises:
+        FileNotFoundError: a flight of the manifest is missing.
+        ValueError: the collection is not finished, or gives no row.
+    """
+    manifest = json.loads((path / MANIFEST).read_text())
+    if "flights" not in manifest:
+        raise ValueError(
+            f"{str(path / MANIFEST)!r} lists no flights: the collection was not finished; run "
+            "`swarm-envs collect` again with the same options"
+        )
+    flights = [
+        Flight(e["name"], e["team"], read_log(flight_file(path, e["name"])), e["validation"])
+        for e in manifest["flights"]
+    ]
+    rows = interaction_rows(flights)
+    files = [
+        FileReport(
+            file=flight_file(path, entry["name"]).name,
+            seconds=entry["seconds"],
+            rate_hz=manifest["log_rate"],
+            acceleration="differentiated",
+            rows=int((rows.flight == index).sum()),
+        )
+        for index, entry in enumerate(manifest["flights"])
+    ]
+    scenarios = {}
+    for index, name in enumerate(rows.scenario_names):
+        held_out = rows.validation[rows.scenario == index]
+        scenarios[name] = ScenarioReport(int((~held_out).sum()), int(held_out.sum()))
+    return rows, LogReport(files, scenarios, {}, len(rows), int(np.sum(rows.validation)))

@@ -1,0 +1,133 @@
+"""What became of logs: per file, per vehicle, per scenario. Nothing is dropped without a word."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarm_envs.training.force_model.calibration import quiet_rows
+from swarm_envs.training.force_model.rows import InteractionRows
+
+
+@dataclass(frozen=True)
+class FileReport:
+    """What became of one file."""
+
+    file: str
+    refused: str | None = None
+    """Which rule it breaks; nothing of it was used then."""
+    drones: dict[str, str] = field(default_factory=dict)
+    """Type by name."""
+    seconds: float = 0.0
+    """Time that all drones have in common."""
+    gap_seconds: float = 0.0
+    """Of it, in gaps of some drone's log."""
+    uncommon_seconds: float = 0.0
+    """Time of the longest log outside of it, left out."""
+    rate_hz: float = 0.0
+    acceleration: str = ""
+    """`logged` or `differentiated`."""
+    ignored_columns: tuple[str, ...] = ()
+    entries: int = 0
+    """Of all drones on the common clock."""
+    rows: int = 0
+    dropped: dict[str, int] = field(default_factory=dict)
+    """Entries that are no rows, by reason; with `rows` they make up `entries`."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What lone flight says of one vehicle."""
+
+    id: int
+    """In the rows."""
+    type: str
+    rows: int
+    quiet_rows: int
+    """Training rows aloft, slow and away from wakes."""
+    offset_g: float | None
+    """Median vertical label of those: error of mass and thrust curve. None without such rows."""
+    spread_g: float | None
+    """Half the range between their 16 % and 84 % quantiles."""
+    refused: str | None = None
+    """Why none of its rows was used."""
+
+
+@dataclass(frozen=True)
+class ScenarioReport:
+    """Rows of one scenario."""
+
+    training_rows: int
+    validation_rows: int
+    refused: str | None = None
+    """Why it was left out."""
+
+
+@dataclass(frozen=True)
+class LogReport:
+    """What became of logs on their way to rows."""
+
+    files: list[FileReport]
+    scenarios: dict[str, ScenarioReport]
+    vehicles: dict[str, Calibration]
+    rows: int
+    validation_rows: int
+
+    def lines(self) -> list[str]:
+        """Return the report as lines of text."""
+        bad = [file for file in self.files if file.refused is not None]
+        seconds = sum(file.seconds for file in self.files)
+        said = [
+            f"{len(self.files) - len(bad)} of {len(self.files)} flights are sound: "
+            f"{seconds:.0f} s, {self.rows} rows, {self.validation_rows} of them held out"
+        ]
+        said += [f"refused {file.file}: {file.refused}" for file in bad]
+        for file in self.files:
+            said += [f"{file.file}: {note}" for note in _notes(file)]
+        for name, scenario in self.scenarios.items():
+            if scenario.refused is not None:
+                said.append(f"left out scenario {name}: {scenario.refused}")
+        for name, vehicle in self.vehicles.items():
+            said.append(f"{vehicle.type} {name}: calibration offset {_offset(vehicle)}")
+        return said
+
+
+def _notes(file: FileReport) -> list[str]:
+    notes = []
+    if file.ignored_columns:
+        notes.append(f"ignored columns {', '.join(file.ignored_columns)}")
+    if file.gap_seconds > 0.0:
+        notes.append(f"{file.gap_seconds:.2f} s in gaps are left out")
+    if file.uncommon_seconds > 0.1:
+        notes.append(f"{file.uncommon_seconds:.2f} s that not all drones logged are left out")
+    if file.refused is None and file.rows == 0:
+        reasons = ", ".join(f"{name}: {n}" for name, n in file.dropped.items() if n)
+        notes.append(f"gives no row ({reasons})")
+    return notes
+
+
+def _offset(vehicle: Calibration) -> str:
+    if vehicle.refused is not None:
+        return f"unknown, so its {vehicle.rows} rows are left out: {vehicle.refused}"
+    if vehicle.offset_g is None:
+        return "unknown: no row is aloft, slow and away from wakes; add lone flight"
+    return f"{vehicle.offset_g:+.2f} g from {vehicle.quiet_rows} rows aloft, slow, away from wakes"
+
+
+def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibration]:
+    """Offsets by vehicle name; see `force_model.calibration` for what a quiet row is."""
+    quiet = quiet_rows(rows) & ~rows.validation
+    found = {}
+    for name, vehicle in names.items():
+        own = rows.vehicle == vehicle
+        if not own.any():
+            continue
+        labels = rows.force_g[own & quiet, 2]
+        offset = spread = None
+        if len(labels):
+            low, middle, high = np.quantile(labels, (0.16, 0.5, 0.84))
+            offset, spread = round(float(middle), 3), round(float(high - low) / 2, 3)
+        kind = rows.types[int(rows.ego_type[own][0])]
+        found[name] = Calibration(vehicle, kind, int(own.sum()), len(labels), offset, spread)
+    return found

@@ -1,0 +1,246 @@
+"""The table of one flight, and its file: CSV or Parquet. The format stands in the package."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import itertools
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TextIO
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.state import FloatArray
+
+TEXT = ("drone", "type")
+GROUPS: dict[str, tuple[str, ...]] = {
+    "time": ("time",),
+    "position": ("x", "y", "z"),
+    "velocity": ("vx", "vy", "vz"),
+    "quaternion": ("qx", "qy", "qz", "qw"),
+    "acceleration": ("ax", "ay", "az"),
+    "pwm": ("pwm1", "pwm2", "pwm3", "pwm4"),
+    "voltage": ("voltage",),
+}
+"""Columns of numbers by the field of `FlightTable` that holds them."""
+OPTIONAL = GROUPS["acceleration"]
+COLUMNS = (*TEXT, *itertools.chain.from_iterable(GROUPS.values()))
+REQUIRED = tuple(name for name in COLUMNS if name not in OPTIONAL)
+SUFFIXES = (".csv", ".parquet")
+
+_LONGEST_NAME = 31
+_NEED_PYARROW = (
+    "Parquet files need pyarrow; install it by: pip install 'swarm-envs[parquet]', or write the "
+    "table as CSV"
+)
+_BAD_CELL = re.compile(r"could not convert string (?P<value>'.*') to .* row (\d+), column (\d+)")
+
+Columns = Mapping[str, npt.NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class FlightTable:
+    """One flight, R lines: one drone at one time. World frame, z up, SI units."""
+
+    drone: npt.NDArray[np.str_]
+    """(R,) name of the physical vehicle."""
+    type: npt.NDArray[np.str_]
+    """(R,) its type, a token such as `S`."""
+    time: FloatArray
+    """(R,) s."""
+    position: FloatArray
+    """(R, 3) m."""
+    velocity: FloatArray
+    """(R, 3) m/s."""
+    quaternion: FloatArray
+    """(R, 4) attitude (x, y, z, w), body to world."""
+    acceleration: FloatArray | None
+    """(R, 3) m/s^2 with gravity, (0, 0, +9.81) in hover; None where it was not logged."""
+    pwm: FloatArray
+    """(R, 4) motor signals, 0 to 65535."""
+    voltage: FloatArray
+    """(R,) battery voltage, V."""
+    ignored: tuple[str, ...] = ()
+    """Columns of the file that have no meaning here."""
+
+    def __len__(self) -> int:
+        """Number of lines R."""
+        return len(self.time)
+
+    def columns(self) -> dict[str, npt.NDArray[Any]]:
+        """Return the table's columns by their names."""
+        found: dict[str, npt.NDArray[Any]] = {"drone": self.drone, "type": self.type}
+        for group, names in GROUPS.items():
+            values = getattr(self, group)
+            if values is not None:
+                found |= zip(names, values.reshape(len(self), len(names)).T, strict=True)
+        return found
+
+
+def from_columns(columns: Columns) -> FlightTable:
+    """Build a table from columns by their names; all but `ax ay az` must be there.
+
+    Raises:
+        ValueError: a column is missing; the message names the nearest that is there.
+    """
+    check_columns(tuple(columns))
+    fields: dict[str, Any] = {}
+    for group, names in GROUPS.items():
+        if group == "acceleration" and names[0] not in columns:
+            fields[group] = None
+            continue
+        values = np.stack([np.asarray(columns[n], dtype=np.float64) for n in names], axis=-1)
+        fields[group] = values[:, 0] if len(names) == 1 else values
+    ignored = tuple(name for name in columns if name not in COLUMNS)
+    fields |= {name: np.asarray(columns[name], dtype=np.str_) for name in TEXT}
+    return FlightTable(**fields, ignored=ignored)
+
+
+def check_columns(names: Sequence[str]) -> None:
+    """Check that every column is there once.
+
+    Raises:
+        ValueError: one is missing or twice there.
+    """
+    twice = [name for name, count in Counter(names).items() if count > 1]
+    if twice:
+        raise ValueError(f"column {twice[0]!r} is there more than once; keep one")
+    partly = [n for n in OPTIONAL if n not in names] if set(OPTIONAL) & set(names) else []
+    missing = [*(name for name in REQUIRED if name not in names), *partly]
+    if missing:
+        raise ValueError(_missing(missing, names))
+
+
+def _missing(missing: Sequence[str], names: Sequence[str]) -> str:
+    unknown = [name for name in names if name not in COLUMNS]
+    near = difflib.get_close_matches(missing[0], unknown, n=1, cutoff=0.3)
+    hint = f"the nearest there is {near[0]!r}; rename it, or " if near else ""
+    if len(names) == 1 and re.search(r"[;\t]", names[0]):
+        hint = "separate columns by commas, or "
+    rest = f" (and {len(missing) - 1} more: {', '.join(missing[1:])})" if len(missing) > 1 else ""
+    return f"column {missing[0]!r} is missing{rest}; {hint}add it; there are {', '.join(names)}"
+
+
+def read_table(path: str | os.PathLike[str]) -> FlightTable:
+    """Read the file of one flight; its values are not judged yet, see `checks.check_table`.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ImportError: it is Parquet, and pyarrow is not installed.
+        ValueError: it is no such table; the message says what is wrong where.
+    """
+    file = Path(path)
+    if file.suffix not in SUFFIXES:
+        raise ValueError(f"{file.name} ends in {file.suffix!r}, but must in .csv or .parquet")
+    if not file.is_file():
+        raise FileNotFoundError(f"no flight log at {os.fspath(path)!r}; give its path")
+    return from_columns(_read_csv(file) if file.suffix == ".csv" else _read_parquet(file))
+
+
+def _read_csv(path: Path) -> Columns:
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        names = [name.strip() for name in next(csv.reader(file), [])]
+        check_columns(names)
+        known = [i for i, name in enumerate(names) if name in COLUMNS]
+        kinds = np.dtype(
+            [(names[i], f"U{_LONGEST_NAME + 1}" if names[i] in TEXT else "f8") for i in known]
+        )
+        first = file.readline()
+        if not first.strip():
+            raise ValueError("no line follows the header; log at least a second of flight")
+        table = _parse(itertools.chain([first], file), names, known, kinds)
+    found: dict[str, npt.NDArray[Any]] = {names[i]: table[names[i]] for i in known}
+    for name in TEXT:
+        found[name] = np.char.strip(found[name])
+        longest = int(np.char.str_len(found[name]).max())
+        if longest > _LONGEST_NAME:
+            raise ValueError(
+                f"column {name!r} holds a name of more than {_LONGEST_NAME} letters, but at most "
+                f"{_LONGEST_NAME} are read; shorten it"
+            )
+    empty = {name: np.zeros(0) for name in names if name not in COLUMNS}
+    return {**found, **empty}
+
+
+def _parse(
+    lines: Iterable[str] | TextIO, names: Sequence[str], known: Sequence[int], kinds: np.dtype[Any]
+) -> npt.NDArray[Any]:
+    try:
+        return np.loadtxt(
+            lines, dtype=kinds, delimiter=",", quotechar='"', comments=None, usecols=known, ndmin=1
+        )
+    except ValueError as error:
+        bad = _BAD_CELL.search(str(error))
+        if bad is None:
+            raise ValueError(
+                f"{error}; write one value for each of the {len(names)} columns"
+            ) from None
+        line, column = int(bad[2]) + 2, names[int(bad[3]) - 1]
+        raise ValueError(
+            f"column {column!r} holds {bad['value']} in line {line}, but must hold finite numbers; "
+            "mend or remove the line"
+        ) from None
+
+
+def _read_parquet(path: Path) -> Columns:
+    try:
+        import pyarrow.parquet as parquet
+    except ImportError as error:
+        raise ImportError(f"{path.name}: {_NEED_PYARROW}") from error
+    table = parquet.read_table(path)
+    check_columns(table.column_names)
+    if table.num_rows == 0:
+        raise ValueError("no row; log at least a second of flight")
+    found: dict[str, npt.NDArray[Any]] = {}
+    for name in table.column_names:
+        if name in TEXT:
+            found[name] = np.array([str(value).strip() for value in table[name].to_pylist()])
+        elif name in COLUMNS:
+            found[name] = _numbers(name, table[name].to_numpy())
+        else:
+            found[name] = np.zeros(0)
+    return found
+
+
+def _numbers(name: str, values: npt.NDArray[Any]) -> FloatArray:
+    try:
+        return values.astype(np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"column {name!r} must hold finite numbers: {error}") from None
+
+
+def write_table(path: str | os.PathLike[str], table: FlightTable) -> None:
+    """Write a flight's table, atomically, so that `read_table` gives exactly the same.
+
+    Args:
+        path: the file, ending in `.csv` or `.parquet`.
+        table: what to write.
+
+    Raises:
+        ImportError: it is to be Parquet, and pyarrow is not installed.
+        ValueError: the file's ending is another.
+    """
+    target = Path(path)
+    if target.suffix not in SUFFIXES:
+        raise ValueError(f"{target.name} ends in {target.suffix!r}, but must in .csv or .parquet")
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    columns = table.columns()
+    if target.suffix == ".csv":
+        with partial.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
+    else:
+        try:
+            import pyarrow
+            import pyarrow.parquet as parquet
+        except ImportError as error:
+            raise ImportError(f"{target.name}: {_NEED_PYARROW}") from error
+        parquet.write_table(pyarrow.table({n: v.tolist() for n, v in columns.items()}), partial)
+    partial.replace(target)
