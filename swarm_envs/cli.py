@@ -66,7 +66,7 @@ def _demo(arguments: Sequence[str]) -> int:
     if options.json is not None:
         _check_file("--json", options.json)
     from swarm_envs.baselines.neural_swarm.demo import crashed_flights, format_table, run_demo
-    from swarm_envs.viewing.files import write_json
+    from swarm_envs.files import write_json
 
     summary = run_demo(options.out, options.seed, options.swaps, options.video)
     if options.json is not None:
@@ -93,13 +93,7 @@ def _fit(arguments: Sequence[str]) -> int:
     from swarm_envs.training.force_model.pipeline import fit
 
     report = fit(config)
-    for line in report.logs.lines() if report.logs else ():
-        print(line)
-    errors = report.findings.errors
-    print(
-        f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, scenario mean "
-        f"{errors.scenario_mean:.2f}); wrote the weights and the report into {config.out}"
-    )
+    print(*report.lines(), f"wrote the weights and the report into {config.out}", sep="\n")
     return DONE
 
 

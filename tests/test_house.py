@@ -17,7 +17,7 @@ OUTER = ("agents", "baselines", "training")
 
 BASE = 0  # vehicles, state and the other single modules at the bottom
 LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
-LEVELS |= dict.fromkeys(("vehicles", "state", "errors", "compiled", "motors"), BASE)
+LEVELS |= dict.fromkeys(("vehicles", "state", "errors", "compiled", "motors", "files"), BASE)
 LEVELS |= {"trajectories": BASE, "": BASE}
 FACE = 4  # swap_v0 and the like: what users import
 OUTER_LEVELS = {"agents": 5, "baselines": 6, "training": 7}

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from PIL import Image, ImageSequence
 
 from swarm_envs import swap_v0
+from swarm_envs.files import write_json, written_whole
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import SwarmState, hover_state
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 from swarm_envs.viewing.camera import Camera
-from swarm_envs.viewing.files import write_json, written_whole
 from swarm_envs.viewing.lens import Lens, aim
 from swarm_envs.viewing.plots import COMPENSATED_COLOR, WITHOUT_COLOR, plot_comparisons
 from swarm_envs.viewing.record import Comparison, FlightRecord, Recorder

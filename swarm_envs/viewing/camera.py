@@ -165,8 +165,9 @@ def _import_renderer() -> Any:
         return importlib.import_module("pybullet")
     except ImportError as error:
         raise ImportError(
-            "drawing needs pybullet, which is not installed. It has wheels for Linux x86-64 and "
-            "CPython up to 3.11: `pip install pybullet`. Without it fly with render_mode=None."
+            f"drawing needs pybullet, which cannot be imported here ({error}). It has wheels for "
+            "Linux x86-64 and CPython up to 3.11: `pip install pybullet`. Without it fly with "
+            "render_mode=None."
         ) from error
 
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
-from swarm_envs.viewing.files import written_whole
 from swarm_envs.viewing.record import Comparison, FlightRecord
 
 if TYPE_CHECKING:

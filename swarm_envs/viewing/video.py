@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.viewing.files import written_whole
+from swarm_envs.files import written_whole
 
 Frame = npt.NDArray[np.uint8]
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from pathlib import Path
 
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.training.collection.config import CollectionConfig, FlightBatch
 from swarm_envs.training.collection.flight import LOG_RATE, FlightLog, fly, with_noise
 from swarm_envs.training.collection.motion import Motion, RandomWalk, StackedSwaps
 from swarm_envs.training.collection.table import Flight
-from swarm_envs.training.force_model.files import json_ready, write_json
+from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.vehicles import parse_team
 
 MANIFEST = "manifest.json"
@@ -127,10 +127,9 @@ def make_motion(
 
 def save_log(path: Path, log: FlightLog) -> None:
     """Write a log as npz without pickle, in single precision, atomically."""
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial.npz")
     arrays = {name: array.astype(np.float32) for name, array in log._asdict().items()}
-    np.savez(partial, allow_pickle=False, **arrays)
-    partial.replace(path)
+    with written_whole(path) as partial:
+        np.savez(partial, allow_pickle=False, **arrays)
 
 
 def read_flights(config: CollectionConfig, out: Path) -> list[Flight]:

@@ -16,6 +16,7 @@ from typing import Any, TextIO
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 
 TEXT = ("drone", "type")
@@ -229,10 +230,14 @@ def write_table(path: str | os.PathLike[str], table: FlightTable) -> None:
     target = Path(path)
     if target.suffix not in SUFFIXES:
         raise ValueError(f"{target.name} ends in {target.suffix!r}, but must in .csv or .parquet")
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
     columns = table.columns()
+    with written_whole(target) as partial:
+        _write_columns(partial, columns)
+
+
+def _write_columns(target: Path, columns: dict[str, npt.NDArray[Any]]) -> None:
     if target.suffix == ".csv":
-        with partial.open("w", encoding="utf-8", newline="") as file:
+        with target.open("w", encoding="utf-8", newline="") as file:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(columns)
             writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
@@ -242,5 +247,4 @@ def write_table(path: str | os.PathLike[str], table: FlightTable) -> None:
             import pyarrow.parquet as parquet
         except ImportError as error:
             raise ImportError(f"{target.name}: {_NEED_PYARROW}") from error
-        parquet.write_table(pyarrow.table({n: v.tolist() for n, v in columns.items()}), partial)
-    partial.replace(target)
+        parquet.write_table(pyarrow.table({n: v.tolist() for n, v in columns.items()}), target)

@@ -7,12 +7,12 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
 import tyro
 
+from swarm_envs.files import written_whole
 from swarm_envs.training.force_model.card_sections import (
     Report,
     axis_section,
@@ -52,9 +52,8 @@ def write_card(config: CardConfig) -> Path:
         _making(learned, wake),
     )
     path = config.weights / "MODEL_CARD.md"
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    partial.write_text("\n".join(sections))
-    partial.replace(path)
+    with written_whole(path) as partial:
+        partial.write_text("\n".join(sections))
     return path
 
 

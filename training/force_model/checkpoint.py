@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import Tensor
+
+from swarm_envs.files import written_whole
 
 if TYPE_CHECKING:
     from swarm_envs.training.force_model.train import Training
@@ -19,11 +20,9 @@ _ADAM = ("step", "exp_avg", "exp_avg_sq")
 
 def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
     """Write a safetensors file so that a reader sees the old file or the whole new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    save_file({name: t.contiguous() for name, t in tensors.items()}, partial, metadata=metadata)
-    partial.chmod(0o644)  # safetensors makes files that only their owner can read
-    partial.replace(path)
+    with written_whole(path) as partial:
+        save_file({name: t.contiguous() for name, t in tensors.items()}, partial, metadata=metadata)
+        partial.chmod(0o644)  # safetensors makes files that only their owner can read
 
 
 def save_checkpoint(path: Path, run: Training, configuration: str) -> None:

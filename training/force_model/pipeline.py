@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from swarm_envs.files import write_json
 from swarm_envs.training.force_model.calibration import (
     NO_OFFSETS,
     RULE,
@@ -19,7 +20,7 @@ from swarm_envs.training.force_model.config import FitConfig as FitConfig
 from swarm_envs.training.force_model.data import data_sha256, read_data
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.files import json_ready, write_json
+from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,

@@ -73,6 +73,16 @@ class FitReport:
     logs: LogReport | None = None
     """What became of flight logs; None where the data were rows already."""
 
+    def lines(self) -> list[str]:
+        """What a command prints of it."""
+        errors = self.findings.errors
+        said = self.logs.lines() if self.logs else []
+        return [
+            *said,
+            f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, scenario mean "
+            f"{errors.scenario_mean:.2f})",
+        ]
+
 
 def examine(
     network: DeepSet, rows: InteractionRows, offsets: Offsets, lipschitz_samples: int, seed: int

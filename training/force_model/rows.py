@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.files import written_whole
+
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -127,13 +129,12 @@ def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
         rows: what to write.
     """
     target = Path(path)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial.npz")
     arrays: dict[str, npt.NDArray[Any]] = {name: getattr(rows, name) for name in _ARRAYS}
     arrays["types"] = np.array(rows.types)
     arrays["scenario_names"] = np.array(rows.scenario_names)
     arrays["format"] = np.array(_FORMAT)
-    np.savez_compressed(partial, allow_pickle=False, **arrays)
-    partial.replace(target)
+    with written_whole(target) as partial:
+        np.savez_compressed(partial, allow_pickle=False, **arrays)
 
 
 def read_rows(path: str | os.PathLike[str]) -> InteractionRows:

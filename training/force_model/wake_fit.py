@@ -15,10 +15,11 @@ import numpy as np
 import tyro
 from scipy.optimize import least_squares
 
+from swarm_envs.files import write_json
 from swarm_envs.training.force_model.calibration import RULE, estimate_offsets, subtract_offsets
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.evaluate import Errors, mean_squared_errors
-from swarm_envs.training.force_model.files import file_sha256, json_ready, write_json
+from swarm_envs.training.force_model.files import file_sha256, json_ready
 from swarm_envs.training.force_model.network import OUTER_FADE
 from swarm_envs.training.force_model.pipeline import measured_range
 from swarm_envs.training.force_model.rows import FloatArray, InteractionRows, read_rows

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.files import write_json, written_whole
 from swarm_envs.training.force_model.files import file_sha256, json_ready
 from swarm_envs.training.force_model.pipeline import AS_IN_THE_PAPER, FitConfig, fit
 from swarm_envs.training.reproduce.cells import CELLS, Cell
-from swarm_envs.viewing.files import write_json, written_whole
 
 
 class Budget(NamedTuple):

@@ -9,13 +9,13 @@ from typing import Any
 
 from tqdm import tqdm
 
+from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.training.reproduce.bin_plots import plot_calibration, plot_curves
 from swarm_envs.training.reproduce.bins import compare, predict_bins, read_bins
 from swarm_envs.training.reproduce.heatmaps import plot_gaps, plot_heat_maps
 from swarm_envs.training.reproduce.larger import all_swarms, plot_swarms, summarise_swarms
 from swarm_envs.training.reproduce.maps import all_maps, summarise
-from swarm_envs.viewing.files import write_json
 
 _FILES = {
     "heat_maps": "figure_5.png",

@@ -9,9 +9,9 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from swarm_envs.errors import check_name
+from swarm_envs.files import write_json
 from swarm_envs.training.reproduce.cells import CELLS
 from swarm_envs.training.reproduce.figure import format_summary, reproduce_figure
-from swarm_envs.viewing.files import write_json
 
 CELL_NAMES = tuple(cell.name for cell in CELLS)
 

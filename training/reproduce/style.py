@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarm_envs.files import written_whole
 from swarm_envs.vehicles import parse_team
-from swarm_envs.viewing.files import written_whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

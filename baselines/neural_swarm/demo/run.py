@@ -14,9 +14,9 @@ from tqdm import tqdm
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.demo.flights import CONTROLLERS, SCENARIOS, fly_all
 from swarm_envs.baselines.neural_swarm.demo.report import summarise
+from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics.bullet import import_bullet
-from swarm_envs.viewing.files import write_json
 from swarm_envs.viewing.plots import plot_comparisons
 from swarm_envs.viewing.record import Comparison
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import tyro
 
+from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import load
 from swarm_envs.training.collection.belief.card import model_card
 from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, SwapTrial, judge
@@ -19,7 +20,7 @@ from swarm_envs.training.collection.flight import LOG_RATE
 from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
 from swarm_envs.training.force_model import fit as fit_force_model
-from swarm_envs.training.force_model.files import file_sha256, json_ready, write_json
+from swarm_envs.training.force_model.files import file_sha256, json_ready
 from swarm_envs.training.force_model.rows import save_rows
 
 
@@ -99,7 +100,8 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
     write_json(config.out / "belief.json", json_ready(report))
     limits = network.spec.input_range
     assert limits is not None  # an anchored fit has one
-    (config.out / "MODEL_CARD.md").write_text(model_card(report, collection, limits))
+    with written_whole(config.out / "MODEL_CARD.md") as partial:
+        partial.write_text(model_card(report, collection, limits))
     return report
 
 
