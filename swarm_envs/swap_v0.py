@@ -7,6 +7,8 @@
 |---|---|
 | Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; all end together |
 | `acceleration` | 3 in [-1, 1]: acceleration of a set-point along world x, y, z, in 5 m/s^2 |
+| `velocity` | 3 in [-1, 1]: velocity of a set-point along world x, y, z, in 2 m/s |
+| `ctbr` | 4 in [-1, 1]: collective thrust, from none to the largest; body rates, in 8, 8, 4 rad/s |
 | `rotors` | 4 in [-1, 1]: thrust of each rotor, from none to the largest |
 | `setpoint` | 14, SI, world frame: position, velocity, acceleration, jerk, yaw, yaw rate |
 | Observations | float32 row; `env.observation_layout` has name, place, unit, scale of each field |
@@ -43,6 +45,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import refuse_unknown, team_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.randomization import Randomization
 from swarm_envs.errors import check_kind
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
@@ -61,10 +64,12 @@ def parallel_env(
     decision_rate: int = 48,
     force_rate: int = 240,
     controller: ControllerConfig | None = None,
+    observation: str = "flat",
     num_neighbors: int = 3,
     horizon_s: float = 8.0,
     end_on_success: bool = True,
     battery: BatteryModel | None = None,
+    randomization: Randomization | None = None,
     stacked: StackedLayout | None = None,
     reward_weights: Mapping[str, float] | None = None,
     render_mode: str | None = None,
@@ -78,14 +83,16 @@ def parallel_env(
         layout: `random` or `stacked`.
         physics: `bullet`, `batch`, or None for Bullet where it can be imported.
         interactions: the force model that blows: `none`, `wake`, `learned`, a path or a model.
-        action: `acceleration`, `rotors` or `setpoint`.
+        action: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`.
         decision_rate: actions per second, 240 over an integer.
         force_rate: evaluations of the interaction force per second, 240 over an integer.
         controller: configuration of the tracking loop between actions and rotors.
+        observation: `flat`, or `dict` for encoders of sets.
         num_neighbors: how many neighbours a drone observes.
         horizon_s: the clock, s.
         end_on_success: whether success ends the episode.
         battery: how batteries empty; None for batteries that never do.
+        randomization: what differs from episode to episode beside the task.
         stacked: ranges from which the stacked layout is drawn.
         reward_weights: weight of each reward term; terms left out keep their default.
         render_mode: `rgb_array` or None.
@@ -104,10 +111,12 @@ def parallel_env(
         decision_rate=decision_rate,
         force_rate=force_rate,
         controller=controller,
+        observation=observation,
         num_neighbors=num_neighbors,
         horizon_s=horizon_s,
         end_on_success=end_on_success,
         battery=battery,
+        randomization=randomization,
     )
     if stacked is not None:
         check_kind("stacked", stacked, StackedLayout, "StackedLayout(duration_s=(4.0, 4.0))")

@@ -3,6 +3,8 @@
 | mode | numbers | meaning |
 |---|---|---|
 | `acceleration` | 3 in [-1, 1] | acceleration of the set-point over 5 m/s^2; see `accelerate` |
+| `velocity` | 3 in [-1, 1] | velocity of the set-point over 2 m/s; see `approach_velocity` |
+| `ctbr` | 4 in [-1, 1] | collective thrust, from none to the largest; body rates about x, y, z |
 | `rotors` | 4 in [-1, 1] | thrust of each rotor, from none to the largest |
 | `setpoint` | 14, SI | position, velocity, acceleration, jerk (3 each), yaw, yaw rate |
 """
@@ -17,12 +19,15 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import kernel
 from swarm_envs.control.state import Setpoint
-from swarm_envs.envs.flight import Pilot
+from swarm_envs.envs.flight import RATES, ROTORS, SETPOINTS, Pilot
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 ACCELERATION_LAG = 0.1
 """Time constant with which a set-point's acceleration approaches what is asked for, s."""
+
+TILT_RATE_LIMIT, YAW_RATE_LIMIT = 8.0, 4.0
+"""Largest body rates that `ctbr` asks for, about x and y, and about z, rad/s."""
 
 _ROUNDING = 1e-6
 _LARGEST = 1e30
@@ -38,8 +43,8 @@ class ActionMode:
     """Numbers per drone."""
     bounded: bool
     """Whether numbers must lie in [-1, 1]."""
-    direct: bool
-    """Whether it commands rotors, past the tracking loop."""
+    level: int
+    """Where in the loop it enters: SETPOINTS, RATES or ROTORS of `swarm_envs.envs.flight`."""
     apply: Callable[[FloatArray, Pilot, BoolArray, float], None]
     """Write actions (E, N, width) into set-points or commands, where running (E,)."""
 
@@ -78,6 +83,59 @@ def accelerate(
                 jerk[e, i, k] = (gained / (tau + 0.5 * decision_s) - now) / decision_s
 
 
+@kernel
+def approach_velocity(
+    actions: FloatArray, setpoint: Setpoint, running: BoolArray, decision_s: float
+) -> FloatArray:
+    """Accelerations, over 5 m/s^2, that bring the set-points to the velocities asked for.
+
+    By the next decision if 5 m/s^2 suffice, else as fast as these do. The velocity asked for is
+    kept within the speed limit.
+
+    Args:
+        actions: (E, N, 3) in [-1, 1], times 2 m/s.
+        setpoint: as it is now.
+        running: (E,) environments to look at.
+        decision_s: time until the next decision, s.
+
+    Returns:
+        (E, N, 3) as `accelerate` takes them.
+    """
+    out, gap = np.zeros(actions.shape), np.empty(3)
+    tau = max(ACCELERATION_LAG, 0.5 * decision_s)
+    for e in range(actions.shape[0]):
+        if not running[e]:
+            continue
+        for i in range(actions.shape[1]):
+            size = 0.0
+            for k in range(3):
+                size += actions[e, i, k] * actions[e, i, k]
+            scale = SPEED_LIMIT / max(np.sqrt(size), 1.0)
+            square = 0.0
+            for k in range(3):
+                coast = setpoint.velocity[e, i, k] + tau * setpoint.acceleration[e, i, k]
+                gap[k] = (scale * actions[e, i, k] - coast) / (ACCELERATION_LIMIT * decision_s)
+                square += gap[k] * gap[k]
+            shrink = 1.0 / max(np.sqrt(square), 1.0)
+            for k in range(3):
+                out[e, i, k] = shrink * gap[k]
+    return out
+
+
+def _apply_velocity(
+    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
+) -> None:
+    asked = approach_velocity(actions, pilot.setpoint, running, decision_s)
+    accelerate(asked, pilot.setpoint, running, decision_s)
+
+
+def _apply_ctbr(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
+    given, most = actions[running], 4.0 * pilot.nominal.max_rotor_thrust[running]
+    limits = np.array([TILT_RATE_LIMIT, TILT_RATE_LIMIT, YAW_RATE_LIMIT])
+    pilot.asked[running, :, 0] = 0.5 * (given[..., 0] + 1.0) * most
+    pilot.asked[running, :, 1:] = limits * given[..., 1:]
+
+
 def _apply_acceleration(
     actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
 ) -> None:
@@ -102,9 +160,11 @@ def _apply_setpoint(
 ACTIONS: dict[str, ActionMode] = {
     mode.name: mode
     for mode in (
-        ActionMode("acceleration", 3, True, False, _apply_acceleration),
-        ActionMode("rotors", 4, True, True, _apply_rotors),
-        ActionMode("setpoint", 14, False, False, _apply_setpoint),
+        ActionMode("acceleration", 3, True, SETPOINTS, _apply_acceleration),
+        ActionMode("velocity", 3, True, SETPOINTS, _apply_velocity),
+        ActionMode("ctbr", 4, True, RATES, _apply_ctbr),
+        ActionMode("rotors", 4, True, ROTORS, _apply_rotors),
+        ActionMode("setpoint", 14, False, SETPOINTS, _apply_setpoint),
     )
 }
 """Every action mode by name."""

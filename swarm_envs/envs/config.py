@@ -9,6 +9,8 @@ from pathlib import Path
 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
+from swarm_envs.envs.forms import FORMS
+from swarm_envs.envs.randomization import SAME, Randomization
 from swarm_envs.errors import check_integer, check_kind, check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
@@ -31,7 +33,7 @@ class EnvConfig:
     interactions: str | Path | InteractionModel = "learned"
     """The force model that blows: `none`, `wake`, `learned`, a safetensors path, or a model."""
     action: str = "acceleration"
-    """What actions mean: `acceleration`, `rotors` or `setpoint`."""
+    """What actions mean: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
     decision_rate: int = 48
     """Actions per second: 240 over an integer."""
     force_rate: int = 240
@@ -40,16 +42,21 @@ class EnvConfig:
     """The tracking loop between actions and rotors; None for its default."""
     num_neighbors: int = 3
     """K, how many neighbours a drone observes."""
+    observation: str = "flat"
+    """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
     horizon_s: float = 8.0
     """The clock: an episode is truncated after this many seconds."""
     end_on_success: bool = True
     """Whether success ends the episode."""
     battery: BatteryModel | None = None
     """How batteries empty and weaken the rotors; None for batteries that never do."""
+    randomization: Randomization | None = None
+    """What differs from episode to episode beside the task; None for nothing."""
 
     def __post_init__(self) -> None:
         """Check every option."""
         check_name("action", self.action, ACTIONS)
+        check_name("observation", self.observation, FORMS)
         if self.physics is not None:
             check_name("physics", self.physics, ENGINES)
         for name in ("decision_rate", "force_rate"):
@@ -68,6 +75,18 @@ class EnvConfig:
         if self.battery is not None:
             check_kind("battery", self.battery, BatteryModel, "BatteryModel()")
         check_kind("end_on_success", self.end_on_success, bool, "True")
+        self._check_randomization()
+
+    def _check_randomization(self) -> None:
+        if self.randomization is None:
+            return
+        example = "Randomization(mass=(0.9, 1.1))"
+        check_kind("randomization", self.randomization, Randomization, example)
+        if self.randomization.battery != SAME and self.battery is None:
+            raise ValueError(
+                f"Randomization.battery is {self.randomization.battery}, but these batteries never "
+                "empty; give battery=BatteryModel() too"
+            )
 
     @property
     def engine(self) -> str:

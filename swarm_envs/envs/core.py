@@ -15,7 +15,8 @@ from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_actions
 from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.flight import Flight
+from swarm_envs.envs.episodes import draw_placements, first_state, randomize
+from swarm_envs.envs.flight import SETPOINTS, Flight
 from swarm_envs.envs.judge import Rules, judge, new_verdict
 from swarm_envs.envs.observation import (
     Float32Array,
@@ -23,18 +24,17 @@ from swarm_envs.envs.observation import (
     type_codes,
     write_observations,
 )
+from swarm_envs.envs.options import check_mask, check_placement_options, check_seeds
 from swarm_envs.envs.report import episode_metrics
-from swarm_envs.errors import check_array, check_integer, check_kind, check_name
+from swarm_envs.envs.sensing import sense
+from swarm_envs.envs.snapshot import Snapshot, restore_snapshot, take_snapshot
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray, IntArray, hover_state
-from swarm_envs.tasks.base import Placement, Task, check_placement, new_mission
+from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState
+from swarm_envs.tasks.base import Task, new_mission
 from swarm_envs.tasks.metrics import new_record
 from swarm_envs.tasks.rewards import weigh
 from swarm_envs.trajectories import Reference
-
-_RESET_OPTIONS = ("start", "goal")
-_API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
 
 class StepResult(NamedTuple):
@@ -66,7 +66,7 @@ class SwarmCore:
         self.mode = ACTIONS[config.action]
         self.physics = self._make_physics()
         controller = config.controller or ControllerConfig()
-        self.flight = Flight(self.physics, controller, self.mode.direct)
+        self.flight = Flight(self.physics, controller, self.mode.level)
         drones = len(task.team)
         self.mission = new_mission(num_envs, drones)
         self.record = new_record(num_envs, drones)
@@ -75,10 +75,16 @@ class SwarmCore:
         self.running: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self.verdict = new_verdict(num_envs, drones)
         self.generators = [np.random.default_rng() for _ in range(num_envs)]
+        self.noise_key: npt.NDArray[np.uint64] = np.zeros(num_envs, dtype=np.uint64)
+        self._sensed = self.physics.state
+        if config.randomization is not None and config.randomization.noisy:
+            self._sensed = self.physics.state.copy()
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._types = type_codes(task.team)
         width = observation_width(config.num_neighbors)
-        self._rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
+        self.rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
+        width = observation_width(0)
+        self._states: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
         self._rules = Rules(
             radius=float(task.success.radius),
             hold_s=float(task.success.hold_s),
@@ -123,14 +129,16 @@ class SwarmCore:
         Raises:
             ValueError: an option is unknown, or a start or goal impossible.
         """
-        where = self._check_mask(mask)
-        if seeds is not None and len(seeds) != self.num_envs:
-            raise ValueError(f"seeds has {len(seeds)} entries, but must have {self.num_envs}")
-        given = self._check_options(options or {})
-        placements = self._draw(np.flatnonzero(where).tolist(), seeds, given)
-        for e, placement in placements.items():
+        where = check_mask(mask, self.num_envs)
+        check_seeds(seeds, self.num_envs)
+        given = check_placement_options(options or {}, self.num_drones)
+        environments = np.flatnonzero(where).tolist()
+        for e, placement in draw_placements(self, environments, seeds, given).items():
             self.mission.place(e, placement)
-        self.flight.reset(hover_state(self.task.team, self.mission.start), where)
+        state = first_state(self)
+        if self.config.randomization is not None:
+            randomize(self, self.config.randomization, environments, state)
+        self.flight.reset(state, where)
         self.record.clear(where)
         there = self.mission.distance < self.task.success.radius
         self.record.arrival[where[:, None] & there] = 0.0
@@ -140,31 +148,6 @@ class SwarmCore:
         self.verdict.clear(where)
         self._look_up_reference()
         return self._observe(where)
-
-    def _draw(
-        self,
-        environments: Sequence[int],
-        seeds: Sequence[int | None] | None,
-        given: Mapping[str, FloatArray],
-    ) -> dict[int, Placement]:
-        """Draw placements; if one is refused, every generator goes back to where it was."""
-        generators, placements = list(self.generators), {}
-        before = {e: generators[e].bit_generator.state for e in environments}
-        try:
-            for e in environments:
-                seed = None if seeds is None else seeds[e]
-                if seed is not None:
-                    generators[e] = np.random.default_rng(check_integer("seed", seed, 0))
-                placements[e] = self.task.place(generators[e], **given)
-                radius = self.physics.parameters.radius[e]
-                for name in _RESET_OPTIONS:
-                    check_placement(placements[e], radius, self.physics.arena, name)
-        except Exception:
-            for e, state in before.items():
-                self.generators[e].bit_generator.state = state
-            raise
-        self.generators = generators
-        return placements
 
     def step(self, actions: npt.ArrayLike) -> StepResult:
         """Fly every running environment from this decision to the next.
@@ -236,24 +219,67 @@ class SwarmCore:
 
     def _observe(self, mask: BoolArray) -> Float32Array:
         arguments = (
-            self.physics.state,
+            self._measure(mask),
             self.physics.parameters,
             self.flight.pilot.setpoint,
-            self.mode.direct,
+            self.mode.level != SETPOINTS,
             self.mission.goal,
             self._reference,
             np.maximum(1.0 - self.time / self.config.horizon_s, 0.0),
             self._types,
             self.config.num_neighbors,
             mask,
-            self._rows,
+            self.rows,
         )
         self._write = self._write or entry_point(write_observations, *arguments)
         self._write(*arguments)
-        return self._rows
+        return self.rows
+
+    def team_state(self) -> Float32Array:
+        """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
+        everywhere = np.ones(self.num_envs, dtype=np.bool_)
+        write_observations(
+            self.physics.state,
+            self.physics.parameters,
+            self.flight.pilot.setpoint,
+            self.mode.level != SETPOINTS,
+            self.mission.goal,
+            self._reference,
+            np.maximum(1.0 - self.time / self.config.horizon_s, 0.0),
+            self._types,
+            0,
+            everywhere,
+            self._states,
+        )
+        return self._states
+
+    def _measure(self, mask: BoolArray) -> SwarmState:
+        ranges = self.config.randomization
+        if ranges is not None and ranges.noisy:
+            state, keys = self.physics.state, self.noise_key
+            sense(state, ranges.noise, keys, self.decisions, mask, self._sensed)
+        return self._sensed
+
+    def get_state(self) -> Snapshot:
+        """Everything that changes, copied: see `Snapshot`."""
+        return take_snapshot(self)
+
+    def set_state(self, snapshot: Snapshot) -> None:
+        """Go to where a snapshot was taken, in this core or in another with the same options.
+
+        Raises:
+            TypeError: it is no snapshot.
+            ValueError: it does not fit these options.
+        """
+        restore_snapshot(self, snapshot)
+        self._look_up_reference()
 
     def _make_physics(self) -> Physics:
         engine = BulletPhysics if self.config.engine == "bullet" else BatchPhysics
+        gusts, ranges = None, self.config.randomization
+        if ranges is not None:
+            ranges.check_team(self.task.team)
+            gusts = (ranges.gust_acceleration, ranges.gust_time_s)
         return engine(
             self.task.team,
             self.num_envs,
@@ -261,35 +287,5 @@ class SwarmCore:
             arena=self.task.arena,
             battery=self.config.battery,
             force_rate=self.config.force_rate,
+            gusts=gusts,
         )
-
-    def __reduce__(self) -> str:
-        """Refuse to be copied or pickled.
-
-        Raises:
-            TypeError: always, saying what to do instead.
-        """
-        raise TypeError(
-            "an environment holds a physics engine and cannot be copied or pickled; make another "
-            "with the same options, or hand its constructor to the other process, as with "
-            "functools.partial(swap_v0.parallel_env, team='SL')"
-        )
-
-    def _check_mask(self, mask: BoolArray | None) -> BoolArray:
-        if mask is None:
-            return np.ones(self.num_envs, dtype=np.bool_)
-        array = np.array(mask)
-        if array.dtype != np.bool_ or array.shape != (self.num_envs,):
-            raise ValueError(
-                f"mask has type {array.dtype} and shape {array.shape}, but must be {self.num_envs} "
-                "booleans, one an environment"
-            )
-        return array
-
-    def _check_options(self, options: Mapping[str, Any]) -> dict[str, FloatArray]:
-        check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
-        shape = (self.num_drones, 3)
-        given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
-        for name in given:
-            check_name("reset option", name, _RESET_OPTIONS)
-        return {name: check_array(name, value, shape) for name, value in given.items()}

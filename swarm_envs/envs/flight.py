@@ -14,6 +14,7 @@ import numpy as np
 
 from swarm_envs.compiled import entry_point, inlined_kernel, kernel
 from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
+from swarm_envs.control.rates import hold_rates
 from swarm_envs.control.state import ControllerState, Setpoint
 from swarm_envs.control.tracking import extrapolate, track_env
 from swarm_envs.interactions import load
@@ -21,6 +22,7 @@ from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces
 from swarm_envs.physics import BulletPhysics, Physics
 from swarm_envs.physics.contact import NO_DRONE, Contacts
+from swarm_envs.physics.gusts import gust
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment
 from swarm_envs.state import (
@@ -37,12 +39,18 @@ AIR_DENSITY = 1.225
 """Density of air at sea level, kg/m^3."""
 
 
-class Pilot(NamedTuple):
-    """Who commands the rotors: the tracking loop, or the agent itself."""
+SETPOINTS, RATES, ROTORS = 0, 1, 2
+"""What an agent commands: set-points of the tracking loop, thrust and body rates, or the rotors."""
 
-    direct: bool
-    """Whether the agent writes `commands` itself; else they follow the set-points."""
+
+class Pilot(NamedTuple):
+    """Who commands the rotors: the tracking loop, its inner part, or the agent itself."""
+
+    level: int
+    """SETPOINTS, RATES or ROTORS: where actions enter. At ROTORS the agent writes `commands`."""
     setpoint: Setpoint
+    asked: FloatArray
+    """(E, N, 4) at RATES: total thrust, N, and body rates, rad/s."""
     memory: ControllerState
     gains: ControlGains
     nominal: Parameters
@@ -80,7 +88,11 @@ class Tally(NamedTuple):
 @inlined_kernel
 def decide(e: int, world: World, pilot: Pilot) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
-    if pilot.direct:
+    if pilot.level == ROTORS:
+        return
+    if pilot.level == RATES:
+        world_state, memory = world.state, pilot.memory
+        hold_rates(e, world_state, pilot.nominal, memory, pilot.asked, pilot.gains, pilot.commands)
         return
     if pilot.believes:
         position, velocity = world.state.position[e], world.state.velocity[e]
@@ -139,7 +151,7 @@ def fly_compiled(
     pilot: Pilot,
     tally: Tally,
     disc_area: FloatArray,
-    still: FloatArray,
+    external: FloatArray,
     total: FloatArray,
     running: BoolArray,
     steps: int,
@@ -151,7 +163,7 @@ def fly_compiled(
         pilot: changed in place.
         tally: changed in place.
         disc_area: (N,) swept area of one rotor, m^2.
-        still: (E, N, 3) zeros, N: the external force.
+        external: (E, N, 3) force of gusts, N; zeros without.
         total: (E, N, 3) scratch.
         running: (E,) environments to fly.
         steps: number of steps of 1/240 s.
@@ -163,7 +175,8 @@ def fly_compiled(
                 decide(e, world, pilot)
                 blow(e, world)
                 count(e, world, tally, disc_area)
-                step_environment(e, world, pilot.commands, still, total)
+                gust(e, world.age[e], world.gusts, world.parameters.mass, external)
+                step_environment(e, world, pilot.commands, external, total)
 
 
 @kernel
@@ -174,7 +187,7 @@ def prepare_flight(
     pilot: Pilot,
     tally: Tally,
     disc_area: FloatArray,
-    still: FloatArray,
+    external: FloatArray,
     wrench: FloatArray,
 ) -> None:
     """One step of environment `e` up to the wrench, for Bullet.
@@ -186,7 +199,7 @@ def prepare_flight(
         pilot: changed in place.
         tally: changed in place.
         disc_area: (N,) swept area of one rotor, m^2.
-        still: (E, N, 3) zeros, N: the external force.
+        external: (E, N, 3) force of gusts, N; zeros without.
         wrench: (N, 6) force (N) and torque (N m) on each body in its own frame, written.
     """
     if first:
@@ -194,7 +207,8 @@ def prepare_flight(
     decide(e, world, pilot)
     blow(e, world)
     count(e, world, tally, disc_area)
-    prepare_wrench(e, world, pilot.commands, still, wrench)
+    gust(e, world.age[e], world.gusts, world.parameters.mass, external)
+    prepare_wrench(e, world, pilot.commands, external, wrench)
 
 
 def disc_areas(team: Team) -> FloatArray:
@@ -208,16 +222,17 @@ class Flight:
     Args:
         physics: the engine.
         config: of the tracking loop.
-        direct: whether the agent commands rotors itself.
+        level: SETPOINTS, RATES or ROTORS: where actions enter.
     """
 
-    def __init__(self, physics: Physics, config: ControllerConfig, direct: bool) -> None:
+    def __init__(self, physics: Physics, config: ControllerConfig, level: int) -> None:
         envs, drones = physics.num_envs, len(physics.team)
         belief = load("none" if config.feedforward is None else config.feedforward)
         self.physics = physics
         self.pilot = Pilot(
-            direct=direct,
+            level=level,
             setpoint=Setpoint.zeros(envs, drones),
+            asked=np.zeros((envs, drones, 4)),
             memory=ControllerState.zeros(envs, drones),
             gains=compile_gains(config),
             nominal=parameters(physics.team, envs),
@@ -231,8 +246,9 @@ class Flight:
         self.tally = Tally(
             np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), np.zeros(shape, np.int64)
         )
-        still = np.zeros((envs, drones, 3))
-        self._arguments = (physics.world, self.pilot, self.tally, disc_areas(physics.team), still)
+        external = np.zeros((envs, drones, 3))
+        areas = disc_areas(physics.team)
+        self._arguments = (physics.world, self.pilot, self.tally, areas, external)
         self._total = np.zeros((envs, drones, 3))
         self._entry: Callable[..., None] | None = None
 
@@ -242,6 +258,8 @@ class Flight:
         self.pilot.memory.reset(mask)
         self.pilot.belief_force[mask] = 0.0
         self.pilot.commands[mask] = state.rotor_thrust[mask]
+        self.pilot.asked[mask] = 0.0
+        self.pilot.asked[mask, :, 0] = state.rotor_thrust[mask].sum(axis=-1)
         self.pilot.setpoint.assign(Setpoint.hold(state.position), mask)
         self.tally.clear(mask)
 
@@ -263,3 +281,4 @@ class Flight:
             for k in range(steps):
                 self._entry(e, k == 0, *arguments)
                 physics.move_bodies(e)
+            physics.settle(e)

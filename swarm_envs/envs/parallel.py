@@ -12,7 +12,14 @@ from pettingzoo import ParallelEnv
 
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import StepResult, SwarmCore
-from swarm_envs.envs.observation import Field, Float32Array, observation_layout
+from swarm_envs.envs.forms import Observation, observation_space, shaper
+from swarm_envs.envs.observation import (
+    Field,
+    Float32Array,
+    observation_layout,
+    observation_width,
+)
+from swarm_envs.envs.snapshot import Snapshot
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.physics.contact import NO_DRONE
@@ -21,7 +28,7 @@ from swarm_envs.tasks.base import Task
 RENDER_MODES = ("rgb_array",)
 
 
-class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
+class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     """A swarm as a PettingZoo parallel environment. Make it with a task's `parallel_env()`.
 
     Agents are `drone_0` ... in the order of the team, and all end together. `infos[agent]` holds
@@ -46,8 +53,10 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         self.agents: list[str] = []
         self._camera: Any = None
         self._closed = False
-        width = self.core._rows.shape[2]
-        self._observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
+        form = self.core.config.observation, self.core.config.num_neighbors
+        self._observation_space, self._shape = observation_space(*form), shaper(*form)
+        size = self.core.num_drones * observation_width(0)
+        self.state_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
         mode = self.core.mode
         edge = 1.0 if mode.bounded else np.inf
         self._action_space = spaces.Box(-edge, edge, (mode.width,), np.float32)
@@ -71,8 +80,8 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         """The truth, for privileged agents and for plots."""
         return View(self.core)
 
-    def observation_space(self, agent: str) -> spaces.Box:
-        """The Box of an agent's observation: the same for every agent."""
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The space of an agent's observation: the same for every agent."""
         self._index(agent)
         return self._observation_space
 
@@ -83,7 +92,7 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[dict[str, Float32Array], dict[str, dict[str, Any]]]:
+    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Begin an episode.
 
         Args:
@@ -101,7 +110,7 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
     def step(
         self, actions: Mapping[str, npt.ArrayLike]
     ) -> tuple[
-        dict[str, Float32Array],
+        dict[str, Observation],
         dict[str, float],
         dict[str, bool],
         dict[str, bool],
@@ -138,6 +147,33 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
             infos,
         )
 
+    def state(self) -> Float32Array:
+        """The true state of the whole team, for centralised critics: no noise, fixed order.
+
+        The `self` and `task` fields of every drone, one after another; see `observation_layout`
+        with no neighbour.
+        """
+        self._check_open("state")
+        return self.core.team_state().reshape(-1).copy()
+
+    def get_state(self) -> Snapshot:
+        """Everything that changes, to come back to with `set_state`."""
+        self._check_open("get_state")
+        return self.core.get_state()
+
+    def set_state(self, snapshot: Snapshot) -> None:
+        """Go to where `get_state` was called, here or in another environment of the same options.
+
+        From there everything goes on byte for byte as it did the first time.
+
+        Raises:
+            TypeError: it is no snapshot.
+            ValueError: it was taken of an environment with other options.
+        """
+        self._check_open("set_state")
+        self.core.set_state(snapshot)
+        self.agents = list(self.possible_agents) if self.core.running[0] else []
+
     def render(self) -> npt.NDArray[np.uint8] | None:
         """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode."""
         self._check_open("render")
@@ -157,6 +193,12 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         self.core.close()
         if self._camera is not None:
             self._camera.close()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
+        self._check_open("pickling")
+        options = (type(self), self.core.task, self.core.config, self.render_mode)
+        return _rebuilt, (*options, self.core.get_state())
 
     def _check_open(self, what: str) -> None:
         if self._closed:
@@ -200,8 +242,9 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         missing = [agent for agent in self.agents if agent not in actions]
         raise ValueError(f"actions lack {missing}; give one for each of env.agents")
 
-    def _split(self, rows: Float32Array) -> dict[str, Float32Array]:
-        return dict(zip(self.possible_agents, rows[0].copy(), strict=True))
+    def _split(self, rows: Float32Array) -> dict[str, Observation]:
+        own = map(self._shape, rows[0].copy())
+        return dict(zip(self.possible_agents, own, strict=True))
 
     def _infos(self, result: StepResult, ended: bool) -> dict[str, dict[str, Any]]:
         names = self.core.task.reward_names
@@ -226,3 +269,16 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
             for info in infos.values():
                 info["episode_metrics"] = self.core.metrics()
         return infos
+
+
+def _rebuilt(
+    kind: type[SwarmParallelEnv],
+    task: Task,
+    config: EnvConfig,
+    render_mode: str | None,
+    snapshot: Snapshot,
+) -> SwarmParallelEnv:
+    """Make an environment anew where another stood; what `pickle` and `copy` call."""
+    env = kind(task, config, render_mode)
+    env.set_state(snapshot)
+    return env

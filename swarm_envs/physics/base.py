@@ -15,9 +15,10 @@ import numpy.typing as npt
 
 from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.motors import BatteryModel
+from swarm_envs.motors import BatteryModel, rotor_limit
 from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
-from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.physics.gusts import new_gusts
+from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.physics.step import World
 from swarm_envs.state import (
     BoolArray,
@@ -41,6 +42,8 @@ class Physics(ABC):
         battery: how thrust falls as batteries empty; None for batteries that never do.
         force_rate: how often a second the interaction force is evaluated; between, it is held.
             240 or a divisor.
+        gusts: standard deviation (m/s^2) and correlation time (s) of the acceleration that gusts
+            give in environments; None for still air. `step` leaves them out.
 
     Raises:
         ValueError: an argument names nothing valid.
@@ -58,6 +61,7 @@ class Physics(ABC):
         arena: npt.ArrayLike | None = None,
         battery: BatteryModel | None = None,
         force_rate: int = PHYSICS_RATE,
+        gusts: tuple[float, float] | None = None,
     ) -> None:
         self.team = parse_team(team)
         if num_envs < 1:
@@ -86,6 +90,8 @@ class Physics(ABC):
             field=self.interactions.field,
             force=self.force,
             outside=np.zeros(shape, dtype=np.bool_),
+            force_scale=np.ones(num_envs),
+            gusts=new_gusts(num_envs, *(gusts or (0.0, 1.0)), TIME_STEP),
             age=np.zeros(num_envs, dtype=np.int64),
             hold=PHYSICS_RATE // force_rate,
             rotor_limit=self.parameters.max_rotor_thrust.copy(),
@@ -121,10 +127,11 @@ class Physics(ABC):
         length = np.linalg.norm(self._state.quaternion, axis=-1, keepdims=True)
         self._state.quaternion[where] /= length[where]
         self.world.age[where] = 0
-        self.world.rotor_limit[where] = self.parameters.max_rotor_thrust[where]
+        self._limit_rotors(where)
         self.force[where] = 0.0
+        self.world.gusts.acceleration[where] = 0.0
         self.contacts.clear(where)
-        self._placed(where)
+        self.place_bodies(where)
         return self.state
 
     def step(
@@ -170,8 +177,22 @@ class Physics(ABC):
     def _advance(self, commands: FloatArray, external: FloatArray) -> None:
         """One step of checked input, in place."""
 
-    def _placed(self, mask: BoolArray) -> None:
-        """Called after the state of the environments in the mask was set."""
+    def place_bodies(self, mask: BoolArray) -> None:
+        """Tell an engine that keeps bodies of its own that states or parameters were set.
+
+        Args:
+            mask: (E,) the environments in which they were.
+        """
+
+    def _limit_rotors(self, mask: BoolArray) -> None:
+        """Set the largest rotor thrusts of the environments in the mask, by their batteries."""
+        world, limit = self.world, self.parameters.max_rotor_thrust
+        world.rotor_limit[mask] = limit[mask]
+        if world.drains:
+            for e, i in np.argwhere(mask[:, None] & (self._state.battery < 1.0)).tolist():
+                charge, total = self._state.battery[e, i], self._state.rotor_thrust[e, i].sum()
+                most = 4.0 * limit[e, i]
+                world.rotor_limit[e, i] = rotor_limit(charge, total, most, world.battery, i)
 
     def _default_positions(self) -> FloatArray:
         row = np.zeros((self.num_envs, len(self.team), 3))

@@ -77,9 +77,16 @@ class BulletPhysics(Physics):
         arena: npt.ArrayLike | None = None,
         battery: BatteryModel | None = None,
         force_rate: int = PHYSICS_RATE,
+        gusts: tuple[float, float] | None = None,
     ) -> None:
         super().__init__(
-            team, num_envs, interactions, arena=arena, battery=battery, force_rate=force_rate
+            team,
+            num_envs,
+            interactions,
+            arena=arena,
+            battery=battery,
+            force_rate=force_rate,
+            gusts=gusts,
         )
         self._bullet = import_bullet()
         self.clients: list[int] = []
@@ -96,7 +103,8 @@ class BulletPhysics(Physics):
         self.wrench: FloatArray = np.zeros((len(self.team), 6))
         self._moved: FloatArray = np.zeros((len(self.team), 13))
         self._take: Callable[..., None] | None = None
-        self._placed(np.ones(num_envs, dtype=np.bool_))
+        self._built = self._body_numbers()
+        self.place_bodies(np.ones(num_envs, dtype=np.bool_))
 
     def __enter__(self) -> BulletPhysics:
         """Use as a context that closes itself."""
@@ -125,23 +133,47 @@ class BulletPhysics(Physics):
     def _inertia(self, e: int, i: int) -> tuple[float, list[float]]:
         return float(self.parameters.mass[e, i]), self.parameters.inertia[e, i].tolist()
 
-    def _placed(self, mask: BoolArray) -> None:
-        state, bullet = self._state, self._bullet
+    def _body_numbers(self) -> FloatArray:
+        """(E, N, 4) mass and moments of inertia, as bodies are built from."""
+        mass, inertia = self.parameters.mass, self.parameters.inertia
+        return np.concatenate([mass[..., None], inertia], axis=-1)
+
+    def _rebuild(self, e: int, i: int, body: int) -> None:
+        mass, inertia = self._inertia(e, i)
+        client = self._client(e)
+        self._bullet.changeDynamics(
+            body, -1, mass=mass, localInertiaDiagonal=inertia, physicsClientId=client
+        )
+
+    def place_bodies(self, mask: BoolArray) -> None:
+        """Move the bodies of the environments in the mask to their states, masses included."""
+        wanted = self._body_numbers()
+        changed = (wanted != self._built).any(axis=-1)
         for e in np.flatnonzero(mask).tolist():
-            client = self._client(e)
-            for i, body in enumerate(self.bodies[e]):
-                bullet.resetBasePositionAndOrientation(
-                    body,
-                    state.position[e, i].tolist(),
-                    state.quaternion[e, i].tolist(),
-                    physicsClientId=client,
-                )
-                bullet.resetBaseVelocity(
-                    body,
-                    state.velocity[e, i].tolist(),
-                    state.angular_velocity[e, i].tolist(),
-                    physicsClientId=client,
-                )
+            for i in np.flatnonzero(changed[e]).tolist():
+                self._rebuild(e, i, self.bodies[e][i])
+            self._built[e] = wanted[e]
+            self.settle(e)
+
+    def settle(self, e: int) -> None:
+        """Put the bodies of environment `e` where its state says, to the last bit.
+
+        Bullet keeps attitudes in a form of its own, and rounds one that it is given. Done between
+        decisions, this makes the state all there is: what is restored from it goes on alike.
+        """
+        state, bullet, client = self._state, self._bullet, self._client(e)
+        pose, twist = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
+        rows = zip(
+            self.bodies[e],
+            state.position[e].tolist(),
+            state.quaternion[e].tolist(),
+            state.velocity[e].tolist(),
+            state.angular_velocity[e].tolist(),
+            strict=True,
+        )
+        for body, position, quaternion, velocity, rate in rows:
+            pose(body, position, quaternion, client)
+            twist(body, velocity, rate, client)
 
     def _client(self, e: int) -> int:
         if not self.clients:

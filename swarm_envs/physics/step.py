@@ -11,6 +11,7 @@ from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces, outside_measured_range
 from swarm_envs.motors import BatteryArrays, battery_step
 from swarm_envs.physics.contact import Contacts, find_contacts
+from swarm_envs.physics.gusts import Gusts
 from swarm_envs.physics.rigid_body import (
     TIME_STEP,
     TUMBLING_RATE,
@@ -35,6 +36,9 @@ class World(NamedTuple):
     """(E, N, 3) interaction force, as last evaluated, N."""
     outside: BoolArray
     """(E, N) whether that force is an extrapolation past what was measured."""
+    force_scale: FloatArray
+    """(E,) factor of that force."""
+    gusts: Gusts
     age: IntArray
     """(E,) steps since reset."""
     hold: int
@@ -56,6 +60,10 @@ def blow(e: int, world: World) -> None:
         state = world.state
         position, velocity = state.position[e], state.velocity[e]
         environment_forces(world.field, world.types[e], position, velocity, world.force[e])
+        scale = world.force_scale[e]
+        for i in range(position.shape[0]):
+            for k in range(3):
+                world.force[e, i, k] *= scale
         outside_measured_range(world.field, position, velocity, world.outside[e])
     world.age[e] += 1
 

@@ -134,7 +134,7 @@ class SwapTask(Task):
     """Lowest and highest start in the random layout, m; the highest grows with the arena."""
     success: Success = Success()
     """When the team has swapped."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
 
     name = "swap_v0"

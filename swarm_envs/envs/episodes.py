@@ -1,0 +1,70 @@
+"""Drawing episodes: placements, vehicles and streams of noise, each from its own generator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarm_envs.envs.randomization import Randomization, draw_parameters
+from swarm_envs.errors import check_integer
+from swarm_envs.state import FloatArray, SwarmState, hover_state
+from swarm_envs.tasks.base import Placement, check_placement
+
+if TYPE_CHECKING:
+    from swarm_envs.envs.core import SwarmCore
+
+PLACEMENT_OPTIONS = ("start", "goal")
+"""Reset options that fix what would be drawn."""
+
+
+def draw_placements(
+    core: SwarmCore,
+    environments: Sequence[int],
+    seeds: Sequence[int | None] | None,
+    given: Mapping[str, FloatArray],
+) -> dict[int, Placement]:
+    """Draw placements; if one is refused, every generator goes back to where it was."""
+    generators, placements = list(core.generators), {}
+    before = {e: generators[e].bit_generator.state for e in environments}
+    try:
+        for e in environments:
+            seed = None if seeds is None else seeds[e]
+            if seed is not None:
+                generators[e] = np.random.default_rng(check_integer("seed", seed, 0))
+            placements[e] = core.task.place(generators[e], **given)
+            radius = core.physics.parameters.radius[e]
+            for name in PLACEMENT_OPTIONS:
+                check_placement(placements[e], radius, core.physics.arena, name)
+    except Exception:
+        for e, state in before.items():
+            core.generators[e].bit_generator.state = state
+        raise
+    core.generators = generators
+    return placements
+
+
+def first_state(core: SwarmCore) -> SwarmState:
+    """State at rest on the starts of the mission, batteries full."""
+    return hover_state(core.task.team, core.mission.start)
+
+
+def randomize(
+    core: SwarmCore, ranges: Randomization, environments: Sequence[int], state: SwarmState
+) -> None:
+    """Draw vehicles, charges and streams of noise of new episodes.
+
+    Args:
+        core: its physics' parameters, force scales and keys are set.
+        ranges: what is drawn.
+        environments: those that begin an episode.
+        state: that they begin with; the charges are set.
+    """
+    world, nominal = core.physics.world, core.flight.pilot.nominal
+    for e in environments:
+        rng = core.generators[e]
+        draw_parameters(rng, ranges, nominal, e, world.parameters)
+        world.force_scale[e] = rng.uniform(*ranges.force_scale)
+        state.battery[e] = rng.uniform(*ranges.battery, state.battery.shape[1])
+        world.gusts.key[e], core.noise_key[e] = rng.integers(2**63, size=2)

@@ -1,0 +1,131 @@
+"""Domain randomisation: what differs from episode to episode, each part off by default."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from swarm_envs.state import FloatArray, Parameters
+from swarm_envs.vehicles import GRAVITY, Team
+
+Range = tuple[float, float]
+SAME: Range = (1.0, 1.0)
+
+FACTORS = {
+    "mass": "mass",
+    "inertia": "inertia",
+    "motor_rate": "motor_rate",
+    "thrust": "max_rotor_thrust",
+}
+"""Options that scale a field of `Parameters`, and its name there."""
+
+_LEAST_THRUST_TO_WEIGHT = 1.1
+
+
+@dataclass(frozen=True)
+class Randomization:
+    """What is drawn anew at every reset, from the environment's own generator.
+
+    Factors are uniform between two numbers and multiply the vehicle's nominal value, each drone's
+    own; the controller goes on believing in the nominal one. Noise is white and Gaussian, given by
+    its standard deviation per component, and is what observations see: the tracking loop flies by
+    the true state.
+
+    Raises:
+        ValueError: a range is empty or not positive, or a standard deviation negative.
+    """
+
+    mass: Range = SAME
+    """factor of the mass"""
+    inertia: Range = SAME
+    """factor of the moments of inertia, the same for all three axes"""
+    motor_rate: Range = SAME
+    """factor of the motor rate lambda: the lag's inverse"""
+    thrust: Range = SAME
+    """factor of the largest rotor thrust"""
+    force_scale: Range = SAME
+    """factor of the interaction force, its drag included, one for a whole environment"""
+    battery: Range = SAME
+    """charge at the start, each drone's own; needs batteries that empty"""
+    gust_acceleration: float = 0.0
+    """gusts: standard deviation of each component of the acceleration they give, m/s^2; all drones
+    of an environment feel the same"""
+    gust_time_s: float = 1.0
+    """gusts: time over which they change, s"""
+    position_noise_m: float = 0.0
+    """noise of observed positions, m"""
+    velocity_noise: float = 0.0
+    """noise of observed velocities, m/s"""
+    attitude_noise_rad: float = 0.0
+    """noise of observed attitudes, rad"""
+    body_rate_noise: float = 0.0
+    """noise of observed body rates, rad/s"""
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if isinstance(entry.default, tuple):
+                _check_range(entry.name, value)
+            elif not (isinstance(value, int | float) and 0.0 <= value < math.inf):
+                raise ValueError(
+                    f"Randomization.{entry.name} is {value!r}, but must be finite and not negative"
+                )
+        if self.gust_time_s == 0.0:
+            raise ValueError("Randomization.gust_time_s is 0, but must be positive, in s")
+        if self.battery[1] > 1.0:
+            raise ValueError(
+                f"Randomization.battery is {self.battery}, but a charge is at most 1 (full)"
+            )
+
+    def check_team(self, team: Team) -> None:
+        """Refuse what could leave a vehicle unable to hover.
+
+        Raises:
+            ValueError: naming the vehicle.
+        """
+        for vehicle in team:
+            most = self.thrust[0] * vehicle.max_thrust
+            weight = self.mass[1] * vehicle.mass * GRAVITY
+            if most < _LEAST_THRUST_TO_WEIGHT * weight:
+                raise ValueError(
+                    f"Randomization(mass={self.mass}, thrust={self.thrust}) can leave "
+                    f"{vehicle.token!r} with a thrust-to-weight ratio of {most / weight:.2f}, but "
+                    f"it needs {_LEAST_THRUST_TO_WEIGHT} to fly; narrow the ranges"
+                )
+
+    @property
+    def noisy(self) -> bool:
+        """Whether observations are noisy."""
+        return any(self.noise)
+
+    @property
+    def noise(self) -> tuple[float, float, float, float]:
+        """Standard deviations of position, velocity, attitude and body rate."""
+        return (
+            float(self.position_noise_m),
+            float(self.velocity_noise),
+            float(self.attitude_noise_rad),
+            float(self.body_rate_noise),
+        )
+
+
+def draw_parameters(
+    rng: np.random.Generator, ranges: Randomization, nominal: Parameters, e: int, out: Parameters
+) -> None:
+    """Draw the drones of environment `e`: nominal values times factors, into `out`."""
+    for option, field in FACTORS.items():
+        low, high = getattr(ranges, option)
+        usual: FloatArray = getattr(nominal, field)[e]
+        factor = rng.uniform(low, high, len(usual))
+        getattr(out, field)[e] = usual * (factor if usual.ndim == 1 else factor[:, None])
+
+
+def _check_range(name: str, value: object) -> None:
+    ends = np.array(value, dtype=np.float64) if isinstance(value, tuple | list) else np.empty(0)
+    if ends.shape != (2,) or not 0.0 < ends[0] <= ends[1] < np.inf:
+        raise ValueError(
+            f"Randomization.{name} is {value!r}, but must be (low, high) with 0 < low <= high"
+        )
