@@ -129,10 +129,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
             ValueError: an action is missing, superfluous, of wrong shape, not finite or outside
                 its bounds. Nothing has changed then.
         """
-        self._check_open("step")
-        if not self.agents:
-            why = "the episode has ended" if self.core.time[0] > 0 else "no episode has begun"
-            raise RuntimeError(f"step() was called, but {why}; call reset() first")
+        self.check_running("step")
         result = self.core.step(self._join(actions))
         agents = self.agents
         terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
@@ -199,6 +196,17 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self._check_open("pickling")
         options = (type(self), self.core.task, self.core.config, self.render_mode)
         return _rebuilt, (*options, self.core.get_state())
+
+    def check_running(self, what: str) -> None:
+        """Refuse a call that needs an episode.
+
+        Raises:
+            RuntimeError: the environment is closed, or no episode is on.
+        """
+        self._check_open(what)
+        if not self.agents:
+            why = "the episode has ended" if self.core.time[0] > 0 else "no episode has begun"
+            raise RuntimeError(f"{what}() was called, but {why}; call reset() first")
 
     def _check_open(self, what: str) -> None:
         if self._closed:

@@ -1,0 +1,114 @@
+"""Gymnasium's interface: a whole team as one agent, or one drone among pilots of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import Task
+
+
+class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
+    """All drones as one agent: observations and actions of the team one after another.
+
+    The reward is the mean of the drones'. `info` has `rewards` (N,), and at the end
+    `episode_metrics`. Made by `gymnasium.make("swarm_envs/Swap-v0", ...)`; with `num_drones=1` it
+    is a single drone's environment.
+    """
+
+    def __init__(
+        self, task: Task, config: EnvConfig | None = None, render_mode: str | None = None
+    ) -> None:
+        given = config or EnvConfig()
+        if given.observation != "flat":
+            raise ValueError(
+                f"observation is {given.observation!r}, but a team in one Box has 'flat' rows; "
+                "use parallel_env() for dictionaries"
+            )
+        self.parallel = SwarmParallelEnv(task, given, render_mode)
+        self.core = self.parallel.core
+        self.render_mode = render_mode
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": given.decision_rate,
+        }
+        self.observation_space: spaces.Space[Any] = joint_box(self.core.rows.shape[1:], np.inf)
+        edge = 1.0 if self.core.mode.bounded else np.inf
+        self.action_space: spaces.Space[Any] = joint_box((self.core.num_drones, self.core.mode.width), edge)
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Float32Array, dict[str, Any]]:
+        """Begin an episode; see `SwarmParallelEnv.reset`."""
+        super().reset(seed=seed)
+        self.parallel.reset(seed, options)
+        return self._observation(), {}
+
+    def step(self, action: npt.ArrayLike) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:
+        """Fly until the next decision.
+
+        Args:
+            action: (N * width,) the drones' actions one after another.
+
+        Raises:
+            RuntimeError: there is no episode.
+            ValueError: the action has a wrong shape, or a number that cannot be.
+        """
+        self.parallel.check_running("step")
+        result = self.core.step(split_teams(action, self.action_space.shape, self.core))
+        terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
+        info: dict[str, Any] = {"rewards": result.rewards[0].copy()}
+        if terminated or truncated:
+            self.parallel.agents = []
+            info["episode_metrics"] = self.core.metrics()
+        reward = float(result.rewards[0].mean())
+        return self._observation(), reward, terminated, truncated, info
+
+    def render(self) -> Any:
+        """A picture of the swarm; see `SwarmParallelEnv.render`."""
+        return self.parallel.render()
+
+    def close(self) -> None:
+        """Free what physics and renderer hold."""
+        self.parallel.close()
+
+    def _observation(self) -> Float32Array:
+        return self.core.rows[0].reshape(-1).copy()
+
+
+def joint_box(shape: tuple[int, ...], edge: float) -> spaces.Space[Any]:
+    """The Box of a team: numbers (N, width) one after another, within [-edge, edge]."""
+    return spaces.Box(-edge, edge, (math.prod(shape),), np.float32)
+
+
+def split_teams(
+    actions: npt.ArrayLike, shape: tuple[int, ...] | None, core: SwarmCore
+) -> FloatArray:
+    """Joint actions of E teams as the core takes them: (E, N, width).
+
+    Args:
+        actions: of the action space's shape.
+        shape: that shape: (N * width,) or (E, N * width).
+        core: gives N and the width.
+
+    Raises:
+        ValueError: the shape is another, or the entries are no numbers.
+    """
+    array = np.asarray(actions)
+    if array.shape != shape or array.dtype.kind not in "fiu":
+        raise ValueError(
+            f"action is {array.dtype} of shape {array.shape}, but must be numbers of shape {shape}"
+            f": {core.num_drones} drones with {core.mode.width} numbers each"
+        )
+    return array.reshape(core.num_envs, core.num_drones, core.mode.width).astype(np.float64)

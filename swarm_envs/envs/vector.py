@@ -1,0 +1,147 @@
+"""Gymnasium's vector interface: E environments of the batched core, each team as one agent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.joint import joint_box, split_teams
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.errors import check_name
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tasks.base import Task
+
+Infos = dict[str, Any]
+
+
+class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArray[Any]]):
+    """E teams that fly at once. Made by `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=E)`.
+
+    Observations (E, N * width), actions (E, N * width of the action), rewards the mean of the
+    team's. `infos["rewards"]` has each drone's (E, N), and where an episode ends
+    `infos["episode_metrics"]`, with Gymnasium's masks.
+
+    Args:
+        task: what is flown, by whom.
+        config: how; `observation` must be `flat`.
+        num_envs: E.
+        autoreset_mode: what happens after an episode's end: `NEXT_STEP` (the next step begins a
+            new one, its action unused), `SAME_STEP` (the step itself does; `final_obs` and
+            `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`).
+    """
+
+    def __init__(
+        self,
+        task: Task,
+        config: EnvConfig,
+        num_envs: int = 1,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    ) -> None:
+        modes = {mode.value: mode for mode in AutoresetMode}
+        if not isinstance(autoreset_mode, AutoresetMode):
+            check_name("autoreset_mode", autoreset_mode, modes)
+        self.mode = AutoresetMode(autoreset_mode)
+        self.core = SwarmCore(task, config, num_envs)
+        self.num_envs = num_envs
+        self.metadata = {"autoreset_mode": self.mode, "render_modes": []}
+        self.single_observation_space = joint_box(self.core.rows.shape[1:], np.inf)
+        edge = 1.0 if self.core.mode.bounded else np.inf
+        self.single_action_space = joint_box((self.core.num_drones, self.core.mode.width), edge)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._ended: BoolArray = np.ones(num_envs, dtype=np.bool_)
+        self._begun = False
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: Mapping[str, Any] | None = None,
+    ) -> tuple[Float32Array, Infos]:
+        """Begin new episodes.
+
+        Args:
+            seed: a number for environment 0, counted up for the others; or one each.
+            options: `start`, `goal` (N, 3), m, for every environment; `reset_mask` (E,) booleans,
+                which environments to reset.
+
+        Raises:
+            ValueError: an option is unknown, or a start or goal impossible.
+        """
+        given = dict(options or {})
+        mask = given.pop("reset_mask", None)
+        self.core.reset(self._seeds(seed), mask, given)
+        where = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
+        self._ended[where] = False
+        self._begun = self._begun or bool(where.all())
+        return self._observations(), {}
+
+    def step(
+        self, actions: npt.ArrayLike
+    ) -> tuple[Float32Array, FloatArray, BoolArray, BoolArray, Infos]:
+        """Fly every environment until its next decision; see the class for what ends do.
+
+        Raises:
+            RuntimeError: an environment has no episode.
+            ValueError: actions of a wrong shape, or with a number that cannot be.
+        """
+        self._check_running()
+        again = self._ended.copy()
+        result = self.core.step(split_teams(actions, self.action_space.shape, self.core))
+        if again.any():  # only where the next step resets
+            self.core.reset(mask=again)
+        rewards = np.where(again, 0.0, result.rewards.mean(axis=1))
+        ended = (result.terminated | result.truncated) & ~again
+        infos: Infos = {"rewards": result.rewards.copy()}
+        for e in np.flatnonzero(ended).tolist():
+            infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, e)
+        self._ended[:] = ended
+        if self.mode is AutoresetMode.SAME_STEP and ended.any():
+            infos = self._begin_again(ended, infos)
+        return (
+            self._observations(),
+            rewards,
+            result.terminated & ~again,
+            result.truncated & ~again,
+            infos,
+        )
+
+    def close_extras(self, **_: object) -> None:
+        """Free what physics holds."""
+        self.core.close()
+
+    def _begin_again(self, ended: BoolArray, infos: Infos) -> Infos:
+        for e in np.flatnonzero(ended).tolist():
+            final = {"episode_metrics": self.core.metrics(e)}
+            last = self.core.rows[e].reshape(-1).copy()
+            infos = self._add_info(infos, {"final_obs": last, "final_info": final}, e)
+        self.core.reset(mask=ended)
+        self._ended[:] = False
+        return infos
+
+    def _check_running(self) -> None:
+        if not self._begun:
+            raise RuntimeError("step() was called, but no episode has begun; call reset() first")
+        if self.mode is AutoresetMode.DISABLED and self._ended.any():
+            raise RuntimeError(
+                f"step() was called, but the episodes of environments "
+                f"{np.flatnonzero(self._ended).tolist()} have ended; reset them by "
+                "reset(options={'reset_mask': ...})"
+            )
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None] | None:
+        if seed is None:
+            return None
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + e for e in range(self.num_envs)]
+        return list(seed)
+
+    def _observations(self) -> Float32Array:
+        return self.core.rows.reshape(self.num_envs, -1).copy()

@@ -1,0 +1,144 @@
+"""Stable-Baselines3's interface: every drone of E environments as an environment of its own.
+
+One policy flies all of them (parameter sharing), and they fly in one batched call.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+from stable_baselines3.common.vec_env import VecEnv
+
+from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.envs.forms import observation_space, shaper
+from swarm_envs.envs.tasks import task_and_config
+from swarm_envs.errors import check_integer
+from swarm_envs.state import FloatArray
+
+Infos = list[dict[str, Any]]
+
+
+class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no types here
+    """E environments of N drones as E * N sub-environments: number e * N + i is drone i of e.
+
+    All drones of an environment end together, and begin anew in the same step. A sub-environment's
+    info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: the value of
+    what follows still counts) and `episode_metrics`, the same for all drones of an environment.
+
+    Args:
+        task: name of the task, such as `swap_v0`.
+        num_envs: E.
+        seed: of environment 0, counted up for the others.
+        **options: as the task's `parallel_env()` takes them; the batched engine always flies.
+
+    Raises:
+        ValueError: a task or an option does not exist, or has an impossible value.
+    """
+
+    def __init__(self, task: str, num_envs: int = 1, seed: int | None = None, **options: Any) -> None:
+        count = check_integer("num_envs", num_envs, 1)
+        options = {"physics": "batch", **options}
+        self.core = SwarmCore(*task_and_config(task, **options), num_envs=count)
+        config, drones = self.core.config, self.core.num_drones
+        edge = 1.0 if self.core.mode.bounded else np.inf
+        form = config.observation, config.num_neighbors
+        self._shape = shaper(*form)
+        self.render_mode = None
+        super().__init__(
+            count * drones,
+            observation_space(*form),
+            spaces.Box(-edge, edge, (self.core.mode.width,), np.float32),
+        )
+        self._actions: FloatArray = np.zeros((count, drones, self.core.mode.width))
+        self._next_seeds: list[int | None] | None = None
+        if seed is not None:
+            self.seed(seed)
+
+    def seed(self, seed: int | None = None) -> Sequence[int | None]:
+        """Seed the next reset: environment e by `seed` + e; every drone of it alike."""
+        if seed is None:
+            self._next_seeds = None
+            return [None] * self.num_envs
+        first = check_integer("seed", seed, 0)
+        self._next_seeds = [first + e for e in range(self.core.num_envs)]
+        return np.repeat(self._next_seeds, self.core.num_drones).tolist()
+
+    def reset(self) -> Any:
+        """Begin new episodes everywhere."""
+        self.core.reset(self._next_seeds)
+        self._next_seeds = None
+        self.reset_infos = [{} for _ in range(self.num_envs)]
+        return self._observations()
+
+    def step_async(self, actions: npt.NDArray[Any]) -> None:
+        """Keep the actions (E * N, width) for `step_wait`."""
+        self._actions = np.asarray(actions, dtype=np.float64).reshape(self._actions.shape)
+
+    def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
+        """Fly to the next decision, and begin new episodes where one has ended."""
+        result = self.core.step(self._actions)
+        ended = result.terminated | result.truncated
+        infos: Infos = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        if ended.any():
+            self._report_ends(result, ended, infos)
+            self.core.reset(mask=ended)
+        rewards = result.rewards.reshape(-1).astype(np.float32)
+        return self._observations(), rewards, np.repeat(ended, self.core.num_drones), infos
+
+    def _report_ends(
+        self, result: StepResult, ended: npt.NDArray[np.bool_], infos: Infos
+    ) -> None:
+        drones = self.core.num_drones
+        for e in np.flatnonzero(ended).tolist():
+            metrics, rows = self.core.metrics(e), self.core.rows[e].copy()
+            for i in range(drones):
+                infos[e * drones + i] = {
+                    "TimeLimit.truncated": bool(result.truncated[e]),
+                    "terminal_observation": self._shape(rows[i]),
+                    "episode_metrics": metrics,
+                }
+
+    def _observations(self) -> Any:
+        return self._shape(self.core.rows.reshape(self.num_envs, -1).copy())
+
+    def close(self) -> None:
+        """Free what physics holds."""
+        self.core.close()
+
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """No pictures: fly an episode with `parallel_env(render_mode="rgb_array")` for those."""
+        return [None] * self.num_envs
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The core's attribute, once for each sub-environment."""
+        value = getattr(self.core, attr_name) if attr_name != "render_mode" else None
+        return [value] * len(self._indices(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refused: sub-environments are views of one core.
+
+        Raises:
+            AttributeError: always.
+        """
+        raise AttributeError(
+            f"cannot set {attr_name!r} on single drones of a batch; make another "
+            "SharedPolicyVecEnv with the options you want"
+        )
+
+    def env_method(
+        self, method_name: str, *arguments: Any, indices: Any = None, **options: Any
+    ) -> list[Any]:
+        """Call a method of the core once, and give its result for each sub-environment."""
+        value = getattr(self.core, method_name)(*arguments, **options)
+        return [value] * len(self._indices(indices))
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """No sub-environment is wrapped: wrap this one, as with `VecMonitor`."""
+        return [False] * len(self._indices(indices))
+
+    def _indices(self, indices: Any) -> list[int]:
+        return list(self._get_indices(indices))
