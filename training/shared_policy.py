@@ -26,8 +26,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     """E environments of N drones as E * N sub-environments: number e * N + i is drone i of e.
 
     All drones of an environment end together, and begin anew in the same step. A sub-environment's
-    info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: the value of
-    what follows still counts) and `episode_metrics`, the same for all drones of an environment.
+    info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: what
+    follows still has a value) and `episode_metrics`, the same for all drones of an environment.
 
     Args:
         task: name of the task, such as `swap_v0`.
@@ -39,7 +39,9 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         ValueError: a task or an option does not exist, or has an impossible value.
     """
 
-    def __init__(self, task: str, num_envs: int = 1, seed: int | None = None, **options: Any) -> None:
+    def __init__(
+        self, task: str, num_envs: int = 1, seed: int | None = None, **options: Any
+    ) -> None:
         count = check_integer("num_envs", num_envs, 1)
         options = {"physics": "batch", **options}
         self.core = SwarmCore(*task_and_config(task, **options), num_envs=count)
@@ -89,9 +91,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         rewards = result.rewards.reshape(-1).astype(np.float32)
         return self._observations(), rewards, np.repeat(ended, self.core.num_drones), infos
 
-    def _report_ends(
-        self, result: StepResult, ended: npt.NDArray[np.bool_], infos: Infos
-    ) -> None:
+    def _report_ends(self, result: StepResult, ended: npt.NDArray[np.bool_], infos: Infos) -> None:
         drones = self.core.num_drones
         for e in np.flatnonzero(ended).tolist():
             metrics, rows = self.core.metrics(e), self.core.rows[e].copy()

@@ -45,7 +45,9 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
         }
         self.observation_space: spaces.Space[Any] = joint_box(self.core.rows.shape[1:], np.inf)
         edge = 1.0 if self.core.mode.bounded else np.inf
-        self.action_space: spaces.Space[Any] = joint_box((self.core.num_drones, self.core.mode.width), edge)
+        self.action_space: spaces.Space[Any] = joint_box(
+            (self.core.num_drones, self.core.mode.width), edge
+        )
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
