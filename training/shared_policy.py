@@ -67,13 +67,13 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             return [None] * self.num_envs
         first = check_integer("seed", seed, 0)
         self._next_seeds = [first + e for e in range(self.core.num_envs)]
-        return np.repeat(self._next_seeds, self.core.num_drones).tolist()
+        return [seed for seed in self._next_seeds for _ in range(self.core.num_drones)]
 
     def reset(self) -> Any:
         """Begin new episodes everywhere."""
         self.core.reset(self._next_seeds)
         self._next_seeds = None
-        self.reset_infos = [{} for _ in range(self.num_envs)]
+        self.reset_infos: Infos = [{} for _ in range(self.num_envs)]
         return self._observations()
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:

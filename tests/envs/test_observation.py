@@ -48,7 +48,8 @@ def test_layout_covers_the_row_without_gaps(num_neighbors):
     env = swap_v0.parallel_env(team="LS", physics="batch", num_neighbors=num_neighbors)
     assert env.observation_layout == layout
     covered = [k for field in layout for k in range(field.where.start, field.where.stop)]
-    assert covered == list(range(env.observation_space("drone_0").shape[0]))
+    assert env.observation_space("drone_0").shape == (len(covered),)
+    assert covered == list(range(len(covered)))
     assert len({field.name for field in layout}) == len(layout)
     assert sum(field.name.startswith("neighbor_") for field in layout) == 5 * num_neighbors
     assert all(isinstance(field, Field) and field.scale > 0 for field in layout)
