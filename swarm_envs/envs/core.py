@@ -16,7 +16,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_actions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.flight import Flight
-from swarm_envs.envs.judge import Rules, judge, new_verdict
+from swarm_envs.envs.judge import Rules, judge, new_verdict, success_rules
 from swarm_envs.envs.observation import (
     Float32Array,
     observation_width,
@@ -28,12 +28,12 @@ from swarm_envs.errors import check_array, check_integer, check_kind, check_name
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray, hover_state
-from swarm_envs.tasks.base import Placement, Task, check_placement, new_mission
+from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.metrics import new_record
+from swarm_envs.tasks.mission import Placement, new_mission
+from swarm_envs.tasks.motion import Motion, new_reference
 from swarm_envs.tasks.rewards import weigh
-from swarm_envs.trajectories import Reference
 
-_RESET_OPTIONS = ("start", "goal")
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
 
@@ -66,9 +66,10 @@ class SwarmCore:
         self.mode = ACTIONS[config.action]
         self.physics = self._make_physics()
         controller = config.controller or ControllerConfig()
-        self.flight = Flight(self.physics, controller, self.mode.direct)
+        self.flight = Flight(self.physics, controller, self.mode.direct, config.force_bounds_g)
         drones = len(task.team)
-        self.mission = new_mission(num_envs, drones)
+        self.motion: Motion = task.motion
+        self.mission = new_mission(num_envs, drones, task.num_stages)
         self.record = new_record(num_envs, drones)
         self.decisions: IntArray = np.zeros(num_envs, dtype=np.int64)
         self.time: FloatArray = np.zeros(num_envs)
@@ -77,19 +78,22 @@ class SwarmCore:
         self.generators = [np.random.default_rng() for _ in range(num_envs)]
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._types = type_codes(task.team)
-        width = observation_width(config.num_neighbors)
+        self.num_obstacles = config.obstacles_observed(len(task.obstacles))
+        width = observation_width(config.num_neighbors, self.num_obstacles)
         self._rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
+        clock = task.episode_s if config.horizon_s is None else config.horizon_s
         self._rules = Rules(
-            radius=float(task.success.radius),
-            hold_s=float(task.success.hold_s),
+            *success_rules(task.success),
+            stage_s=self.motion.stage_s,
             decision_s=config.decision_s,
-            horizon_s=float(config.horizon_s),
+            horizon_s=float(clock),
             end_on_success=bool(config.end_on_success),
             bounded=self.mode.bounded,
         )
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
-        self._reference = Reference(*(np.zeros((num_envs, drones, 3)) for _ in range(4)))
+        self._reference = new_reference(num_envs, drones)
+        self._refer: Callable[..., None] | None = None
         self._judge: Callable[..., None] | None = None
         self._write_terms: Callable[..., None] | None = None
         self._weigh: Callable[..., None] = weigh
@@ -115,7 +119,8 @@ class SwarmCore:
         Args:
             seeds: one per environment; None goes on with that environment's generator.
             mask: (E,) which to reset; None for all.
-            options: `start` and `goal`, (N, 3) m, fix what would be drawn.
+            options: what the task allows of `start` and `goal`, (N, 3) m, fixes what would be
+                drawn.
 
         Returns:
             (E, N, width) observations.
@@ -132,7 +137,7 @@ class SwarmCore:
             self.mission.place(e, placement)
         self.flight.reset(hover_state(self.task.team, self.mission.start), where)
         self.record.clear(where)
-        there = self.mission.distance < self.task.success.radius
+        there = self.mission.distance < self._rules.radius
         self.record.arrival[where[:, None] & there] = 0.0
         self.decisions[where] = 0
         self.time[where] = 0.0
@@ -156,9 +161,6 @@ class SwarmCore:
                 if seed is not None:
                     generators[e] = np.random.default_rng(check_integer("seed", seed, 0))
                 placements[e] = self.task.place(generators[e], **given)
-                radius = self.physics.parameters.radius[e]
-                for name in _RESET_OPTIONS:
-                    check_placement(placements[e], radius, self.physics.arena, name)
         except Exception:
             for e, state in before.items():
                 self.generators[e].bit_generator.state = state
@@ -199,10 +201,9 @@ class SwarmCore:
         return episode_metrics(self, e)
 
     def _look_up_reference(self) -> None:
-        # Into arrays of our own: kernels called directly take only the very types they know.
-        reference = self.task.reference(self.mission, self.time)
-        for mine, given in zip(self._reference, reference, strict=True):
-            mine[...] = given
+        arguments = (self.mission, self.motion, self.time, self._reference)
+        self._refer = self._refer or entry_point(self.task.write_reference, *arguments)
+        self._refer(*arguments)
 
     def _decide(self, actions: FloatArray) -> None:
         arguments = (
@@ -242,9 +243,11 @@ class SwarmCore:
             self.mode.direct,
             self.mission.goal,
             self._reference,
-            np.maximum(1.0 - self.time / self.config.horizon_s, 0.0),
+            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
             self._types,
             self.config.num_neighbors,
+            self.physics.obstacles,
+            self.num_obstacles,
             mask,
             self._rows,
         )
@@ -261,6 +264,7 @@ class SwarmCore:
             arena=self.task.arena,
             battery=self.config.battery,
             force_rate=self.config.force_rate,
+            obstacles=self.task.obstacle_rows,
         )
 
     def __reduce__(self) -> str:
@@ -291,5 +295,5 @@ class SwarmCore:
         shape = (self.num_drones, 3)
         given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
         for name in given:
-            check_name("reset option", name, _RESET_OPTIONS)
+            check_name("reset option", name, self.task.reset_options)
         return {name: check_array(name, value, shape) for name, value in given.items()}

@@ -1,23 +1,73 @@
-"""Checks of the options that users give to environment constructors."""
+"""Options of environment constructors: those that every task takes, and how they are checked."""
 
 from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import TypedDict
 
-from swarm_envs.errors import check_integer, unknown_name
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.errors import check_integer, check_kind, unknown_name
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.motors import BatteryModel
+from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
 
-def refuse_unknown(constructor: Callable[..., object], unknown: Mapping[str, object]) -> None:
-    """Refuse keyword arguments that a constructor does not have.
+class EnvOptions(TypedDict, total=False):
+    """Options that every task's `parallel_env` takes; `EnvConfig` says what each means."""
+
+    physics: str | None
+    interactions: str | Path | InteractionModel
+    action: str
+    decision_rate: int
+    force_rate: int
+    controller: ControllerConfig | None
+    num_neighbors: int
+    num_obstacles: int | None
+    horizon_s: float | None
+    end_on_success: bool
+    battery: BatteryModel | None
+    force_bounds_g: Mapping[str, float]
+
+
+def make_parallel(
+    task: Task, options: EnvOptions, render_mode: str | None = None
+) -> SwarmParallelEnv:
+    """Make a task's parallel environment from its checked options."""
+    return SwarmParallelEnv(task, EnvConfig(**options), render_mode)
+
+
+def refuse_unknown(constructor: Callable[..., object], options: Mapping[str, object]) -> None:
+    """Refuse keyword arguments that neither a constructor nor `EnvConfig` has.
 
     Raises:
         TypeError: there is one; the message names the nearest that exists.
     """
-    valid = [name for name in inspect.signature(constructor).parameters if name != "unknown"]
-    for name in unknown:
-        raise TypeError(unknown_name("option", name, valid))
+    own = [name for name in inspect.signature(constructor).parameters if name != "options"]
+    shared = [field.name for field in fields(EnvConfig)]
+    for name in options:
+        if name not in shared:
+            raise TypeError(unknown_name("option", name, own + shared))
+
+
+def check_common(
+    reward_weights: Mapping[str, float] | None, obstacles: Sequence[Obstacle]
+) -> tuple[dict[str, float], tuple[Obstacle, ...]]:
+    """Check the types of options that tasks share, and return them in the form that tasks take.
+
+    Raises:
+        TypeError: one is of a wrong type.
+    """
+    if reward_weights is not None:
+        check_kind("reward_weights", reward_weights, Mapping, "{'success': 5.0}")
+    check_kind("obstacles", obstacles, Sequence, "(Column(center=(0.0, 0.0), radius=0.2),)")
+    return dict(reward_weights or {}), tuple(obstacles)
 
 
 def team_of(team: str | Sequence[Vehicle] | None, num_drones: int) -> Team:
