@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0.dev0"
 
-TASKS = ("swap_v0",)
+TASKS = ("swap_v0", "ring_v0", "formation_v0")
 """Every task by its versioned name: modules with a `parallel_env()`."""
 
 

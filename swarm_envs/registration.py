@@ -11,9 +11,10 @@ from typing import Any
 
 import gymnasium
 
+from swarm_envs import TASKS
+from swarm_envs.envs.blueprints import blueprint_of
 from swarm_envs.envs.joint import SwarmJointEnv
 from swarm_envs.envs.solo import Policy, SwarmSoloEnv
-from swarm_envs.envs.tasks import TASKS, task_and_config
 from swarm_envs.envs.vector import SwarmVectorEnv
 
 
@@ -40,7 +41,7 @@ def register() -> None:
 
 def make_joint(task: str, render_mode: str | None = None, **options: Any) -> SwarmJointEnv:
     """A team as one agent; options as of the task's `parallel_env()`."""
-    return SwarmJointEnv(*task_and_config(task, **options), render_mode)
+    return SwarmJointEnv(*blueprint_of(task, render_mode=render_mode, **options))
 
 
 def make_solo(
@@ -51,12 +52,12 @@ def make_solo(
     **options: Any,
 ) -> SwarmSoloEnv:
     """One drone of a team; options as of the task's `parallel_env()`."""
-    return SwarmSoloEnv(*task_and_config(task, **options), render_mode, drone, others)
+    return SwarmSoloEnv(*blueprint_of(task, render_mode=render_mode, **options), drone, others)
 
 
 def make_vector(
     task: str, num_envs: int = 1, autoreset_mode: Any = "NextStep", **options: Any
 ) -> SwarmVectorEnv:
     """E teams on the batched engine; options as of the task's `parallel_env()`."""
-    built = task_and_config(task, **{"physics": "batch", **options})
-    return SwarmVectorEnv(*built, num_envs, autoreset_mode)
+    blueprint = blueprint_of(task, **{"physics": "batch", **options})
+    return SwarmVectorEnv(blueprint.task, blueprint.config, num_envs, autoreset_mode)

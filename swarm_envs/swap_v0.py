@@ -22,16 +22,17 @@ the number in the row times its field's scale.
 **Start.** `random`: starts at least 0.5 m apart, 0.5-2.0 m high, each drone's goal is another's
 start. `stacked`: on a circle of radius 0.5-0.75 m seen from above, in planes 0.2-0.3 m apart, the
 lowest at 0.8 m, the first of the team on top; straight to the opposite side in 3-4 s, all aligned
-half way.
+half way. `circle`: evenly spaced on a circle of radius 1.5 m (more where neighbours would be less
+than 0.3 m apart), all 1.0 m high; each drone's goal is the opposite point.
 
 **Success.** Every drone within 0.10 m of its goal for 0.5 s, without a collision.
 
 **Rewards** (per drone, weights in `SwapTask.reward_weights`): `progress`, `at_goal`, `tracking`,
 `effort`, `proximity`, `crash`, `success`; each bounded, each in `infos[agent]["reward_terms"]`; see
-`swarm_envs.tasks.swap.write_swap_terms`. Returns do not depend on the decision rate.
+`swarm_envs.tasks.rewards.write_terms`. Returns do not depend on the decision rate.
 
-**End.** Terminated by a collision, the floor, a wall, tumbling (150 rad/s) or success; truncated by
-the clock, after 8 s.
+**End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or
+success; truncated by the clock, after 8 s.
 
 **Versions.** v0: the first.
 """
@@ -39,93 +40,75 @@ the clock, after 8 s.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from typing import Unpack
 
-from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.options import refuse_unknown, team_of
-from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.envs.randomization import Randomization
+from swarm_envs.envs.options import (
+    Blueprint,
+    EnvOptions,
+    aec_view,
+    check_common,
+    parallel_view,
+    refuse_unknown,
+    team_of,
+)
 from swarm_envs.errors import check_kind
-from swarm_envs.interactions import InteractionModel
-from swarm_envs.motors import BatteryModel
-from swarm_envs.tasks.swap import REWARD_WEIGHTS, StackedLayout, SwapTask
+from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.swap import REWARD_WEIGHTS, CircleLayout, StackedLayout, SwapTask
 from swarm_envs.vehicles import Vehicle
 
 
-def parallel_env(
+def blueprint(
     *,
     num_drones: int = 4,
     team: str | Sequence[Vehicle] | None = None,
     layout: str = "random",
-    physics: str | None = None,
-    interactions: str | Path | InteractionModel = "learned",
-    action: str = "acceleration",
-    decision_rate: int = 48,
-    force_rate: int = 240,
-    controller: ControllerConfig | None = None,
-    observation: str = "flat",
-    num_neighbors: int = 3,
-    horizon_s: float = 8.0,
-    end_on_success: bool = True,
-    battery: BatteryModel | None = None,
-    randomization: Randomization | None = None,
     stacked: StackedLayout | None = None,
+    circle: CircleLayout | None = None,
+    obstacles: Sequence[Obstacle] = (),
     reward_weights: Mapping[str, float] | None = None,
     render_mode: str | None = None,
-    **unknown: object,
-) -> SwarmParallelEnv:
-    """Make a swap environment with PettingZoo's parallel interface.
+    **options: Unpack[EnvOptions],
+) -> Blueprint:
+    """Make a swap environment: what every interface is made from.
 
     Args:
         num_drones: N small drones, if no team is given.
         team: the vehicles, or a string such as `"SSL"`; overrides `num_drones`.
-        layout: `random` or `stacked`.
-        physics: `bullet`, `batch`, or None for Bullet where it can be imported.
-        interactions: the force model that blows: `none`, `wake`, `learned`, a path or a model.
-        action: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`.
-        decision_rate: actions per second, 240 over an integer.
-        force_rate: evaluations of the interaction force per second, 240 over an integer.
-        controller: configuration of the tracking loop between actions and rotors.
-        observation: `flat`, or `dict` for encoders of sets.
-        num_neighbors: how many neighbours a drone observes.
-        horizon_s: the clock, s.
-        end_on_success: whether success ends the episode.
-        battery: how batteries empty; None for batteries that never do.
-        randomization: what differs from episode to episode beside the task.
+        layout: `random`, `circle` or `stacked`.
         stacked: ranges from which the stacked layout is drawn.
+        circle: size of the circle layout.
+        obstacles: what stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`.
         reward_weights: weight of each reward term; terms left out keep their default.
         render_mode: `rgb_array` or None.
-        **unknown: refused, with the nearest name.
+        **options: those of every task: physics, interactions, action, decision_rate, force_rate,
+            controller, observation, num_neighbors, num_obstacles, horizon_s, end_on_success,
+            battery, randomization, force_bounds_g; see `swarm_envs.envs.config.EnvConfig`.
 
     Raises:
-        TypeError: an option does not exist.
+        TypeError: an option does not exist (the message names the nearest), or has a wrong type.
         ValueError: an option has an impossible value.
         ImportError: `physics="bullet"` without pybullet.
     """
-    refuse_unknown(parallel_env, unknown)
-    config = EnvConfig(
-        physics=physics,
-        interactions=interactions,
-        action=action,
-        decision_rate=decision_rate,
-        force_rate=force_rate,
-        controller=controller,
-        observation=observation,
-        num_neighbors=num_neighbors,
-        horizon_s=horizon_s,
-        end_on_success=end_on_success,
-        battery=battery,
-        randomization=randomization,
-    )
+    refuse_unknown(blueprint, options)
+    weights, standing = check_common(reward_weights, obstacles)
     if stacked is not None:
         check_kind("stacked", stacked, StackedLayout, "StackedLayout(duration_s=(4.0, 4.0))")
-    if reward_weights is not None:
-        check_kind("reward_weights", reward_weights, Mapping, "{'success': 5.0}")
+    if circle is not None:
+        check_kind("circle", circle, CircleLayout, "CircleLayout(radius_m=1.2)")
     task = SwapTask(
         team=team_of(team, num_drones),
         layout=layout,
         stacked=stacked or StackedLayout(),
-        reward_weights={**REWARD_WEIGHTS, **(reward_weights or {})},
+        circle=circle or CircleLayout(),
+        reward_weights={**REWARD_WEIGHTS, **weights},
+        obstacles=standing,
     )
-    return SwarmParallelEnv(task, config, render_mode)
+    return Blueprint(task, EnvConfig(**options), render_mode)
+
+
+parallel_env = parallel_view(blueprint)
+"""Make the environment with PettingZoo's parallel interface; options as of `blueprint`."""
+
+env = aec_view(blueprint)
+"""The same one agent at a time, with PettingZoo's AEC interface."""

@@ -13,9 +13,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnv
 
+from swarm_envs.envs.blueprints import blueprint_of
 from swarm_envs.envs.core import StepResult, SwarmCore
 from swarm_envs.envs.forms import observation_space, shaper
-from swarm_envs.envs.tasks import task_and_config
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
@@ -44,15 +44,14 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     ) -> None:
         count = check_integer("num_envs", num_envs, 1)
         options = {"physics": "batch", **options}
-        self.core = SwarmCore(*task_and_config(task, **options), num_envs=count)
-        config, drones = self.core.config, self.core.num_drones
-        edge = 1.0 if self.core.mode.bounded else np.inf
-        form = config.observation, config.num_neighbors
-        self._shape = shaper(*form)
+        blueprint = blueprint_of(task, **options)
+        self.core = SwarmCore(blueprint.task, blueprint.config, count)
+        drones, edge = self.core.num_drones, 1.0 if self.core.mode.bounded else np.inf
+        self._shape = shaper(*self.core.form)
         self.render_mode = None
         super().__init__(
             count * drones,
-            observation_space(*form),
+            observation_space(*self.core.form),
             spaces.Box(-edge, edge, (self.core.mode.width,), np.float32),
         )
         self._actions: FloatArray = np.zeros((count, drones, self.core.mode.width))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.forms import FORMS
 from swarm_envs.envs.randomization import SAME, Randomization
+from swarm_envs.envs.tally import FORCE_BOUNDS_G
 from swarm_envs.errors import check_integer, check_kind, check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
@@ -19,6 +21,11 @@ from swarm_envs.physics.rigid_body import PHYSICS_RATE
 
 ENGINES = ("bullet", "batch")
 """Names of the physics engines."""
+
+
+def _check_positive(name: str, value: object, unit: str) -> None:
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0 < float(value) < math.inf:
+        raise ValueError(f"{name} is {value!r}, but must be positive and finite, in {unit}")
 
 
 @dataclass(frozen=True)
@@ -44,14 +51,20 @@ class EnvConfig:
     """K, how many neighbours a drone observes."""
     observation: str = "flat"
     """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
-    horizon_s: float = 8.0
-    """The clock: an episode is truncated after this many seconds."""
+    num_obstacles: int | None = None
+    """M, how many obstacles a drone observes, nearest first; None: 3 where the task has any, and
+    else 0."""
+    horizon_s: float | None = None
+    """The clock: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
     battery: BatteryModel | None = None
     """How batteries empty and weaken the rotors; None for batteries that never do."""
     randomization: Randomization | None = None
     """What differs from episode to episode beside the task; None for nothing."""
+    force_bounds_g: Mapping[str, float] = field(default_factory=lambda: FORCE_BOUNDS_G)
+    """Bounds on the vertical interaction force by vehicle token, gram-force: metrics count how
+    often they are broken. Types that are left out have none."""
 
     def __post_init__(self) -> None:
         """Check every option."""
@@ -67,9 +80,13 @@ class EnvConfig:
                     "240, 120, 48, 24 or 10"
                 )
         check_integer("num_neighbors", self.num_neighbors, 0)
-        horizon = self.horizon_s
-        if isinstance(horizon, bool) or not isinstance(horizon, Real) or not 0 < horizon < math.inf:
-            raise ValueError(f"horizon_s is {horizon!r}, but must be positive and finite, in s")
+        if self.num_obstacles is not None:
+            check_integer("num_obstacles", self.num_obstacles, 0)
+        if self.horizon_s is not None:
+            _check_positive("horizon_s", self.horizon_s, "s")
+        check_kind("force_bounds_g", self.force_bounds_g, Mapping, "{'S': 5.0, 'L': 10.0}")
+        for token, bound in self.force_bounds_g.items():
+            _check_positive(f"force_bounds_g[{token!r}]", bound, "gram-force")
         if self.controller is not None:
             check_kind("controller", self.controller, ControllerConfig, "ControllerConfig()")
         if self.battery is not None:
@@ -92,6 +109,12 @@ class EnvConfig:
     def engine(self) -> str:
         """The engine that `physics` stands for here."""
         return self.physics or ("bullet" if bullet_available() else "batch")
+
+    def obstacles_observed(self, present: int) -> int:
+        """M, for a task that has so many obstacles."""
+        if self.num_obstacles is None:
+            return 3 if present else 0
+        return self.num_obstacles
 
     @property
     def decision_s(self) -> float:

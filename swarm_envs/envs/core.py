@@ -14,27 +14,28 @@ import numpy.typing as npt
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_actions
+from swarm_envs.envs.checks import check_mask, check_placement_options, check_seeds
 from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.engine import make_physics
 from swarm_envs.envs.episodes import draw_placements, first_state, randomize
 from swarm_envs.envs.flight import SETPOINTS, Flight
-from swarm_envs.envs.judge import Rules, judge, new_verdict
+from swarm_envs.envs.judge import Rules, judge, new_verdict, success_rules
 from swarm_envs.envs.observation import (
     Float32Array,
     observation_width,
     type_codes,
     write_observations,
 )
-from swarm_envs.envs.options import check_mask, check_placement_options, check_seeds
 from swarm_envs.envs.report import episode_metrics
 from swarm_envs.envs.sensing import sense
 from swarm_envs.envs.snapshot import Snapshot, restore_snapshot, take_snapshot
-from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState
-from swarm_envs.tasks.base import Task, new_mission
+from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.metrics import new_record
+from swarm_envs.tasks.mission import new_mission
+from swarm_envs.tasks.motion import Motion, new_reference
 from swarm_envs.tasks.rewards import weigh
-from swarm_envs.trajectories import Reference
 
 
 class StepResult(NamedTuple):
@@ -64,11 +65,12 @@ class SwarmCore:
     def __init__(self, task: Task, config: EnvConfig, num_envs: int = 1) -> None:
         self.task, self.config, self.num_envs = task, config, num_envs
         self.mode = ACTIONS[config.action]
-        self.physics = self._make_physics()
+        self.physics = make_physics(task, config, num_envs)
         controller = config.controller or ControllerConfig()
-        self.flight = Flight(self.physics, controller, self.mode.level)
+        self.flight = Flight(self.physics, controller, self.mode.level, config.force_bounds_g)
         drones = len(task.team)
-        self.mission = new_mission(num_envs, drones)
+        self.motion: Motion = task.motion
+        self.mission = new_mission(num_envs, drones, task.num_stages)
         self.record = new_record(num_envs, drones)
         self.decisions: IntArray = np.zeros(num_envs, dtype=np.int64)
         self.time: FloatArray = np.zeros(num_envs)
@@ -81,25 +83,33 @@ class SwarmCore:
             self._sensed = self.physics.state.copy()
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._types = type_codes(task.team)
-        width = observation_width(config.num_neighbors)
+        self.num_obstacles = config.obstacles_observed(len(task.obstacles))
+        width = observation_width(config.num_neighbors, self.num_obstacles)
         self.rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
         width = observation_width(0)
         self._states: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
+        clock = task.episode_s if config.horizon_s is None else config.horizon_s
         self._rules = Rules(
-            radius=float(task.success.radius),
-            hold_s=float(task.success.hold_s),
+            *success_rules(task.success),
+            stage_s=self.motion.stage_s,
             decision_s=config.decision_s,
-            horizon_s=float(config.horizon_s),
+            horizon_s=float(clock),
             end_on_success=bool(config.end_on_success),
             bounded=self.mode.bounded,
         )
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
-        self._reference = Reference(*(np.zeros((num_envs, drones, 3)) for _ in range(4)))
+        self._reference = new_reference(num_envs, drones)
+        self._refer: Callable[..., None] | None = None
         self._judge: Callable[..., None] | None = None
         self._write_terms: Callable[..., None] | None = None
         self._weigh: Callable[..., None] = weigh
         self._write: Callable[..., None] | None = None
+
+    @property
+    def form(self) -> tuple[str, int, int]:
+        """Form of observations, K neighbours, M obstacles: what their shape follows from."""
+        return self.config.observation, self.config.num_neighbors, self.num_obstacles
 
     @property
     def num_drones(self) -> int:
@@ -121,7 +131,8 @@ class SwarmCore:
         Args:
             seeds: one per environment; None goes on with that environment's generator.
             mask: (E,) which to reset; None for all.
-            options: `start` and `goal`, (N, 3) m, fix what would be drawn.
+            options: what the task allows of `start` and `goal`, (N, 3) m, fixes what would be
+                drawn.
 
         Returns:
             (E, N, width) observations.
@@ -131,7 +142,7 @@ class SwarmCore:
         """
         where = check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
-        given = check_placement_options(options or {}, self.num_drones)
+        given = check_placement_options(options or {}, self.task.reset_options, self.num_drones)
         environments = np.flatnonzero(where).tolist()
         for e, placement in draw_placements(self, environments, seeds, given).items():
             self.mission.place(e, placement)
@@ -140,7 +151,7 @@ class SwarmCore:
             randomize(self, self.config.randomization, environments, state)
         self.flight.reset(state, where)
         self.record.clear(where)
-        there = self.mission.distance < self.task.success.radius
+        there = self.mission.distance < self._rules.radius
         self.record.arrival[where[:, None] & there] = 0.0
         self.decisions[where] = 0
         self.time[where] = 0.0
@@ -182,10 +193,9 @@ class SwarmCore:
         return episode_metrics(self, e)
 
     def _look_up_reference(self) -> None:
-        # Into arrays of our own: kernels called directly take only the very types they know.
-        reference = self.task.reference(self.mission, self.time)
-        for mine, given in zip(self._reference, reference, strict=True):
-            mine[...] = given
+        arguments = (self.mission, self.motion, self.time, self._reference)
+        self._refer = self._refer or entry_point(self.task.write_reference, *arguments)
+        self._refer(*arguments)
 
     def _decide(self, actions: FloatArray) -> None:
         arguments = (
@@ -225,9 +235,11 @@ class SwarmCore:
             self.mode.level != SETPOINTS,
             self.mission.goal,
             self._reference,
-            np.maximum(1.0 - self.time / self.config.horizon_s, 0.0),
+            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
             self._types,
             self.config.num_neighbors,
+            self.physics.obstacles,
+            self.num_obstacles,
             mask,
             self.rows,
         )
@@ -245,8 +257,10 @@ class SwarmCore:
             self.mode.level != SETPOINTS,
             self.mission.goal,
             self._reference,
-            np.maximum(1.0 - self.time / self.config.horizon_s, 0.0),
+            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
             self._types,
+            0,
+            self.physics.obstacles,
             0,
             everywhere,
             self._states,
@@ -273,19 +287,3 @@ class SwarmCore:
         """
         restore_snapshot(self, snapshot)
         self._look_up_reference()
-
-    def _make_physics(self) -> Physics:
-        engine = BulletPhysics if self.config.engine == "bullet" else BatchPhysics
-        gusts, ranges = None, self.config.randomization
-        if ranges is not None:
-            ranges.check_team(self.task.team)
-            gusts = (ranges.gust_acceleration, ranges.gust_time_s)
-        return engine(
-            self.task.team,
-            self.num_envs,
-            self.config.interactions,
-            arena=self.task.arena,
-            battery=self.config.battery,
-            force_rate=self.config.force_rate,
-            gusts=gusts,
-        )

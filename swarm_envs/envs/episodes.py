@@ -10,13 +10,10 @@ import numpy as np
 from swarm_envs.envs.randomization import Randomization, draw_parameters
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray, SwarmState, hover_state
-from swarm_envs.tasks.base import Placement, check_placement
+from swarm_envs.tasks.mission import Placement
 
 if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
-
-PLACEMENT_OPTIONS = ("start", "goal")
-"""Reset options that fix what would be drawn."""
 
 
 def draw_placements(
@@ -34,9 +31,6 @@ def draw_placements(
             if seed is not None:
                 generators[e] = np.random.default_rng(check_integer("seed", seed, 0))
             placements[e] = core.task.place(generators[e], **given)
-            radius = core.physics.parameters.radius[e]
-            for name in PLACEMENT_OPTIONS:
-                check_placement(placements[e], radius, core.physics.arena, name)
     except Exception:
         for e, state in before.items():
             core.generators[e].bit_generator.state = state

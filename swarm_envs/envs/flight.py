@@ -6,8 +6,7 @@ step at a time, with the same controller and the same bookkeeping.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -17,11 +16,12 @@ from swarm_envs.control.config import ControlGains, ControllerConfig, compile_ga
 from swarm_envs.control.rates import hold_rates
 from swarm_envs.control.state import ControllerState, Setpoint
 from swarm_envs.control.tracking import extrapolate, track_env
+from swarm_envs.envs.tally import Airframe, Tally, airframe_of, count, new_tally
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces
 from swarm_envs.physics import BulletPhysics, Physics
-from swarm_envs.physics.contact import NO_DRONE, Contacts
+from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.physics.gusts import gust
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment
@@ -33,11 +33,6 @@ from swarm_envs.state import (
     SwarmState,
     parameters,
 )
-from swarm_envs.vehicles import Team
-
-AIR_DENSITY = 1.225
-"""Density of air at sea level, kg/m^3."""
-
 
 SETPOINTS, RATES, ROTORS = 0, 1, 2
 """What an agent commands: set-points of the tracking loop, thrust and body rates, or the rotors."""
@@ -67,24 +62,6 @@ class Pilot(NamedTuple):
     """(E, N, 4) commanded rotor thrusts, N."""
 
 
-class Tally(NamedTuple):
-    """What an episode's physics adds up to: arrays (E, N)."""
-
-    worst_force: FloatArray
-    """Largest interaction force so far, N."""
-    energy: FloatArray
-    """Ideal induced energy of the rotors, J: the integral of T^1.5 / sqrt(2 rho A) per rotor."""
-    outside: IntArray
-    """Physics steps with an interaction force extrapolated past what was measured."""
-    steps: IntArray
-    """Physics steps flown."""
-
-    def clear(self, mask: BoolArray) -> None:
-        """Begin anew in the environments of the mask."""
-        for array in self:
-            array[mask] = 0
-
-
 @inlined_kernel
 def decide(e: int, world: World, pilot: Pilot) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
@@ -111,31 +88,6 @@ def decide(e: int, world: World, pilot: Pilot) -> None:
     extrapolate(pilot.setpoint, e, TIME_STEP)
 
 
-@inlined_kernel
-def count(e: int, world: World, tally: Tally, disc_area: FloatArray) -> None:
-    """Add one physics step of environment `e`, its force just evaluated, to the tally.
-
-    Args:
-        e: the environment.
-        world: its state, at the beginning of the step.
-        tally: changed in place.
-        disc_area: (N,) swept area of one rotor, m^2.
-    """
-    force, thrust = world.force, world.state.rotor_thrust
-    for i in range(disc_area.shape[0]):
-        size = 0.0
-        for k in range(3):
-            size += force[e, i, k] * force[e, i, k]
-        tally.worst_force[e, i] = max(tally.worst_force[e, i], math.sqrt(size))
-        power = 0.0
-        for r in range(4):
-            power += thrust[e, i, r] * math.sqrt(max(thrust[e, i, r], 0.0))
-        scale = TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * disc_area[i])
-        tally.energy[e, i] += power * scale
-        tally.outside[e, i] += world.outside[e, i]
-        tally.steps[e, i] += 1
-
-
 @kernel
 def forget(e: int, contacts: Contacts) -> None:
     """Forget what environment `e` touched, before the next decision is flown."""
@@ -143,6 +95,7 @@ def forget(e: int, contacts: Contacts) -> None:
         contacts.drone[e, i] = NO_DRONE
         contacts.floor[e, i] = contacts.wall[e, i] = contacts.tumbling[e, i] = False
         contacts.separation[e, i] = contacts.clearance[e, i] = np.inf
+        contacts.obstacle[e, i], contacts.obstacle_clearance[e, i] = NO_OBSTACLE, np.inf
 
 
 @kernel
@@ -150,7 +103,7 @@ def fly_compiled(
     world: World,
     pilot: Pilot,
     tally: Tally,
-    disc_area: FloatArray,
+    airframe: Airframe,
     external: FloatArray,
     total: FloatArray,
     running: BoolArray,
@@ -162,7 +115,7 @@ def fly_compiled(
         world: changed in place.
         pilot: changed in place.
         tally: changed in place.
-        disc_area: (N,) swept area of one rotor, m^2.
+        airframe: what the tally knows of the drones.
         external: (E, N, 3) force of gusts, N; zeros without.
         total: (E, N, 3) scratch.
         running: (E,) environments to fly.
@@ -174,7 +127,7 @@ def fly_compiled(
             for _ in range(steps):
                 decide(e, world, pilot)
                 blow(e, world)
-                count(e, world, tally, disc_area)
+                count(e, world, tally, airframe)
                 gust(e, world.age[e], world.gusts, world.parameters.mass, external)
                 step_environment(e, world, pilot.commands, external, total)
 
@@ -186,7 +139,7 @@ def prepare_flight(
     world: World,
     pilot: Pilot,
     tally: Tally,
-    disc_area: FloatArray,
+    airframe: Airframe,
     external: FloatArray,
     wrench: FloatArray,
 ) -> None:
@@ -198,7 +151,7 @@ def prepare_flight(
         world: changed in place.
         pilot: changed in place.
         tally: changed in place.
-        disc_area: (N,) swept area of one rotor, m^2.
+        airframe: what the tally knows of the drones.
         external: (E, N, 3) force of gusts, N; zeros without.
         wrench: (N, 6) force (N) and torque (N m) on each body in its own frame, written.
     """
@@ -206,14 +159,9 @@ def prepare_flight(
         forget(e, world.contacts)
     decide(e, world, pilot)
     blow(e, world)
-    count(e, world, tally, disc_area)
+    count(e, world, tally, airframe)
     gust(e, world.age[e], world.gusts, world.parameters.mass, external)
     prepare_wrench(e, world, pilot.commands, external, wrench)
-
-
-def disc_areas(team: Team) -> FloatArray:
-    """Swept area (N,) of one rotor of each vehicle, m^2."""
-    return np.array([math.pi * vehicle.rotor_radius**2 for vehicle in team])
 
 
 class Flight:
@@ -223,9 +171,16 @@ class Flight:
         physics: the engine.
         config: of the tracking loop.
         level: SETPOINTS, RATES or ROTORS: where actions enter.
+        bounds_g: as for `airframe_of`.
     """
 
-    def __init__(self, physics: Physics, config: ControllerConfig, level: int) -> None:
+    def __init__(
+        self,
+        physics: Physics,
+        config: ControllerConfig,
+        level: int,
+        bounds_g: Mapping[str, float],
+    ) -> None:
         envs, drones = physics.num_envs, len(physics.team)
         belief = load("none" if config.feedforward is None else config.feedforward)
         self.physics = physics
@@ -243,12 +198,10 @@ class Flight:
             commands=np.zeros((envs, drones, 4)),
         )
         shape = (envs, drones)
-        self.tally = Tally(
-            np.zeros(shape), np.zeros(shape), np.zeros(shape, np.int64), np.zeros(shape, np.int64)
-        )
+        self.tally = new_tally(*shape)
         external = np.zeros((envs, drones, 3))
-        areas = disc_areas(physics.team)
-        self._arguments = (physics.world, self.pilot, self.tally, areas, external)
+        airframe = airframe_of(physics.team, bounds_g)
+        self._arguments = (physics.world, self.pilot, self.tally, airframe, external)
         self._total = np.zeros((envs, drones, 3))
         self._entry: Callable[..., None] | None = None
 

@@ -16,62 +16,62 @@ FORMS = ("flat", "dict")
 Observation = Any
 """One drone's: a float32 row, or a dictionary of float32 arrays; whoever asks knows which."""
 
-
-def group_slices(num_neighbors: int) -> dict[str, slice]:
-    """Where the groups `self`, `neighbors` and `task` stand in a row."""
-    layout = observation_layout(num_neighbors)
-
-    def span(prefix: str) -> slice:
-        places = [field.where for field in layout if field.name.startswith(prefix)]
-        start = places[0].start if places else 0
-        return slice(start, places[-1].stop if places else 0)
-
-    return {"self": span("self."), "neighbors": span("neighbor_"), "task": span("task.")}
+_SETS = {"neighbors": ("neighbor_", "mask"), "obstacles": ("obstacle_", "obstacle_mask")}
+"""Groups of fields that repeat: the name of theirs, and of what masks them."""
 
 
-def observation_space(form: str, num_neighbors: int) -> spaces.Space[Any]:
+def observation_space(form: str, num_neighbors: int, num_obstacles: int = 0) -> spaces.Space[Any]:
     """The space of one drone's observation: a Box, or a Dict of Boxes.
 
     The dictionary has `self` (width), `neighbors` (K, width), nearest first, `mask` (K,), 1 where
-    there is a neighbour, and `task` (width); see `observation_layout` for the fields.
+    there is a neighbour, and `task` (width); with obstacles observed also `obstacles` (M, 3) and
+    `obstacle_mask` (M,). See `observation_layout` for the fields.
     """
-    groups = group_slices(num_neighbors)
+    row = np.zeros(observation_layout(num_neighbors, num_obstacles)[-1].where.stop, np.float32)
     if form == "flat":
-        return _box((groups["task"].stop,))
-    width = _neighbor_width()
-    parts: dict[str, spaces.Space[Any]] = {
-        "self": _box((groups["self"].stop,)),
-        "neighbors": _box((num_neighbors, width)),
-        "mask": spaces.Box(0.0, 1.0, (num_neighbors,), np.float32),
-        "task": _box((groups["task"].stop - groups["task"].start,)),
-    }
-    return spaces.Dict(parts)
+        return _box(row)
+    parts = shaper(form, num_neighbors, num_obstacles)(row)
+    return spaces.Dict({name: _box(part, "mask" in name) for name, part in parts.items()})
 
 
-def shaper(form: str, num_neighbors: int) -> Callable[[Float32Array], Observation]:
+def shaper(
+    form: str, num_neighbors: int, num_obstacles: int = 0
+) -> Callable[[Float32Array], Observation]:
     """A function that gives rows (..., width) the form; its parts are views of the rows."""
     if form == "flat":
         return lambda rows: rows
-    groups, width = group_slices(num_neighbors), _neighbor_width()
+    own = _span("self.", num_neighbors, num_obstacles)
+    task = _span("task.", num_neighbors, num_obstacles)
+    counts = {"neighbors": num_neighbors, "obstacles": num_obstacles}
+    places = {
+        name: (_span(_SETS[name][0], num_neighbors, num_obstacles), _set_width(name))
+        for name, count in counts.items()
+        if count or name == "neighbors"
+    }
 
     def shape(rows: Float32Array) -> Observation:
-        lead = rows.shape[:-1]
-        neighbors = rows[..., groups["neighbors"]].reshape(*lead, num_neighbors, width + 1)
-        return {
-            "self": rows[..., groups["self"]],
-            "neighbors": neighbors[..., :width],
-            "mask": neighbors[..., width],
-            "task": rows[..., groups["task"]],
-        }
+        parts = {"self": rows[..., own], "task": rows[..., task]}
+        for name, (where, width) in places.items():
+            group = rows[..., where].reshape(*rows.shape[:-1], counts[name], width + 1)
+            parts[name], parts[_SETS[name][1]] = group[..., :width], group[..., width]
+        return parts
 
     return shape
 
 
-def _neighbor_width() -> int:
-    """Numbers a neighbour, its mask aside, which stands last."""
-    groups = group_slices(1)
-    return groups["neighbors"].stop - groups["neighbors"].start - 1
+def _span(prefix: str, num_neighbors: int, num_obstacles: int) -> slice:
+    """Where the fields of a prefix stand in a row; nowhere if there are none."""
+    layout = observation_layout(num_neighbors, num_obstacles)
+    places = [field.where for field in layout if field.name.startswith(prefix)]
+    return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
 
 
-def _box(shape: tuple[int, ...]) -> spaces.Box:
-    return spaces.Box(-np.inf, np.inf, shape, np.float32)
+def _set_width(name: str) -> int:
+    """Numbers of one member of a group, its mask aside, which stands last."""
+    where = _span(_SETS[name][0], 1, 1)
+    return where.stop - where.start - 1
+
+
+def _box(part: Float32Array, mask: bool = False) -> spaces.Box:
+    low, high = (0.0, 1.0) if mask else (-np.inf, np.inf)
+    return spaces.Box(low, high, part.shape, np.float32)

@@ -31,11 +31,7 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
         self, task: Task, config: EnvConfig | None = None, render_mode: str | None = None
     ) -> None:
         given = config or EnvConfig()
-        if given.observation != "flat":
-            raise ValueError(
-                f"observation is {given.observation!r}, but a team in one Box has 'flat' rows; "
-                "use parallel_env() for dictionaries"
-            )
+        check_flat(given)
         self.parallel = SwarmParallelEnv(task, given, render_mode)
         self.core = self.parallel.core
         self.render_mode = render_mode
@@ -87,6 +83,19 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
 
     def _observation(self) -> Float32Array:
         return self.core.rows[0].reshape(-1).copy()
+
+
+def check_flat(config: EnvConfig) -> None:
+    """Refuse observations that do not fit into one Box.
+
+    Raises:
+        ValueError: they are dictionaries.
+    """
+    if config.observation != "flat":
+        raise ValueError(
+            f"observation is {config.observation!r}, but a team in one Box has 'flat' rows; "
+            "use parallel_env() for dictionaries"
+        )
 
 
 def joint_box(shape: tuple[int, ...], edge: float) -> spaces.Space[Any]:

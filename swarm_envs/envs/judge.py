@@ -11,10 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import kernel
-from swarm_envs.physics.contact import NO_DRONE, Contacts
+from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.tasks.base import Mission, Situation
+from swarm_envs.tasks.base import Situation, Success, TrackingSuccess
 from swarm_envs.tasks.metrics import Record, measure
+from swarm_envs.tasks.mission import Mission
+from swarm_envs.tasks.motion import stage_at
 
 _ROUNDING = 1e-9
 
@@ -22,10 +24,16 @@ _ROUNDING = 1e-9
 class Rules(NamedTuple):
     """When an episode is won, and when it ends."""
 
+    tracks: bool
+    """Whether the goals are wherever the reference is, to be kept to until the clock ends."""
     radius: float
-    """How near a drone must be to its goal, m."""
+    """How near a drone must be to its goal, or always to its reference, m."""
     hold_s: float
     """For how long all must stay there, s."""
+    settle_s: float
+    """Errors count from this time on, s."""
+    stage_s: float
+    """Seconds that each stage lasts."""
     decision_s: float
     """Time between decisions, s."""
     horizon_s: float
@@ -36,6 +44,13 @@ class Rules(NamedTuple):
     """Whether actions lie in [-1, 1], so that their size is an effort."""
 
 
+def success_rules(success: Success | TrackingSuccess) -> tuple[bool, float, float, float]:
+    """The first four of the `Rules`, of a task's success."""
+    if isinstance(success, TrackingSuccess):
+        return True, float(success.worst_error), 0.0, float(success.settle_s)
+    return False, float(success.radius), float(success.hold_s), 0.0
+
+
 class Verdict(NamedTuple):
     """What the judge says of the last decision: arrays that lead with E."""
 
@@ -43,8 +58,8 @@ class Verdict(NamedTuple):
     """(E, N) has collided, left the arena or tumbled in this episode."""
     succeeded: BoolArray
     """(E,) the task is done."""
-    just_succeeded: BoolArray
-    """(E,) it was done in this decision."""
+    achieved: FloatArray
+    """(E,) the share of it that was done in this decision."""
     terminated: BoolArray
     """(E,) ended by a crash or by success."""
     truncated: BoolArray
@@ -70,7 +85,8 @@ class Verdict(NamedTuple):
             effort=self.effort,
             clearance=contacts.clearance,
             crashed=self.crashed,
-            succeeded=self.just_succeeded,
+            obstacle_clearance=contacts.obstacle_clearance,
+            achieved=self.achieved,
         )
 
 
@@ -80,13 +96,55 @@ def new_verdict(num_envs: int, num_drones: int) -> Verdict:
     return Verdict(
         crashed=np.zeros(shape, dtype=np.bool_),
         succeeded=np.zeros(num_envs, dtype=np.bool_),
-        just_succeeded=np.zeros(num_envs, dtype=np.bool_),
+        achieved=np.zeros(num_envs),
         terminated=np.zeros(num_envs, dtype=np.bool_),
         truncated=np.zeros(num_envs, dtype=np.bool_),
         last_distance=np.zeros(shape),
         error=np.zeros(shape),
         effort=np.zeros(shape),
     )
+
+
+@kernel
+def achieve(
+    e: int, time: float, rules: Rules, mission: Mission, record: Record, verdict: Verdict
+) -> None:
+    """Decide what environment `e`, which has not crashed, has achieved in this decision."""
+    if rules.tracks:
+        worst = 0.0
+        for i in range(mission.distance.shape[1]):
+            worst = max(worst, record.worst_error[e, i])
+        done = time >= rules.horizon_s - _ROUNDING and worst < rules.radius
+    else:
+        since = 0.0
+        for i in range(mission.distance.shape[1]):
+            since = max(since, record.arrival[e, i])
+        done = time - since >= rules.hold_s - _ROUNDING
+    if done and not mission.held[e]:
+        stages = mission.goals.shape[1]
+        mission.held[e] = True
+        mission.reached[e] += 1
+        verdict.achieved[e] = 1.0 / stages
+        verdict.succeeded[e] = mission.reached[e] == stages
+
+
+@kernel
+def enter_stage(
+    e: int, time: float, position: FloatArray, rules: Rules, mission: Mission, record: Record
+) -> None:
+    """Begin the stage of environment `e` that is due, if it is another than the present one."""
+    stage = stage_at(time, rules.stage_s, mission.goals.shape[1])
+    if stage == mission.stage[e]:
+        return
+    mission.stage[e], mission.held[e] = stage, False
+    for i in range(position.shape[1]):
+        square = 0.0
+        for k in range(3):
+            mission.goal[e, i, k] = mission.goals[e, stage, i, k]
+            square += (position[e, i, k] - mission.goal[e, i, k]) ** 2
+        mission.distance[e, i] = np.sqrt(square)
+        near = mission.distance[e, i] < rules.radius
+        record.arrival[e, i] = time if near else np.inf
 
 
 @kernel
@@ -118,7 +176,7 @@ def judge(
     """
     drones, width = actions.shape[1], actions.shape[2]
     for e in range(actions.shape[0]):
-        verdict.just_succeeded[e] = False
+        verdict.achieved[e] = 0.0
         if not running[e]:
             continue
         for i in range(drones):
@@ -128,18 +186,31 @@ def judge(
                 for k in range(width):
                     square += actions[e, i, k] * actions[e, i, k]
                 verdict.effort[e, i] = square / width
-        error = verdict.error[e]
-        measure(e, position, reference, contacts, mission, time, rules.radius, record, error)
-        since, crashed = 0.0, False
+        if rules.tracks:
+            mission.goal[e] = reference[e]
+        measure(
+            e,
+            position,
+            reference,
+            contacts,
+            mission,
+            time,
+            rules.radius,
+            rules.settle_s,
+            record,
+            verdict.error[e],
+        )
+        crashed = False
         for i in range(drones):
-            touched = contacts.drone[e, i] != NO_DRONE or contacts.floor[e, i]
-            verdict.crashed[e, i] |= touched or contacts.wall[e, i] or contacts.tumbling[e, i]
+            touched = contacts.drone[e, i] != NO_DRONE or contacts.obstacle[e, i] != NO_OBSTACLE
+            touched |= contacts.floor[e, i] or contacts.wall[e, i]
+            verdict.crashed[e, i] |= touched or contacts.tumbling[e, i]
             crashed |= verdict.crashed[e, i]
-            since = max(since, record.arrival[e, i])
-        if not crashed and time[e] - since >= rules.hold_s - _ROUNDING:
-            verdict.just_succeeded[e] = not verdict.succeeded[e]
-            verdict.succeeded[e] = True
-        over = crashed or (rules.end_on_success and verdict.succeeded[e])
+        if not crashed:
+            achieve(e, time[e], rules, mission, record, verdict)
+        over = crashed or (rules.end_on_success and verdict.succeeded[e] and not rules.tracks)
         verdict.terminated[e] = over
         verdict.truncated[e] = not over and time[e] >= rules.horizon_s - _ROUNDING
         running[e] = not (over or verdict.truncated[e])
+        if running[e]:
+            enter_stage(e, time[e], position, rules, mission, record)

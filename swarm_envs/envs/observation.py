@@ -1,7 +1,7 @@
 """Observations: what each drone senses, as one flat row of numbers with a documented layout.
 
-A row is `[self | K neighbours, nearest first | task]`. Its length does not depend on the size of
-the team, so one policy flies any number of drones. World frame throughout.
+A row is `[self | K neighbours, nearest first | M obstacles, nearest first | task]`. Its length does
+not depend on the size of the team: one policy flies any number of drones. World frame throughout.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import kernel
 from swarm_envs.control.state import Setpoint
+from swarm_envs.physics.obstacles import nearest_point
 from swarm_envs.physics.rigid_body import rotation_entries
 from swarm_envs.state import BoolArray, FloatArray, IntArray, Parameters, SwarmState
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
@@ -56,6 +57,10 @@ _NEIGHBOR: _Entries = (
     ("type", len(VEHICLES), "one-hot", 1.0),
     ("mask", 1, "", 1.0),
 )
+_OBSTACLE: _Entries = (
+    ("offset", 3, "m", 1.0),
+    ("mask", 1, "", 1.0),
+)
 _TASK: _Entries = (
     ("goal", 3, "m", 1.0),
     ("reference_position", 3, "m", 1.0),
@@ -66,18 +71,21 @@ _TASK: _Entries = (
 _NEIGHBOR_WIDTH = sum(width for _, width, _, _ in _NEIGHBOR)
 
 
-def observation_layout(num_neighbors: int) -> tuple[Field, ...]:
+def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[Field, ...]:
     """The fields of an observation row in order.
 
     `self.position` is absolute; `self.attitude` the rotation matrix from body to world, row by
     row; `self.body_rate` in the body frame; `self.setpoint_offset` from the drone to the
     controller's set-point (zero for `rotors`). Neighbours' and task positions are relative to the
     drone, a neighbour's velocity too; its `goal` is relative to itself. Where there are fewer than
-    K neighbours, `mask` is 0 and the rest zero. Where a task gives no reference, it rests at the
+    K neighbours, `mask` is 0 and the rest zero. `obstacle_k.offset` leads from the drone to the
+    nearest point of an obstacle, for the nearest M of them; with M = 0 there are no such fields.
+    Where a task gives no reference, it rests at the
     goal; that of a stacked swap never moves vertically.
     """
     groups: list[tuple[str, _Entries]] = [("self", _SELF)]
     groups += [(f"neighbor_{k}", _NEIGHBOR) for k in range(num_neighbors)]
+    groups += [(f"obstacle_{k}", _OBSTACLE) for k in range(num_obstacles)]
     groups += [("task", _TASK)]
     fields, start = [], 0
     for group, entries in groups:
@@ -87,9 +95,9 @@ def observation_layout(num_neighbors: int) -> tuple[Field, ...]:
     return tuple(fields)
 
 
-def observation_width(num_neighbors: int) -> int:
+def observation_width(num_neighbors: int, num_obstacles: int = 0) -> int:
     """Length of an observation row."""
-    return observation_layout(num_neighbors)[-1].where.stop
+    return observation_layout(num_neighbors, num_obstacles)[-1].where.stop
 
 
 def type_codes(team: Team) -> FloatArray:
@@ -185,6 +193,28 @@ def write_neighbor(
 
 
 @kernel
+def write_obstacles(position: FloatArray, obstacles: FloatArray, row: Float32Array) -> None:
+    """Write the fields of the obstacles nearest to a position (3,); `row` ends with them."""
+    places = row.shape[0] // 4
+    row[:] = 0.0
+    squares = np.full(places, np.inf)
+    for m in range(obstacles.shape[0]):
+        offset = nearest_point(obstacles[m], position[0], position[1], position[2])
+        square = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
+        place = places
+        while place > 0 and squares[place - 1] > square:
+            place -= 1
+        if place == places:
+            continue
+        for k in range(places - 1, place, -1):
+            squares[k] = squares[k - 1]
+            row[4 * k : 4 * k + 4] = row[4 * k - 4 : 4 * k].copy()
+        squares[place] = square
+        row[4 * place], row[4 * place + 1], row[4 * place + 2] = offset
+        row[4 * place + 3] = 1.0
+
+
+@kernel
 def write_task(
     e: int,
     i: int,
@@ -215,6 +245,8 @@ def write_observations(
     time_left: FloatArray,
     code: FloatArray,
     num_neighbors: int,
+    obstacles: FloatArray,
+    num_obstacles: int,
     mask: BoolArray,
     out: Float32Array,
 ) -> None:
@@ -230,6 +262,8 @@ def write_observations(
         time_left: (E,) share of the clock.
         code: (N, types) one-hot types.
         num_neighbors: K.
+        obstacles: (M', 7) rows of `swarm_envs.physics.obstacles`.
+        num_obstacles: M.
         mask: (E,) environments to write.
         out: (E, N, width) rows.
     """
@@ -248,4 +282,8 @@ def write_observations(
                 else:
                     row[start : start + width] = 0.0
                 start += width
+            if num_obstacles > 0:
+                end = start + 4 * num_obstacles
+                write_obstacles(state.position[e, i], obstacles, row[start:end])
+                start = end
             write_task(e, i, state, goal, reference, time_left[e], row[start:])

@@ -1,30 +1,105 @@
-"""Checks of the options that users give to environment constructors."""
+"""Options of environment constructors: those that every task takes, and how they are checked."""
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, NamedTuple, ParamSpec, TypedDict
 
-import numpy as np
+from pettingzoo import AECEnv
+from pettingzoo.utils.conversions import parallel_to_aec
 
-from swarm_envs.envs.episodes import PLACEMENT_OPTIONS
-from swarm_envs.errors import check_array, check_integer, check_kind, check_name, unknown_name
-from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.errors import check_integer, check_kind, unknown_name
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.motors import BatteryModel
+from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
-_API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
+P = ParamSpec("P")
 
 
-def refuse_unknown(constructor: Callable[..., object], unknown: Mapping[str, object]) -> None:
-    """Refuse keyword arguments that a constructor does not have.
+class EnvOptions(TypedDict, total=False):
+    """Options that every task's `parallel_env` takes; `EnvConfig` says what each means."""
+
+    physics: str | None
+    interactions: str | Path | InteractionModel
+    action: str
+    decision_rate: int
+    force_rate: int
+    controller: ControllerConfig | None
+    observation: str
+    num_neighbors: int
+    num_obstacles: int | None
+    horizon_s: float | None
+    end_on_success: bool
+    battery: BatteryModel | None
+    randomization: Randomization | None
+    force_bounds_g: Mapping[str, float]
+
+
+class Blueprint(NamedTuple):
+    """What an environment is made from, whatever its interface."""
+
+    task: Task
+    config: EnvConfig
+    render_mode: str | None = None
+
+
+def parallel_view(blueprint: Callable[P, Blueprint]) -> Callable[P, SwarmParallelEnv]:
+    """The function that makes a task's environment with PettingZoo's parallel interface."""
+
+    @functools.wraps(blueprint)
+    def parallel_env(*args: P.args, **options: P.kwargs) -> SwarmParallelEnv:
+        return SwarmParallelEnv(*blueprint(*args, **options))
+
+    parallel_env.__name__ = parallel_env.__qualname__ = "parallel_env"
+    return parallel_env
+
+
+def aec_view(blueprint: Callable[P, Blueprint]) -> Callable[P, AECEnv[str, Any, Any]]:
+    """The function that makes a task's environment with PettingZoo's AEC interface."""
+
+    @functools.wraps(blueprint)
+    def env(*args: P.args, **options: P.kwargs) -> AECEnv[str, Any, Any]:
+        return parallel_to_aec(SwarmParallelEnv(*blueprint(*args, **options)))
+
+    env.__name__ = env.__qualname__ = "env"
+    return env
+
+
+def refuse_unknown(constructor: Callable[..., object], options: Mapping[str, object]) -> None:
+    """Refuse keyword arguments that neither a constructor nor `EnvConfig` has.
 
     Raises:
         TypeError: there is one; the message names the nearest that exists.
     """
-    valid = [name for name in inspect.signature(constructor).parameters if name != "unknown"]
-    for name in unknown:
-        raise TypeError(unknown_name("option", name, valid))
+    own = [name for name in inspect.signature(constructor).parameters if name != "options"]
+    shared = [field.name for field in fields(EnvConfig)]
+    for name in options:
+        if name not in shared:
+            raise TypeError(unknown_name("option", name, own + shared))
+
+
+def check_common(
+    reward_weights: Mapping[str, float] | None, obstacles: Sequence[Obstacle]
+) -> tuple[dict[str, float], tuple[Obstacle, ...]]:
+    """Check the types of options that tasks share, and return them in the form that tasks take.
+
+    Raises:
+        TypeError: one is of a wrong type.
+    """
+    if reward_weights is not None:
+        check_kind("reward_weights", reward_weights, Mapping, "{'success': 5.0}")
+    check_kind("obstacles", obstacles, Sequence, "(Column(center=(0.0, 0.0), radius=0.2),)")
+    return dict(reward_weights or {}), tuple(obstacles)
 
 
 def team_of(team: str | Sequence[Vehicle] | None, num_drones: int) -> Team:
@@ -36,44 +111,3 @@ def team_of(team: str | Sequence[Vehicle] | None, num_drones: int) -> Team:
     if team is not None:
         return parse_team(team)
     return parse_team("S" * check_integer("num_drones", num_drones, 1))
-
-
-def check_mask(mask: BoolArray | None, num_envs: int) -> BoolArray:
-    """The (E,) mask of environments, all of them for None.
-
-    Raises:
-        ValueError: it is not one boolean an environment.
-    """
-    if mask is None:
-        return np.ones(num_envs, dtype=np.bool_)
-    array = np.array(mask)
-    if array.dtype != np.bool_ or array.shape != (num_envs,):
-        raise ValueError(
-            f"mask has type {array.dtype} and shape {array.shape}, but must be {num_envs} "
-            "booleans, one an environment"
-        )
-    return array
-
-
-def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
-    """Refuse seeds that are not one an environment.
-
-    Raises:
-        ValueError: their number is another.
-    """
-    if seeds is not None and len(seeds) != num_envs:
-        raise ValueError(f"seeds has {len(seeds)} entries, but must have {num_envs}")
-
-
-def check_placement_options(options: Mapping[str, Any], num_drones: int) -> dict[str, FloatArray]:
-    """Reset options that fix starts or goals, as arrays (N, 3).
-
-    Raises:
-        TypeError: the options are no mapping.
-        ValueError: an option is unknown, or an array of wrong shape or not finite.
-    """
-    check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
-    given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
-    for name in given:
-        check_name("reset option", name, PLACEMENT_OPTIONS)
-    return {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()}

@@ -22,7 +22,7 @@ from swarm_envs.envs.observation import (
 from swarm_envs.envs.snapshot import Snapshot
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_name, unknown_name
-from swarm_envs.physics.contact import NO_DRONE
+from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.tasks.base import Task
 
 RENDER_MODES = ("rgb_array",)
@@ -53,7 +53,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self.agents: list[str] = []
         self._camera: Any = None
         self._closed = False
-        form = self.core.config.observation, self.core.config.num_neighbors
+        form = self.core.form
         self._observation_space, self._shape = observation_space(*form), shaper(*form)
         size = self.core.num_drones * observation_width(0)
         self.state_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
@@ -73,7 +73,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     @property
     def observation_layout(self) -> tuple[Field, ...]:
         """Name, place, unit and scale of each field of an observation."""
-        return observation_layout(self.core.config.num_neighbors)
+        return observation_layout(self.core.config.num_neighbors, self.core.num_obstacles)
 
     @property
     def view(self) -> View:
@@ -97,7 +97,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
         Args:
             seed: seeds the environment's one generator; None goes on with it.
-            options: `start`, `goal`: (N, 3) positions, m.
+            options: `start`, `goal`: (N, 3) positions, m; which of them, the task says.
 
         Raises:
             ValueError: an option is unknown, or a start or goal impossible.
@@ -260,6 +260,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         contacts = self.core.physics.contacts
         touched = contacts.drone[0].tolist()
         floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
+        obstacle = contacts.obstacle[0].tolist()
         infos: dict[str, dict[str, Any]] = {
             agent: {
                 "reward_terms": dict(zip(names, column, strict=True)),
@@ -267,10 +268,11 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
                     "drone": None if other == NO_DRONE else self.possible_agents[other],
                     "floor": on_floor,
                     "wall": at_wall,
+                    "obstacle": None if hit == NO_OBSTACLE else hit,
                 },
             }
-            for agent, column, other, on_floor, at_wall in zip(
-                self.possible_agents, columns, touched, floor, wall, strict=True
+            for agent, column, other, on_floor, at_wall, hit in zip(
+                self.possible_agents, columns, touched, floor, wall, obstacle, strict=True
             )
         }
         if ended:

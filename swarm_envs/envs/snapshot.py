@@ -106,5 +106,6 @@ def _kind(core: SwarmCore) -> dict[str, object]:
         "physics": core.physics.name,
         "action": core.config.action,
         "num_neighbors": core.config.num_neighbors,
+        "num_obstacles": core.num_obstacles,
         "number of environments": core.num_envs,
     }

@@ -68,9 +68,7 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
         self._seen, infos = self.parallel.reset(seed, options)
         return self._seen[self.agent], infos[self.agent]
 
-    def step(
-        self, action: npt.ArrayLike
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Fly until the next decision, with an action of the drone's action space.
 
         Raises:

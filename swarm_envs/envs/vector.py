@@ -12,7 +12,7 @@ from gymnasium.vector.utils import batch_space
 
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.joint import joint_box, split_teams
+from swarm_envs.envs.joint import check_flat, joint_box, split_teams
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
@@ -47,6 +47,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         modes = {mode.value: mode for mode in AutoresetMode}
         if not isinstance(autoreset_mode, AutoresetMode):
             check_name("autoreset_mode", autoreset_mode, modes)
+        check_flat(config)
         self.mode = AutoresetMode(autoreset_mode)
         self.core = SwarmCore(task, config, num_envs)
         self.num_envs = num_envs

@@ -18,6 +18,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.motors import BatteryModel, rotor_limit
 from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
 from swarm_envs.physics.gusts import new_gusts
+from swarm_envs.physics.obstacles import ROW, no_obstacles
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.physics.step import World
 from swarm_envs.state import (
@@ -44,6 +45,7 @@ class Physics(ABC):
             240 or a divisor.
         gusts: standard deviation (m/s^2) and correlation time (s) of the acceleration that gusts
             give in environments; None for still air. `step` leaves them out.
+        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`; None for none.
 
     Raises:
         ValueError: an argument names nothing valid.
@@ -62,6 +64,7 @@ class Physics(ABC):
         battery: BatteryModel | None = None,
         force_rate: int = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
+        obstacles: npt.ArrayLike | None = None,
     ) -> None:
         self.team = parse_team(team)
         if num_envs < 1:
@@ -76,6 +79,8 @@ class Physics(ABC):
         self.types = np.repeat(self.interactions.type_indices(self.team)[None], num_envs, axis=0)
         self.parameters: Parameters = parameters(self.team, num_envs)
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
+        rows = no_obstacles() if obstacles is None else obstacles
+        self.obstacles = check_array("obstacles", rows, (len(np.asarray(rows)), ROW))
         shape = (num_envs, len(self.team))
         self.contacts: Contacts = no_contacts(*shape)
         self.force: FloatArray = np.zeros((*shape, 3))
@@ -99,11 +104,12 @@ class Physics(ABC):
             battery=(BatteryModel() if battery is None else battery).compile(self.team),
             contacts=self.contacts,
             arena=self.arena,
+            obstacles=self.obstacles,
         )
 
     @property
     def contact(self) -> BoolArray:
-        """(E, N) whether each drone touched a drone, the floor or a wall in the last step."""
+        """(E, N) whether each drone touched a drone, floor, wall or obstacle in the last step."""
         return self.contacts.any()
 
     def reset(self, state: SwarmState | None = None, mask: BoolArray | None = None) -> SwarmState:

@@ -15,7 +15,7 @@ from swarm_envs.compiled import announce_compilation, entry_point
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics.base import Physics
-from swarm_envs.physics.bullet_bodies import build_body, build_floor
+from swarm_envs.physics.bullet_bodies import build_body, build_floor, build_obstacle
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.physics.step import blow_and_prepare, take_bodies
 from swarm_envs.state import BoolArray, FloatArray
@@ -78,6 +78,7 @@ class BulletPhysics(Physics):
         battery: BatteryModel | None = None,
         force_rate: int = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
+        obstacles: npt.ArrayLike | None = None,
     ) -> None:
         super().__init__(
             team,
@@ -87,6 +88,7 @@ class BulletPhysics(Physics):
             battery=battery,
             force_rate=force_rate,
             gusts=gusts,
+            obstacles=obstacles,
         )
         self._bullet = import_bullet()
         self.clients: list[int] = []
@@ -128,6 +130,8 @@ class BulletPhysics(Physics):
         bullet.setTimeStep(TIME_STEP, physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
         build_floor(bullet, client)
+        for row in self.obstacles.tolist():
+            build_obstacle(bullet, client, row)
         return client
 
     def _inertia(self, e: int, i: int) -> tuple[float, list[float]]:

@@ -1,10 +1,12 @@
-"""What stands in a Bullet world: vehicles, as spheres that look like quadrotors, and a floor."""
+"""What stands in a Bullet world: vehicles (spheres that look like quadrotors), floor, obstacles."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
+from swarm_envs.physics.obstacles import BOX
 from swarm_envs.vehicles import Vehicle
 
 _COLORS = {
@@ -81,5 +83,28 @@ def build_floor(bullet: Any, client: int) -> int:
     plane = bullet.createCollisionShape(bullet.GEOM_PLANE, physicsClientId=client)
     body = bullet.createMultiBody(
         baseMass=0.0, baseCollisionShapeIndex=plane, physicsClientId=client
+    )
+    return int(body)
+
+
+def build_obstacle(bullet: Any, client: int, row: Sequence[float]) -> int:
+    """Create a static obstacle from its row (7,); returns Bullet's id of it."""
+    if row[0] == BOX:
+        low, high = row[1:4], row[4:7]
+        half = [(b - a) / 2 for a, b in zip(low, high, strict=True)]
+        center = [(a + b) / 2 for a, b in zip(low, high, strict=True)]
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_BOX, halfExtents=half, physicsClientId=client
+        )
+    else:
+        center = [row[1], row[2], (row[4] + row[5]) / 2]
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_CYLINDER, radius=row[3], height=row[5] - row[4], physicsClientId=client
+        )
+    body = bullet.createMultiBody(
+        baseMass=0.0,
+        baseCollisionShapeIndex=shape,
+        basePosition=center,
+        physicsClientId=client,
     )
     return int(body)

@@ -1,7 +1,8 @@
 """Collisions, by one compiled test on positions, whatever the engine.
 
 Two drones touch when their distance is below the sum of their radii, a drone touches the floor
-when its centre is lower than its radius, and a wall when its sphere reaches past the arena.
+when its centre is lower than its radius, a wall when its sphere reaches past the arena, and an
+obstacle when that is nearer to its centre than its radius.
 """
 
 from __future__ import annotations
@@ -12,10 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import kernel
+from swarm_envs.physics.obstacles import distance_to
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 NO_DRONE = -1
 """In `Contacts.drone`: touches no other drone."""
+NO_OBSTACLE = -1
+"""In `Contacts.obstacle`: touches no obstacle."""
 
 NO_WALLS = np.array([[-np.inf, -np.inf, -np.inf], [np.inf, np.inf, np.inf]])
 """(2, 3) arena without walls, m."""
@@ -37,10 +41,16 @@ class Contacts(NamedTuple):
     clearance: FloatArray
     """Smallest distance to another drone as a multiple of the sum of their radii: below 1 is a
     collision, below 1.5 a near miss; infinite if alone."""
+    obstacle: IntArray
+    """Index of the obstacle it touches (the nearest), or -1."""
+    obstacle_clearance: FloatArray
+    """Smallest distance from its centre to an obstacle as a multiple of its radius: below 1 is a
+    collision; infinite where there is none."""
 
     def any(self) -> BoolArray:
         """(E, N) whether it touches anything."""
-        return (self.drone != NO_DRONE) | self.floor | self.wall
+        touched = (self.drone != NO_DRONE) | (self.obstacle != NO_OBSTACLE)
+        return touched | self.floor | self.wall
 
     def clear(self, mask: BoolArray | slice = slice(None)) -> None:
         """Forget everything, in the environments of the mask."""
@@ -50,6 +60,8 @@ class Contacts(NamedTuple):
         self.tumbling[mask] = False
         self.separation[mask] = np.inf
         self.clearance[mask] = np.inf
+        self.obstacle[mask] = NO_OBSTACLE
+        self.obstacle_clearance[mask] = np.inf
 
 
 def no_contacts(num_envs: int, num_drones: int) -> Contacts:
@@ -62,6 +74,8 @@ def no_contacts(num_envs: int, num_drones: int) -> Contacts:
         tumbling=np.zeros(shape, dtype=np.bool_),
         separation=np.full(shape, np.inf),
         clearance=np.full(shape, np.inf),
+        obstacle=np.full(shape, NO_OBSTACLE, dtype=np.int64),
+        obstacle_clearance=np.full(shape, np.inf),
     )
 
 
@@ -72,6 +86,7 @@ def find_contacts(
     angular_velocity: FloatArray,
     radius: FloatArray,
     arena: FloatArray,
+    obstacles: FloatArray,
     tumbling_rate: float,
     seen: Contacts,
 ) -> None:
@@ -83,6 +98,7 @@ def find_contacts(
         angular_velocity: (E, N, 3) rad/s.
         radius: (E, N) of the collision spheres, m.
         arena: (2, 3) lower and upper corner, m; its floor is the ground at z = 0.
+        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
         tumbling_rate: rad/s.
         seen: contacts, updated: flags stay set, distances keep their smallest value.
     """
@@ -99,6 +115,13 @@ def find_contacts(
         x, y, z = angular_velocity[e, i, 0], angular_velocity[e, i, 1], angular_velocity[e, i, 2]
         if x * x + y * y + z * z > tumbling_rate * tumbling_rate:
             seen.tumbling[e, i] = True
+        for k in range(obstacles.shape[0]):
+            p = position[e, i]
+            ratio = distance_to(obstacles[k], p[0], p[1], p[2]) / r
+            if ratio < seen.obstacle_clearance[e, i]:
+                seen.obstacle_clearance[e, i] = ratio
+                if ratio < 1.0:
+                    seen.obstacle[e, i] = k
         for j in range(i):
             dx = position[e, i, 0] - position[e, j, 0]
             dy = position[e, i, 1] - position[e, j, 1]

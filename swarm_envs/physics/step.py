@@ -51,6 +51,8 @@ class World(NamedTuple):
     contacts: Contacts
     arena: FloatArray
     """(2, 3) corners of the walls, m."""
+    obstacles: FloatArray
+    """(M, 7) rows of `swarm_envs.physics.obstacles`."""
 
 
 @inlined_kernel
@@ -105,6 +107,7 @@ def touch(e: int, world: World) -> None:
         state.angular_velocity,
         world.parameters.radius,
         world.arena,
+        world.obstacles,
         TUMBLING_RATE,
         world.contacts,
     )

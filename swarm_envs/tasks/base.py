@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from swarm_envs.errors import check_array
 from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tasks.mission import Mission, Placement, mission_of
+from swarm_envs.tasks.motion import Motion, new_reference, write_reference
+from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
+from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
 
@@ -19,48 +22,8 @@ SPEED_LIMIT = 2.0
 """Largest speed that actions ask for, m/s, the same for every type."""
 ACCELERATION_LIMIT = 5.0
 """Largest acceleration that actions ask for, m/s^2, the same for every type."""
-WALL_MARGIN = 0.3
-"""Starts and goals keep this distance from the walls, m."""
-
-
-ARENA_WIDTH, ARENA_HEIGHT = 4.0, 2.5
-"""Size of the arena for up to 16 drones, m."""
-
-
-def arena_of(num_drones: int) -> FloatArray:
-    """Corners (2, 3) of the arena, m: 4 x 4 x 2.5, grown with (N / 16)^(1/3) above 16 drones."""
-    grown = max(1.0, (num_drones / 16) ** (1 / 3))
-    half = ARENA_WIDTH / 2
-    return np.array([[-half, -half, 0.0], [half, half, ARENA_HEIGHT]]) * grown
-
-
-class Placement(NamedTuple):
-    """One episode of one environment, as a task draws it."""
-
-    start: FloatArray
-    """(N, 3) start positions, m."""
-    goal: FloatArray
-    """(N, 3) goal positions, m."""
-    duration: float
-    """Seconds that the reference takes from start to goal; 0 if there is none."""
-
-
-class Mission(NamedTuple):
-    """What the task keeps of every environment's episode: arrays that lead with E."""
-
-    start: FloatArray
-    """(E, N, 3) start positions, m."""
-    goal: FloatArray
-    """(E, N, 3) goal positions, m."""
-    duration: FloatArray
-    """(E,) seconds that the reference takes; 0 if there is none."""
-    distance: FloatArray
-    """(E, N) distance to the goal at the last decision, m."""
-
-    def place(self, e: int, placement: Placement) -> None:
-        """Begin a new episode in environment `e`."""
-        self.start[e], self.goal[e], self.duration[e] = placement
-        self.distance[e] = np.linalg.norm(placement.goal - placement.start, axis=-1)
+_DRAWS = 200
+"""How often an episode is drawn anew until it is free of obstacles."""
 
 
 class Situation(NamedTuple):
@@ -78,29 +41,30 @@ class Situation(NamedTuple):
     """(E, N) smallest distance to another drone in this decision, over the sum of radii."""
     crashed: BoolArray
     """(E, N) collided, left the arena or tumbled in this decision."""
-    succeeded: BoolArray
-    """(E,) the task is done."""
-
-
-def new_mission(num_envs: int, num_drones: int) -> Mission:
-    """A mission whose environments have not begun."""
-    shape = (num_envs, num_drones)
-    return Mission(
-        start=np.zeros((*shape, 3)),
-        goal=np.zeros((*shape, 3)),
-        duration=np.zeros(num_envs),
-        distance=np.zeros(shape),
-    )
+    obstacle_clearance: FloatArray
+    """(E, N) smallest distance to an obstacle in this decision, over the radius."""
+    achieved: FloatArray
+    """(E,) the share of the task that was done in this decision."""
 
 
 @dataclass(frozen=True)
 class Success:
-    """When a team has done its task: every drone near its goal, for a while."""
+    """When a team has done a stage of its task: every drone near its goal, for a while."""
 
     radius: float = 0.10
     """How near a drone must be to its goal, m."""
     hold_s: float = 0.5
     """For how long all must stay there, s, as seen at decisions."""
+
+
+@dataclass(frozen=True)
+class TrackingSuccess:
+    """When a team has done its task by the clock: no crash, and never far from the reference."""
+
+    worst_error: float = 0.15
+    """Every drone must always have been nearer to its reference than this, m."""
+    settle_s: float = 2.0
+    """Errors count from this time on, s."""
 
 
 class Task(ABC):
@@ -109,7 +73,9 @@ class Task(ABC):
     name: str
     """Versioned name, such as `swap_v0`."""
     team: Team
-    success: Success
+    success: Success | TrackingSuccess
+    obstacles: tuple[Obstacle, ...]
+    """What stands in the way, the same in every episode."""
     reward_weights: Mapping[str, float]
     """Weight of each reward term; a term left out has none."""
     reward_names: tuple[str, ...]
@@ -117,98 +83,104 @@ class Task(ABC):
     write_reward_terms: Callable[[Situation, float, float, FloatArray], None]
     """A kernel that writes the bounded terms (T, E, N) of a `Situation`; it is also told the time
     between decisions and the clock, s."""
+    write_reference: Callable[[Mission, Motion, FloatArray, Reference], None] = staticmethod(
+        write_reference
+    )
+    """The kernel that writes the reference of every environment."""
+    num_stages: int = 1
+    """S: how many sets of goals are flown to, one after another."""
+    reset_options: tuple[str, ...] = ("start", "goal")
+    """What `reset(options=...)` may fix."""
 
     @property
     def arena(self) -> FloatArray:
         """Corners (2, 3) of the arena, m."""
         return arena_of(len(self.team))
 
+    @property
+    def radius(self) -> FloatArray:
+        """(N,) radii of the collision spheres, m."""
+        return np.array([vehicle.radius for vehicle in self.team])
+
+    @property
+    def obstacle_rows(self) -> FloatArray:
+        """(M, 7) the obstacles, for the compiled contact test."""
+        return obstacle_rows(self.obstacles)
+
+    @property
     @abstractmethod
+    def motion(self) -> Motion:
+        """How the reference moves."""
+
+    @property
+    @abstractmethod
+    def episode_s(self) -> float:
+        """The clock, unless an environment is told another, s."""
+
+    @abstractmethod
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw an episode, obstacles apart; a start or goal (N, 3) that is given is kept."""
+
     def place(
         self,
         rng: np.random.Generator,
         start: FloatArray | None = None,
         goal: FloatArray | None = None,
     ) -> Placement:
-        """Draw an episode; a start or goal that is given is kept.
+        """Draw an episode whose starts, goals and reference are free of obstacles.
+
+        Args:
+            rng: the environment's generator.
+            start: (N, 3) given starts, m.
+            goal: (N, 3) given goals, m.
 
         Raises:
+            ValueError: what is given lies outside the arena, in an obstacle, or drones touch.
             RuntimeError: no placement was found within a bounded number of draws.
         """
+        rows, radius = self.obstacle_rows, self.radius
+        for name, points in (("start", start), ("goal", goal)):
+            if points is not None:
+                check_points(name, points, radius, self.arena, rows)
+        margin = OBSTACLE_MARGIN if start is None and goal is None else 0.0
+        why = ""
+        for _ in range(_DRAWS if len(rows) else 1):
+            placement = self.draw(rng, start, goal)
+            check_points("start", placement.start, radius, self.arena)
+            for goals in placement.goals:
+                check_points("goal", goals, radius, self.arena)
+            why = self._obstructed(placement, margin)
+            if not why:
+                return placement
+        raise RuntimeError(
+            f"found no {self.name} free of the obstacles within {_DRAWS} draws; in the last one, "
+            f"{why}; use fewer or smaller obstacles, or move them"
+        )
 
-    @abstractmethod
+    def _obstructed(self, placement: Placement, margin: float) -> str:
+        """Say what of a placement meets an obstacle; empty if nothing does."""
+        rows = self.obstacle_rows
+        if not len(rows):
+            return ""
+        parts = [("start", placement.start), *(("goal", goals) for goals in placement.goals)]
+        if placement.duration or placement.orbit is not None:
+            mission, times = mission_of(placement), np.arange(0.0, self.episode_s + 0.05, 0.05)
+            path = [self.reference(mission, np.array([t])).position[0] for t in times]
+            parts.append(("reference", np.array(path)))
+        for name, points in parts:
+            why = check_free(name, points, self.radius, rows, margin)
+            if why:
+                return why
+        return ""
+
     def reference(self, mission: Mission, time: FloatArray) -> Reference:
-        """Where the drones should be at `time` (E,), s: arrays (E, N, 3)."""
-
-
-def check_placement(
-    placement: Placement, radius: FloatArray, arena: FloatArray, where: str = "start"
-) -> None:
-    """Refuse starts (or goals) that collide, or lie outside the arena.
-
-    Args:
-        placement: what was drawn or given.
-        radius: (N,) collision radii, m.
-        arena: (2, 3) corners, m.
-        where: `start` or `goal`, the field to check.
-
-    Raises:
-        ValueError: naming the drones, their distance and the rule.
-    """
-    points: FloatArray = check_array(where, getattr(placement, where), (len(radius), 3))
-    low, high = arena[0] + radius[:, None], arena[1] - radius[:, None]
-    outside = np.argwhere((points < low) | (points > high))
-    if len(outside):
-        i, axis = (int(k) for k in outside[0])
-        raise ValueError(
-            f"{where} of drone {i} has {'xyz'[axis]} = {points[i, axis]:.3f} m, but must lie "
-            f"between {low[i, axis]:.3f} and {high[i, axis]:.3f} m to be inside the arena"
-        )
-    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    touching = np.argwhere(np.triu(distance < radius[:, None] + radius[None], 1))
-    if len(touching):
-        i, j = (int(k) for k in touching[0])
-        raise ValueError(
-            f"{where}s of drones {i} and {j} are {distance[i, j]:.3f} m apart, closer than the "
-            f"collision distance of {radius[i] + radius[j]:.3f} m; move them apart"
-        )
-
-
-def draw_apart(
-    rng: np.random.Generator, low: Sequence[float], high: Sequence[float], n: int, distance: float
-) -> FloatArray:
-    """Draw n points (n, 3) in a box, all at least `distance` (m) apart, one after another.
-
-    Raises:
-        RuntimeError: the box is too full: no place was found in 10,000 draws.
-    """
-    points = np.empty((n, 3))
-    placed, corner, size = 0, np.array(low), np.subtract(high, low)
-    for _ in range(10_000):
-        point = corner + size * rng.random(3)
-        offset = points[:placed] - point
-        if (np.square(offset).sum(axis=1) >= distance**2).all():
-            points[placed] = point
-            placed += 1
-            if placed == n:
-                return points
-    raise RuntimeError(
-        f"found room for {placed} of {n} drones {distance} m apart within 10,000 draws; "
-        "use fewer drones or give reset(options={'start': ...})"
-    )
-
-
-def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
-    """A random permutation (n,), n >= 2, that leaves nothing in its place; each equally likely.
-
-    Permutations are drawn until one fits, which takes e = 2.7 draws on average.
-
-    Raises:
-        RuntimeError: a thousand draws did not fit, which does not happen by chance.
-    """
-    places = np.arange(n)
-    for _ in range(1000):
-        order = rng.permutation(n)
-        if not (order == places).any():
-            return order
-    raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")
+        """Where the drones should be at `time` (E,), s: new arrays (E, N, 3)."""
+        out = new_reference(*mission.start.shape[:2])
+        times = check_array("time", time, (len(mission.stage),))
+        self.write_reference(mission, self.motion, times, out)
+        return out

@@ -10,10 +10,13 @@ import numpy as np
 from swarm_envs.compiled import kernel
 from swarm_envs.physics.contact import Contacts
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.tasks.base import Mission
+from swarm_envs.tasks.mission import Mission
 
 NEAR_MISS = 1.5
 """Drones that come closer than this times the sum of their radii had a near miss."""
+
+
+_LARGE_AT_FIRST = ("separation", "clearance", "obstacle_clearance", "arrival")
 
 
 class Record(NamedTuple):
@@ -23,21 +26,23 @@ class Record(NamedTuple):
     """(E, N) smallest distance to another drone so far, m."""
     clearance: FloatArray
     """(E, N) the same over the sum of radii."""
+    obstacle_clearance: FloatArray
+    """(E, N) smallest distance to an obstacle so far, over the radius."""
     worst_error: FloatArray
     """(E, N) largest distance to the reference so far, m."""
     worst_height_error: FloatArray
     """(E, N) largest vertical distance to the reference so far, m."""
     squared_error: FloatArray
     """(E, N) sum of the squared distance to the reference, m^2."""
-    decisions: IntArray
-    """(E,) decisions flown."""
+    scored: IntArray
+    """(E,) decisions whose error counts."""
     arrival: FloatArray
     """(E, N) time at which the drone last came to its goal, s; infinite if it is not there."""
 
     def clear(self, mask: BoolArray) -> None:
         """Begin anew in the environments of the mask."""
         for name, array in zip(self._fields, self, strict=True):
-            array[mask] = np.inf if name in ("separation", "clearance", "arrival") else 0
+            array[mask] = np.inf if name in _LARGE_AT_FIRST else 0
 
 
 def new_record(num_envs: int, num_drones: int) -> Record:
@@ -46,10 +51,11 @@ def new_record(num_envs: int, num_drones: int) -> Record:
     record = Record(
         separation=np.zeros(shape),
         clearance=np.zeros(shape),
+        obstacle_clearance=np.zeros(shape),
         worst_error=np.zeros(shape),
         worst_height_error=np.zeros(shape),
         squared_error=np.zeros(shape),
-        decisions=np.zeros(num_envs, np.int64),
+        scored=np.zeros(num_envs, np.int64),
         arrival=np.zeros(shape),
     )
     record.clear(np.ones(num_envs, dtype=np.bool_))
@@ -65,6 +71,7 @@ def measure(
     mission: Mission,
     time: FloatArray,
     radius: float,
+    settle_s: float,
     record: Record,
     error: FloatArray,
 ) -> None:
@@ -78,11 +85,13 @@ def measure(
         mission: its distances to the goal are updated.
         time: (E,) s.
         radius: how near counts as arrived, m.
+        settle_s: errors count from this time on, s.
         record: changed in place.
         error: (N,) distance to the reference, m, written.
     """
     goal, distance = mission.goal, mission.distance
-    record.decisions[e] += 1
+    scores = time[e] >= settle_s
+    record.scored[e] += scores
     for i in range(position.shape[1]):
         to_goal = 0.0
         to_reference = 0.0
@@ -93,9 +102,12 @@ def measure(
         height = abs(position[e, i, 2] - reference[e, i, 2])
         record.separation[e, i] = min(record.separation[e, i], contacts.separation[e, i])
         record.clearance[e, i] = min(record.clearance[e, i], contacts.clearance[e, i])
-        record.worst_error[e, i] = max(record.worst_error[e, i], error[i])
-        record.worst_height_error[e, i] = max(record.worst_height_error[e, i], height)
-        record.squared_error[e, i] += to_reference
+        near = min(record.obstacle_clearance[e, i], contacts.obstacle_clearance[e, i])
+        record.obstacle_clearance[e, i] = near
+        if scores:
+            record.worst_error[e, i] = max(record.worst_error[e, i], error[i])
+            record.worst_height_error[e, i] = max(record.worst_height_error[e, i], height)
+            record.squared_error[e, i] += to_reference
         if distance[e, i] >= radius:
             record.arrival[e, i] = np.inf
         elif record.arrival[e, i] == np.inf:

@@ -5,6 +5,8 @@ Layouts:
 - `stacked`: Neural-Swarm2's data collection and flight test (Sec. VII-B, Fig. 8). Drones stand in
   horizontal planes on a cylinder, the first of the team on top; each flies straight to the
   opposite side, and half way all are in one vertical line. The task gives the reference.
+- `circle`: drones stand on a circle at a common height, evenly spaced; each belongs on the opposite
+  side, so that all ways cross in the centre. No reference.
 - `random`: starts anywhere in the box, each drone's goal is another's start. No reference: the
   way there is the agent's business.
 """
@@ -19,29 +21,26 @@ from types import MappingProxyType
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import (
+from swarm_envs.tasks.base import Success, Task
+from swarm_envs.tasks.mission import Placement
+from swarm_envs.tasks.motion import LINES, REST, Motion
+from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.placing import (
     ARENA_HEIGHT,
-    SPEED_LIMIT,
+    OBSTACLE_MARGIN,
     WALL_MARGIN,
-    Mission,
-    Placement,
-    Situation,
-    Success,
-    Task,
+    check_range,
     derangement,
     draw_apart,
 )
-from swarm_envs.tasks.rewards import bell, progress, proximity
-from swarm_envs.trajectories import Reference, ramped_line, rest
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.vehicles import Team
 
-_SHORTEST = 1e-3
-"""Stands for the duration of an environment that was never reset, s."""
-
-LAYOUTS = ("stacked", "random")
+LAYOUTS = ("stacked", "circle", "random")
+_RAMP = 0.2
+"""Share of a stacked swap in which the speed grows, and in which it falls."""
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
@@ -54,40 +53,8 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
         "success": 3.0,
     }
 )
-"""Default weight of each reward term; see `write_swap_terms`. A whole clock spent at the goal earns
-less than success, so that lingering never pays."""
-
-
-@kernel
-def write_swap_terms(
-    situation: Situation, decision_s: float, horizon_s: float, out: FloatArray
-) -> None:
-    """Write the bounded reward terms (T, E, N), in the order of `REWARD_WEIGHTS`.
-
-    What goes on is counted by time, so that returns do not depend on the decision rate:
-    `progress` (of the speed limit towards the goal), `effort` (mean square action) and `proximity`
-    (to the nearest drone) are the decision's duration in seconds times a number in [-1, 1] or
-    [0, 1]; `at_goal` and `tracking` are its share of the clock times a bell around goal and
-    reference, so that their sum over an episode is at most 1. Two are events: `crash` on the step
-    that ends badly for the drone, `success` on the step at which the team is done.
-
-    Args:
-        situation: arrays (E, N).
-        decision_s: time between decisions, s.
-        horizon_s: the clock, s.
-        out: (T, E, N), written.
-    """
-    farthest, share = SPEED_LIMIT * decision_s, decision_s / horizon_s
-    for e in range(out.shape[1]):
-        for i in range(out.shape[2]):
-            before, now = situation.last_distance[e, i], situation.distance[e, i]
-            out[0, e, i] = decision_s * progress(before, now, farthest)
-            out[1, e, i] = share * bell(now, 0.15)
-            out[2, e, i] = share * bell(situation.tracking_error[e, i], 0.10)
-            out[3, e, i] = decision_s * situation.effort[e, i]
-            out[4, e, i] = decision_s * proximity(situation.clearance[e, i])
-            out[5, e, i] = situation.crashed[e, i]
-            out[6, e, i] = situation.succeeded[e]
+"""Default weight of each reward term; see `write_terms`. A whole clock spent at the goal earns less
+than success, so that lingering never pays."""
 
 
 @dataclass(frozen=True)
@@ -106,16 +73,38 @@ class StackedLayout:
     def __post_init__(self) -> None:
         """Refuse ranges that are empty or not positive."""
         for name in ("radius_m", "gap_m", "duration_s"):
-            ends = np.array(getattr(self, name), dtype=np.float64)
-            if ends.shape != (2,) or not 0.0 < ends[0] <= ends[1] < np.inf:
-                raise ValueError(
-                    f"StackedLayout.{name} is {getattr(self, name)!r}, but must be (low, high) "
-                    "with 0 < low <= high"
-                )
+            check_range(f"StackedLayout.{name}", getattr(self, name))
         if not 0.0 < self.lowest_m < np.inf:
             raise ValueError(
                 f"StackedLayout.lowest_m is {self.lowest_m}, but must be positive and finite"
             )
+
+
+@dataclass(frozen=True)
+class CircleLayout:
+    """What the circle layout is made of; its turn about the vertical is drawn."""
+
+    radius_m: float = 1.5
+    """Radius of the circle, m; it grows where neighbours would stand closer than `spacing_m`."""
+    spacing_m: float = 0.3
+    """Smallest distance between neighbours on the circle, m."""
+    height_m: float = 1.0
+    """Height of starts and goals, m."""
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that are not positive and finite."""
+        for name in ("radius_m", "spacing_m", "height_m"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(
+                    f"CircleLayout.{name} is {value!r}, but must be positive and finite, in m"
+                )
+
+    def radius_for(self, num_drones: int) -> float:
+        """Radius at which that many drones keep their spacing, m."""
+        if num_drones < 2:
+            return self.radius_m
+        return max(self.radius_m, self.spacing_m / (2.0 * math.sin(math.pi / num_drones)))
 
 
 @dataclass(frozen=True)
@@ -125,9 +114,11 @@ class SwapTask(Task):
     team: Team
     """The drones; in `stacked` the uppermost first."""
     layout: str = "random"
-    """`stacked` or `random`."""
+    """`stacked`, `circle` or `random`."""
     stacked: StackedLayout = StackedLayout()
     """What the stacked layout is drawn from."""
+    circle: CircleLayout = CircleLayout()
+    """What the circle layout is made of."""
     spacing_m: float = 0.5
     """Smallest distance between starts in the random layout, m."""
     heights_m: tuple[float, float] = (0.5, 2.0)
@@ -136,20 +127,22 @@ class SwapTask(Task):
     """When the team has swapped."""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the way."""
 
     name = "swap_v0"
-    reward_names = tuple(REWARD_WEIGHTS)
-    write_reward_terms = staticmethod(write_swap_terms)
+    episode_s = 8.0
+    reward_names = REWARD_NAMES
+    write_reward_terms = staticmethod(write_terms)
 
     def __post_init__(self) -> None:
         """Refuse an unknown layout, and weights of terms that do not exist."""
         check_name("layout", self.layout, LAYOUTS)
         if self.layout == "stacked":
             self._check_stack()
-        for term, weight in self.reward_weights.items():
-            check_name("reward term", term, REWARD_WEIGHTS)
-            if not math.isfinite(weight):
-                raise ValueError(f"the weight of {term!r} is {weight}, but must be finite")
+        if self.layout == "circle":
+            self._check_circle()
+        check_reward_weights(self.reward_weights)
 
     def _check_stack(self) -> None:
         ranges, ceiling = self.stacked, self.arena[1, 2] - max(v.radius for v in self.team)
@@ -167,7 +160,28 @@ class SwapTask(Task):
                 f"{ceiling:.2f} m; use fewer drones or stacked=StackedLayout(gap_m=...)"
             )
 
-    def place(
+    def _check_circle(self) -> None:
+        n, needed = len(self.team), self.circle.radius_for(len(self.team))
+        most = float(self.arena[1, 0]) - WALL_MARGIN
+        if needed > most:
+            raise ValueError(
+                f"{n} drones {self.circle.spacing_m} m apart need a circle of {needed:.2f} m, but "
+                f"the arena has room for {most:.2f} m; use fewer drones or "
+                "circle=CircleLayout(spacing_m=...)"
+            )
+        touching = 2.0 * float(self.radius.max())
+        if n > 1 and self.circle.spacing_m <= touching:
+            raise ValueError(
+                f"CircleLayout.spacing_m is {self.circle.spacing_m} m, but these drones touch at "
+                f"{touching:.3f} m; use a larger spacing"
+            )
+
+    @property
+    def motion(self) -> Motion:
+        """Straight lines at constant speed with smooth ramps if `stacked`; else rest at goals."""
+        return Motion(LINES if self.layout == "stacked" else REST, _RAMP)
+
+    def draw(
         self,
         rng: np.random.Generator,
         start: FloatArray | None = None,
@@ -178,41 +192,52 @@ class SwapTask(Task):
         Raises:
             RuntimeError: no room for the drones was found within a bounded number of draws.
         """
-        if self.layout == "stacked":
-            drawn = self._place_stacked(rng, start)
-        else:
-            drawn = self._place_random(rng, start)
-        return drawn if goal is None else drawn._replace(goal=goal)
+        drawers = {
+            "stacked": self._draw_stacked,
+            "circle": self._draw_circle,
+            "random": self._draw_random,
+        }
+        drawn = drawers[self.layout](rng, start)
+        return drawn if goal is None else drawn._replace(goals=goal[None])
 
-    def _place_stacked(self, rng: np.random.Generator, start: FloatArray | None) -> Placement:
+    def _draw_stacked(self, rng: np.random.Generator, start: FloatArray | None) -> Placement:
         n, ranges = len(self.team), self.stacked
         radius, gap = rng.uniform(*ranges.radius_m), rng.uniform(*ranges.gap_m)
         duration, turn = rng.uniform(*ranges.duration_s), rng.uniform(0.0, 2 * np.pi)
         if start is None:
-            angle = turn + 2 * np.pi * np.arange(n) / n
-            height = ranges.lowest_m + gap * np.arange(n - 1, -1, -1)
-            start = np.stack([radius * np.cos(angle), radius * np.sin(angle), height], axis=-1)
-        return Placement(start, start * np.array([-1.0, -1.0, 1.0]), float(duration))
+            height: FloatArray = ranges.lowest_m + gap * np.arange(n - 1, -1, -1.0)
+            start = _on_circle(n, radius, turn, height)
+        return Placement(start, _opposite(start)[None], float(duration))
 
-    def _place_random(self, rng: np.random.Generator, start: FloatArray | None) -> Placement:
+    def _draw_circle(self, rng: np.random.Generator, start: FloatArray | None) -> Placement:
+        n, turn = len(self.team), rng.uniform(0.0, 2 * np.pi)
+        if start is None:
+            start = _on_circle(n, self.circle.radius_for(n), turn, self.circle.height_m)
+        return Placement(start, _opposite(start)[None])
+
+    def _draw_random(self, rng: np.random.Generator, start: FloatArray | None) -> Placement:
         n = len(self.team)
         edge = self.arena[1, 0] - WALL_MARGIN
         ceiling = self.heights_m[1] * self.arena[1, 2] / ARENA_HEIGHT
-        low, high = [-edge, -edge, self.heights_m[0]], [edge, edge, ceiling]
+        box = [-edge, -edge, self.heights_m[0]], [edge, edge, ceiling]
+        free = self.obstacle_rows, OBSTACLE_MARGIN + float(self.radius.max())
         if n == 1:
-            points = draw_apart(rng, low, high, 2, self.spacing_m)
-            return Placement(points[:1] if start is None else start, points[1:], 0.0)
+            points = draw_apart(rng, *box, 2, self.spacing_m, *free)
+            return Placement(points[:1] if start is None else start, points[None, 1:])
         if start is None:
-            start = draw_apart(rng, low, high, n, self.spacing_m)
-        return Placement(start, start[derangement(rng, n)], 0.0)
+            start = draw_apart(rng, *box, n, self.spacing_m, *free)
+        return Placement(start, start[derangement(rng, n)][None])
 
-    def reference(self, mission: Mission, time: FloatArray) -> Reference:
-        """Where the drones should be at `time` (E,), s.
 
-        In the stacked layout a straight line at constant speed with smooth ramps; otherwise the
-        goals, at rest.
-        """
-        if self.layout == "stacked":
-            duration = np.maximum(mission.duration, _SHORTEST)[:, None]
-            return ramped_line(mission.start, mission.goal, duration, time[:, None])
-        return rest(mission.goal)
+def _on_circle(n: int, radius: float, turn: float, height: FloatArray | float) -> FloatArray:
+    """Points (n, 3) evenly spaced on a circle about the vertical axis, the first at `turn`, rad."""
+    angle = turn + 2 * np.pi * np.arange(n) / n
+    points = np.empty((n, 3))
+    points[:, 0], points[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+    points[:, 2] = height
+    return points
+
+
+def _opposite(points: FloatArray) -> FloatArray:
+    """The points (n, 3) on the other side of the vertical axis."""
+    return points * np.array([-1.0, -1.0, 1.0])

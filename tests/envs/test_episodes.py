@@ -41,7 +41,9 @@ def fly(
 
 
 def contacts(infos: Infos) -> list[tuple[object, bool, bool]]:
-    return [tuple(info["contact"].values()) for info in infos.values()]
+    rows = [tuple(info["contact"].values()) for info in infos.values()]
+    assert all(obstacle is None for *_, obstacle in rows)
+    return [row[:3] for row in rows]
 
 
 def check_crash(infos: Infos, rewards: list[dict[str, float]], crashed: list[bool]) -> None:

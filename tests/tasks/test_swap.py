@@ -6,15 +6,8 @@ import numpy as np
 import pytest
 
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import (
-    Mission,
-    Placement,
-    arena_of,
-    check_placement,
-    derangement,
-    draw_apart,
-    new_mission,
-)
+from swarm_envs.tasks.mission import Mission, Placement, mission_of
+from swarm_envs.tasks.placing import arena_of, check_points, derangement, draw_apart
 from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import parse_team
@@ -24,12 +17,6 @@ SEEDS = range(20)
 
 def drawn(task: SwapTask, seed: int) -> Placement:
     return task.place(np.random.default_rng(seed))
-
-
-def mission_of(placement: Placement) -> Mission:
-    mission = new_mission(1, len(placement.start))
-    mission.place(0, placement)
-    return mission
 
 
 def at(task: SwapTask, mission: Mission, time: float) -> Reference:
@@ -42,7 +29,7 @@ def test_stacked_stands_on_a_cylinder_in_the_order_of_the_team(team):
     task = SwapTask(team=parse_team(team), layout="stacked")
     radii, gaps, times = [], [], []
     for seed in SEEDS:
-        start, goal, duration = drawn(task, seed)
+        start, (goal,), duration, _ = drawn(task, seed)
         radius = np.hypot(start[:, 0], start[:, 1])
         np.testing.assert_allclose(radius, radius[0], rtol=1e-12)
         assert start[-1, 2] == pytest.approx(0.8)
@@ -56,9 +43,8 @@ def test_stacked_stands_on_a_cylinder_in_the_order_of_the_team(team):
         np.testing.assert_allclose(apart, 2 * np.pi / len(start), atol=1e-9)
         radii.append(radius[0])
         times.append(duration)
-        check_placement(
-            Placement(start, goal, duration), np.full(len(start), 0.095), arena_of(len(start))
-        )
+        for points in (start, goal):
+            check_points("start", points, np.full(len(start), 0.095), arena_of(len(start)))
     for values, low, high in ((radii, 0.5, 0.75), (gaps, 0.2, 0.3), (times, 3.0, 4.0)):
         if values:
             assert low <= min(values) < low + 0.2 * (high - low)
@@ -76,8 +62,8 @@ def test_stacked_reference_aligns_all_half_way():
         np.testing.assert_allclose(middle.acceleration, 0.0, atol=1e-12)
         first, last = at(task, mission, 0.0), at(task, mission, placement.duration)
         np.testing.assert_array_equal(first.position, placement.start)
-        np.testing.assert_array_equal(last.position, placement.goal)
-        np.testing.assert_array_equal(at(task, mission, 99.0).position, placement.goal)
+        np.testing.assert_array_equal(last.position, placement.goals[0])
+        np.testing.assert_array_equal(at(task, mission, 99.0).position, placement.goals[0])
         for end in (first, last):
             np.testing.assert_allclose(np.array(end[1:]), 0.0, atol=1e-9)
 
@@ -90,10 +76,10 @@ def test_stacked_reference_flies_straight_at_constant_speed_between_ramps():
     for share in np.linspace(0.0, 1.0, 101):
         reference = at(task, mission, share * total)
         speeds.append(np.linalg.norm(reference.velocity, axis=1)[0])
-        way = placement.goal - placement.start
+        way = placement.goals[0] - placement.start
         offset = reference.position - placement.start
         np.testing.assert_allclose(np.cross(offset, way), 0.0, atol=1e-12)
-    distance = np.linalg.norm(placement.goal[0] - placement.start[0])
+    distance = np.linalg.norm(placement.goals[0, 0] - placement.start[0])
     cruise = distance / (0.8 * total)  # two ramps of 20 %, each at half the speed on average
     np.testing.assert_allclose(speeds[20:81], cruise, rtol=1e-9)
     assert (np.diff(speeds[:21]) > 0).all()
@@ -106,7 +92,7 @@ def test_equal_ends_fix_a_stack():
     layout = StackedLayout((0.6, 0.6), (0.25, 0.25), 1.0, (2.0, 2.0))
     task = SwapTask(team=parse_team("SS"), layout="stacked", stacked=layout)
     for seed in SEEDS:
-        start, _, duration = drawn(task, seed)
+        start, duration = drawn(task, seed).start, drawn(task, seed).duration
         np.testing.assert_allclose(start[:, 2], [1.25, 1.0])
         np.testing.assert_allclose(np.hypot(*start[:, :2].T), 0.6)
         assert duration == 2.0
@@ -118,7 +104,7 @@ def test_random_starts_are_apart_and_goals_deranged(n):
     grown = max(1.0, (n / 16) ** (1 / 3))
     np.testing.assert_allclose(task.arena, np.array([[-2, -2, 0], [2, 2, 2.5]]) * grown)
     for seed in SEEDS if n < 40 else range(3):
-        start, goal, duration = drawn(task, seed)
+        start, (goal,), duration, _ = drawn(task, seed)
         assert duration == 0.0
         assert start.shape == goal.shape == (n, 3)
         assert (np.abs(start[:, :2]) <= 2.0 * grown - 0.3).all()
@@ -145,7 +131,7 @@ def test_random_has_no_reference_but_its_goals():
     task = SwapTask(team=parse_team("SS"))
     placement = drawn(task, 0)
     reference = at(task, mission_of(placement), 1.0)
-    np.testing.assert_array_equal(reference.position, placement.goal)
+    np.testing.assert_array_equal(reference.position, placement.goals[0])
     np.testing.assert_array_equal(np.array(reference[1:]), 0.0)
 
 
@@ -160,12 +146,12 @@ def test_given_starts_and_goals_are_kept():
     start = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     rng = np.random.default_rng(0)
     np.testing.assert_array_equal(task.place(rng, start=start).start, start)
-    np.testing.assert_array_equal(task.place(rng, goal=start).goal, start)
+    np.testing.assert_array_equal(task.place(rng, goal=start).goals, start[None])
 
 
 def test_draws_are_the_seed_s():
     task = SwapTask(team=parse_team("SSS"))
-    for a, b in zip(drawn(task, 5), drawn(task, 5), strict=True):
+    for a, b in zip(drawn(task, 5)[:3], drawn(task, 5)[:3], strict=True):
         np.testing.assert_array_equal(a, b)
     assert not np.array_equal(drawn(task, 5).start, drawn(task, 6).start)
 

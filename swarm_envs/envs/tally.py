@@ -1,0 +1,97 @@
+"""What an episode's physics adds up to: forces against their bounds, energy, extrapolation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.compiled import inlined_kernel
+from swarm_envs.physics.rigid_body import TIME_STEP
+from swarm_envs.physics.step import World
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.vehicles import GRAM_FORCE, Team
+
+AIR_DENSITY = 1.225
+"""Density of air at sea level, kg/m^3."""
+FORCE_BOUNDS_G: Mapping[str, float] = {"S": 5.0, "S*": 5.0, "L": 10.0}
+"""Bounds on the vertical interaction force by vehicle token, gram-force: those with which
+Neural-Swarm2 plans (Sec. VII-D, Fig. 6)."""
+
+
+class Tally(NamedTuple):
+    """What an episode's physics adds up to: arrays (E, N)."""
+
+    worst_force: FloatArray
+    """Largest interaction force so far, N."""
+    energy: FloatArray
+    """Ideal induced energy of the rotors, J: the integral of T^1.5 / sqrt(2 rho A) per rotor."""
+    outside: IntArray
+    """Physics steps with an interaction force extrapolated past what was measured."""
+    steps: IntArray
+    """Physics steps flown."""
+    over_bound: IntArray
+    """Physics steps in which the vertical interaction force was above the drone's bound."""
+
+    def clear(self, mask: BoolArray) -> None:
+        """Begin anew in the environments of the mask."""
+        for array in self:
+            array[mask] = 0
+
+
+def new_tally(num_envs: int, num_drones: int) -> Tally:
+    """The tally of flights that have not begun."""
+    shape = (num_envs, num_drones)
+    counts = (np.zeros(shape, dtype=np.int64) for _ in range(3))
+    return Tally(np.zeros(shape), np.zeros(shape), *counts)
+
+
+class Airframe(NamedTuple):
+    """What the tally knows of the drones."""
+
+    disc_area: FloatArray
+    """(N,) swept area of one rotor, m^2."""
+    force_bound: FloatArray
+    """(N,) bound on the vertical interaction force, N."""
+
+
+def airframe_of(team: Team, bounds_g: Mapping[str, float]) -> Airframe:
+    """What the tally knows of a team.
+
+    Args:
+        team: the vehicles.
+        bounds_g: bound on the vertical interaction force by vehicle token, gram-force; types that
+            are left out have none.
+    """
+    return Airframe(
+        disc_area=np.array([math.pi * vehicle.rotor_radius**2 for vehicle in team]),
+        force_bound=np.array([bounds_g.get(v.token, np.inf) * GRAM_FORCE for v in team]),
+    )
+
+
+@inlined_kernel
+def count(e: int, world: World, tally: Tally, airframe: Airframe) -> None:
+    """Add one physics step of environment `e`, its force just evaluated, to the tally.
+
+    Args:
+        e: the environment.
+        world: its state, at the beginning of the step.
+        tally: changed in place.
+        airframe: what the tally knows of the drones.
+    """
+    force, thrust = world.force, world.state.rotor_thrust
+    for i in range(airframe.disc_area.shape[0]):
+        size = 0.0
+        for k in range(3):
+            size += force[e, i, k] * force[e, i, k]
+        tally.worst_force[e, i] = max(tally.worst_force[e, i], math.sqrt(size))
+        power = 0.0
+        for r in range(4):
+            power += thrust[e, i, r] * math.sqrt(max(thrust[e, i, r], 0.0))
+        scale = TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * airframe.disc_area[i])
+        tally.energy[e, i] += power * scale
+        tally.outside[e, i] += world.outside[e, i]
+        tally.steps[e, i] += 1
+        tally.over_bound[e, i] += abs(force[e, i, 2]) > airframe.force_bound[i]

@@ -1,0 +1,233 @@
+"""Formation: one shape after another, each drone with a place of its own.
+
+Who goes where (`labels`):
+
+- `nearest`: places are matched so that the squared ways sum to the least. Straight lines, flown
+  at the same time by all, are free of collisions then (Turpin, Michael and Kumar 2014, for spacings
+  above 2.83 radii); they are the reference.
+- `random`: places are drawn, as in labelled planning. The way is the agent's business.
+- `mirror`: each to the place nearest to its point reflection, as in the `rings` of RTH3D, Fig. 9.
+- `blocks`: between `blocks` only; each block goes to another block's place, drawn, as in RTH3D.
+
+Shapes change by the clock, whether they were reached or not, so that the reference is a function of
+time alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from swarm_envs.errors import check_name
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.tasks.base import Success, Task
+from swarm_envs.tasks.mission import Placement
+from swarm_envs.tasks.motion import LINES, REST, Motion
+from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.placing import WALL_MARGIN, derangement
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
+from swarm_envs.tasks.swap import REWARD_WEIGHTS
+from swarm_envs.vehicles import Team
+
+LABELS = ("nearest", "random", "mirror", "blocks")
+STARTS = ("shape", "ground")
+GROUND_HEIGHT = 0.15
+"""Height at which drones start on the ground, m: just above it, since touching it is a crash."""
+SPACING = 0.5
+"""Distance between places unless told otherwise, m."""
+CLOSEST = 2.0 * math.sqrt(2.0)
+"""Places are at least this many radii apart, so that straight ways to them do not meet."""
+_RAMP = 0.5
+
+
+@dataclass(frozen=True)
+class FormationTask(Task):
+    """Fly one shape after another. See the module for who goes where."""
+
+    team: Team
+    """The drones."""
+    shapes: tuple[str, ...] = ("plane", "pyramid", "cube", "sphere", "plane")
+    """Names of the shapes, in order; `letter:A` and the like write."""
+    labels: str = "nearest"
+    """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""
+    start: str = "shape"
+    """Where drones start: on the first `shape`, or on the `ground`."""
+    spacing_m: float | None = None
+    """Smallest distance between two places of a shape, m; None: 0.5, or less where shapes of so
+    many drones would not fit the arena."""
+    shape_s: float = 6.0
+    """Time for each shape, s."""
+    travel_s: float = 4.0
+    """Time in which the reference gets there, s."""
+    turn_rad: tuple[float, float] = (0.0, 2 * math.pi)
+    """Range from which the turn of all shapes about the vertical is drawn, rad."""
+    success: Success = Success()
+    """When the team has reached a shape."""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
+    """Weight of each reward term."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the way."""
+
+    name = "formation_v0"
+    reset_options = ("start",)
+    reward_names = REWARD_NAMES
+    write_reward_terms = staticmethod(write_terms)
+
+    def __post_init__(self) -> None:
+        """Refuse options that are unknown, and shapes that do not fit the arena."""
+        check_name("labels", self.labels, LABELS)
+        check_name("start", self.start, STARTS)
+        check_reward_weights(self.reward_weights)
+        self._check_numbers()
+        least = 2 if self.start == "shape" else 1
+        if len(self.shapes) < least:
+            raise ValueError(
+                f"shapes are {self.shapes!r}, but must be at least {least} with "
+                f"start={self.start!r}"
+            )
+        if self.labels == "blocks" and {*self.shapes} != {"blocks"}:
+            raise ValueError(f"labels='blocks' needs shapes=('blocks', ...), not {self.shapes!r}")
+        self._check_fits()
+
+    def _check_numbers(self) -> None:
+        for name in ("spacing_m", "shape_s", "travel_s"):
+            value = getattr(self, name)
+            if value is not None and not 0.0 < value < math.inf:
+                raise ValueError(
+                    f"FormationTask.{name} is {value!r}, but must be positive and finite"
+                )
+        if self.travel_s > self.shape_s:
+            raise ValueError(
+                f"travel_s is {self.travel_s}, but must not exceed shape_s, {self.shape_s}"
+            )
+        if not (len(self.turn_rad) == 2 and -math.inf < self.turn_rad[0] <= self.turn_rad[1]):
+            raise ValueError(f"turn_rad is {self.turn_rad!r}, but must be (low, high), rad")
+
+    def _check_fits(self) -> None:
+        wanted = SPACING if self.spacing_m is None else self.spacing_m
+        names = (*self.shapes, "plane") if self.start == "ground" else self.shapes
+        name = min(names, key=self._room)
+        largest, closest = self._room(name), CLOSEST * float(self.radius.max())
+        if self.spacing < closest:
+            raise ValueError(
+                f"places are {self.spacing:.3f} m apart, but must be {closest:.3f} m apart, so "
+                f"that drones do not meet between shapes; at most {largest:.2f} m fit shape "
+                f"{name!r} of {len(self.team)} drones: use a larger spacing_m or fewer drones"
+            )
+        if self.spacing > largest:
+            raise ValueError(
+                f"shape {name!r} of {len(self.team)} drones {wanted} m apart does not fit the "
+                f"arena; use spacing_m={largest:.2f} or less, or fewer drones"
+            )
+
+    def _room(self, name: str) -> float:
+        """Largest spacing at which a shape fits the arena, m."""
+        points = shape_points(name, len(self.team), 1.0)
+        room = (self.arena[1] - self.arena[0]) / 2 - WALL_MARGIN
+        reach = np.abs(points).max(axis=0)
+        if self.turn_rad[0] < self.turn_rad[1]:
+            reach[:2] = np.hypot(points[:, 0], points[:, 1]).max()
+        return float((room / np.maximum(reach, 1e-9)).min())
+
+    @cached_property
+    def spacing(self) -> float:
+        """Smallest distance between two places that is flown, m."""
+        if self.spacing_m is not None:
+            return self.spacing_m
+        names = (*self.shapes, "plane") if self.start == "ground" else self.shapes
+        return min(SPACING, *(math.floor(100 * self._room(name)) / 100 for name in names))
+
+    @property
+    def num_stages(self) -> int:  # type: ignore[override]
+        """Shapes to be flown to."""
+        return len(self.shapes) - (self.start == "shape")
+
+    @property
+    def motion(self) -> Motion:
+        """Straight lines to the nearest places, else rest at the goals."""
+        return Motion(LINES if self.labels == "nearest" else REST, _RAMP, float(self.shape_s))
+
+    @property
+    def episode_s(self) -> float:
+        """A time for each shape, s."""
+        return self.num_stages * self.shape_s
+
+    @cached_property
+    def places(self) -> tuple[FloatArray, ...]:
+        """Places (N, 3) of each shape, m, before the turn."""
+        middle = (self.arena[0] + self.arena[1]) / 2
+        n = len(self.team)
+        return tuple(middle + shape_points(name, n, self.spacing) for name in self.shapes)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw the turn of the shapes, who starts where, and who goes where.
+
+        Raises:
+            ValueError: a goal is given: goals are the shapes'.
+        """
+        if goal is not None:
+            raise ValueError("a goal is given, but in formation the goals are those of the shapes")
+        n = len(self.team)
+        turn, order = rng.uniform(*self.turn_rad), rng.permutation(n)
+        places = [_turned(points, turn) for points in self.places]
+        if self.start == "ground":
+            ground = plane(n, self.spacing) + np.array([0.0, 0.0, GROUND_HEIGHT])
+            begin = _turned(ground, turn)[order]
+        else:
+            begin, places = places[0][order], places[1:]
+        begin = begin if start is None else start
+        goals, here, at = np.empty((len(places), n, 3)), begin, order
+        for k, points in enumerate(places):
+            at = self._match(rng, here, points, at)
+            here = goals[k] = points[at]
+        return Placement(begin, goals, self.travel_s if self.labels == "nearest" else 0.0)
+
+    def _match(
+        self, rng: np.random.Generator, here: FloatArray, places: FloatArray, at: IntArray
+    ) -> IntArray:
+        """(N,) index of the place that each drone goes to; it is `here`, at place `at`."""
+        if self.labels == "random":
+            return rng.permutation(len(here))
+        if self.labels == "mirror":
+            return nearest_places(self.arena[0] + self.arena[1] - here, places)
+        if self.labels == "blocks":
+            owner = block_of(len(here))
+            count = int(owner.max()) + 1
+            middles = np.array([places[owner == k].mean(axis=0) for k in range(count)])
+            to = derangement(rng, count) if count > 1 else np.zeros(1, dtype=np.int64)
+            move = middles[to] - middles
+            return nearest_places(here + move[owner[at]], places)
+        return nearest_places(here, places)
+
+
+def nearest_places(wanted: FloatArray, places: FloatArray) -> IntArray:
+    """(N,) the place (N, 3) for each wish (N, 3), by the least sum of squared distances."""
+    from scipy.optimize import linear_sum_assignment  # half a second, which only formations need
+
+    square = np.square(wanted[:, None] - places[None]).sum(axis=-1)
+    return np.asarray(linear_sum_assignment(square)[1], dtype=np.int64)
+
+
+def _turned(points: FloatArray, angle: float) -> FloatArray:
+    """Points (N, 3) turned about the vertical axis by an angle, rad."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.asarray(points @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+
+
+def shapes_of(letters: str) -> tuple[str, ...]:
+    """Names of the shapes that write letters, one after another.
+
+    Raises:
+        ValueError: a character is missing in the font.
+    """
+    return tuple(LETTER + character for character in letters.upper())

@@ -1,0 +1,166 @@
+"""Where drones may stand: the arena, apart from each other, free of obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.errors import check_array
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.obstacles import obstacle_distances
+
+ARENA_WIDTH, ARENA_HEIGHT = 4.0, 2.5
+"""Size of the arena for up to 16 drones, m."""
+WALL_MARGIN = 0.3
+"""Starts and goals keep this distance from the walls, m."""
+OBSTACLE_MARGIN = 0.15
+"""What is drawn keeps this distance from obstacles, beyond the radius of the drone, m."""
+
+
+def arena_of(num_drones: int) -> FloatArray:
+    """Corners (2, 3) of the arena, m: 4 x 4 x 2.5, grown with (N / 16)^(1/3) above 16 drones."""
+    grown = max(1.0, (num_drones / 16) ** (1 / 3))
+    half = ARENA_WIDTH / 2
+    return np.array([[-half, -half, 0.0], [half, half, ARENA_HEIGHT]]) * grown
+
+
+def check_range(name: str, ends: tuple[float, float], least: float = 0.0) -> None:
+    """Refuse a range (low, high) from which nothing could be drawn.
+
+    Raises:
+        ValueError: it is not two numbers with `least` < low <= high.
+    """
+    pair = np.array(ends, dtype=np.float64)
+    if pair.shape != (2,) or not least < pair[0] <= pair[1] < np.inf:
+        raise ValueError(
+            f"{name} is {ends!r}, but must be (low, high) with {least:g} < low <= high"
+        )
+
+
+def check_points(
+    name: str,
+    points: FloatArray,
+    radius: FloatArray,
+    arena: FloatArray,
+    obstacles: FloatArray | None = None,
+) -> None:
+    """Refuse starts or goals that collide, or lie outside the arena or in an obstacle.
+
+    Args:
+        name: what they are: `start` or `goal`.
+        points: (N, 3) m.
+        radius: (N,) collision radii, m.
+        arena: (2, 3) corners, m.
+        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
+
+    Raises:
+        ValueError: naming the drones, their distance and the rule.
+    """
+    points = check_array(name, points, (len(radius), 3))
+    low, high = arena[0] + radius[:, None], arena[1] - radius[:, None]
+    outside = np.argwhere((points < low) | (points > high))
+    if len(outside):
+        i, axis = (int(k) for k in outside[0])
+        raise ValueError(
+            f"{name} of drone {i} has {'xyz'[axis]} = {points[i, axis]:.3f} m, but must lie "
+            f"between {low[i, axis]:.3f} and {high[i, axis]:.3f} m to be inside the arena"
+        )
+    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    touching = np.argwhere(np.triu(distance < radius[:, None] + radius[None], 1))
+    if len(touching):
+        i, j = (int(k) for k in touching[0])
+        raise ValueError(
+            f"{name}s of drones {i} and {j} are {distance[i, j]:.3f} m apart, closer than the "
+            f"collision distance of {radius[i] + radius[j]:.3f} m; move them apart"
+        )
+    why = "" if obstacles is None else check_free(name, points, radius, obstacles, margin=0.0)
+    if why:
+        raise ValueError(f"{why}; move it")
+
+
+def check_free(
+    name: str,
+    points: FloatArray,
+    radius: FloatArray,
+    obstacles: FloatArray,
+    margin: float = OBSTACLE_MARGIN,
+) -> str:
+    """Say which drone meets which obstacle; empty if none does.
+
+    Args:
+        name: what the points are, such as `start`.
+        points: (..., N, 3) m.
+        radius: (N,) collision radii, m.
+        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
+        margin: distance to keep beyond the radius, m.
+    """
+    distance = obstacle_distances(obstacles, points)
+    meets = np.argwhere(distance < radius[:, None] + margin)
+    if not len(meets):
+        return ""
+    index = tuple(int(k) for k in meets[0])
+    i, k = index[-2:]
+    return (
+        f"the {name} of drone {i} is {distance[index]:.3f} m from obstacle {k}, but must keep "
+        f"{radius[i] + margin:.3f} m from it"
+    )
+
+
+def draw_apart(
+    rng: np.random.Generator,
+    low: Sequence[float],
+    high: Sequence[float],
+    n: int,
+    distance: float,
+    obstacles: FloatArray | None = None,
+    margin: float = OBSTACLE_MARGIN,
+) -> FloatArray:
+    """Draw n points (n, 3) in a box, all at least `distance` (m) apart, one after another.
+
+    Args:
+        rng: draws them.
+        low: lower corner of the box, m.
+        high: upper corner of the box, m.
+        n: how many.
+        distance: smallest distance between two, m.
+        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`, to be kept away from.
+        margin: distance to keep from them, m.
+
+    Raises:
+        RuntimeError: the box is too full: no place was found in 10,000 draws.
+    """
+    rows = np.zeros((0, 0)) if obstacles is None else obstacles
+    points = np.empty((n, 3))
+    placed, corner, size = 0, np.array(low), np.subtract(high, low)
+    for _ in range(10_000):
+        point = corner + size * rng.random(3)
+        if len(rows) and obstacle_distances(rows, point).min() < margin:
+            continue
+        offset = points[:placed] - point
+        if (np.square(offset).sum(axis=1) >= distance**2).all():
+            points[placed] = point
+            placed += 1
+            if placed == n:
+                return points
+    raise RuntimeError(
+        f"found room for {placed} of {n} drones {distance} m apart within 10,000 draws; "
+        "use fewer drones or obstacles, or give reset(options={'start': ...})"
+    )
+
+
+def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
+    """A random permutation (n,), n >= 2, that leaves nothing in its place; each equally likely.
+
+    Permutations are drawn until one fits, which takes e = 2.7 draws on average.
+
+    Raises:
+        RuntimeError: a thousand draws did not fit, which does not happen by chance.
+    """
+    places = np.arange(n)
+    for _ in range(1000):
+        order = rng.permutation(n)
+        if not (order == places).any():
+            return order
+    raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")
