@@ -1,0 +1,176 @@
+"""Gymnasium's interfaces: its own checks, and the same flights as the core's, to the last bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+from swarm_envs import TASKS, ring_v0, swap_v0
+from swarm_envs.envs.named import make_joint, make_solo, make_vector
+from swarm_envs.registration import gymnasium_name, register
+
+if gymnasium_name("swap_v0") not in gymnasium.registry:  # a checkout that is not installed
+    register()
+
+QUICK: dict[str, Any] = {"num_drones": 2, "physics": "batch", "horizon_s": 0.5}
+
+
+def team_actions(rng: np.random.Generator, env: Any) -> np.ndarray:
+    return rng.uniform(-0.3, 0.3, env.action_space.shape).astype(np.float32)
+
+
+@pytest.mark.filterwarnings("ignore:.*Box observation space m")  # ours are not normalised
+@pytest.mark.parametrize("task", TASKS)
+def test_gymnasiums_own_check(task):
+    env = gymnasium.make(gymnasium_name(task), num_drones=2, physics="batch")
+    check_env(env.unwrapped, skip_render_check=True)
+    solo = gymnasium.make(gymnasium_name(task, "Solo"), num_drones=2, physics="batch")
+    check_env(solo.unwrapped, skip_render_check=True)
+
+
+def test_names_are_found_by_make_and_by_make_vec():
+    env = gymnasium.make("swarm_envs/Swap-v0", num_drones=3, physics="batch", layout="circle")
+    assert env.unwrapped.core.task.layout == "circle"  # type: ignore[attr-defined]
+    many = gymnasium.make_vec("swarm_envs/Ring-v0", num_envs=3, num_drones=5)
+    assert many.unwrapped.core.task.name == "ring_v0"  # type: ignore[attr-defined]
+    assert many.observation_space.shape is not None and many.observation_space.shape[0] == 3
+    many.close()
+
+
+def test_one_joint_env_flies_what_pettingzoo_flies(engine):
+    joint = make_joint("swap_v0", **{**QUICK, "physics": engine})
+    parallel = swap_v0.parallel_env(num_drones=2, physics=engine, horizon_s=0.5)
+    seen, _ = joint.reset(seed=4)
+    rows, _ = parallel.reset(seed=4)
+    rng, over = np.random.default_rng(0), False
+    while not over:
+        assert np.array_equal(seen, np.concatenate(list(rows.values())))
+        action = team_actions(rng, joint)
+        seen, reward, ended, cut, info = joint.step(action)
+        halves = dict(zip(parallel.agents, action.reshape(2, 3), strict=True))
+        rows, rewards, *_ = parallel.step(halves)
+        assert list(info["rewards"]) == list(rewards.values())
+        assert reward == np.mean(list(rewards.values()))
+        over = ended or cut
+    assert cut and info["episode_metrics"]["length_s"] == 0.5
+    with pytest.raises(RuntimeError, match="the episode has ended"):
+        joint.step(action)
+    joint.close()
+    parallel.close()
+
+
+def test_a_solo_drone_flies_among_the_others():
+    def pilot(row: np.ndarray) -> np.ndarray:
+        return np.full(3, 0.2)
+
+    solo = make_solo("swap_v0", drone=1, others=pilot, **QUICK)
+    parallel = swap_v0.parallel_env(num_drones=2, physics="batch", horizon_s=0.5)
+    seen, _ = solo.reset(seed=1)
+    rows, _ = parallel.reset(seed=1)
+    for _ in range(24):
+        assert np.array_equal(seen, rows["drone_1"])
+        own = np.array([0.1, -0.1, 0.0])
+        seen, reward, _, _, info = solo.step(own)
+        rows, rewards, _, _, infos = parallel.step({"drone_0": np.full(3, 0.2), "drone_1": own})
+        assert reward == rewards["drone_1"] and info["contact"] == infos["drone_1"]["contact"]
+    with pytest.raises(ValueError, match="drone is 2, but the team has drones 0 to 1"):
+        make_solo("swap_v0", drone=2, **QUICK)
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_vector_modes_are_those_of_gymnasium(mode):
+    """Against Gymnasium's own SyncVectorEnv over single environments: every array, every step."""
+    options = {**QUICK, "horizon_s": 0.25}
+    ours = make_vector("swap_v0", num_envs=3, autoreset_mode=mode, **options)
+    theirs = gymnasium.vector.SyncVectorEnv(
+        [lambda: make_joint("swap_v0", **options) for _ in range(3)], autoreset_mode=mode
+    )
+    assert ours.single_observation_space == theirs.single_observation_space
+    assert ours.action_space == theirs.action_space
+    assert ours.metadata["autoreset_mode"] is mode
+    mine, _ = ours.reset(seed=7)
+    other, _ = theirs.reset(seed=7)
+    rng, ends = np.random.default_rng(0), 0
+    for step in range(40):
+        assert np.array_equal(mine, other), step
+        actions = team_actions(rng, ours)
+        if step % 5 == 0:
+            actions[0] = 1.0  # a team that leaves before the others
+        mine, rewards, ended, cut, infos = ours.step(actions)
+        other, *rest, other_infos = theirs.step(actions)
+        for a, b in zip((rewards, ended, cut), map(np.asarray, rest), strict=True):
+            assert np.array_equal(a, b)
+        over = ended | cut
+        ends += int(over.sum())
+        if over.any():
+            if mode is AutoresetMode.SAME_STEP:
+                for e in np.flatnonzero(over):
+                    assert np.array_equal(infos["final_obs"][e], other_infos["final_obs"][e])
+            else:
+                lengths = infos["episode_metrics"]["length_s"]
+                assert np.array_equal(lengths, other_infos["episode_metrics"]["length_s"])
+            if mode is AutoresetMode.DISABLED:
+                with pytest.raises(RuntimeError, match="have ended; reset them by"):
+                    ours.step(actions)
+                for env in (ours, theirs):
+                    env.reset(options={"reset_mask": over.copy()})
+                mine, other = ours.core.rows.reshape(3, -1), theirs._observations
+    assert ends >= 6
+    ours.close()
+    theirs.close()
+
+
+def test_vector_seeds():
+    env = make_vector("swap_v0", num_envs=2, **QUICK)
+    first, _ = env.reset(seed=[5, 9])
+    assert np.array_equal(env.reset(seed=[5, 9])[0], first)
+    assert np.array_equal(env.reset(seed=5)[0][0], first[0])
+    assert not np.array_equal(first[0], first[1])
+    single = make_joint("swap_v0", **QUICK)
+    assert np.array_equal(single.reset(seed=9)[0], first[1])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda env: env.step(np.zeros((2, 6))), "no episode has begun"),
+        (lambda env: env.reset(seed=[1, 2, 3]), "seeds has 3 entries, but must have 2"),
+        (lambda env: env.reset(options={"strat": 1}), "unknown reset option 'strat'"),
+    ],
+)
+def test_vector_refuses(call, message):
+    with pytest.raises((RuntimeError, ValueError), match=message):
+        call(make_vector("swap_v0", num_envs=2, **QUICK))
+
+
+def test_bad_actions_of_teams():
+    env = make_joint("swap_v0", **QUICK)
+    env.reset(seed=0)
+    for action, message in (
+        (np.zeros(5), r"shape \(5,\), but must be numbers of shape \(6,\): 2 drones with 3"),
+        (np.full(6, np.nan), "nan at index 0, but every number must be finite"),
+        (np.full(6, 2.0), r"must lie in \[-1, 1\]"),
+        (np.array(["a"] * 6), "but must be numbers"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            env.step(action)
+    with pytest.raises(ValueError, match="unknown autoreset_mode 'Same'"):
+        make_vector("swap_v0", num_envs=2, autoreset_mode="Same", **QUICK)
+    with pytest.raises(ValueError, match="but a team in one Box has 'flat' rows"):
+        make_joint("swap_v0", observation="dict", **QUICK)
+
+
+def test_one_agent_at_a_time():
+    env = ring_v0.env(num_drones=3, physics="batch", horizon_s=0.2)
+    env.reset(seed=0)
+    acted = 0
+    for agent in env.agent_iter(200):
+        _, _, ended, cut, _ = env.last()
+        env.step(None if ended or cut else env.action_space(agent).sample())
+        acted += not (ended or cut)
+    assert acted % 3 == 0 and acted > 0
