@@ -34,6 +34,7 @@ from swarm_envs.tasks.mission import Placement, new_mission
 from swarm_envs.tasks.motion import Motion, new_reference
 from swarm_envs.tasks.rewards import weigh
 
+_RESET_OPTIONS = ("start", "goal")
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
 
@@ -295,5 +296,5 @@ class SwarmCore:
         shape = (self.num_drones, 3)
         given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
         for name in given:
-            check_name("reset option", name, self.task.reset_options)
+            check_name("reset option", name, _RESET_OPTIONS)
         return {name: check_array(name, value, shape) for name, value in given.items()}

@@ -115,6 +115,7 @@ def achieve(
         for i in range(mission.distance.shape[1]):
             worst = max(worst, record.worst_error[e, i])
         done = time >= rules.horizon_s - _ROUNDING and worst < rules.radius
+        done &= record.scored[e] > 0
     else:
         since = 0.0
         for i in range(mission.distance.shape[1]):
