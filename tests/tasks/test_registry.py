@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import inspect
+import re
+from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
@@ -17,6 +19,7 @@ from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.options import EnvOptions
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.rewards import REWARD_NAMES
@@ -60,6 +63,17 @@ def test_the_module(task):
 
 def test_shared_options_are_those_of_the_config():
     assert set(get_type_hints(EnvOptions)) == {f.name for f in dataclasses.fields(EnvConfig)}
+
+
+def test_the_documented_observation_table_is_the_layout():
+    page = (Path(__file__).parents[2] / "docs" / "tasks.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+\.\w+)` \| (\d+) \| (.*?) \| (\d+) \|$", page, re.MULTILINE)
+    documented = [(name, int(n), unit.strip(), float(scale)) for name, n, unit, scale in rows]
+    layout = [
+        (field.name.replace("_0.", "_k."), field.where.stop - field.where.start, *field[2:])
+        for field in observation_layout(1, 1)
+    ]
+    assert documented == layout
 
 
 @every_task
