@@ -87,13 +87,16 @@ class Task(ABC):
         write_reference
     )
     """The kernel that writes the reference of every environment."""
-    num_stages: int = 1
-    """S: how many sets of goals are flown to, one after another."""
 
     @property
     def arena(self) -> FloatArray:
         """Corners (2, 3) of the arena, m."""
         return arena_of(len(self.team))
+
+    @property
+    def num_stages(self) -> int:
+        """S: how many sets of goals are flown to, one after another."""
+        return 1
 
     @property
     def radius(self) -> FloatArray:

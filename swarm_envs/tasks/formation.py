@@ -142,7 +142,7 @@ class FormationTask(Task):
         return min(SPACING, *(math.floor(100 * self._room(name)) / 100 for name in names))
 
     @property
-    def num_stages(self) -> int:  # type: ignore[override]
+    def num_stages(self) -> int:
         """Shapes to be flown to."""
         return len(self.shapes) - (self.start == "shape")
 

@@ -34,9 +34,9 @@ coordinate = st.floats(-3.0, 3.0)
 def test_nearest_points(x, y, z):
     """Of a box: the point, clipped to it. Of a column: on the disc and between its ends."""
     point = np.array([x, y, z])
-    to_box = np.array(nearest_point(obstacle_rows([BLOCK])[0], x, y, z))
+    to_box = np.array(nearest_point(obstacle_rows([BLOCK]), 0, x, y, z))
     np.testing.assert_allclose(point + to_box, np.clip(point, BLOCK.low, BLOCK.high), atol=1e-12)
-    to_post = np.array(nearest_point(obstacle_rows([POST])[0], x, y, z))
+    to_post = np.array(nearest_point(obstacle_rows([POST]), 0, x, y, z))
     axis = np.array(POST.center)
     away = point[:2] - axis
     length = np.linalg.norm(away)
@@ -125,7 +125,7 @@ def test_the_nearest_are_observed(places):
         observations, _ = env.reset(seed=seed)
         rows = obstacle_rows(obstacles)
         for position, row in zip(env.view.state.position, observations.values(), strict=True):
-            offsets = [np.array(nearest_point(r, *position)) for r in rows]
+            offsets = [np.array(nearest_point(rows, k, *position)) for k in range(3)]
             offsets.sort(key=lambda offset: float(np.linalg.norm(offset)))
             for k in range(places):
                 offset, mask = observed(env, row, k)

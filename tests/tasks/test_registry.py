@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import importlib
 import inspect
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -22,6 +25,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.options import EnvOptions
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.rewards import REWARD_NAMES
 from swarm_envs.trajectories import rest_to_rest
 
@@ -55,10 +59,7 @@ def test_the_module(task):
     for word in ("**Start.**", "**Success.**", "**Rewards**", "**End.**", "**Versions.**"):
         assert word in (module.__doc__ or "")
     for name in inspect.signature(module.parallel_env).parameters:
-        assert (
-            f" {name}: " in module.parallel_env.__doc__
-            or f"**{name}: " in module.parallel_env.__doc__
-        )
+        assert re.search(rf"[ *]{name}: ", module.parallel_env.__doc__)
 
 
 def test_shared_options_are_those_of_the_config():
@@ -113,6 +114,47 @@ def test_same_seed_same_bytes(task, options):
     assert flight(other, 5) == first
     assert flight(one, 5) == first
     assert flight(one, 6) != first
+
+
+def hashes(count: int = 30) -> list[str]:
+    """A digest of a flight on each layout."""
+    out = []
+    for task, options in EACH:
+        env, rng, digest = make(task, **options), np.random.default_rng(1), hashlib.sha256()
+        env.reset(seed=7)
+        for _ in range(count):
+            if not env.agents:
+                env.reset()
+            observations, rewards, *_, infos = env.step(random_actions(env, rng))
+            digest.update(b"".join(row.tobytes() for row in observations.values()))
+            digest.update(repr((rewards, infos)).encode())
+        out.append(digest.hexdigest())
+    return out
+
+
+def test_same_bytes_in_another_process():
+    script = (
+        f"import runpy; here = runpy.run_path({__file__!r}); print(*here['hashes'](), sep='\\n')"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == hashes()
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+@every_layout
+def test_both_engines_fly_the_same(task, options):
+    envs = [make(task, **{**options, "physics": engine}) for engine in ("batch", "bullet")]
+    for env in envs:
+        rng = np.random.default_rng(2)
+        env.reset(seed=3)
+        for _ in range(30):  # across a change of shape
+            assert env.agents
+            env.step({a: 0.2 * action for a, action in random_actions(env, rng).items()})
+    ours, theirs = (env.view for env in envs)
+    np.testing.assert_allclose(ours.state.position, theirs.state.position, atol=1e-9)
+    np.testing.assert_allclose(ours.goals, theirs.goals, atol=1e-12)
+    envs[1].close()
 
 
 @every_layout
