@@ -8,8 +8,7 @@ Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v0
 
 **Shapes.** `plane`, `pyramid`, `cube`, `sphere`, then `plane` again; `rings` and `blocks` as in
 Fig. 9 of the RTH3D paper; `letter:A` and the like. Any number of drones, 0.5 m apart or, where
-that would not fit the arena, somewhat less. The whole is turned about the vertical by an angle
-that is drawn;
+that would not fit the arena, less. All shapes are turned about the vertical by one drawn angle;
 letters are not.
 
 **Start.** On the first shape, or just above the ground (`start="ground"`); who stands where is

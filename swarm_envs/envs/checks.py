@@ -10,6 +10,7 @@ import numpy as np
 from swarm_envs.errors import check_array, check_kind, check_name
 from swarm_envs.state import BoolArray, FloatArray
 
+_PLACEMENT_OPTIONS = ("start", "goal")
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
 
@@ -40,9 +41,7 @@ def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
         raise ValueError(f"seeds has {len(seeds)} entries, but must have {num_envs}")
 
 
-def check_placement_options(
-    options: Mapping[str, Any], allowed: Sequence[str], num_drones: int
-) -> dict[str, FloatArray]:
+def check_placement_options(options: Mapping[str, Any], num_drones: int) -> dict[str, FloatArray]:
     """Reset options that fix starts or goals, as arrays (N, 3).
 
     Raises:
@@ -52,5 +51,5 @@ def check_placement_options(
     check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
     for name in given:
-        check_name("reset option", name, allowed)
+        check_name("reset option", name, _PLACEMENT_OPTIONS)
     return {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()}

@@ -142,7 +142,7 @@ class SwarmCore:
         """
         where = check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
-        given = check_placement_options(options or {}, self.task.reset_options, self.num_drones)
+        given = check_placement_options(options or {}, self.num_drones)
         environments = np.flatnonzero(where).tolist()
         for e, placement in draw_placements(self, environments, seeds, given).items():
             self.mission.place(e, placement)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import inlined_kernel, kernel
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Situation, Success, TrackingSuccess
@@ -105,7 +105,7 @@ def new_verdict(num_envs: int, num_drones: int) -> Verdict:
     )
 
 
-@kernel
+@inlined_kernel
 def achieve(
     e: int, time: float, rules: Rules, mission: Mission, record: Record, verdict: Verdict
 ) -> None:
@@ -115,6 +115,7 @@ def achieve(
         for i in range(mission.distance.shape[1]):
             worst = max(worst, record.worst_error[e, i])
         done = time >= rules.horizon_s - _ROUNDING and worst < rules.radius
+        done &= record.scored[e] > 0
     else:
         since = 0.0
         for i in range(mission.distance.shape[1]):
@@ -128,7 +129,7 @@ def achieve(
         verdict.succeeded[e] = mission.reached[e] == stages
 
 
-@kernel
+@inlined_kernel
 def enter_stage(
     e: int, time: float, position: FloatArray, rules: Rules, mission: Mission, record: Record
 ) -> None:
@@ -187,7 +188,9 @@ def judge(
                     square += actions[e, i, k] * actions[e, i, k]
                 verdict.effort[e, i] = square / width
         if rules.tracks:
-            mission.goal[e] = reference[e]
+            for i in range(drones):
+                for k in range(3):
+                    mission.goal[e, i, k] = reference[e, i, k]
         measure(
             e,
             position,

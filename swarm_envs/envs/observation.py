@@ -193,25 +193,28 @@ def write_neighbor(
 
 
 @kernel
-def write_obstacles(position: FloatArray, obstacles: FloatArray, row: Float32Array) -> None:
-    """Write the fields of the obstacles nearest to a position (3,); `row` ends with them."""
-    places = row.shape[0] // 4
-    row[:] = 0.0
-    squares = np.full(places, np.inf)
-    for m in range(obstacles.shape[0]):
-        offset = nearest_point(obstacles[m], position[0], position[1], position[2])
-        square = offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2
-        place = places
-        while place > 0 and squares[place - 1] > square:
-            place -= 1
-        if place == places:
-            continue
-        for k in range(places - 1, place, -1):
-            squares[k] = squares[k - 1]
-            row[4 * k : 4 * k + 4] = row[4 * k - 4 : 4 * k].copy()
-        squares[place] = square
-        row[4 * place], row[4 * place + 1], row[4 * place + 2] = offset
-        row[4 * place + 3] = 1.0
+def write_obstacles(
+    e: int, i: int, position: FloatArray, obstacles: FloatArray, places: int, row: Float32Array
+) -> int:
+    """Write the fields of the obstacles nearest to drone `i`; return where they end."""
+    x, y, z = position[e, i, 0], position[e, i, 1], position[e, i, 2]
+    for k in range(4 * places):
+        row[k] = 0.0
+    reached = -1.0
+    last = -1
+    for place in range(min(places, obstacles.shape[0])):
+        nearest_square, chosen = np.inf, -1
+        for m in range(obstacles.shape[0]):
+            dx, dy, dz = nearest_point(obstacles, m, x, y, z)
+            square = dx * dx + dy * dy + dz * dz
+            later = square > reached or (square == reached and m > last)
+            if later and square < nearest_square:
+                nearest_square, chosen = square, m
+        reached, last = nearest_square, chosen
+        k = 4 * place
+        row[k], row[k + 1], row[k + 2] = nearest_point(obstacles, chosen, x, y, z)
+        row[k + 3] = 1.0
+    return 4 * places
 
 
 @kernel
@@ -283,7 +286,6 @@ def write_observations(
                     row[start : start + width] = 0.0
                 start += width
             if num_obstacles > 0:
-                end = start + 4 * num_obstacles
-                write_obstacles(state.position[e, i], obstacles, row[start:end])
-                start = end
+                seen = write_obstacles(e, i, state.position, obstacles, num_obstacles, row[start:])
+                start += seen
             write_task(e, i, state, goal, reference, time_left[e], row[start:])

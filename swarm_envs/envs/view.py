@@ -9,6 +9,7 @@ import numpy as np
 
 from swarm_envs.control.state import Setpoint
 from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
 
@@ -46,6 +47,11 @@ class View:
     def goals(self) -> FloatArray:
         """(N, 3) goal positions, m."""
         return _frozen(self._core.mission.goal[self._e])
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """What stands in the way, the same in every episode."""
+        return self._core.task.obstacles
 
     @property
     def setpoint(self) -> Setpoint:

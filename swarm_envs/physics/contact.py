@@ -116,8 +116,8 @@ def find_contacts(
         if x * x + y * y + z * z > tumbling_rate * tumbling_rate:
             seen.tumbling[e, i] = True
         for k in range(obstacles.shape[0]):
-            p = position[e, i]
-            ratio = distance_to(obstacles[k], p[0], p[1], p[2]) / r
+            x, y, z = position[e, i, 0], position[e, i, 1], position[e, i, 2]
+            ratio = distance_to(obstacles, k, x, y, z) / r
             if ratio < seen.obstacle_clearance[e, i]:
                 seen.obstacle_clearance[e, i] = ratio
                 if ratio < 1.0:

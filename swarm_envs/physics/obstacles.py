@@ -31,27 +31,34 @@ def _beyond(low: float, high: float, x: float) -> float:
 
 
 @kernel
-def nearest_point(row: FloatArray, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Offset from a point to the nearest point of an obstacle, m; zero inside of it.
+def nearest_point(
+    rows: FloatArray, k: int, x: float, y: float, z: float
+) -> tuple[float, float, float]:
+    """Offset from a point to the nearest point of obstacle k, m; zero inside of it.
 
     Args:
-        row: (7,) of the obstacle.
+        rows: (M, 7) obstacles.
+        k: which of them.
         x: of the point, m.
         y: of the point, m.
         z: of the point, m.
     """
-    if row[0] == BOX:
-        return _beyond(row[1], row[4], x), _beyond(row[2], row[5], y), _beyond(row[3], row[6], z)
-    dx, dy = row[1] - x, row[2] - y
+    if rows[k, 0] == BOX:
+        return (
+            _beyond(rows[k, 1], rows[k, 4], x),
+            _beyond(rows[k, 2], rows[k, 5], y),
+            _beyond(rows[k, 3], rows[k, 6], z),
+        )
+    dx, dy = rows[k, 1] - x, rows[k, 2] - y
     away = math.sqrt(dx * dx + dy * dy)
-    share = 1.0 - row[3] / away if away > row[3] else 0.0
-    return share * dx, share * dy, _beyond(row[4], row[5], z)
+    share = 1.0 - rows[k, 3] / away if away > rows[k, 3] else 0.0
+    return share * dx, share * dy, _beyond(rows[k, 4], rows[k, 5], z)
 
 
 @kernel
-def distance_to(row: FloatArray, x: float, y: float, z: float) -> float:
-    """Distance from a point to an obstacle, m; zero inside of it."""
-    dx, dy, dz = nearest_point(row, x, y, z)
+def distance_to(rows: FloatArray, k: int, x: float, y: float, z: float) -> float:
+    """Distance from a point to obstacle k of the rows (M, 7), m; zero inside of it."""
+    dx, dy, dz = nearest_point(rows, k, x, y, z)
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
@@ -60,4 +67,4 @@ def distances(rows: FloatArray, points: FloatArray, out: FloatArray) -> None:
     """Write the distance (P, M), m, from each of P points (P, 3) to each of M obstacles (M, 7)."""
     for p in range(points.shape[0]):
         for k in range(rows.shape[0]):
-            out[p, k] = distance_to(rows[k], points[p, 0], points[p, 1], points[p, 2])
+            out[p, k] = distance_to(rows, k, points[p, 0], points[p, 1], points[p, 2])

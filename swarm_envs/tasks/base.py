@@ -87,15 +87,16 @@ class Task(ABC):
         write_reference
     )
     """The kernel that writes the reference of every environment."""
-    num_stages: int = 1
-    """S: how many sets of goals are flown to, one after another."""
-    reset_options: tuple[str, ...] = ("start", "goal")
-    """What `reset(options=...)` may fix."""
 
     @property
     def arena(self) -> FloatArray:
         """Corners (2, 3) of the arena, m."""
         return arena_of(len(self.team))
+
+    @property
+    def num_stages(self) -> int:
+        """S: how many sets of goals are flown to, one after another."""
+        return 1
 
     @property
     def radius(self) -> FloatArray:
@@ -124,7 +125,11 @@ class Task(ABC):
         start: FloatArray | None = None,
         goal: FloatArray | None = None,
     ) -> Placement:
-        """Draw an episode, obstacles apart; a start or goal (N, 3) that is given is kept."""
+        """Draw an episode, obstacles apart; a start or goal (N, 3) that is given is kept.
+
+        Raises:
+            ValueError: what is given has no meaning in this task.
+        """
 
     def place(
         self,

@@ -54,7 +54,7 @@ CHARACTERS = tuple(_LINES)
 """Everything that can be written."""
 THIN_UP_TO = 24
 """Characters of more drones than this are drawn with broad strokes."""
-_STEP, _BROAD, _SWEEPS = 0.05, 0.5, 30
+_STEP, _BROAD, _SWEEPS = 0.05, 0.5, 15
 
 
 def strokes(character: str) -> list[tuple[FloatArray, FloatArray]]:
@@ -94,8 +94,10 @@ def _spread(points: FloatArray, candidates: FloatArray) -> FloatArray:
     best, n = points, len(points)
     for _ in range(_SWEEPS):
         owner = _squares(candidates, points).argmin(axis=1)
-        means = [candidates[owner == k].mean(axis=0) for k in range(n)]
-        points = candidates[_squares(np.array(means), candidates).argmin(axis=1)]
+        size = np.bincount(owner, minlength=n)
+        sums = [np.bincount(owner, candidates[:, k], minlength=n) for k in range(2)]
+        means = np.stack(sums, axis=-1) / size[:, None]
+        points = candidates[_squares(means, candidates).argmin(axis=1)]
         if len(np.unique(points, axis=0)) < n:
             break
         if _evenness(points) > _evenness(best):
@@ -105,7 +107,9 @@ def _spread(points: FloatArray, candidates: FloatArray) -> FloatArray:
 
 def _squares(a: FloatArray, b: FloatArray) -> FloatArray:
     """Squared distances (A, B) between points (A, 2) and (B, 2)."""
-    return np.asarray(np.square(a[:, None] - b[None]).sum(axis=-1))
+    return np.asarray(
+        np.square(a).sum(axis=1)[:, None] - 2.0 * a @ b.T + np.square(b).sum(axis=1)[None]
+    )
 
 
 def _evenness(points: FloatArray) -> float:

@@ -74,7 +74,6 @@ class FormationTask(Task):
     """What stands in the way."""
 
     name = "formation_v0"
-    reset_options = ("start",)
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)
 
@@ -143,7 +142,7 @@ class FormationTask(Task):
         return min(SPACING, *(math.floor(100 * self._room(name)) / 100 for name in names))
 
     @property
-    def num_stages(self) -> int:  # type: ignore[override]
+    def num_stages(self) -> int:
         """Shapes to be flown to."""
         return len(self.shapes) - (self.start == "shape")
 
@@ -176,7 +175,9 @@ class FormationTask(Task):
             ValueError: a goal is given: goals are the shapes'.
         """
         if goal is not None:
-            raise ValueError("a goal is given, but in formation the goals are those of the shapes")
+            raise ValueError(
+                "a goal is given, but in formation goals are the shapes'; use shapes=(...)"
+            )
         n = len(self.team)
         turn, order = rng.uniform(*self.turn_rad), rng.permutation(n)
         places = [_turned(points, turn) for points in self.places]

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import inlined_kernel, kernel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.mission import Mission
 from swarm_envs.trajectories import Reference
@@ -84,13 +84,20 @@ def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, 
     )
 
 
-@kernel
+@inlined_kernel
+def _write_rest(e: int, mission: Mission, motion: Motion, time: float, out: Reference) -> None:
+    stage = stage_at(time, motion.stage_s, mission.goals.shape[1])
+    for i in range(mission.goals.shape[2]):
+        for k in range(3):
+            out.position[e, i, k] = mission.goals[e, stage, i, k]
+            out.velocity[e, i, k] = out.acceleration[e, i, k] = out.jerk[e, i, k] = 0.0
+
+
+@inlined_kernel
 def _write_lines(e: int, mission: Mission, motion: Motion, time: float, out: Reference) -> None:
     stage = stage_at(time, motion.stage_s, mission.goals.shape[1])
-    begun, duration = stage * motion.stage_s, mission.duration[e]
-    s, d1, d2, d3 = 1.0, 0.0, 0.0, 0.0
-    if duration > 0.0:
-        s, d1, d2, d3 = line_profile(time - begun, duration, motion.ramp)
+    since = time - stage * motion.stage_s
+    s, d1, d2, d3 = line_profile(since, mission.duration[e], motion.ramp)
     start = mission.start[e] if stage == 0 else mission.goals[e, stage - 1]
     goal = mission.goals[e, stage]
     for i in range(goal.shape[0]):
@@ -103,7 +110,7 @@ def _write_lines(e: int, mission: Mission, motion: Motion, time: float, out: Ref
             out.jerk[e, i, k] = d3 * way
 
 
-@kernel
+@inlined_kernel
 def _write_orbits(e: int, mission: Mission, ramp: float, time: float, out: Reference) -> None:
     warp, d1, d2, d3 = ramped_time(time, ramp)
     for i in range(mission.rate.shape[1]):
@@ -133,8 +140,10 @@ def write_reference(mission: Mission, motion: Motion, time: FloatArray, out: Ref
     for e in range(time.shape[0]):
         if motion.kind == ORBITS:
             _write_orbits(e, mission, motion.ramp, time[e], out)
-        else:
+        elif motion.kind == LINES and mission.duration[e] > 0.0:
             _write_lines(e, mission, motion, time[e], out)
+        else:
+            _write_rest(e, mission, motion, time[e], out)
 
 
 def new_reference(num_envs: int, num_drones: int) -> Reference:

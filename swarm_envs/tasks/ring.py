@@ -79,7 +79,6 @@ class RingTask(Task):
     """What stands in the way."""
 
     name = "ring_v0"
-    reset_options = ("start",)
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)
 
@@ -131,7 +130,9 @@ class RingTask(Task):
             ValueError: a goal is given: here goals are wherever the reference is.
         """
         if goal is not None:
-            raise ValueError("a goal is given, but in ring the goals are wherever the reference is")
+            raise ValueError(
+                "a goal is given, but in ring goals are where the reference is; leave it out"
+            )
         lead = rng.uniform(*self.layout.lead_s)
         orbit = self.orbit._replace(phase=self.orbit.phase + self.orbit.rate * lead)
         on_ring = points_at(orbit, orbit.phase)

@@ -150,20 +150,17 @@ SHAPE_NAMES = (*SHAPES, *(LETTER + character for character in CHARACTERS))
 
 
 @cache
-def _drawn(name: str, n: int, spacing: float) -> FloatArray:
-    points = (
-        letter(name.removeprefix(LETTER), n, spacing)
-        if name.startswith(LETTER)
-        else SHAPES[name](n, spacing)
-    )
-    points.flags.writeable = False
-    return points
+def _unit(name: str, n: int) -> FloatArray:
+    """Points (n, 3) of a shape whose smallest distance is 1."""
+    if name.startswith(LETTER):
+        return letter(name.removeprefix(LETTER), n, 1.0)
+    return SHAPES[name](n, 1.0)
 
 
 def shape_points(name: str, n: int, spacing: float) -> FloatArray:
-    """Points (n, 3) of a shape, m, about the origin, no two nearer than `spacing`; read-only.
+    """Points (n, 3) of a shape, m, about the origin, no two nearer than `spacing`.
 
     Raises:
         ValueError: there is no such shape; the message names the nearest.
     """
-    return _drawn(check_name("shape", name, SHAPE_NAMES), n, float(spacing))
+    return _unit(check_name("shape", name, SHAPE_NAMES), n) * spacing

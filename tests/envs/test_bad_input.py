@@ -71,7 +71,7 @@ def test_impossible_stacks(options, message):
 
 def test_unknown_names():
     with pytest.raises(TypeError, match="unknown option 'num_drone'; did you mean 'num_drones'"):
-        swap_v0.parallel_env(num_drone=3)  # type: ignore[call-arg]  # mypy sees it too
+        swarm_envs.make("swap_v0", num_drone=3)
     with pytest.raises(ValueError, match="unknown task 'swap_v1'; did you mean 'swap_v0'"):
         swarm_envs.make("swap_v1")
     env = swap_v0.parallel_env(num_drones=2, physics="batch")

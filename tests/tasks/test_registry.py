@@ -1,0 +1,294 @@
+"""What holds for every task: seeds, starts, rewards, memory, batches, and that one can win."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test
+
+import swarm_envs
+from swarm_envs import TASKS
+from swarm_envs.agents import fly_episode
+from swarm_envs.baselines.neural_swarm import TrackingAgent
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.observation import observation_layout
+from swarm_envs.envs.options import EnvOptions
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.physics import bullet_available
+from swarm_envs.tasks.rewards import REWARD_NAMES
+from swarm_envs.trajectories import rest_to_rest
+
+every_task = pytest.mark.parametrize("task", TASKS)
+EACH: list[tuple[str, dict[str, Any]]] = [
+    ("swap_v0", {"layout": "random"}),
+    ("swap_v0", {"layout": "circle"}),
+    ("swap_v0", {"layout": "stacked", "num_drones": 3}),
+    ("ring_v0", {}),
+    ("formation_v0", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
+    ("formation_v0", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
+]
+every_layout = pytest.mark.parametrize(("task", "options"), EACH)
+
+
+def make(task: str, **options: Any) -> SwarmParallelEnv:
+    return swarm_envs.make(task, **{"physics": "batch", **options})
+
+
+def random_actions(env: SwarmParallelEnv, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    return {agent: rng.uniform(-1, 1, 3).astype(np.float32) for agent in env.agents}
+
+
+@every_task
+def test_the_module(task):
+    module = importlib.import_module(f"swarm_envs.{task}")
+    env = make(task)
+    assert env.metadata["name"] == env.core.task.name == task
+    assert set(env.core.task.reward_weights) == set(REWARD_NAMES)
+    assert env.core.task.write_reference is type(env.core.task).write_reference
+    for word in ("**Start.**", "**Success.**", "**Rewards**", "**End.**", "**Versions.**"):
+        assert word in (module.__doc__ or "")
+    for name in inspect.signature(module.parallel_env).parameters:
+        assert re.search(rf"[ *]{name}: ", module.parallel_env.__doc__)
+
+
+def test_shared_options_are_those_of_the_config():
+    assert set(get_type_hints(EnvOptions)) == {f.name for f in dataclasses.fields(EnvConfig)}
+
+
+def test_the_documented_observation_table_is_the_layout():
+    page = (Path(__file__).parents[2] / "docs" / "tasks.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+\.\w+)` \| (\d+) \| (.*?) \| (\d+) \|$", page, re.MULTILINE)
+    documented = [(name, int(n), unit.strip(), float(scale)) for name, n, unit, scale in rows]
+    layout = [
+        (field.name.replace("_0.", "_k."), field.where.stop - field.where.start, *field[2:])
+        for field in observation_layout(1, 1)
+    ]
+    assert documented == layout
+
+
+@every_task
+def test_unknown_options_are_refused(task):
+    module = importlib.import_module(f"swarm_envs.{task}")
+    for wrong, near in (
+        ("num_drone", "num_drones"),
+        ("horizon", "horizon_s"),
+        ("obstacle", "obst"),
+    ):
+        with pytest.raises(TypeError, match=f"unknown option '{wrong}'; did you mean '{near}"):
+            module.parallel_env(**{wrong: 3})
+    with pytest.raises(TypeError, match="reward_weights is 3, but must be a Mapping"):
+        module.parallel_env(reward_weights=3)
+
+
+@every_layout
+def test_api(task, options):
+    parallel_api_test(make(task, **options), num_cycles=100)
+
+
+@every_layout
+def test_same_seed_same_bytes(task, options):
+    def flight(env: SwarmParallelEnv, seed: int) -> list[bytes]:
+        rng, seen = np.random.default_rng(0), []
+        observations, _ = env.reset(seed=seed)
+        for _ in range(40):
+            if not env.agents:
+                observations, _ = env.reset()
+            observations, rewards, *_ = env.step(random_actions(env, rng))
+            seen += [row.tobytes() for row in observations.values()]
+            seen += [np.float64(reward).tobytes() for reward in rewards.values()]
+        return seen
+
+    one, other = make(task, **options), make(task, **options)
+    first = flight(one, 5)
+    assert flight(other, 5) == first
+    assert flight(one, 5) == first
+    assert flight(one, 6) != first
+
+
+def hashes(count: int = 30) -> list[str]:
+    """A digest of a flight on each layout."""
+    out = []
+    for task, options in EACH:
+        env, rng, digest = make(task, **options), np.random.default_rng(1), hashlib.sha256()
+        env.reset(seed=7)
+        for _ in range(count):
+            if not env.agents:
+                env.reset()
+            observations, rewards, *_, infos = env.step(random_actions(env, rng))
+            digest.update(b"".join(row.tobytes() for row in observations.values()))
+            digest.update(repr((rewards, infos)).encode())
+        out.append(digest.hexdigest())
+    return out
+
+
+def test_same_bytes_in_another_process():
+    script = (
+        f"import runpy; here = runpy.run_path({__file__!r}); print(*here['hashes'](), sep='\\n')"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == hashes()
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+@every_layout
+def test_both_engines_fly_the_same(task, options):
+    envs = [make(task, **{**options, "physics": engine}) for engine in ("batch", "bullet")]
+    for env in envs:
+        rng = np.random.default_rng(2)
+        env.reset(seed=3)
+        for _ in range(30):  # across a change of shape
+            assert env.agents
+            env.step({a: 0.2 * action for a, action in random_actions(env, rng).items()})
+    ours, theirs = (env.view for env in envs)
+    np.testing.assert_allclose(ours.state.position, theirs.state.position, atol=1e-9)
+    np.testing.assert_allclose(ours.goals, theirs.goals, atol=1e-12)
+    envs[1].close()
+
+
+@every_layout
+def test_starts_are_random(task, options):
+    env, starts = make(task, **options), set()
+    for seed in range(12):
+        env.reset(seed=seed)
+        starts.add(env.view.state.position.round(9).tobytes())
+    assert len(starts) >= 11
+
+
+@every_layout
+def test_rewards_are_sums_of_bounded_terms(task, options):
+    env, rng = make(task, **options), np.random.default_rng(0)
+    weights = env.core.task.reward_weights
+    sums: dict[str, float] = dict.fromkeys(REWARD_NAMES, 0.0)
+    for seed in range(4):
+        env.reset(seed=seed)
+        sums = dict.fromkeys(REWARD_NAMES, 0.0)
+        while env.agents:
+            actions = {a: 0.2 * action for a, action in random_actions(env, rng).items()}
+            _, rewards, _, _, infos = env.step(actions)
+            for agent, info in infos.items():
+                terms = info["reward_terms"]
+                assert tuple(terms) == REWARD_NAMES
+                total = sum(weights[name] * terms[name] for name in REWARD_NAMES)
+                assert rewards[agent] == pytest.approx(total)
+                low = {"progress": -1 / 48}
+                high = {"crash": 1.0, "success": 1.0}
+                for name, value in terms.items():
+                    assert low.get(name, 0.0) - 1e-12 <= value <= high.get(name, 1 / 48) + 1e-12
+            for name in sums:
+                sums[name] += infos["drone_0"]["reward_terms"][name]
+        for name in ("at_goal", "tracking", "success", "crash"):
+            assert 0.0 <= sums[name] <= 1.0 + 1e-9  # over a whole episode
+
+
+@every_layout
+def test_returned_arrays_are_the_caller_s(task, options):
+    env, rng = make(task, **options), np.random.default_rng(0)
+    before, _ = env.reset(seed=1)
+    kept = {agent: row.copy() for agent, row in before.items()}
+    reference = env.view.reference(0.1)
+    copies = [array.copy() for array in reference]
+    actions = random_actions(env, rng)
+    sent = {agent: action.copy() for agent, action in actions.items()}
+    after = env.step(actions)[0]
+    for agent, row in after.items():
+        np.testing.assert_array_equal(before[agent], kept[agent])
+        np.testing.assert_array_equal(actions[agent], sent[agent])
+        assert not np.shares_memory(row, before[agent])
+        assert not np.shares_memory(row, env.core.rows)
+    for array, copy in zip(reference, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+        assert not array.flags.writeable
+    observations, metrics = env.step(random_actions(env, rng))[0], env.core.metrics()
+    metrics["success"] = "mine"
+    for row in observations.values():
+        row[:] = np.nan
+    assert all(np.isfinite(row).all() for row in env.step(random_actions(env, rng))[0].values())
+
+
+@every_layout
+def test_a_batch_is_its_single_environments(task, options):
+    """With resets of those that end, and across changes of stage."""
+    task_object = make(task, **options).core.task
+    seeds, rng = (3, 14, 15), np.random.default_rng(0)
+    many = SwarmCore(task_object, EnvConfig(physics="batch"), 3)
+    ones = [SwarmCore(task_object, EnvConfig(physics="batch")) for _ in seeds]
+    rows = many.reset(seeds).copy()
+    for e, one in enumerate(ones):
+        np.testing.assert_array_equal(one.reset([seeds[e]])[0], rows[e])
+    for _ in range(60):
+        actions = rng.uniform(-0.6, 0.6, (3, many.num_drones, 3))
+        result = many.step(actions)
+        for e, one in enumerate(ones):
+            single = one.step(actions[e : e + 1])
+            np.testing.assert_array_equal(single.observations[0], result.observations[e])
+            np.testing.assert_array_equal(single.rewards[0], result.rewards[e])
+            for ours, theirs in zip(one.mission, many.mission, strict=True):
+                np.testing.assert_array_equal(ours[0], theirs[e])
+        over = result.terminated | result.truncated
+        if over.any():
+            rows = many.reset(mask=over).copy()
+            for e in np.flatnonzero(over).tolist():
+                np.testing.assert_array_equal(ones[e].reset()[0], rows[e])
+
+
+class Roundabout(TrackingAgent):
+    """Half a turn about the vertical axis, all at once: antipodal swaps without meeting."""
+
+    def act(self, observations: Any, view: Any) -> dict[str, np.ndarray]:
+        start, time = view.goals * [-1.0, -1.0, 1.0], view.time
+        share = rest_to_rest([0.0, 0.0, 0.0], [np.pi, 0.0, 0.0], 6.5, time)
+        angle, rate, bend = (float(part[0]) for part in share[:3])
+        out = start * [1.0, 1.0, 0.0]
+        across = np.cross([0.0, 0.0, 1.0], out)
+        radial = np.cos(angle) * out + np.sin(angle) * across
+        tangent = np.cos(angle) * across - np.sin(angle) * out
+        rows = np.zeros((len(start), 14))
+        rows[:, :3] = radial + start * [0.0, 0.0, 1.0]
+        rows[:, 3:6] = rate * tangent
+        rows[:, 6:9] = bend * tangent - rate**2 * radial
+        return dict(zip(observations, rows, strict=True))
+
+
+@pytest.mark.parametrize("n", [2, 4, 16, 40])
+def test_a_roundabout_solves_the_circle(n):
+    agent = Roundabout()
+    metrics = fly_episode(
+        make("swap_v0", layout="circle", num_drones=n, **agent.requires), agent, 0
+    )
+    assert metrics["success"]
+    assert metrics["stages_reached"] == 1
+    assert metrics["near_misses"] == 0
+
+
+@pytest.mark.parametrize("bound", [0.5, 5.0, 1e6])
+def test_force_bounds_are_counted_each_physics_step(bound):
+    """Against the log of a flight with a decision at each physics step."""
+    agent = TrackingAgent(decision_rate=240)
+    env = make(
+        "swap_v0", layout="stacked", team="LS", force_bounds_g={"S": bound}, **agent.requires
+    )
+    forces: list[np.ndarray] = []
+    metrics = fly_episode(env, agent, 0, lambda env: forces.append(env.view.oracle_force.copy()))
+    small = np.abs(np.array(forces[1:])[:, 1, 2]) / (9.80665e-3)
+    assert metrics["force_bound_violations"] == (small > bound).sum()
+    share = (small > bound).mean() / 2  # the large one has no bound here
+    assert metrics["fraction_over_force_bound"] == pytest.approx(share)
+    assert (metrics["force_bound_violations"] > 0) == (bound < 100)
+
+
+@pytest.mark.parametrize("bound", [{"S": 0.0}, {"L": float("nan")}, {"S": "5"}])
+def test_impossible_force_bounds(bound):
+    with pytest.raises(ValueError, match=r"force_bounds_g\['[SL]'\] is .* but must be positive"):
+        make("ring_v0", force_bounds_g=bound)
