@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.control.state import Setpoint
+from swarm_envs.physics.contact import Contacts
 from swarm_envs.state import FloatArray, SwarmState
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
 
 if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
+
+_Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,11 @@ class View:
         return Setpoint(*(_frozen(array[self._e]) for array in self._core.flight.pilot.setpoint))
 
     @property
+    def contacts(self) -> Contacts:
+        """What the drones touched in the last decision; arrays lead with N alone."""
+        return Contacts(*(_frozen(array[self._e]) for array in self._core.physics.contacts))
+
+    @property
     def oracle_force(self) -> FloatArray:
         """(N, 3) the environment's own force of the last physics step, N, world frame.
 
@@ -67,7 +76,7 @@ class View:
         return Reference(*(_frozen(array[self._e]) for array in full))
 
 
-def _frozen(array: FloatArray) -> FloatArray:
+def _frozen(array: _Array) -> _Array:
     view = array.view()
     view.flags.writeable = False
     return view
