@@ -18,7 +18,7 @@ from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.physics.contact import NO_DRONE
 from swarm_envs.tasks.base import Task
 
-RENDER_MODES = ("rgb_array",)
+RENDER_MODES = ("rgb_array", "human")
 
 
 class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
@@ -44,7 +44,8 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         }
         self.possible_agents = [f"drone_{i}" for i in range(self.core.num_drones)]
         self.agents: list[str] = []
-        self._camera: Any = None
+        self._frames: Any = None
+        self._window: Any = None
         self._closed = False
         width = self.core._rows.shape[2]
         self._observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
@@ -96,6 +97,8 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         self._check_open("reset")
         rows = self.core.reset([seed], options=options)
         self.agents = list(self.possible_agents)
+        if self.render_mode == "human":
+            self.render()
         return self._split(rows), {agent: {} for agent in self.agents}
 
     def step(
@@ -130,6 +133,8 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         infos = self._infos(result, terminated or truncated)
         if terminated or truncated:
             self.agents = []
+        if self.render_mode == "human":
+            self.render()
         return (
             self._split(result.observations),
             dict(zip(agents, result.rewards[0].tolist(), strict=True)),
@@ -139,24 +144,38 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         )
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode."""
+        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode.
+
+        `human` shows it in a window, after every reset and step by itself, and returns None.
+
+        Raises:
+            RuntimeError: `human` without a display; or the environment is closed.
+        """
         self._check_open("render")
         if self.render_mode is None:
             return None
-        if self._camera is None:
-            from swarm_envs.viewing.camera import Camera
+        if self._frames is None:
+            from swarm_envs.viewing.frames import FrameMaker
 
-            self._camera = Camera(self.core.task.team)
-        picture: npt.NDArray[np.uint8] = self._camera.picture(self.view.state)
-        return picture
+            self._frames = FrameMaker(self.core.task, self.core.config.horizon_s)
+        picture: npt.NDArray[np.uint8] = self._frames.picture(self.view)
+        if self.render_mode == "rgb_array":
+            return picture
+        if self._window is None:
+            from swarm_envs.viewing.frames import Window
+
+            self._window = Window(self.core.task.name)
+        self._window.show(picture)
+        return None
 
     def close(self) -> None:
         """Free what physics and renderer hold. May be called more than once."""
         self._closed = True
         self.agents = []
         self.core.close()
-        if self._camera is not None:
-            self._camera.close()
+        for drawing in (self._frames, self._window):
+            if drawing is not None:
+                drawing.close()
 
     def _check_open(self, what: str) -> None:
         if self._closed:

@@ -89,8 +89,8 @@ class Recording(FlightRecord):
     """(T, N) whether it touches the floor."""
     contact_wall: BoolArray
     """(T, N) whether it touches a wall or the ceiling."""
-    contact_obstacle: BoolArray
-    """(T, N) whether it touches an obstacle."""
+    contact_obstacle: IntArray
+    """(T, N) index of the obstacle that it touches, or -1."""
     tumbling: BoolArray
     """(T, N) whether it turns faster than 150 rad/s."""
     reward: FloatArray
@@ -144,7 +144,7 @@ class Recorder:
             physics=env.physics_name,
             decision_rate=env.core.config.decision_rate,
             arena=tuple(map(tuple, task.arena.tolist())),
-            solids=solids(getattr(task, "obstacles", ())),
+            solids=solids(getattr(task, "obstacles", ()), float(task.arena[1, 2])),
             metrics=told[0].get("episode_metrics", {}),
         )
         row = _sample(env)
@@ -172,7 +172,7 @@ class Recorder:
 def _sample(env: SwarmParallelEnv) -> dict[str, Any]:
     view = env.view
     state, contacts = view.state, view.contacts
-    nothing = np.zeros(len(view.team), dtype=np.bool_)
+    nothing = np.full(len(view.team), -1, dtype=np.int64)
     row = {
         "time": np.float64(view.time),
         "position": state.position,

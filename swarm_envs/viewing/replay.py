@@ -9,7 +9,8 @@ from __future__ import annotations
 import importlib
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -19,10 +20,10 @@ import numpy as np
 
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.vehicles import GRAM_FORCE, team_string
+from swarm_envs.vehicles import GRAM_FORCE
 from swarm_envs.viewing.palette import drone_colors, type_color
 from swarm_envs.viewing.record import Recording
-from swarm_envs.viewing.summary import Event, events, metric_rows, outcome
+from swarm_envs.viewing.summary import Event, events, metric_rows, outcome, team_label
 
 _UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.1, "quaternion": 1e-4}
 """What one in the page's integers is: mm, tenths of a gram."""
@@ -77,7 +78,7 @@ def replay_page(recording: Recording) -> str:
     good = bool(about.metrics) and bool(about.metrics["success"])
     flown = f"{about.physics} engine, {about.decision_rate} decisions a second"
     texts = {
-        "title": escape(f"{about.task}, {team_string(recording.team)}, {about.agent or 'flight'}"),
+        "title": escape(f"{about.task}, {team_label(recording.team)}, {about.agent or 'flight'}"),
         "subtitle": escape(f"{len(recording.team)} drones{seed}; {flown}"),
         "outcome": escape(outcome(recording)),
         "outcome_class": "good" if good else "bad" if happened else "",
@@ -129,6 +130,7 @@ def page_data(recording: Recording, happened: Sequence[Event]) -> dict[str, Any]
         "types": [{"arm": v.arm, "rotor_radius": v.rotor_radius} for v in types],
         "arena": [list(corner) for corner in recording.about.arena],
         "solids": [np.round(s.rings(), 3).tolist() for s in recording.about.solids],
+        "view": _framing(recording),
         "moving": _moves(recording.reference),
         "metre_per_gram": _arrow_scale(recording),
         "events": [
@@ -162,7 +164,7 @@ def _moves(points: FloatArray) -> bool:
 
 
 def _separation(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Smallest distance (T,) of two drones, m, and that at which these two touch; empty if alone."""
+    """Smallest distance (T,) of two drones and that at which they touch, m; empty if alone."""
     drones = len(recording.team)
     if drones < 2:
         return np.empty(0), np.empty(0)
@@ -176,6 +178,16 @@ def _separation(recording: Recording) -> tuple[FloatArray, FloatArray]:
     return nearest[0], nearest[1]
 
 
+def _framing(recording: Recording) -> dict[str, Any]:
+    """Middle and radius, m, of a ball that holds the flight and its goals."""
+    seen = (recording.position, recording.goal, recording.reference)
+    points = np.concatenate([array.reshape(-1, 3) for array in seen])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = (low + high) / 2
+    radius = float(np.linalg.norm(points - middle, axis=1).max()) + 0.2
+    return {"center": np.round(middle, 3).tolist(), "radius": round(radius, 3)}
+
+
 def _arrow_scale(recording: Recording) -> float:
     strongest = float(np.linalg.norm(recording.force, axis=-1).max()) / GRAM_FORCE
     fitting = [scale for scale in _SCALES if scale * strongest <= _LONGEST_ARROW_M]
@@ -183,9 +195,7 @@ def _arrow_scale(recording: Recording) -> float:
 
 
 def _legend(recording: Recording) -> str:
-    counts: Mapping[str, int] = {}
-    for vehicle in recording.team:
-        counts = {**counts, vehicle.token: counts.get(vehicle.token, 0) + 1}
+    counts = Counter(vehicle.token for vehicle in recording.team)
     entries = [
         f'<span><i style="background:{type_color(token)}"></i>{count} × {escape(token)}</span>'
         for token, count in counts.items()
@@ -195,10 +205,9 @@ def _legend(recording: Recording) -> str:
     if _moves(recording.reference):
         entries.append("<span><b>○ ⋯</b>reference</span>")
     entries.append(
-        '<span><b style="color:#b0149b">→</b>interaction force: '
-        f"{10 * scale:.3g} m is 10 g</span>"
+        f'<span><b style="color:#b0149b">→</b>interaction force: {10 * scale:.3g} m is 10 g</span>'
     )
-    entries.append('<span><b class="bad">✕</b>collision</span>')
+    entries.append('<span><b class="bad">×</b>collision</span>')
     return "".join(entries)
 
 
@@ -214,5 +223,3 @@ def _plotly() -> Any:
         raise ImportError(
             "replays are drawn with plotly; install it by: pip install 'swarm-envs[viz]'"
         ) from error
-
-

@@ -37,11 +37,13 @@ class Solid(NamedTuple):
         )
 
 
-def solids(obstacles: Iterable[Any]) -> tuple[Solid, ...]:
-    """The obstacles of a task as solids, in the same order.
+def solids(obstacles: Iterable[Any], ceiling: float) -> tuple[Solid, ...]:
+    """The obstacles of a task as solids, in the same order, cut off at the ceiling.
 
-    A box has corners `low` and `high` (3,), m; a column a `center` (x, y), a `radius` and a
-    `height`, m, and stands on the ground.
+    Args:
+        obstacles: boxes, which have corners `low` and `high` (3,), m, and columns, which stand on
+            the ground and have a `center` (x, y), a `radius` and a `height`, m.
+        ceiling: height of the arena, m.
     """
     found = []
     for obstacle in obstacles:
@@ -50,6 +52,7 @@ def solids(obstacles: Iterable[Any]) -> tuple[Solid, ...]:
             low, high = (x - r, y - r, 0.0), (x + r, y + r, obstacle.height)
         else:
             low, high = obstacle.low, obstacle.high
-        corners = (tuple(float(v) for v in low), tuple(float(v) for v in high))
+        top = min(float(high[2]), ceiling)
+        corners = tuple(map(float, low)), (float(high[0]), float(high[1]), top)
         found.append(Solid(hasattr(obstacle, "radius"), *corners))
     return tuple(found)

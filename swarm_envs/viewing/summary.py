@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import Vehicle, team_string
 from swarm_envs.viewing.record import Recording
 
+_LONGEST_TEAM = 6
 _UNITS = {"_m": "m", "_s": "s", "_g": "g", "_j": "J"}
 
 
@@ -39,6 +42,14 @@ _ALONE = {
 """Field of the recording and verb of each kind of event that a drone has by itself."""
 
 
+def team_label(team: Sequence[Vehicle]) -> str:
+    """A team in a few characters: its string, or how many of each type where that is long."""
+    if len(team) <= _LONGEST_TEAM:
+        return team_string(team)
+    counts = Counter(vehicle.token for vehicle in team)
+    return " + ".join(f"{count} {token}" for token, count in counts.items())
+
+
 def events(recording: Recording) -> list[Event]:
     """Collisions and tumbles of an episode in order of time, each once, when it begins."""
     return sorted([*_pairs(recording), *_alone(recording)], key=lambda event: event.frame)
@@ -57,7 +68,8 @@ def _pairs(recording: Recording) -> Iterator[Event]:
 
 def _alone(recording: Recording) -> Iterator[Event]:
     for kind, (field, verb) in _ALONE.items():
-        on = np.asarray(getattr(recording, field))
+        touched = np.asarray(getattr(recording, field))
+        on = touched if touched.dtype == np.bool_ else touched >= 0
         begins = on & ~np.concatenate([np.zeros_like(on[:1]), on[:-1]])
         for frame, i in np.argwhere(begins).tolist():
             place, text = recording.position[frame, i], f"drone_{i} {verb}"
@@ -104,7 +116,7 @@ def metric_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _value(value: Any, unit: str) -> str:
     if value is None:
-        return "none"
+        return "\N{EN DASH}"
     if isinstance(value, bool):
         return "yes" if value else "no"
     text = f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -47,7 +47,9 @@ GROUPS: Mapping[str, Group] = {
     "contact_drone": Group(("contact_drone",), "int64", "index of the drone it touches, or -1"),
     "contact_floor": Group(("contact_floor",), "bool", "touches the floor"),
     "contact_wall": Group(("contact_wall",), "bool", "touches a wall or the ceiling"),
-    "contact_obstacle": Group(("contact_obstacle",), "bool", "touches an obstacle"),
+    "contact_obstacle": Group(
+        ("contact_obstacle",), "int64", "index of the obstacle it touches, or -1"
+    ),
     "tumbling": Group(("tumbling",), "bool", "turns faster than 150 rad/s"),
     "reward": Group(("reward",), "float64", "weighted sum of the terms; NaN if unknown"),
 }

@@ -156,23 +156,35 @@
       wanted: { type: "scatter3d", mode: "markers", ...points("reference", f), marker: { size: 4, color: colors, symbol: "circle-open" }, hoverinfo: "skip", visible: data.moving },
       goals: { type: "scatter3d", mode: "markers", ...points("goal", f), marker: { size: 6, color: colors, symbol: "diamond-open" },
                text: drones.map((d) => "goal of " + d.name), hovertemplate: "%{text}<extra></extra>" },
-      crashes: { type: "scatter3d", mode: "markers", ...crashes(f), marker: { size: 9, color: css("--bad"), symbol: "x" }, text: data.events.map((e) => e.text), hovertemplate: "%{text}<extra></extra>" },
+      // A letter, since Plotly's own cross is a glyph that many fonts lack.
+      crashes: { type: "scatter3d", mode: "text", ...crashes(f), text: data.events.map(() => "\u00D7"), textfont: { size: 40, color: css("--bad") },
+                 hovertext: data.events.map((e) => e.text), hoverinfo: "text" },
     };
     const still = [
       { ...line(quiet, 2), ...box(arena[0], arena[1]), opacity: 0.7 },
-      ...(data.moving ? [{ ...line(repeat(T), 1.5, { dash: "dot" }), ...paths("reference", 0, last, T), opacity: 0.6 }] : []),
+      ...(data.moving ? [{ ...line(repeat(T), 2.5, { dash: "dot" }), ...paths("reference", 0, last, T), opacity: 0.7 }] : []),
       ...data.solids.map(solid),
     ];
     return [...MOVING.map((name) => moving[name]), ...still];
   }
+  // One unit of the scene is as long as the arena's longest side; the camera, which looks 45
+  // degrees wide, stands so that it sees the flight.
+  function firstCamera() {
+    const size = Math.max(...arena[1].map((v, k) => v - arena[0][k])), { center, radius } = data.view;
+    const tall = Math.max(1, scene.clientHeight / scene.clientWidth), far = 2.4 * tall * radius / size;
+    const middle = center.map((v, k) => (v - (arena[0][k] + arena[1][k]) / 2) / size);
+    const [x, y, z] = [0.50, -0.79, 0.36].map((v, k) => middle[k] + far * v);
+    return { eye: { x, y, z }, center: { x: middle[0], y: middle[1], z: middle[2] }, up: { x: 0, y: 0, z: 1 } };
+  }
   function sceneLayout() {
+    const sides = arena[1].map((v, k) => v - arena[0][k]), size = Math.max(...sides);
     const axis = (k, title) => ({ range: [arena[0][k], arena[1][k]], title: { text: title, font: { size: 12 } }, color: css("--quiet"),
-      gridcolor: css("--line"), zeroline: false, showspikes: false, tickfont: { size: 10 }, nticks: 6,
-      showbackground: false });
+      gridcolor: css("--line"), zeroline: false, showspikes: false, tickfont: { size: 10 }, nticks: 6, showbackground: false });
     return { margin: { l: 0, r: 0, t: 0, b: 0 }, paper_bgcolor: css("--panel"), showlegend: false, uirevision: 1,
       font: { family: getComputedStyle(document.body).fontFamily, color: css("--ink") },
-      scene: { xaxis: axis(0, "x (m)"), yaxis: axis(1, "y (m)"), zaxis: axis(2, "z (m)"), aspectmode: "data", uirevision: 1, dragmode: "orbit",
-               camera: scene.layout?.scene?.camera ?? { eye: { x: 0.85, y: -1.35, z: 0.5 }, center: { x: 0, y: 0, z: -0.12 }, up: { x: 0, y: 0, z: 1 } } } };
+      scene: { xaxis: axis(0, "x (m)"), yaxis: axis(1, "y (m)"), zaxis: axis(2, "z (m)"), dragmode: "orbit", uirevision: 1,
+               aspectmode: "manual", aspectratio: { x: sides[0] / size, y: sides[1] / size, z: sides[2] / size },
+               camera: scene.layout?.scene?.camera ?? firstCamera() } };
   }
 
   function series(id, n) {

@@ -1,0 +1,127 @@
+"""Pictures of a running environment: what `render()` gives, and the window that shows it."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.state import FloatArray
+from swarm_envs.viewing.camera import Camera
+from swarm_envs.viewing.overlay import Overlay
+from swarm_envs.viewing.palette import drone_colors
+from swarm_envs.viewing.solids import solids
+
+if TYPE_CHECKING:
+    from swarm_envs.envs.view import View
+    from swarm_envs.tasks.base import Task
+
+WIDTH, HEIGHT = 640, 480
+_TRAIL_S = 2.0
+_PATH_POINTS = 24
+"""Of each drone's reference, for the camera's aim."""
+
+
+class FrameMaker:
+    """Draws an environment as it is now: drones, arena, obstacles, goals, references, trails.
+
+    The camera aims once an episode, at what the drones are going to pass. Trails join what was
+    drawn, so they are as fine as `render()` is called often.
+
+    Args:
+        task: what is flown, by whom and where.
+        horizon_s: the clock, s.
+
+    Raises:
+        ImportError: pybullet is not installed.
+    """
+
+    def __init__(self, task: Task, horizon_s: float) -> None:
+        self._camera = Camera(task.team, WIDTH, HEIGHT)
+        self._colors, self._arena = drone_colors(task.team), task.arena
+        self._solids = solids(getattr(task, "obstacles", ()), float(task.arena[1, 2]))
+        self._horizon_s = horizon_s
+        self._goals: FloatArray = np.empty(0)
+        self._past: deque[tuple[float, FloatArray]] = deque()
+
+    def picture(self, view: View) -> npt.NDArray[np.uint8]:
+        """RGB (480, 640, 3) of the environment, a new array."""
+        time, position = view.time, np.array(view.state.position)
+        if not self._past or time < self._past[-1][0] or self._is_new(view):
+            self._begin(view)
+        if not self._past or time > self._past[-1][0]:
+            self._past.append((time, position))
+        while self._past[0][0] < time - _TRAIL_S:
+            self._past.popleft()
+        reference = view.reference(time).position
+        moving = not np.array_equal(reference, view.goals)
+        overlay = Overlay(
+            colors=self._colors,
+            arena=self._arena,
+            solids=self._solids,
+            goals=np.array(view.goals),
+            references=np.array(reference) if moving else None,
+            trails=np.array([p for _, p in self._past]),
+        )
+        return self._camera.picture(view.state, overlay)
+
+    def close(self) -> None:
+        """Free the camera. May be called more than once."""
+        self._camera.close()
+
+    def _is_new(self, view: View) -> bool:
+        """Whether another episode has begun although the clock did not go back."""
+        begun = view.time == 0.0 and not np.array_equal(self._past[-1][1], view.state.position)
+        return bool(begun)
+
+    def _begin(self, view: View) -> None:
+        self._past.clear()
+        times = np.linspace(0.0, self._horizon_s, _PATH_POINTS)
+        paths = [view.reference(float(t)).position for t in times]
+        self._camera.aim(np.concatenate([view.state.position, view.goals, *paths]))
+
+
+class Window:
+    """A window that shows pictures, for `render_mode="human"`. matplotlib draws it.
+
+    Args:
+        title: of the window.
+
+    Raises:
+        RuntimeError: there is no display, or no toolkit that could use it.
+    """
+
+    def __init__(self, title: str) -> None:
+        import matplotlib as mpl
+        from matplotlib import pyplot
+        from matplotlib.backends import BackendFilter, backend_registry
+
+        self._pyplot: Any = pyplot
+        backend = str(pyplot.get_backend()).lower()
+        windowed = backend_registry.list_builtin(BackendFilter.INTERACTIVE)
+        if backend not in {name.lower() for name in windowed}:
+            raise RuntimeError(
+                "render_mode='human' opens a window, but matplotlib finds no display or no toolkit "
+                f"(its backend is {backend!r}); use render_mode='rgb_array', or on a desktop "
+                "install Tk or `pip install PySide6`"
+            )
+        with mpl.rc_context({"toolbar": "None"}):
+            self._figure = pyplot.figure(title, figsize=(WIDTH / 100, HEIGHT / 100), dpi=100)
+        self._axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        self._axes.set_axis_off()
+        self._image: Any = None
+
+    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Show a picture (height, width, 3) until the next."""
+        if self._image is None:
+            self._image = self._axes.imshow(picture, interpolation="antialiased")
+            self._figure.show()
+        self._image.set_data(picture)
+        self._figure.canvas.draw_idle()
+        self._figure.canvas.flush_events()
+
+    def close(self) -> None:
+        """Close the window. May be called more than once."""
+        self._pyplot.close(self._figure)
