@@ -164,7 +164,7 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         if self._window is None:
             from swarm_envs.viewing.frames import Window
 
-            self._window = Window(self.core.task.name)
+            self._window = Window(self.core.task.name, self.core.config.decision_rate)
         self._window.show(picture)
         return None
 

@@ -17,7 +17,7 @@ from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.summary import outcome, team_label
 from swarm_envs.viewing.typeface import font
 
-WIDTH, HEIGHT, FPS = 960, 640, 24
+WIDTH, HEIGHT, FPS = 768, 544, 24
 _HEADER = 40
 _SMOOTH = 2
 _TRAIL_S = 2.0
@@ -34,7 +34,7 @@ def count_frames(recording: Recording) -> int:
 
 
 def film(recording: Recording) -> Iterator[npt.NDArray[np.uint8]]:
-    """Frames (640, 960, 3) of an episode at 24 a second; its end stands for another second.
+    """Frames (544, 768, 3) of an episode at 24 a second; its end stands for another second.
 
     Raises:
         ImportError: pybullet is not installed.

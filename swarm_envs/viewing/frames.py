@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from time import perf_counter, sleep
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -88,12 +89,13 @@ class Window:
 
     Args:
         title: of the window.
+        fps: pictures per second that it shows at most: it waits, so that flight is in real time.
 
     Raises:
         RuntimeError: there is no display, or no toolkit that could use it.
     """
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, fps: float) -> None:
         import matplotlib as mpl
         from matplotlib import pyplot
         from matplotlib.backends import BackendFilter, backend_registry
@@ -112,12 +114,15 @@ class Window:
         self._axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0))
         self._axes.set_axis_off()
         self._image: Any = None
+        self._between_s, self._due = 1.0 / fps, 0.0
 
     def show(self, picture: npt.NDArray[np.uint8]) -> None:
         """Show a picture (height, width, 3) until the next."""
         if self._image is None:
             self._image = self._axes.imshow(picture, interpolation="antialiased")
             self._figure.show()
+        sleep(max(0.0, self._due - perf_counter()))
+        self._due = perf_counter() + self._between_s
         self._image.set_data(picture)
         self._figure.canvas.draw_idle()
         self._figure.canvas.flush_events()
