@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 
 WIDTH, HEIGHT = 640, 480
 _TRAIL_S = 2.0
+_FILES_ONLY = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
+"""matplotlib's backends that open no window."""
 _PATH_POINTS = 24
 """Of each drone's reference, for the camera's aim."""
 
@@ -98,12 +100,10 @@ class Window:
     def __init__(self, title: str, fps: float) -> None:
         import matplotlib as mpl
         from matplotlib import pyplot
-        from matplotlib.backends import BackendFilter, backend_registry
 
         self._pyplot: Any = pyplot
         backend = str(pyplot.get_backend()).lower()
-        windowed = backend_registry.list_builtin(BackendFilter.INTERACTIVE)
-        if backend not in {name.lower() for name in windowed}:
+        if backend in _FILES_ONLY:
             raise RuntimeError(
                 "render_mode='human' opens a window, but matplotlib finds no display or no toolkit "
                 f"(its backend is {backend!r}); use render_mode='rgb_array', or on a desktop "

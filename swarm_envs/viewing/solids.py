@@ -53,6 +53,7 @@ def solids(obstacles: Iterable[Any], ceiling: float) -> tuple[Solid, ...]:
         else:
             low, high = obstacle.low, obstacle.high
         top = min(float(high[2]), ceiling)
-        corners = tuple(map(float, low)), (float(high[0]), float(high[1]), top)
-        found.append(Solid(hasattr(obstacle, "radius"), *corners))
+        lowest = (float(low[0]), float(low[1]), float(low[2]))
+        highest = (float(high[0]), float(high[1]), top)
+        found.append(Solid(hasattr(obstacle, "radius"), lowest, highest))
     return tuple(found)

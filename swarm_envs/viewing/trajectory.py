@@ -111,10 +111,7 @@ def read_trajectory(path: Path) -> Recording:
     read = _read_npz if path.suffix == ".npz" else _read_parquet
     arrays, text = read(path)
     about = json.loads(text)
-    team = tuple(
-        Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in vehicle.items()})
-        for vehicle in about.pop("team")
-    )
+    team = tuple(map(_vehicle, about.pop("team")))
     about["arena"] = tuple(map(tuple, about["arena"]))
     about["solids"] = tuple(Solid(r, tuple(low), tuple(high)) for r, low, high in about["solids"])
     names = about.pop("reward_terms")
@@ -139,6 +136,11 @@ def columns(recording: Recording) -> dict[str, npt.NDArray[Any]]:
     for name, term in recording.reward_terms.items():
         table[_TERM + name] = term.reshape(-1)
     return table
+
+
+def _vehicle(values: Mapping[str, Any]) -> Vehicle:
+    fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return Vehicle(**fields)
 
 
 def _about_json(recording: Recording) -> str:

@@ -5,7 +5,7 @@
   const { time, drones, types, arena } = data;
   const N = drones.length, T = time.length, last = T - 1, end = Math.max(time[last], 1e-6);
   const HIDDEN = 0.5; // forces below this, g, are not drawn
-  const scene = get("scene"), charts = ["height", "error", "force", "separation"];
+  const scene = get("swarm"), charts = ["height", "error", "force", "separation"];
   const MARGIN = { l: 46, r: 12, t: 8, b: 26 };
   const state = { frame: 0, time: 0, playing: false, speed: 1, trail: 2, forces: true, drawn: -1 };
 
