@@ -45,7 +45,7 @@ def test_the_page_s_numbers_are_the_flight_s(crash):
     shape = crash.position.shape
     for name, truth, grain in (
         ("position", crash.position, 1e-3),
-        ("force", crash.force / GRAM_FORCE, 0.1),
+        ("force", crash.force / GRAM_FORCE, 0.01),
     ):
         shown = np.array(data[name]).reshape(shape) * data["unit"][name]
         np.testing.assert_allclose(shown, truth, atol=0.5 * grain + 1e-9)

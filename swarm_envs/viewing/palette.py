@@ -12,7 +12,7 @@ _OTHER_HUE = 0.78
 _SATURATION = 0.68
 _SHADES = (0.40, 0.64)
 """Lightness of the darkest and the palest drone of a type: both stand out from white and black."""
-_TYPICAL = 0.50
+_TYPICAL = 0.52
 
 
 def type_color(token: str) -> str:

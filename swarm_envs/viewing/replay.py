@@ -25,8 +25,8 @@ from swarm_envs.viewing.palette import drone_colors, type_color
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.summary import Event, events, metric_rows, outcome, team_label
 
-_UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.1, "quaternion": 1e-4}
-"""What one in the page's integers is: mm, tenths of a gram."""
+_UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quaternion": 1e-4}
+"""What one in the page's integers is: mm, hundredths of a gram."""
 _MOST_SAMPLES = 50_000
 """Drones times frames in a page; a longer flight keeps every second sample, or fewer."""
 _FASTEST = 60.0

@@ -99,6 +99,7 @@
     }
     return out;
   }
+  const shadows = (f) => ({ ...points("position", f), z: Array(N).fill(arena[0][2]) }); // what is how high is hard to see without
   // Paths have as many points in every frame, so that their colours need not change.
   function paths(name, first, f, count) {
     const out = { x: [], y: [], z: [] };
@@ -142,13 +143,13 @@
   }
 
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const MOVING = ["bodies", "shafts", "trails", "handles", "wanted", "goals", "crashes"];
+  const MOVING = ["bodies", "shafts", "trails", "handles", "wanted", "goals", "shadows", "crashes"];
   function build() {
     const f = state.frame, [drawn, shafts] = bodies(f), quiet = css("--quiet"), colors = drones.map((d) => d.color);
     const line = (color, width, more) => ({ type: "scatter3d", mode: "lines", line: { color, width, ...more }, hoverinfo: "skip" });
     const moving = {
       bodies: { type: "mesh3d", ...mesh, ...drawn, flatshading: true, hoverinfo: "skip", showscale: false,
-                lighting: { ambient: 0.75, diffuse: 0.5, specular: 0.1, roughness: 0.8, fresnel: 0.05 }, lightposition: { x: 0, y: -2000, z: 8000 } },
+                lighting: { ambient: 0.9, diffuse: 0.35, specular: 0.05, roughness: 0.9, fresnel: 0 }, lightposition: { x: 0, y: -2000, z: 8000 } },
       shafts: { ...line(ARROW, 5), ...shafts },
       trails: { ...line(repeat(trailCount()), 3), ...trails(f) },
       handles: { type: "scatter3d", mode: "markers", ...points("position", f), marker: { size: 3, color: colors },
@@ -156,6 +157,7 @@
       wanted: { type: "scatter3d", mode: "markers", ...points("reference", f), marker: { size: 4, color: colors, symbol: "circle-open" }, hoverinfo: "skip", visible: data.moving },
       goals: { type: "scatter3d", mode: "markers", ...points("goal", f), marker: { size: 6, color: colors, symbol: "diamond-open" },
                text: drones.map((d) => "goal of " + d.name), hovertemplate: "%{text}<extra></extra>" },
+      shadows: { type: "scatter3d", mode: "markers", ...shadows(f), marker: { size: 3, color: quiet, opacity: 0.3 }, hoverinfo: "skip" },
       // A letter, since Plotly's own cross is a glyph that many fonts lack.
       crashes: { type: "scatter3d", mode: "text", ...crashes(f), text: data.events.map(() => "\u00D7"), textfont: { size: 40, color: css("--bad") },
                  hovertext: data.events.map((e) => e.text), hoverinfo: "text" },
@@ -171,7 +173,7 @@
   // degrees wide, stands so that it sees the flight.
   function firstCamera() {
     const size = Math.max(...arena[1].map((v, k) => v - arena[0][k])), { center, radius } = data.view;
-    const tall = Math.max(1, scene.clientHeight / scene.clientWidth), far = 2.4 * tall * radius / size;
+    const tall = Math.max(1, scene.clientHeight / scene.clientWidth), far = 2.05 * tall * radius / size;
     const middle = center.map((v, k) => (v - (arena[0][k] + arena[1][k]) / 2) / size);
     const [x, y, z] = [0.50, -0.79, 0.36].map((v, k) => middle[k] + far * v);
     return { eye: { x, y, z }, center: { x: middle[0], y: middle[1], z: middle[2] }, up: { x: 0, y: 0, z: 1 } };
@@ -235,7 +237,7 @@
     if (state.drawn === state.frame) return;
     state.drawn = state.frame;
     const f = state.frame, [drawn, shafts] = bodies(f);
-    const parts = [drawn, shafts, trails(f), points("position", f), points("reference", f), points("goal", f), crashes(f)];
+    const parts = [drawn, shafts, trails(f), points("position", f), points("reference", f), points("goal", f), shadows(f), crashes(f)];
     const pick = (axis) => parts.map((part) => part[axis]);
     Plotly.restyle(scene, { x: pick("x"), y: pick("y"), z: pick("z") }, MOVING.map((_, k) => k));
   }
