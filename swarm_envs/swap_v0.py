@@ -88,7 +88,7 @@ def parallel_env(
         battery: how batteries empty; None for batteries that never do.
         stacked: ranges from which the stacked layout is drawn.
         reward_weights: weight of each reward term; terms left out keep their default.
-        render_mode: `rgb_array`, `human` (a window) or None.
+        render_mode: `rgb_array` or None.
         **unknown: refused, with the nearest name.
 
     Raises:
