@@ -44,8 +44,7 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
         }
         self.possible_agents = [f"drone_{i}" for i in range(self.core.num_drones)]
         self.agents: list[str] = []
-        self._frames: Any = None
-        self._window: Any = None
+        self._screen: Any = None
         self._closed = False
         width = self.core._rows.shape[2]
         self._observation_space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
@@ -146,36 +145,24 @@ class SwarmParallelEnv(ParallelEnv[str, Float32Array, npt.NDArray[np.float32]]):
     def render(self) -> npt.NDArray[np.uint8] | None:
         """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode.
 
-        `human` shows it in a window, after every reset and step by itself, and returns None.
-
-        Raises:
-            RuntimeError: `human` without a display; or the environment is closed.
+        `human` shows it in a window after every reset and step, or raises without a display.
         """
         self._check_open("render")
         if self.render_mode is None:
             return None
-        if self._frames is None:
-            from swarm_envs.viewing.frames import FrameMaker
+        if self._screen is None:
+            from swarm_envs.viewing.frames import Screen
 
-            self._frames = FrameMaker(self.core.task, self.core.config.horizon_s)
-        picture: npt.NDArray[np.uint8] = self._frames.picture(self.view)
-        if self.render_mode == "rgb_array":
-            return picture
-        if self._window is None:
-            from swarm_envs.viewing.frames import Window
-
-            self._window = Window(self.core.task.name, self.core.config.decision_rate)
-        self._window.show(picture)
-        return None
+            self._screen = Screen(self.core, self.render_mode)
+        return self._screen.render(self.view)
 
     def close(self) -> None:
         """Free what physics and renderer hold. May be called more than once."""
         self._closed = True
         self.agents = []
         self.core.close()
-        for drawing in (self._frames, self._window):
-            if drawing is not None:
-                drawing.close()
+        if self._screen is not None:
+            self._screen.close()
 
     def _check_open(self, what: str) -> None:
         if self._closed:

@@ -16,6 +16,7 @@ from swarm_envs.viewing.palette import drone_colors
 from swarm_envs.viewing.solids import solids
 
 if TYPE_CHECKING:
+    from swarm_envs.envs.core import SwarmCore
     from swarm_envs.envs.view import View
     from swarm_envs.tasks.base import Task
 
@@ -84,6 +85,39 @@ class FrameMaker:
         times = np.linspace(0.0, self._horizon_s, _PATH_POINTS)
         paths = [view.reference(float(t)).position for t in times]
         self._camera.aim(np.concatenate([view.state.position, view.goals, *paths]))
+
+
+class Screen:
+    """What `render()` of an environment draws on: an array, or a window.
+
+    Args:
+        core: the environment.
+        mode: `rgb_array` or `human`.
+
+    Raises:
+        ImportError: pybullet is not installed.
+        RuntimeError: `human` without a display.
+    """
+
+    def __init__(self, core: SwarmCore, mode: str) -> None:
+        self._frames = FrameMaker(core.task, core.config.horizon_s)
+        self._window: Window | None = None
+        if mode == "human":
+            self._window = Window(core.task.name, core.config.decision_rate)
+
+    def render(self, view: View) -> npt.NDArray[np.uint8] | None:
+        """The picture (480, 640, 3), or None after it was shown in the window."""
+        picture = self._frames.picture(view)
+        if self._window is None:
+            return picture
+        self._window.show(picture)
+        return None
+
+    def close(self) -> None:
+        """Free what it holds. May be called more than once."""
+        self._frames.close()
+        if self._window is not None:
+            self._window.close()
 
 
 class Window:
