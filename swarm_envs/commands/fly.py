@@ -172,8 +172,7 @@ def _fly(env: SwarmParallelEnv, agent: Agent, options: FlyOptions) -> Recording:
 
     from swarm_envs.agents import record_episode
 
-    config = env.core.config
-    total = round(config.horizon_s * config.decision_rate) + 1
+    total = round(env.view.horizon_s * env.core.config.decision_rate) + 1
     with tqdm(total=total, desc="flight", unit="decision", mininterval=0.5) as bar:
         try:
             recording = record_episode(

@@ -42,6 +42,11 @@ class View:
         return float(self._core.time[self._e])
 
     @property
+    def horizon_s(self) -> float:
+        """The clock: the episode is truncated after this many seconds."""
+        return self._core._rules.horizon_s
+
+    @property
     def state(self) -> SwarmState:
         """State whose arrays lead with N alone."""
         return SwarmState(*(array[self._e] for array in self._core.physics.state))

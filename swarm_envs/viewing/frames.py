@@ -36,17 +36,15 @@ class FrameMaker:
 
     Args:
         task: what is flown, by whom and where.
-        horizon_s: the clock, s.
 
     Raises:
         ImportError: pybullet is not installed.
     """
 
-    def __init__(self, task: Task, horizon_s: float) -> None:
+    def __init__(self, task: Task) -> None:
         self._camera = Camera(task.team, WIDTH, HEIGHT)
         self._colors, self._arena = drone_colors(task.team), task.arena
         self._solids = solids(getattr(task, "obstacles", ()), float(task.arena[1, 2]))
-        self._horizon_s = horizon_s
         self._goals: FloatArray = np.empty(0)
         self._past: deque[tuple[float, FloatArray]] = deque()
 
@@ -82,7 +80,7 @@ class FrameMaker:
 
     def _begin(self, view: View) -> None:
         self._past.clear()
-        times = np.linspace(0.0, self._horizon_s, _PATH_POINTS)
+        times = np.linspace(0.0, view.horizon_s, _PATH_POINTS)
         paths = [view.reference(float(t)).position for t in times]
         self._camera.aim(np.concatenate([view.state.position, view.goals, *paths]))
 
@@ -100,7 +98,7 @@ class Screen:
     """
 
     def __init__(self, core: SwarmCore, mode: str) -> None:
-        self._frames = FrameMaker(core.task, core.config.horizon_s)
+        self._frames = FrameMaker(core.task)
         self._window: Window | None = None
         if mode == "human":
             self._window = Window(core.task.name, core.config.decision_rate)
