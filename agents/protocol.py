@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.viewing.record import Recorder, Recording
 
 Observations = Mapping[str, npt.NDArray[np.float32]]
 Actions = dict[str, npt.NDArray[Any]]
+StepInfos = dict[str, dict[str, Any]]
 
 
 @runtime_checkable
@@ -70,16 +72,56 @@ def fly_episode(
     Raises:
         ValueError: the environment lacks what the agent requires.
     """
-    check_requirements(env, agent)
-    observations, _ = env.reset(seed=seed, options=options)
-    agent.reset(env, seed)
-    infos: dict[str, dict[str, Any]] = {}
-    if watch is not None:
-        watch(env)
-    while env.agents:
-        actions = agent.act(observations, env.view if agent.privileged else None)
-        observations, _, _, _, infos = env.step(actions)
+    infos: StepInfos = {}
+    for _, given in _fly(env, agent, seed, options):
+        infos = given
         if watch is not None:
             watch(env)
     metrics: dict[str, Any] = next(iter(infos.values()))["episode_metrics"]
     return metrics
+
+
+def record_episode(
+    env: SwarmParallelEnv,
+    agent: Agent,
+    seed: int,
+    watch: Callable[[SwarmParallelEnv], None] | None = None,
+    options: Mapping[str, Any] | None = None,
+    name: str | None = None,
+) -> Recording:
+    """Fly one episode and return everything that happened, one sample a decision.
+
+    Write it with `swarm_envs.viewing.trajectory.write_trajectory`, look at it with
+    `swarm_envs.viewing.replay.write_replay`.
+
+    Args:
+        env: an environment that has what the agent requires.
+        agent: who acts.
+        seed: of the episode, for environment and agent.
+        watch: called after the reset and after every step.
+        options: for the environment's reset.
+        name: of the agent, for the record; None for that of its class.
+
+    Raises:
+        ValueError: the environment lacks what the agent requires.
+    """
+    recorder = Recorder(type(agent).__name__ if name is None else name, seed)
+    for rewards, infos in _fly(env, agent, seed, options):
+        recorder.take(env, rewards, infos)
+        if watch is not None:
+            watch(env)
+    return recorder.record()
+
+
+def _fly(
+    env: SwarmParallelEnv, agent: Agent, seed: int, options: Mapping[str, Any] | None
+) -> Iterator[tuple[Mapping[str, float], StepInfos]]:
+    """Fly an episode, stopping after the reset and after each step with its rewards and infos."""
+    check_requirements(env, agent)
+    observations, infos = env.reset(seed=seed, options=options)
+    agent.reset(env, seed)
+    yield {}, infos
+    while env.agents:
+        actions = agent.act(observations, env.view if agent.privileged else None)
+        observations, rewards, _, _, infos = env.step(actions)
+        yield rewards, infos

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +10,9 @@ from pathlib import Path
 from typing import TypeVar
 
 from swarm_envs import __version__
+from swarm_envs.commands.checks import Misuse
+from swarm_envs.commands.checks import check_file as _check_file
+from swarm_envs.commands.checks import check_folder as _check_folder
 from swarm_envs.errors import unknown_name
 
 PROGRAM = "swarm-envs"
@@ -18,10 +20,6 @@ DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 
 Options = TypeVar("Options")
-
-
-class Misuse(ValueError):
-    """Options with which a command cannot do its job, found before it begins."""
 
 
 @dataclass(frozen=True)
@@ -119,8 +117,24 @@ def _reproduce(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _fly(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.fly import FlyOptions, run
+
+    run(_read("fly", FlyOptions, arguments))
+    return DONE
+
+
+def _replay(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.replay import ReplayOptions, run
+
+    run(_read("replay", ReplayOptions, arguments))
+    return DONE
+
+
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
+    "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
+    "replay": Command("play a recorded episode in a browser", _replay),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
@@ -197,22 +211,6 @@ def _need_torch() -> None:
             "training needs torch; install it by: pip install 'swarm-envs[train]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
-
-
-def _check_folder(option: str, folder: Path) -> None:
-    """Refuse a folder that cannot be made or written, before hours are spent on its content."""
-    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not existing.is_dir():
-        raise Misuse(f"{option} is {str(folder)!r}, but {str(existing)!r} is a file; name a folder")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise Misuse(f"{option} is {str(folder)!r}, but {str(existing)!r} cannot be written")
-
-
-def _check_file(option: str, file: Path) -> None:
-    """Refuse a file that cannot be written."""
-    if file.is_dir():
-        raise Misuse(f"{option} is {str(file)!r}, but that is a folder; name a file")
-    _check_folder(option, file.absolute().parent)
 
 
 def _complain(where: str, message: str, code: int) -> int:

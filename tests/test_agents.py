@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import copy
 import pickle
+import re
 
 import pytest
 
 from swarm_envs import swap_v0
-from swarm_envs.agents import Agent, fly_episode
+from swarm_envs.agents import Agent, fly_episode, load
+from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.physics import BatchPhysics
 
@@ -39,3 +41,93 @@ def test_copies_that_would_come_apart_are_refused(clone) -> None:
     for thing in (env, env.core, BatchPhysics("S")):
         with pytest.raises(TypeError, match="cannot be copied or pickled"):
             clone(thing)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_agents_load_by_name_and_fly(name) -> None:
+    agent = load(name)
+    assert isinstance(agent, Agent)
+    env = swap_v0.parallel_env(
+        team="LS", layout="stacked", physics="batch", horizon_s=0.2, **agent.requires
+    )
+    assert fly_episode(env, agent, seed=0)["length_s"] == pytest.approx(0.2, abs=0.03)
+    env.close()
+
+
+def test_a_hovering_agent_stays_and_a_random_one_follows_its_seed() -> None:
+    env = swap_v0.parallel_env(num_drones=2, physics="batch", interactions="none", horizon_s=0.5)
+    where = []
+    for name, seed in (("hover", 1), ("random", 1), ("random", 1), ("random", 2)):
+        observations, _ = env.reset(seed=1)
+        start = env.view.state.position.copy()
+        agent = load(name)
+        agent.reset(env, seed)
+        for _ in range(20):
+            env.step(agent.act(observations, None))
+        where.append((env.view.state.position - start).copy())
+    assert abs(where[0]).max() < 1e-6
+    assert (where[1] == where[2]).all()
+    assert (where[1] != where[3]).any()
+    env.close()
+
+
+def test_a_random_agent_needs_bounds() -> None:
+    env = swap_v0.parallel_env(num_drones=1, physics="batch", action="setpoint")
+    with pytest.raises(ValueError, match="needs bounded actions"):
+        fly_episode(env, load("random"), seed=0)
+    env.close()
+
+
+MINE = """
+class Fine:
+    requires, privileged = {}, False
+    def __init__(self, size=3): self.size = size
+    def reset(self, env, seed): ...
+    def act(self, observations, view): ...
+class Needy(Fine):
+    def __init__(self, size): ...
+class Mute(Fine):
+    act = None
+class Secretive(Fine):
+    privileged = "no"
+class Demanding(Fine):
+    requires = ["action"]
+number = 3
+"""
+
+
+def test_an_agent_of_a_file_of_ones_own(tmp_path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(MINE, encoding="utf-8")
+    assert load(f"{file}:Fine").size == 3  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "said"),
+    [
+        ("Fin", ValueError, "unknown class 'Fin'.*did you mean 'Fine'"),
+        ("Needy", ValueError, "cannot be made without arguments.*size"),
+        ("Mute", ValueError, r"lacks the method `act\(observations, view\)`"),
+        ("Secretive", ValueError, "lacks `privileged`, which must be True or False"),
+        ("Demanding", ValueError, "lacks `requires`, which must be a mapping"),
+        ("number", ValueError, "is 3, but must be a class"),
+    ],
+)
+def test_what_is_no_agent_is_told_what_it_lacks(tmp_path, name, error, said) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(MINE, encoding="utf-8")
+    with pytest.raises(error, match=said):
+        load(f"{file}:{name}")
+
+
+def test_files_that_give_no_agent(tmp_path) -> None:
+    broken = tmp_path / "broken.py"
+    broken.write_text("import nothing_of_this_name", encoding="utf-8")
+    with pytest.raises(ImportError, match=r"broken\.py cannot be imported.*nothing_of_this_name"):
+        load(f"{broken}:Agent")
+    with pytest.raises(FileNotFoundError, match="no file"):
+        load(f"{tmp_path / 'none.py'}:Agent")
+    with pytest.raises(ValueError, match="must be a Python file"):
+        load(f"{tmp_path / 'a.txt'}:Agent")
+    with pytest.raises(ValueError, match=re.escape("for one of your own write 'mine.py:Class'")):
+        load("mine.py")

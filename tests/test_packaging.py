@@ -59,7 +59,8 @@ def wheel(dist):
 
 
 def published(name: str) -> bool:
-    return Path(name).suffix in {".py", ".safetensors", ".json", ".md", ".typed"}
+    text = {".py", ".json", ".md", ".typed", ".html", ".css", ".js"}
+    return Path(name).suffix in {*text, ".safetensors"}
 
 
 def checkout_files() -> set[str]:

@@ -121,7 +121,7 @@ def test_environments_render_from_any_engine(engine):
     env.reset(seed=0)
     first = env.render()
     assert first is not None
-    assert first.shape == (400, 640, 3)
+    assert first.shape == (480, 640, 3)
     assert first.dtype == np.uint8
     for _ in range(24):
         env.step({agent: np.array([0.5, 0.0, 0.0], np.float32) for agent in env.agents})

@@ -25,7 +25,7 @@ from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.tasks.base import Task
 
-RENDER_MODES = ("rgb_array",)
+RENDER_MODES = ("rgb_array", "human")
 
 
 class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
@@ -51,7 +51,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         }
         self.possible_agents = [f"drone_{i}" for i in range(self.core.num_drones)]
         self.agents: list[str] = []
-        self._camera: Any = None
+        self._screen: Any = None
         self._closed = False
         form = self.core.form
         self._observation_space, self._shape = observation_space(*form), shaper(*form)
@@ -105,6 +105,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self._check_open("reset")
         rows = self.core.reset([seed], options=options)
         self.agents = list(self.possible_agents)
+        if self.render_mode == "human":
+            self.render()
         return self._split(rows), {agent: {} for agent in self.agents}
 
     def step(
@@ -136,6 +138,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         infos = self._infos(result, terminated or truncated)
         if terminated or truncated:
             self.agents = []
+        if self.render_mode == "human":
+            self.render()
         return (
             self._split(result.observations),
             dict(zip(agents, result.rewards[0].tolist(), strict=True)),
@@ -172,24 +176,26 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self.agents = list(self.possible_agents) if self.core.running[0] else []
 
     def render(self) -> npt.NDArray[np.uint8] | None:
-        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode."""
+        """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode.
+
+        `human` shows it in a window after every reset and step, or raises without a display.
+        """
         self._check_open("render")
         if self.render_mode is None:
             return None
-        if self._camera is None:
-            from swarm_envs.viewing.camera import Camera
+        if self._screen is None:
+            from swarm_envs.viewing.frames import Screen
 
-            self._camera = Camera(self.core.task.team)
-        picture: npt.NDArray[np.uint8] = self._camera.picture(self.view.state)
-        return picture
+            self._screen = Screen(self.core, self.render_mode)
+        return self._screen.render(self.view)
 
     def close(self) -> None:
         """Free what physics and renderer hold. May be called more than once."""
         self._closed = True
         self.agents = []
         self.core.close()
-        if self._camera is not None:
-            self._camera.close()
+        if self._screen is not None:
+            self._screen.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""

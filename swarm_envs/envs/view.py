@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.control.state import Setpoint
+from swarm_envs.physics.contact import Contacts
 from swarm_envs.state import FloatArray, SwarmState
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.trajectories import Reference
@@ -15,6 +17,8 @@ from swarm_envs.vehicles import Team
 
 if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
+
+_Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,11 @@ class View:
         return float(self._core.time[self._e])
 
     @property
+    def horizon_s(self) -> float:
+        """The clock: the episode is truncated after this many seconds."""
+        return self._core._rules.horizon_s
+
+    @property
     def state(self) -> SwarmState:
         """State whose arrays lead with N alone."""
         return SwarmState(*(array[self._e] for array in self._core.physics.state))
@@ -59,6 +68,11 @@ class View:
         return Setpoint(*(_frozen(array[self._e]) for array in self._core.flight.pilot.setpoint))
 
     @property
+    def contacts(self) -> Contacts:
+        """What the drones touched in the last decision; arrays lead with N alone."""
+        return Contacts(*(_frozen(array[self._e]) for array in self._core.physics.contacts))
+
+    @property
     def oracle_force(self) -> FloatArray:
         """(N, 3) the environment's own force of the last physics step, N, world frame.
 
@@ -73,7 +87,7 @@ class View:
         return Reference(*(_frozen(array[self._e]) for array in full))
 
 
-def _frozen(array: FloatArray) -> FloatArray:
+def _frozen(array: _Array) -> _Array:
     view = array.view()
     view.flags.writeable = False
     return view

@@ -16,6 +16,7 @@ from swarm_envs.state import FloatArray, SwarmState
 from swarm_envs.vehicles import Vehicle, parse_team
 from swarm_envs.viewing.backdrop import Backdrop
 from swarm_envs.viewing.lens import Lens, aim
+from swarm_envs.viewing.overlay import Overlay, draw_behind
 
 _BACKGROUND = -1
 """What Bullet's segmentation says where it drew nothing."""
@@ -96,11 +97,12 @@ class Camera:
         )
         self._matrices = view, projection
 
-    def picture(self, state: SwarmState) -> npt.NDArray[np.uint8]:
+    def picture(self, state: SwarmState, overlay: Overlay | None = None) -> npt.NDArray[np.uint8]:
         """Draw a state.
 
         Args:
             state: its arrays lead with N alone, as those of `env.view.state`.
+            overlay: what to draw behind the drones.
 
         Returns:
             (height, width, 3) RGB, a new array.
@@ -114,6 +116,8 @@ class Camera:
             self.aim(position)
         assert self._backdrop is not None
         picture = self._backdrop.draw(position, self._radius)
+        if overlay is not None:
+            picture = draw_behind(picture, self.lens, overlay)
         drones, drawn = self._draw_drones()
         picture[drawn] = drones[drawn]
         return picture

@@ -1,19 +1,19 @@
-"""What is kept of a flight so that it can be plotted and filmed afterwards."""
+"""What is kept of a flight so that it can be plotted, filmed, replayed and written to a file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarm_envs.state import FloatArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE, Team
+from swarm_envs.viewing.solids import Solid, solids
 
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
-    from swarm_envs.envs.view import View
 
 
 @dataclass(frozen=True)
@@ -46,35 +46,150 @@ class FlightRecord:
         return float(np.abs(self.height_error_cm(drone)).max())
 
 
-class Recorder:
-    """Records a flight: give it to `fly_episode` as `watch`."""
+@dataclass(frozen=True)
+class About:
+    """What a recorded episode was: everything that does not change over it."""
 
-    def __init__(self) -> None:
+    task: str
+    """Versioned name, such as `swap_v0`."""
+    agent: str
+    """Who flew; empty if that is not known."""
+    seed: int | None
+    """Of the episode, if known."""
+    physics: str
+    """The engine: `bullet` or `batch`."""
+    decision_rate: int
+    """Samples per second: one for each decision."""
+    arena: tuple[tuple[float, ...], ...]
+    """Its two corners, m."""
+    solids: tuple[Solid, ...]
+    """The static obstacles."""
+    metrics: Mapping[str, Any]
+    """Metrics of the episode; empty if it had not ended."""
+
+
+@dataclass(frozen=True)
+class Recording(FlightRecord):
+    """An episode of N drones: T samples, one after the reset and one after each decision.
+
+    World frame, SI. Contacts and rewards are those of the decision that ends at the sample.
+    """
+
+    velocity: FloatArray
+    """(T, N, 3) m/s."""
+    rotor_thrust: FloatArray
+    """(T, N, 4) thrust of each rotor, N."""
+    goal: FloatArray
+    """(T, N, 3) where the drones belong, m."""
+    setpoint: FloatArray
+    """(T, N, 3) position that the tracking loop follows, m."""
+    contact_drone: IntArray
+    """(T, N) index of the drone that it touches, or -1."""
+    contact_floor: BoolArray
+    """(T, N) whether it touches the floor."""
+    contact_wall: BoolArray
+    """(T, N) whether it touches a wall or the ceiling."""
+    contact_obstacle: IntArray
+    """(T, N) index of the obstacle that it touches, or -1."""
+    tumbling: BoolArray
+    """(T, N) whether it turns faster than 150 rad/s."""
+    reward: FloatArray
+    """(T, N) weighted sum of the terms; NaN where it was not given."""
+    reward_terms: Mapping[str, FloatArray]
+    """(T, N) each term before its weight; NaN where it was not given."""
+    about: About
+    """What does not change."""
+
+
+class Recorder:
+    """Records an episode: give it to `fly_episode` as `watch`, or call `take` yourself.
+
+    Args:
+        agent: who flies, for the record.
+        seed: of the episode, for the record.
+    """
+
+    def __init__(self, agent: str = "", seed: int | None = None) -> None:
+        self._agent, self._seed = agent, seed
         self._team: Team = ()
-        self._rows: list[tuple[FloatArray, ...]] = []
+        self._about: About | None = None
+        self._rows: list[dict[str, Any]] = []
+        self._terms: list[list[list[float]]] = []
+        self._names: tuple[str, ...] = ()
 
     def __call__(self, env: SwarmParallelEnv) -> None:
-        """Take a sample of the environment's truth."""
-        view = env.view
-        self._team = view.team
-        self._rows.append(_sample(view))
+        """Take a sample of the environment's truth, without rewards."""
+        self.take(env)
 
-    def record(self) -> FlightRecord:
+    def take(
+        self,
+        env: SwarmParallelEnv,
+        rewards: Mapping[str, float] | None = None,
+        infos: Mapping[str, Mapping[str, Any]] | None = None,
+    ) -> None:
+        """Take a sample of the environment's truth, and of what its step returned.
+
+        Args:
+            env: just reset or stepped.
+            rewards: by agent, of that step.
+            infos: by agent, of that step.
+        """
+        task, agents = env.core.task, env.possible_agents
+        self._team, self._names = task.team, task.reward_names
+        told = [(infos or {}).get(agent, {}) for agent in agents]
+        self._about = About(
+            task=task.name,
+            agent=self._agent,
+            seed=self._seed,
+            physics=env.physics_name,
+            decision_rate=env.core.config.decision_rate,
+            arena=tuple(map(tuple, task.arena.tolist())),
+            solids=solids(getattr(task, "obstacles", ()), float(task.arena[1, 2])),
+            metrics=told[0].get("episode_metrics", {}),
+        )
+        row = _sample(env)
+        row["reward"] = np.array([(rewards or {}).get(agent, np.nan) for agent in agents])
+        terms = [info.get("reward_terms", {}) for info in told]
+        self._terms.append([[t.get(name, np.nan) for t in terms] for name in self._names])
+        self._rows.append(row)
+
+    def record(self) -> Recording:
         """Everything so far.
 
         Raises:
             RuntimeError: nothing was recorded.
         """
-        if not self._rows:
+        if self._about is None:
             raise RuntimeError("nothing was recorded; call the recorder after reset and steps")
-        columns = (np.array(column) for column in zip(*self._rows, strict=True))
-        return FlightRecord(self._team, *columns)
+        columns: dict[str, Any] = {
+            name: np.array([row[name] for row in self._rows]) for name in self._rows[0]
+        }
+        terms = np.array(self._terms).reshape(len(self._rows), len(self._names), len(self._team))
+        named = {name: terms[:, k].copy() for k, name in enumerate(self._names)}
+        return Recording(self._team, reward_terms=named, about=self._about, **columns)
 
 
-def _sample(view: View) -> tuple[FloatArray, ...]:
-    state, reference = view.state, view.reference(view.time)
-    arrays = (state.position, state.quaternion, reference.position, view.oracle_force)
-    return (np.float64(view.time) * np.ones(()), *(array.copy() for array in arrays))
+def _sample(env: SwarmParallelEnv) -> dict[str, Any]:
+    view = env.view
+    state, contacts = view.state, view.contacts
+    nothing = np.full(len(view.team), -1, dtype=np.int64)
+    row = {
+        "time": np.float64(view.time),
+        "position": state.position,
+        "quaternion": state.quaternion,
+        "reference": view.reference(view.time).position,
+        "force": view.oracle_force,
+        "velocity": state.velocity,
+        "rotor_thrust": state.rotor_thrust,
+        "goal": view.goals,
+        "setpoint": view.setpoint.position,
+        "contact_drone": contacts.drone,
+        "contact_floor": contacts.floor,
+        "contact_wall": contacts.wall,
+        "contact_obstacle": getattr(contacts, "obstacle", nothing),
+        "tumbling": contacts.tumbling,
+    }
+    return {name: np.array(value) for name, value in row.items()}
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import cache
-from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +14,10 @@ from swarm_envs.state import FloatArray, SwarmState
 from swarm_envs.viewing.camera import Camera
 from swarm_envs.viewing.plots import COMPENSATED_COLOR, WITHOUT_COLOR
 from swarm_envs.viewing.record import FlightRecord
+from swarm_envs.viewing.typeface import font
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
-    from PIL.ImageFont import FreeTypeFont
 
 WIDTH, HEIGHT = 1280, 720
 _HEADER, _CHART = 56, 184
@@ -217,13 +215,4 @@ def _write(
     color: str = _INK,
 ) -> None:
     place = (at[0] * _SMOOTH, at[1] * _SMOOTH)
-    pen.text(place, text, fill=color, font=_font(size * _SMOOTH, bold), anchor=anchor)
-
-
-@cache
-def _font(size: int, bold: bool) -> FreeTypeFont | Any:
-    from matplotlib import get_data_path
-    from PIL import ImageFont
-
-    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
-    return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / name), size)
+    pen.text(place, text, fill=color, font=font(size * _SMOOTH, bold), anchor=anchor)

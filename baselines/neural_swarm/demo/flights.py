@@ -84,7 +84,7 @@ def fly_swaps(
         horizon_s=HORIZON_S,
         **required,
     )
-    flights = []
+    flights: list[Flight] = []
     try:
         for seed in seeds:
             recorder = Recorder()

@@ -1,0 +1,110 @@
+"""Agents by name: those that ship, and classes in a user's own file."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType, ModuleType
+from typing import Any
+
+from swarm_envs.agents.protocol import Agent
+from swarm_envs.errors import unknown_name
+
+SHIPPED: Mapping[str, str] = MappingProxyType(
+    {
+        "hover": "swarm_envs.agents.simple:HoverAgent",
+        "random": "swarm_envs.agents.simple:RandomAgent",
+        "tracking": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent",
+        "tracking-compensated": (
+            "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
+        ),
+    }
+)
+"""Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is
+called without arguments."""
+
+_USERS_MODULE = "swarm_envs_users_agent_"
+
+
+def load(name: str) -> Agent:
+    """Make an agent.
+
+    Args:
+        name: one that ships (`hover`, `random`, `tracking`, `tracking-compensated`), or a class in
+            a file, `path/to/file.py:Class`, which is called without arguments.
+
+    Raises:
+        ValueError: no agent has this name, or what the file holds is no agent; the message says
+            what is missing.
+        FileNotFoundError: there is no such file.
+        ImportError: the file cannot be imported.
+    """
+    if name in SHIPPED:
+        module, _, path = SHIPPED[name].partition(":")
+        return _make(name, importlib.import_module(module), path)
+    file, colon, path = name.rpartition(":")
+    if not colon:
+        hint = f"{name}:Class" if name.endswith(".py") else "path/to/file.py:Class"
+        known = unknown_name("agent", name, SHIPPED)
+        raise ValueError(f"{known}; for one of your own write {hint!r}")
+    return _make(name, _import_file(Path(file)), path)
+
+
+def _import_file(file: Path) -> ModuleType:
+    if file.suffix != ".py":
+        raise ValueError(f"the agent's file is {str(file)!r}, but must be a Python file, .py")
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no file {str(file)!r} to take an agent from")
+    name = _USERS_MODULE + file.stem
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses of the file look themselves up there
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        raise ImportError(f"{file} cannot be imported: {type(error).__name__}: {error}") from error
+    return module
+
+
+def _make(name: str, module: ModuleType, path: str) -> Agent:
+    made: Any = module
+    for part in path.split("."):
+        if not hasattr(made, part):
+            classes = [k for k, v in vars(module).items() if inspect.isclass(v)]
+            own = [k for k in classes if vars(module)[k].__module__ == module.__name__]
+            raise ValueError(unknown_name("class", part, own, f"in agent {name!r}"))
+        made = getattr(made, part)
+    if not callable(made):
+        raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
+    try:
+        agent = made()
+    except TypeError as error:
+        raise ValueError(f"{name!r} cannot be made without arguments: {error}") from error
+    return check_agent(name, agent)
+
+
+def check_agent(name: str, agent: Any) -> Agent:
+    """Return what has everything that an agent needs.
+
+    Raises:
+        ValueError: something is missing or of a wrong kind; the message says what.
+    """
+    rules = (
+        ("requires", "a mapping of environment options, {} for none", Mapping),
+        ("privileged", "True or False: whether it needs the true state", bool),
+    )
+    for attribute, rule, kind in rules:
+        if not isinstance(getattr(agent, attribute, None), kind):
+            raise ValueError(f"agent {name!r} lacks `{attribute}`, which must be {rule}")
+    for method, arguments in (("reset", "(env, seed)"), ("act", "(observations, view)")):
+        if not callable(getattr(agent, method, None)):
+            raise ValueError(f"agent {name!r} lacks the method `{method}{arguments}`")
+    checked: Agent = agent
+    return checked

@@ -1,0 +1,59 @@
+"""Agents that need no thought: they show that a loop works, and what doing nothing is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.agents.protocol import Actions, Observations
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+
+
+class HoverAgent:
+    """Stays where it starts: asks for no acceleration."""
+
+    requires: Mapping[str, Any] = MappingProxyType({"action": "acceleration"})
+    privileged = False
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Nothing to prepare."""
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Zeros for every drone."""
+        return {agent: np.zeros(3, dtype=np.float32) for agent in observations}
+
+
+class RandomAgent:
+    """Draws every number evenly from [-1, 1]: in a space for which that is all there is."""
+
+    requires: Mapping[str, Any] = MappingProxyType({})
+    privileged = False
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(0)
+        self._width = 0
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Begin the draws that the seed stands for.
+
+        Raises:
+            ValueError: actions have no bounds, as set-points in SI.
+        """
+        space = env.action_space(env.possible_agents[0])
+        if not space.is_bounded():
+            raise ValueError(
+                f"RandomAgent needs bounded actions, but action={env.core.config.action!r} has "
+                "none; make the environment with action='acceleration'"
+            )
+        self._rng, self._width = np.random.default_rng(seed), int(space.shape[0])
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """New draws for every drone."""
+        return {
+            agent: self._rng.uniform(-1.0, 1.0, self._width).astype(np.float32)
+            for agent in observations
+        }

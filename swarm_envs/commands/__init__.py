@@ -1,0 +1,1 @@
+"""What the longer subcommands of `swarm-envs` do; `swarm_envs.cli` lists them all."""

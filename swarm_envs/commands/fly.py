@@ -1,0 +1,264 @@
+"""`swarm-envs fly`: one episode, its metrics, and what can be looked at afterwards."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarm_envs.commands.checks import Misuse, check_file, check_folder
+
+if TYPE_CHECKING:
+    from swarm_envs.agents import Agent
+    from swarm_envs.envs.parallel import SwarmParallelEnv
+    from swarm_envs.viewing.record import Recording
+
+_NAMES = {
+    "json": "flight.json",
+    "trajectory": "trajectory.parquet",
+    "replay": "replay.html",
+    "video": "flight.mp4",
+}
+"""What `--out` writes: option and name of the file, in the order of writing."""
+_SUFFIXES = {
+    "json": (".json",),
+    "trajectory": (".parquet", ".npz"),
+    "replay": (".html",),
+    "video": (".mp4", ".gif"),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlyOptions:
+    """Fly one episode, print its metrics, and write what is asked for.
+
+    A crash in flight is a result, not a failure of the command.
+    """
+
+    task: str = "swap"
+    """what is flown: `swap`, or with its version, `swap_v0`"""
+    layout: str | None = None
+    """of the task, such as `random` or `stacked`; its default if not given"""
+    drones: int = 4
+    """number of small drones, if no team is given"""
+    team: str | None = None
+    """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
+    agent: str = "tracking"
+    """who flies: hover, random, tracking, tracking-compensated, or path/to/file.py:Class"""
+    seed: int = 0
+    """of the episode and the agent"""
+    physics: str | None = None
+    """`bullet` or `batch`; Bullet where it is installed, if not given"""
+    interactions: str = "learned"
+    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
+    horizon_s: float | None = None
+    """the clock, s; the task's if not given"""
+    out: Path | None = None
+    """folder for flight.json, trajectory.parquet, replay.html and flight.mp4, all four"""
+    video: Path | None = None
+    """write a film, .mp4 or .gif"""
+    replay: Path | None = None
+    """write a page to play the flight in a browser, .html"""
+    trajectory: Path | None = None
+    """write positions, forces, rewards ..., .parquet or .npz"""
+    json: Path | None = None
+    """write metrics and events, .json"""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing can be flown."""
+        if self.seed < 0:
+            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
+        if self.drones < 1:
+            raise ValueError(f"--drones is {self.drones}, but must be 1 or more")
+
+    def files(self) -> dict[str, Path]:
+        """What to write, by its option, in the order of writing."""
+        found = {}
+        for option, name in _NAMES.items():
+            path = getattr(self, option)
+            if path is None and self.out is not None:
+                path = self.out / name
+            if path is not None:
+                found[option] = path
+        return found
+
+
+def run(options: FlyOptions) -> None:
+    """Fly, print and write.
+
+    Raises:
+        Misuse: there is no such task, agent, option or place to write; nothing was flown.
+        ImportError: what draws is not installed; nothing was flown.
+        ValueError: the agent failed in flight.
+    """
+    files = options.files()
+    check_outputs(options.out, files)
+    env, agent = _prepare(options)
+    try:
+        recording = _fly(env, agent, options)
+    finally:
+        env.close()
+    _print_summary(recording, agent)
+    for option, path in files.items():
+        WRITERS[option](path, recording)
+        print(f"wrote {path}", flush=True)
+
+
+def check_outputs(out: Path | None, files: Mapping[str, Path]) -> None:
+    """Refuse files that cannot be written, or for which something is not installed.
+
+    Raises:
+        Misuse: a wrong suffix, or a place that cannot be written.
+        ImportError: plotly, pyarrow or pybullet is missing.
+    """
+    if out is not None:
+        check_folder("--out", out)
+    for option, path in files.items():
+        check_file(f"--{option}", path, _SUFFIXES[option])
+    if "trajectory" in files:
+        from swarm_envs.viewing.trajectory import check_trajectory_path
+
+        check_trajectory_path(files["trajectory"])
+    if "replay" in files:
+        from swarm_envs.viewing.replay import check_replay_path
+
+        check_replay_path(files["replay"])
+    if "video" in files:
+        from swarm_envs.physics.bullet import import_bullet
+
+        import_bullet()
+
+
+def _prepare(options: FlyOptions) -> tuple[SwarmParallelEnv, Agent]:
+    """The environment that was asked for, as the agent requires it."""
+    from swarm_envs import make
+    from swarm_envs.agents import load
+
+    given: dict[str, Any] = {"interactions": options.interactions}
+    given |= {"num_drones": options.drones} if options.team is None else {"team": options.team}
+    for name in ("layout", "physics", "horizon_s"):
+        if getattr(options, name) is not None:
+            given[name] = getattr(options, name)
+    try:
+        agent = load(options.agent)
+        for name, wanted in agent.requires.items():
+            if given.get(name, wanted) != wanted:
+                raise ValueError(
+                    f"agent {options.agent!r} requires {name}={wanted!r}, not {given[name]!r}"
+                )
+        env = make(find_task(options.task), **{**given, **agent.requires})
+    except (ValueError, TypeError, FileNotFoundError) as error:
+        raise Misuse(str(error)) from error
+    return env, agent
+
+
+def find_task(name: str) -> str:
+    """The versioned name of a task; of the newest version if the name has none.
+
+    Raises:
+        ValueError: there is no such task; the message names the nearest.
+    """
+    from swarm_envs import TASKS
+    from swarm_envs.errors import check_name
+
+    versions = sorted(task for task in TASKS if task.rpartition("_v")[0] == name)
+    return versions[-1] if versions else check_name("task", name, TASKS)
+
+
+def _fly(env: SwarmParallelEnv, agent: Agent, options: FlyOptions) -> Recording:
+    from tqdm import tqdm
+
+    from swarm_envs.agents import record_episode
+
+    total = round(env.view.horizon_s * env.core.config.decision_rate) + 1
+    with tqdm(total=total, desc="flight", unit="decision", mininterval=0.5) as bar:
+        try:
+            recording = record_episode(
+                env, agent, options.seed, watch=lambda _: bar.update(), name=options.agent
+            )
+            bar.total = bar.n  # it may have ended before the clock
+            return recording
+        except Exception as error:
+            if ":" in options.agent:  # whoever wrote the file needs to see where it failed
+                traceback.print_exc()
+            what = f"{type(error).__name__}: {error}"
+            raise ValueError(f"agent {options.agent!r} failed in flight: {what}") from error
+
+
+def _print_summary(recording: Recording, agent: Agent) -> None:
+    from swarm_envs.vehicles import team_string
+    from swarm_envs.viewing.summary import metric_rows, outcome
+
+    about = recording.about
+    print(
+        f"{about.task}, team {team_string(recording.team)}, agent {about.agent}, seed {about.seed}"
+    )
+    print(outcome(recording), end="\n\n")
+    rows = metric_rows(about.metrics)
+    width = max(len(label) for label, _ in rows)
+    print("\n".join(f"  {label.ljust(width)}  {value}" for label, value in rows), end="\n\n")
+    if agent.privileged:
+        print("note: this agent sees the true state")
+
+
+def _write_json(path: Path, recording: Recording) -> None:
+    from swarm_envs import __version__
+    from swarm_envs.files import write_json
+    from swarm_envs.vehicles import team_string
+    from swarm_envs.viewing.summary import events, outcome
+
+    about = recording.about
+    content = {
+        "task": about.task,
+        "team": team_string(recording.team),
+        "agent": about.agent,
+        "seed": about.seed,
+        "physics": about.physics,
+        "decision_rate": about.decision_rate,
+        "outcome": outcome(recording),
+        "events": [
+            {"time_s": event.time, "kind": event.kind, "drones": list(event.drones)}
+            for event in events(recording)
+        ],
+        "metrics": dict(about.metrics),
+        "version": __version__,
+    }
+    write_json(path, content)
+
+
+def _write_trajectory(path: Path, recording: Recording) -> None:
+    from swarm_envs.viewing.trajectory import write_trajectory
+
+    write_trajectory(path, recording)
+
+
+def _write_replay(path: Path, recording: Recording) -> None:
+    from swarm_envs.viewing.replay import write_replay
+
+    write_replay(path, recording)
+
+
+def _write_video(path: Path, recording: Recording) -> None:
+    from tqdm import tqdm
+
+    from swarm_envs.viewing.film import FPS, count_frames, film
+    from swarm_envs.viewing.video import VideoError, write_gif, write_video
+
+    total = count_frames(recording)
+    frames = tqdm(film(recording), total=total, desc="video", unit="frame", mininterval=0.5)
+    write = write_gif if path.suffix == ".gif" else write_video
+    try:
+        write(path, frames, FPS)
+    except VideoError as error:
+        raise OSError(f"{error}; name the video .gif, which needs no ffmpeg") from error
+
+
+WRITERS = {
+    "json": _write_json,
+    "trajectory": _write_trajectory,
+    "replay": _write_replay,
+    "video": _write_video,
+}
+"""What writes a recording into a file, by option."""

@@ -1,0 +1,225 @@
+"""A recorded episode as one HTML page that needs no server and no network.
+
+The page carries plotly.js, a small script that moves time, and the numbers. A policy in its head
+forbids it to fetch anything.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+from collections import Counter
+from collections.abc import Sequence
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.files import written_whole
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.vehicles import GRAM_FORCE
+from swarm_envs.viewing.palette import drone_colors, type_color
+from swarm_envs.viewing.record import Recording
+from swarm_envs.viewing.summary import Event, events, metric_rows, outcome, team_label
+
+_UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quaternion": 1e-4}
+"""What one in the page's integers is: mm, hundredths of a gram."""
+_MOST_SAMPLES = 50_000
+"""Drones times frames in a page; a longer flight keeps every second sample, or fewer."""
+_FASTEST = 60.0
+"""Frames per second that a page keeps at most."""
+_LONGEST_ARROW_M = 0.45
+_SCALES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
+"""Lengths of an arrow of one gram, m; the longest that fits is taken."""
+
+
+def write_replay(path: Path, recording: Recording) -> None:
+    """Write the page, whole or not at all.
+
+    Args:
+        path: ends in `.html`.
+        recording: what it shows.
+
+    Raises:
+        ValueError: another suffix.
+        ImportError: plotly is missing; the message says how to get it.
+        OSError: the file cannot be written.
+    """
+    check_replay_path(path)
+    page = replay_page(recording)
+    with written_whole(path) as partial:
+        partial.write_text(page, encoding="utf-8")
+
+
+def check_replay_path(path: Path) -> None:
+    """Refuse a name that is not a page's, and pages where plotly is missing.
+
+    Raises:
+        ValueError: the name does not end in `.html`.
+        ImportError: plotly is missing.
+    """
+    if path.suffix != ".html":
+        raise ValueError(f"the replay's path is {str(path)!r}, but must end in .html")
+    _plotly()
+
+
+def replay_page(recording: Recording) -> str:
+    """The page as text: 3-D swarm, playback, plots.
+
+    Raises:
+        ImportError: plotly is missing.
+    """
+    about, happened = recording.about, events(recording)
+    data = json.dumps(page_data(recording, happened), separators=(",", ":"), allow_nan=False)
+    seed = "" if about.seed is None else f", seed {about.seed}"
+    good = bool(about.metrics) and bool(about.metrics["success"])
+    flown = f"{about.physics} engine, {about.decision_rate} decisions a second"
+    texts = {
+        "title": escape(f"{about.task}, {team_label(recording.team)}, {about.agent or 'flight'}"),
+        "subtitle": escape(f"{len(recording.team)} drones{seed}; {flown}"),
+        "outcome": escape(outcome(recording)),
+        "outcome_class": "good" if good else "bad" if happened else "",
+        "error_name": "Tracking error" if _moves(recording.reference) else "Distance to goal",
+        "legend": _legend(recording),
+        "metrics": "".join(
+            f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>"
+            for label, value in metric_rows(about.metrics)
+        ),
+        "footer": "Drawn with plotly.js (MIT).",
+        "css": _asset("replay.css"),
+        "script": _asset("replay.js"),
+        "plotly": _plotly().get_plotlyjs(),
+        "data": data.replace("</", "<\\/").replace("<!--", "<\\u0021--"),
+    }
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: texts[found[1]], _asset("replay.html"))
+
+
+def page_data(recording: Recording, happened: Sequence[Event]) -> dict[str, Any]:
+    """What the page's script reads: flat arrays of integers, frame by frame, drone by drone.
+
+    Args:
+        recording: the episode.
+        happened: its events.
+    """
+    frames = _frames(recording, happened)
+    place = {int(frame): k for k, frame in enumerate(frames)}
+    types = list(dict.fromkeys(recording.team))
+    separation, touching = _separation(recording)
+    arrays = {
+        "position": recording.position,
+        "quaternion": recording.quaternion,
+        "force": recording.force / GRAM_FORCE,
+        "reference": recording.reference,
+        "goal": recording.goal,
+    }
+    return {
+        "time": np.round(recording.time[frames], 5).tolist(),
+        "unit": _UNIT,
+        **{name: _integers(name, array, frames) for name, array in arrays.items()},
+        "separation": np.round(separation[frames], 4).tolist() if len(separation) else [],
+        "touching": np.round(touching[frames], 4).tolist() if len(touching) else [],
+        "drones": [
+            {"name": f"drone_{i}", "type": types.index(vehicle), "color": color}
+            for i, (vehicle, color) in enumerate(
+                zip(recording.team, drone_colors(recording.team), strict=True)
+            )
+        ],
+        "types": [{"arm": v.arm, "rotor_radius": v.rotor_radius} for v in types],
+        "arena": [list(corner) for corner in recording.about.arena],
+        "solids": [np.round(s.rings(), 3).tolist() for s in recording.about.solids],
+        "view": _framing(recording),
+        "moving": _moves(recording.reference),
+        "metre_per_gram": _arrow_scale(recording),
+        "events": [
+            {
+                "frame": place[event.frame],
+                "at": np.round(event.position, 3).tolist(),
+                "text": event.text,
+            }
+            for event in happened
+        ],
+    }
+
+
+def _frames(recording: Recording, happened: Sequence[Event]) -> IntArray:
+    """Indices of the samples that the page keeps: evenly spaced, and those of events."""
+    steps, drones = recording.position.shape[:2]
+    fast = recording.about.decision_rate / _FASTEST
+    stride = max(1, int(np.ceil(fast)), int(np.ceil(steps * drones / _MOST_SAMPLES)))
+    kept = [*range(0, steps, stride), steps - 1, *(event.frame for event in happened)]
+    return np.unique(np.array(kept, dtype=np.int64))
+
+
+def _integers(name: str, array: FloatArray, frames: IntArray) -> list[int]:
+    kept = array[frames] if name in ("position", "quaternion", "force") or _moves(array) else None
+    values = array[:1] if kept is None else kept
+    return [int(v) for v in np.rint(values / _UNIT[name]).ravel()]
+
+
+def _moves(points: FloatArray) -> bool:
+    return bool(np.ptp(points, axis=0).max() > 1e-9)
+
+
+def _separation(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Smallest distance (T,) of two drones and that at which they touch, m; empty if alone."""
+    drones = len(recording.team)
+    if drones < 2:
+        return np.empty(0), np.empty(0)
+    radius = np.array([vehicle.radius for vehicle in recording.team])
+    one, other = np.triu_indices(drones, 1)
+    nearest = np.empty((2, len(recording.time)))
+    for k, p in enumerate(recording.position):
+        distance = np.linalg.norm(p[one] - p[other], axis=1)
+        pair = int(distance.argmin())
+        nearest[:, k] = distance[pair], radius[one[pair]] + radius[other[pair]]
+    return nearest[0], nearest[1]
+
+
+def _framing(recording: Recording) -> dict[str, Any]:
+    """Middle and radius, m, of a ball that holds the flight and its goals."""
+    seen = (recording.position, recording.goal, recording.reference)
+    points = np.concatenate([array.reshape(-1, 3) for array in seen])
+    low, high = points.min(axis=0), points.max(axis=0)
+    middle = (low + high) / 2
+    radius = float(np.linalg.norm(points - middle, axis=1).max()) + 0.2
+    return {"center": np.round(middle, 3).tolist(), "radius": round(radius, 3)}
+
+
+def _arrow_scale(recording: Recording) -> float:
+    strongest = float(np.linalg.norm(recording.force, axis=-1).max()) / GRAM_FORCE
+    fitting = [scale for scale in _SCALES if scale * strongest <= _LONGEST_ARROW_M]
+    return fitting[0] if fitting else _SCALES[-1]
+
+
+def _legend(recording: Recording) -> str:
+    counts = Counter(vehicle.token for vehicle in recording.team)
+    entries = [
+        f'<span><i style="background:{type_color(token)}"></i>{count} × {escape(token)}</span>'
+        for token, count in counts.items()
+    ]
+    scale = _arrow_scale(recording)
+    entries.append("<span><b>◇</b>goal</span>")
+    if _moves(recording.reference):
+        entries.append("<span><b>○ ⋯</b>reference</span>")
+    entries.append(
+        f'<span><b style="color:#b0149b">→</b>interaction force: {10 * scale:.3g} m is 10 g</span>'
+    )
+    entries.append('<span><b class="bad">×</b>collision</span>')
+    return "".join(entries)
+
+
+def _asset(name: str) -> str:
+    folder = resources.files("swarm_envs.viewing").joinpath("page")
+    return folder.joinpath(name).read_text(encoding="utf-8")
+
+
+def _plotly() -> Any:
+    try:
+        return importlib.import_module("plotly.offline")
+    except ImportError as error:
+        raise ImportError(
+            "replays are drawn with plotly; install it by: pip install 'swarm-envs[viz]'"
+        ) from error

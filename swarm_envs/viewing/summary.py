@@ -1,0 +1,123 @@
+"""What came of an episode, in words: its outcome, its collisions, its metrics."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import Vehicle, team_string
+from swarm_envs.viewing.record import Recording
+
+_LONGEST_TEAM = 6
+_UNITS = {"_m": "m", "_s": "s", "_g": "g", "_j": "J"}
+
+
+class Event(NamedTuple):
+    """Something that goes wrong, at its first sample."""
+
+    frame: int
+    """Index of the sample."""
+    time: float
+    """s."""
+    kind: str
+    """`drone`, `floor`, `wall`, `obstacle` or `tumbling`."""
+    drones: tuple[int, ...]
+    """One, or the two that touch."""
+    position: FloatArray
+    """(3,) where, m."""
+    text: str
+    """For people."""
+
+
+_ALONE = {
+    "floor": ("contact_floor", "hits the floor"),
+    "wall": ("contact_wall", "hits a wall"),
+    "obstacle": ("contact_obstacle", "hits an obstacle"),
+    "tumbling": ("tumbling", "tumbles"),
+}
+"""Field of the recording and verb of each kind of event that a drone has by itself."""
+
+
+def team_label(team: Sequence[Vehicle]) -> str:
+    """A team in a few characters: its string, or how many of each type where that is long."""
+    if len(team) <= _LONGEST_TEAM:
+        return team_string(team)
+    counts = Counter(vehicle.token for vehicle in team)
+    return " + ".join(f"{count} {token}" for token, count in counts.items())
+
+
+def events(recording: Recording) -> list[Event]:
+    """Collisions and tumbles of an episode in order of time, each once, when it begins."""
+    return sorted([*_pairs(recording), *_alone(recording)], key=lambda event: event.frame)
+
+
+def _pairs(recording: Recording) -> Iterator[Event]:
+    before: set[tuple[int, ...]] = set()
+    for frame, others in enumerate(recording.contact_drone):
+        touching = {tuple(sorted((i, j))) for i, j in enumerate(others.tolist()) if j >= 0}
+        for i, j in sorted(touching - before):
+            middle = recording.position[frame, [i, j]].mean(axis=0)
+            text = f"drone_{i} and drone_{j} collide"
+            yield _event(recording, frame, "drone", (i, j), middle, text)
+        before = touching
+
+
+def _alone(recording: Recording) -> Iterator[Event]:
+    for kind, (field, verb) in _ALONE.items():
+        touched = np.asarray(getattr(recording, field))
+        on = touched if touched.dtype == np.bool_ else touched >= 0
+        begins = on & ~np.concatenate([np.zeros_like(on[:1]), on[:-1]])
+        for frame, i in np.argwhere(begins).tolist():
+            place, text = recording.position[frame, i], f"drone_{i} {verb}"
+            yield _event(recording, frame, kind, (i,), place, text)
+
+
+def _event(
+    recording: Recording,
+    frame: int,
+    kind: str,
+    drones: tuple[int, ...],
+    position: FloatArray,
+    text: str,
+) -> Event:
+    time = float(recording.time[frame])
+    return Event(frame, time, kind, drones, position, f"{time:.2f} s: {text}")
+
+
+def outcome(recording: Recording) -> str:
+    """How an episode ended, in a sentence."""
+    metrics, last = recording.about.metrics, float(recording.time[-1])
+    if not metrics:
+        return f"Recorded for {last:.2f} s; the episode had not ended."
+    if metrics["success"]:
+        return f"Success, after {last:.2f} s."
+    ending = [event for event in events(recording) if event.frame == len(recording.time) - 1]
+    if ending:
+        more = f" and {len(ending) - 1} more" if len(ending) > 1 else ""
+        return f"Ended in flight, at {ending[0].text}{more}."
+    return f"No success: the clock ran out after {last:.2f} s."
+
+
+def metric_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Label and value, with its unit, of each metric that is a single number."""
+    rows = []
+    for name, value in metrics.items():
+        if isinstance(value, list):
+            continue
+        unit = next((u for end, u in _UNITS.items() if name.endswith(end)), "")
+        label = (name[:-2] if unit else name).replace("_", " ")
+        rows.append((label[0].upper() + label[1:], _value(value, unit)))
+    return rows
+
+
+def _value(value: Any, unit: str) -> str:
+    if value is None:
+        return "\N{EN DASH}"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    text = f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{text} {unit}".strip()

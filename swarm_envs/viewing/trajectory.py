@@ -1,0 +1,217 @@
+"""Trajectory files: a recorded episode as a Parquet table or as npz, written and read back.
+
+A Parquet file is a long table, one row for each drone at each time, in order of time, then of
+drone; the columns `COLUMNS` stand in `GROUPS`, with those of flight logs under the same names.
+What does not change over the episode is JSON in the schema's metadata, under the key `swarm_envs`.
+An npz file holds the fields of `Recording` as arrays (T, N, ...) and the same JSON as the string
+`about`; nothing in it is pickled. All numbers are float64: what is read is what was written.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.errors import unknown_name
+from swarm_envs.files import written_whole
+from swarm_envs.vehicles import Vehicle
+from swarm_envs.viewing.record import About, Recording
+from swarm_envs.viewing.solids import Solid
+
+
+class Group(NamedTuple):
+    """Columns of the table that hold one field of a `Recording`."""
+
+    columns: tuple[str, ...]
+    dtype: str
+    unit: str
+    """Unit and frame."""
+
+
+GROUPS: Mapping[str, Group] = {
+    "position": Group(("x", "y", "z"), "float64", "m, world frame, z up"),
+    "velocity": Group(("vx", "vy", "vz"), "float64", "m/s, world frame"),
+    "quaternion": Group(("qx", "qy", "qz", "qw"), "float64", "unit quaternion, body to world"),
+    "rotor_thrust": Group(tuple(f"thrust{k}" for k in (1, 2, 3, 4)), "float64", "N, each rotor"),
+    "force": Group(("fx", "fy", "fz"), "float64", "N, interaction force, world frame"),
+    "reference": Group(("x_reference", "y_reference", "z_reference"), "float64", "m"),
+    "goal": Group(("x_goal", "y_goal", "z_goal"), "float64", "m"),
+    "setpoint": Group(("x_setpoint", "y_setpoint", "z_setpoint"), "float64", "m"),
+    "contact_drone": Group(("contact_drone",), "int64", "index of the drone it touches, or -1"),
+    "contact_floor": Group(("contact_floor",), "bool", "touches the floor"),
+    "contact_wall": Group(("contact_wall",), "bool", "touches a wall or the ceiling"),
+    "contact_obstacle": Group(
+        ("contact_obstacle",), "int64", "index of the obstacle it touches, or -1"
+    ),
+    "tumbling": Group(("tumbling",), "bool", "turns faster than 150 rad/s"),
+    "reward": Group(("reward",), "float64", "weighted sum of the terms; NaN if unknown"),
+}
+"""Columns of numbers by the field of `Recording` that they hold."""
+
+COLUMNS = ("time", "drone", "type", *(c for group in GROUPS.values() for c in group.columns))
+"""Every column but `reward_<term>`, of which there is one for each term of the task."""
+
+_TERM = "reward_"
+_KEY = b"swarm_envs"
+_SUFFIXES = (".parquet", ".npz")
+
+
+def check_trajectory_path(path: Path) -> None:
+    """Refuse a name that says neither Parquet nor npz, and Parquet where pyarrow is missing.
+
+    Raises:
+        ValueError: the name ends in something else.
+        ImportError: pyarrow is missing; the message says how to get it.
+    """
+    if path.suffix not in _SUFFIXES:
+        raise ValueError(unknown_name("suffix", path.suffix, _SUFFIXES, f"of {str(path)!r}"))
+    if path.suffix == ".parquet":
+        _arrow()
+
+
+def write_trajectory(path: Path, recording: Recording) -> None:
+    """Write an episode, whole or not at all.
+
+    Args:
+        path: ends in `.parquet` or `.npz`.
+        recording: the episode.
+
+    Raises:
+        ValueError: another suffix.
+        ImportError: Parquet without pyarrow.
+        OSError: the file cannot be written.
+    """
+    check_trajectory_path(path)
+    with written_whole(path) as partial:
+        if path.suffix == ".npz":
+            arrays: dict[str, Any] = {name: getattr(recording, name) for name in GROUPS}
+            terms = {_TERM + name: term for name, term in recording.reward_terms.items()}
+            arrays |= {"time": recording.time, "about": np.array(_about_json(recording)), **terms}
+            np.savez_compressed(partial, **arrays)
+        else:
+            _write_parquet(partial, recording)
+
+
+def read_trajectory(path: Path) -> Recording:
+    """Read an episode that `write_trajectory` wrote.
+
+    Raises:
+        ValueError: another suffix, or the file is not such an episode; the message says what lacks.
+        ImportError: Parquet without pyarrow.
+        OSError: the file cannot be read.
+    """
+    check_trajectory_path(path)
+    read = _read_npz if path.suffix == ".npz" else _read_parquet
+    arrays, text = read(path)
+    about = json.loads(text)
+    team = tuple(map(_vehicle, about.pop("team")))
+    about["arena"] = tuple(map(tuple, about["arena"]))
+    about["solids"] = tuple(Solid(r, tuple(low), tuple(high)) for r, low, high in about["solids"])
+    names = about.pop("reward_terms")
+    fields = {name: arrays[name] for name in ("time", *GROUPS)}
+    terms = {name: arrays[_TERM + name] for name in names}
+    return Recording(team=team, reward_terms=terms, about=About(**about), **fields)
+
+
+def columns(recording: Recording) -> dict[str, npt.NDArray[Any]]:
+    """The long table: each column (T * N,) by its name."""
+    steps, drones = recording.position.shape[:2]
+    names = np.array([f"drone_{i}" for i in range(drones)])
+    tokens = np.array([vehicle.token for vehicle in recording.team])
+    table: dict[str, npt.NDArray[Any]] = {
+        "time": np.repeat(recording.time, drones),
+        "drone": np.tile(names, steps),
+        "type": np.tile(tokens, steps),
+    }
+    for field, group in GROUPS.items():
+        values = getattr(recording, field).reshape(steps * drones, len(group.columns))
+        table |= zip(group.columns, values.T, strict=True)
+    for name, term in recording.reward_terms.items():
+        table[_TERM + name] = term.reshape(-1)
+    return table
+
+
+def _vehicle(values: Mapping[str, Any]) -> Vehicle:
+    fields: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+    return Vehicle(**fields)
+
+
+def _about_json(recording: Recording) -> str:
+    about = asdict(recording.about)
+    about["team"] = [asdict(vehicle) for vehicle in recording.team]
+    about["reward_terms"] = list(recording.reward_terms)
+    return json.dumps(about)
+
+
+def _write_parquet(path: Path, recording: Recording) -> None:
+    arrow, parquet = _arrow()
+    table = arrow.table({name: arrow.array(c) for name, c in columns(recording).items()})
+    table = table.replace_schema_metadata({_KEY: _about_json(recording).encode()})
+    parquet.write_table(table, path, compression="zstd")
+
+
+def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
+    _, parquet = _arrow()
+    with path.open("rb") as file:  # a missing file is an OSError, whatever pyarrow would say
+        try:
+            table = parquet.read_table(file)
+        except Exception as error:
+            raise ValueError(f"{path} is not a Parquet file: {error}") from error
+    metadata = table.schema.metadata or {}
+    if _KEY not in metadata:
+        raise ValueError(f"{path} holds no episode: its metadata lack {_KEY.decode()!r}")
+    text = metadata[_KEY].decode()
+    about = json.loads(text)
+    terms = [_TERM + name for name in about["reward_terms"]]
+    _check_names(path, (*COLUMNS, *terms), table.column_names)
+    drones = len(about["team"])
+    if table.num_rows == 0 or table.num_rows % drones:
+        raise ValueError(f"{path} has {table.num_rows} rows, no multiple of its {drones} drones")
+    steps = table.num_rows // drones
+
+    def column(name: str) -> npt.NDArray[Any]:
+        return np.asarray(table.column(name).to_numpy()).reshape(steps, drones)
+
+    arrays: dict[str, npt.NDArray[Any]] = {"time": column("time")[:, 0].copy()}
+    for field, group in GROUPS.items():
+        parts = [column(name) for name in group.columns]
+        joined = np.stack(parts, axis=-1) if len(parts) > 1 else parts[0]
+        arrays[field] = np.array(joined, dtype=group.dtype)
+    arrays |= {name: np.array(column(name), dtype=np.float64) for name in terms}
+    return arrays, text
+
+
+def _read_npz(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
+    with path.open("rb") as file:
+        try:
+            with np.load(file, allow_pickle=False) as stored:
+                arrays = {name: stored[name] for name in stored.files}
+        except (ValueError, OSError, EOFError) as error:
+            raise ValueError(f"{path} is not an npz file: {error}") from error
+    _check_names(path, ("about", "time", *GROUPS), arrays)
+    text = str(arrays.pop("about"))
+    _check_names(path, [_TERM + name for name in json.loads(text)["reward_terms"]], arrays)
+    return arrays, text
+
+
+def _check_names(path: Path, wanted: Any, found: Any) -> None:
+    missing = [name for name in wanted if name not in found]
+    if missing:
+        raise ValueError(f"{path} holds no episode: it lacks {', '.join(missing)}")
+
+
+def _arrow() -> tuple[Any, Any]:
+    try:
+        return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise ImportError(
+            "Parquet files need pyarrow; install it by: pip install 'swarm-envs[parquet]', or name "
+            "the file .npz"
+        ) from error

@@ -1,0 +1,148 @@
+"""The commands `fly` and `replay`: what they write, what they refuse, what they call a failure."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarm_envs.cli import main
+from swarm_envs.commands.fly import find_task
+from swarm_envs.physics import bullet_available
+from swarm_envs.viewing import film as films
+from swarm_envs.viewing.trajectory import read_trajectory
+
+STACKED = ["fly", "--layout", "stacked", "--team", "L2S", "--physics", "batch", "--seed", "1"]
+
+
+def crash(tmp_path: Path) -> Path:
+    """A user's file with an agent that flies into the ground."""
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "import numpy as np\n"
+        "class Down:\n"
+        "    requires, privileged = {'action': 'acceleration'}, False\n"
+        "    def reset(self, env, seed): self.seed = seed\n"
+        "    def act(self, observations, view):\n"
+        "        assert view is None\n"
+        "        return {name: np.array([0, 0, -1], np.float32) for name in observations}\n"
+        "class Broken(Down):\n"
+        "    def act(self, observations, view): return {}['nothing']\n",
+        encoding="utf-8",
+    )
+    return file
+
+
+def test_a_flight_is_printed_and_written(capsys, tmp_path):
+    numbers, path = tmp_path / "a.json", tmp_path / "a.npz"
+    files = ["--json", str(numbers), "--trajectory", str(path)]
+    assert main([*STACKED, "--agent", "tracking-compensated", *files]) == 0
+    said = capsys.readouterr()
+    assert "Success, after" in said.out
+    assert "Minimum separation" in said.out
+    assert "sees the true state" in said.out
+    assert "100%" in said.err
+    written, recording = json.loads(numbers.read_text()), read_trajectory(path)
+    assert written["metrics"] == recording.about.metrics
+    assert (written["team"], written["agent"], written["seed"]) == (
+        "LS",
+        "tracking-compensated",
+        1,
+    )
+    assert recording.about.seed == 1
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.json", "a.npz"]
+
+
+def test_a_crash_is_a_result_and_not_a_failure(capsys, tmp_path):
+    numbers = tmp_path / "a.json"
+    agent = f"{crash(tmp_path)}:Down"
+    arguments = ["--physics", "batch", "--drones", "2", "--agent", agent, "--json", str(numbers)]
+    assert main(["fly", *arguments]) == 0
+    assert "hits the floor" in capsys.readouterr().out
+    written = json.loads(numbers.read_text())
+    assert not written["metrics"]["success"]
+    assert written["events"][-1]["kind"] == "floor"
+    assert written["events"][-1]["time_s"] == written["metrics"]["length_s"]
+
+
+def test_an_agent_that_fails_is_shown_where(capsys, tmp_path):
+    agent, numbers = f"{crash(tmp_path)}:Broken", tmp_path / "a.json"
+    arguments = ["--physics", "batch", "--agent", agent, "--json", str(numbers)]
+    assert main(["fly", *arguments]) == 1
+    error = capsys.readouterr().err
+    assert "mine.py" in error
+    assert "failed in flight: KeyError: 'nothing'" in error
+    assert not numbers.exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--task", "swop"], "did you mean 'swap_v0'?"),
+        (["--layout", "staked"], "did you mean 'stacked'?"),
+        (["--agent", "tracing"], "did you mean 'tracking'?"),
+        (["--agent", "none.py:Agent"], "there is no file 'none.py'"),
+        (["--team", "SXL"], "unknown vehicle token"),
+        (["--physics", "bulet"], "did you mean 'bullet'?"),
+        (["--video", "a.avi"], "--video is 'a.avi', but must end in .mp4 or .gif"),
+        (["--trajectory", "a.csv"], "must end in .parquet or .npz"),
+        (["--replay", "a.htm"], "must end in .html"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_first(arguments, said, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["fly", "--json", "a.json", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert "decision" not in error  # no bar: nothing flew
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_is_not_installed_is_asked_for_before_the_flight(capsys, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    assert main(["fly", "--out", str(tmp_path / "out"), "--agent", "hover"]) == 1
+    error = capsys.readouterr().err
+    assert "swarm-envs[viz]" in error or "swarm-envs[parquet]" in error
+    assert not (tmp_path / "out").exists()
+
+
+def test_tasks_are_found_without_their_version():
+    assert find_task("swap") == find_task("swap_v0") == "swap_v0"
+
+
+def test_a_recorded_flight_becomes_a_page(capsys, tmp_path):
+    pytest.importorskip("plotly")
+    recorded, page = tmp_path / "a.npz", tmp_path / "a.html"
+    assert main([*STACKED, "--horizon-s", "0.5", "--trajectory", str(recorded)]) == 0
+    assert main(["replay", str(recorded), "--out", str(page)]) == 0
+    assert str(page) in capsys.readouterr().out
+    assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_a_replay_needs_a_recorded_flight(capsys, tmp_path):
+    pytest.importorskip("plotly")
+    page = ["--out", str(tmp_path / "a.html")]
+    assert main(["replay", str(tmp_path / "none.npz"), *page]) == 2
+    (tmp_path / "b.npz").write_text("text")
+    assert main(["replay", str(tmp_path / "b.npz"), *page]) == 1
+    (tmp_path / "c.txt").write_text("text")
+    assert main(["replay", str(tmp_path / "c.txt"), *page]) == 2
+    error = capsys.readouterr().err
+    assert "there is no file" in error
+    assert "not an npz file" in error
+    assert "unknown suffix '.txt'" in error
+    assert not (tmp_path / "a.html").exists()
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet draws")
+def test_out_takes_everything(tmp_path, monkeypatch):
+    pytest.importorskip("plotly")
+    pytest.importorskip("pyarrow")
+    monkeypatch.setattr(films, "FPS", 2)
+    out = tmp_path / "out"
+    assert main([*STACKED, "--horizon-s", "0.5", "--out", str(out)]) == 0
+    found = {file.name: file.stat().st_size for file in out.iterdir()}
+    assert set(found) == {"flight.json", "trajectory.parquet", "replay.html", "flight.mp4"}
+    assert min(found.values()) > 500

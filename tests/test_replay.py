@@ -1,0 +1,234 @@
+"""The replay page: its numbers are the flight's, and it plays in a browser without a network."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import shutil
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from swarm_envs import swap_v0
+from swarm_envs.agents import load, record_episode
+from swarm_envs.vehicles import GRAM_FORCE
+from swarm_envs.viewing.palette import drone_colors
+from swarm_envs.viewing.record import Recording
+from swarm_envs.viewing.replay import page_data, replay_page, write_replay
+from swarm_envs.viewing.solids import Solid
+from swarm_envs.viewing.summary import events
+
+MEGABYTE = 1_000_000
+
+
+@pytest.fixture(scope="module")
+def crash() -> Recording:
+    """Six drones straight to their goals, until two of them meet; a column stands by."""
+    agent = load("tracking")
+    env = swap_v0.parallel_env(team="SLS" * 2, physics="batch", **agent.requires)
+    for seed in range(20):
+        recording = record_episode(env, agent, seed)
+        if recording.about.metrics["collided_drones"]:
+            break
+    env.close()
+    column = Solid(True, (-1.9, -1.9, 0.0), (-1.5, -1.5, 2.5))
+    return replace(recording, about=replace(recording.about, solids=(column,)))
+
+
+def test_the_page_s_numbers_are_the_flight_s(crash):
+    data = page_data(crash, events(crash))
+    shape = crash.position.shape
+    for name, truth, grain in (
+        ("position", crash.position, 1e-3),
+        ("force", crash.force / GRAM_FORCE, 0.01),
+    ):
+        shown = np.array(data[name]).reshape(shape) * data["unit"][name]
+        np.testing.assert_allclose(shown, truth, atol=0.5 * grain + 1e-9)
+    np.testing.assert_allclose(data["time"], crash.time, atol=1e-5)
+    apart = crash.position[:, :, None] - crash.position[:, None]
+    distance = np.linalg.norm(apart, axis=-1) + 9.0 * np.eye(shape[1])
+    np.testing.assert_allclose(data["separation"], distance.min(axis=(1, 2)), atol=1e-4)
+    assert not data["moving"]
+    assert len(data["goal"]) == len(data["reference"]) == 3 * shape[1]  # they never move
+    event = data["events"][-1]
+    assert event["frame"] == shape[0] - 1
+    pair = events(crash)[-1].drones
+    radii = sum(crash.team[i].radius for i in pair)
+    assert data["touching"][-1] == pytest.approx(radii, abs=1e-4)
+    assert data["separation"][-1] < radii
+
+
+def test_long_flights_keep_what_matters(crash):
+    reps = 60_000 // crash.position[..., 0].size + 1
+    index = np.concatenate(
+        [np.tile(np.arange(1), reps * len(crash.time)), np.arange(len(crash.time))]
+    )
+    names = ["position", "quaternion", "force", "reference", "goal", "contact_drone"]
+    names += ["contact_floor", "contact_wall", "contact_obstacle", "tumbling"]
+    long = replace(
+        crash,
+        time=np.arange(len(index)) / 48,
+        **{name: getattr(crash, name)[index] for name in names},
+    )
+    data = page_data(long, events(long))
+    assert len(data["time"]) * 6 < 60_000
+    assert data["time"][-1] == pytest.approx(long.time[-1], abs=1e-4)
+    assert data["time"][data["events"][-1]["frame"]] == pytest.approx(long.time[-1], abs=1e-4)
+
+
+def test_names_cannot_break_out_of_the_page(crash):
+    pytest.importorskip("plotly")
+    evil = "</script><script>alert(1)</script>"
+    page = replay_page(replace(crash, about=replace(crash.about, agent=evil)))
+    assert evil not in page
+    assert "&lt;/script&gt;" in page
+    text = re.search(r'<script id="data" type="application/json">(.*?)</script>', page, re.DOTALL)
+    assert text is not None
+    assert json.loads(text[1])["moving"] is False
+
+
+def test_a_page_of_sixteen_drones_for_eight_seconds_is_small(tmp_path):
+    pytest.importorskip("plotly")
+    env = swap_v0.parallel_env(num_drones=16, physics="batch")
+    write_replay(tmp_path / "a.html", record_episode(env, load("hover"), seed=0))
+    env.close()
+    assert (tmp_path / "a.html").stat().st_size < 6 * MEGABYTE
+    assert [file.name for file in tmp_path.iterdir()] == ["a.html"]
+
+
+def test_pages_that_cannot_be_are_refused(crash, tmp_path, monkeypatch):
+    with pytest.raises(ValueError, match=r"must end in \.html"):
+        write_replay(tmp_path / "a.txt", crash)
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(ImportError, match=r"swarm-envs\[viz\]"):
+        write_replay(tmp_path / "a.html", crash)
+    assert not list(tmp_path.iterdir())
+
+
+def find_browser() -> str | None:
+    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+    return next(filter(None, map(shutil.which, names)), None)
+
+
+CHROMIUM = [
+    "--no-sandbox",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+]
+
+
+@pytest.fixture
+def browser():
+    sync_api = pytest.importorskip("playwright.sync_api")
+    program = find_browser()
+    with sync_api.sync_playwright() as playwright:
+        if program is None and not Path(playwright.chromium.executable_path).exists():
+            pytest.skip("there is no Chromium here")
+        opened = playwright.chromium.launch(executable_path=program, args=CHROMIUM)
+        yield opened
+        opened.close()
+
+
+def count_color(picture: bytes, color: str) -> int:
+    pixels = np.asarray(Image.open(io.BytesIO(picture)).convert("RGB")).astype(int)
+    wanted = np.array([int(color[k : k + 2], 16) for k in (1, 3, 5)])
+    return int((np.abs(pixels - wanted).max(axis=-1) < 40).sum())
+
+
+FRAME = "Number(document.getElementById('scrub').value)"
+EYE = "JSON.stringify(document.getElementById('swarm').layout.scene.camera.eye)"
+BODIES = "Array.from(document.getElementById('swarm').data[0].x)"
+OVERFLOW = "document.documentElement.scrollWidth - window.innerWidth"
+
+
+@pytest.mark.slow
+def test_the_page_plays_in_a_browser(browser, crash, tmp_path):
+    pytest.importorskip("plotly")
+    write_replay(tmp_path / "a.html", crash)
+    address = (tmp_path / "a.html").as_uri()
+    page = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme="light")
+    page.set_default_timeout(60_000)
+    said, asked = [], []
+    page.on("console", lambda message: said.append(message.text) if is_bad(message) else None)
+    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(address)
+    page.wait_for_selector("body[data-ready=yes]")
+    assert page.evaluate(OVERFLOW) <= 0
+    last = len(crash.time) - 1
+
+    # It shows the drones where they are: the mesh begins with a rotor of the first.
+    first = np.array(page.evaluate(BODIES))
+    arm = max(vehicle.arm + vehicle.rotor_radius for vehicle in crash.team)
+    assert abs(first[0] - crash.position[0, 0, 0]) < arm
+    scene = page.locator("#swarm")
+    colors = drone_colors(crash.team)
+    assert count_color(scene.screenshot(), colors[1]) > 30
+
+    # It plays, and the camera turns while it plays.
+    eye = page.evaluate(EYE)
+    page.select_option("#speed", "0.1")
+    page.click("#play")
+    page.wait_for_function(f"{FRAME} > 1")
+    assert page.get_attribute("#play", "aria-label") == "Pause"
+    box = scene.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for k in range(1, 6):
+        page.mouse.move(x + 25 * k, y + 5 * k)
+    page.mouse.up()
+    turned = page.evaluate(EYE)
+    assert turned != eye
+    page.focus("#scrub")
+    page.keyboard.press("Home")
+    assert page.evaluate(FRAME) == 0
+    page.select_option("#speed", "4")
+    page.click("#play")
+    page.wait_for_function(f"{FRAME} == {last}")
+    page.wait_for_function("document.getElementById('play').getAttribute('aria-label') == 'Play'")
+    assert page.evaluate(EYE) == turned
+    assert (np.array(page.evaluate(BODIES)) != first).any()
+    assert page.locator("#clock").inner_text().startswith(f"{crash.time[-1]:.2f} / ")
+    assert "collide" in page.locator("#outcome").inner_text()
+    assert count_color(scene.screenshot(), "#c62828") > 30  # the cross of the collision
+    assert page.locator("#marks i").count() == len(events(crash))
+
+    # A plot is a handle on time: its middle is the middle of the flight.
+    chart = page.locator("#height")
+    chart.scroll_into_view_if_needed()
+    size = chart.bounding_box()
+    left, right = 46, 12  # margins of the plots
+    middle = left + (size["width"] - left - right) / 2
+    page.mouse.click(size["x"] + middle, size["y"] + 60)
+    assert abs(page.evaluate(FRAME) - last / 2) <= 1.0
+    cursor = page.locator("#height .cursor").bounding_box()
+    assert abs(cursor["x"] - size["x"] - middle) < 12
+
+    page.locator("#events button").first.click()
+    assert page.evaluate(FRAME) == events(crash)[0].frame
+
+    # On a telephone, in the dark.
+    page.click("#theme")
+    page.set_viewport_size({"width": 390, "height": 844})
+    page.wait_for_timeout(500)
+    assert page.evaluate(OVERFLOW) <= 0
+    dark = page.evaluate("getComputedStyle(document.documentElement).backgroundColor")
+    assert max(map(int, re.findall(r"\d+", dark))) < 60
+    assert said == []
+    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [address]
+
+
+def is_bad(message) -> bool:
+    slow_drawing = ("willReadFrequently", "GPU stall", "GL Driver Message")
+    bad = message.type in ("error", "warning")
+    return bad and not any(text in message.text for text in slow_drawing)
