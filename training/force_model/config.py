@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -14,14 +15,26 @@ class TrainConfig:
     """How the network is trained."""
 
     steps: int = 6000
-    """optimiser steps"""
+    """optimiser steps, where `epochs` is not given"""
+    epochs: float | None = None
+    """passes over the training rows; None counts by `steps`"""
     batch_size: int = 1024
-    """rows per step, drawn with replacement"""
+    """rows per step; every row comes once in each pass, in random order"""
     learning_rate: float = 3e-3
-    """Adam's rate at the start; a cosine takes it to zero at the last step"""
-    max_spectral_norm: float | None = 3.0
-    """limit of every weight matrix (the paper's gamma is its fourth power), held after each step;
-    None for none"""
+    """Adam's rate at the start"""
+    schedule: Literal["cosine", "constant"] = "cosine"
+    """how the rate goes on: a cosine to zero at the last step, or as it is"""
+    average_epochs: float = 0.0
+    """the result is a running average of the weights over about so many passes; 0 takes the
+    weights of the last step"""
+    early_validation: float = 0.0
+    """share of the training rows held out, in contiguous pieces with a guard gap, to choose among
+    the checkpoints the weights with the least error there; 0 takes those of the end"""
+    spectral: Literal["clip", "exact", "none"] = "clip"
+    """what holds after each step for every weight matrix: `clip`, its spectral norm is at most
+    `max_spectral_norm`; `exact`, it is exactly this (eq. 12); `none`, nothing"""
+    max_spectral_norm: float = 3.0
+    """that norm; the paper's gamma is its fourth power"""
     slope_limit: float | None = 250.0
     """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
     slope_weight: float = 0.01
@@ -36,12 +49,36 @@ class TrainConfig:
     balance: float = 1.0
     """how far squared errors are weighed by the inverse mean square label of the drone's type: 0
     not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
-    symmetric: bool = True
-    """turn and mirror each row at random: the eight symmetries of the square in x and y"""
+    symmetry: Literal["square", "circle", "none"] = "square"
+    """turn and mirror each row at random: by the eight symmetries of the square in x and y, or by
+    any angle"""
     checkpoint_every: int = 500
     """steps between checkpoints and validation errors"""
     seed: int = 0
     """seed of the first weights and of every draw; the same seed gives the same weights"""
+
+    def __post_init__(self) -> None:
+        """Check the numbers that no later step would refuse.
+
+        Raises:
+            ValueError: naming the value and the rule.
+        """
+        for name in ("steps", "batch_size", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} is {getattr(self, name)}, but must be at least 1")
+        for name in ("epochs", "learning_rate", "max_spectral_norm"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value}, but must be finite and above 0")
+        if not self.average_epochs >= 0.0:
+            raise ValueError(
+                f"average_epochs is {self.average_epochs}, but must be 0 (no average) or more"
+            )
+        if not 0.0 <= self.early_validation <= 0.5:
+            raise ValueError(
+                f"early_validation is {self.early_validation}, but must be a share from 0 (none) "
+                "to 0.5"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,5 +107,7 @@ class FitConfig(TrainConfig):
     """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
     """show a progress bar"""
+    tensorboard: Path | None = None
+    """folder for TensorBoard's event files: losses and errors at every checkpoint"""
     logs: LogOptions = LogOptions()
     """how flight logs become rows"""

@@ -263,20 +263,6 @@ def swarm_batch(position: Tensor, velocity: Tensor, types: Sequence[int]) -> Bat
     )
 
 
-@torch.no_grad()
-def clip_spectral_norms(network: nn.Module, limit: float) -> None:
-    """Scale every weight matrix whose spectral norm exceeds `limit` down to it, never up.
-
-    This is what the published code does for Neural-Swarm2 eq. (12).
-    """
-    for parameter in network.parameters():
-        # The Frobenius norm bounds the spectral norm, and costs a thirtieth of it.
-        if parameter.ndim == 2 and torch.linalg.matrix_norm(parameter) > limit:
-            norm = torch.linalg.matrix_norm(parameter, 2)
-            if norm > limit:
-                parameter.mul_(limit / norm)
-
-
 def layers(network: nn.Module) -> list[nn.Linear]:
     """Return the linear layers of a perceptron in order."""
     return [layer for layer in network.modules() if isinstance(layer, nn.Linear)]

@@ -33,6 +33,7 @@ from swarm_envs.training.force_model.network import (
 )
 from swarm_envs.training.force_model.report import FitReport, examine
 from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.force_model.train import train
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -77,7 +78,8 @@ def fit(config: FitConfig) -> FitReport:
     vertical_drag_g = drag[rows.ego_type, 2] * rows.velocity[:, 2] / GRAM_FORCE
     target = treated.with_vertical_force(treated.force_g[:, 2] + vertical_drag_g)
     checkpoint = config.out / "checkpoint.safetensors"
-    run = train(target, spec, config, checkpoint, config.progress)
+    with scalar_writer(config.tensorboard) as watch:
+        run = train(target, spec, config, checkpoint, config.progress, watch)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(drag))
     path = config.out / "learned.safetensors"
@@ -96,6 +98,7 @@ def fit(config: FitConfig) -> FitReport:
         vehicle_offsets_g={str(vehicle): g for vehicle, g in offsets.vehicle.items()},
         drag={name: drag[index].tolist() for index, name in enumerate(rows.types)},
         history=run.history,
+        chosen=run.chosen,
         findings=examine(load_network(path), rows, offsets, config.lipschitz_samples, config.seed),
         wall_time_s=round(time.perf_counter() - began, 1),
         logs=logs,

@@ -67,7 +67,9 @@ class FitReport:
     """c per type and axis, N s/m."""
     findings: Findings
     history: list[dict[str, float]]
-    """Step, training loss and validation MSE, g^2."""
+    """Step, training loss, validation MSE and that of early validation, g^2."""
+    chosen: str
+    """Which weights of the run these are."""
     wall_time_s: float
     """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
     logs: LogReport | None = None

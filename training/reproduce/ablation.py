@@ -55,7 +55,7 @@ def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig
         lipschitz_samples=0,
         seed=seed,
     )
-    settings = AS_IN_THE_PAPER if cell.clipped else {**AS_IN_THE_PAPER, "max_spectral_norm": None}
+    settings = AS_IN_THE_PAPER if cell.clipped else {**AS_IN_THE_PAPER, "spectral": "none"}
     return replace(plain, **settings)
 
 
