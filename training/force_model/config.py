@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 from swarm_envs.training.force_model.log_options import LogOptions
 
@@ -14,19 +15,19 @@ from swarm_envs.training.force_model.log_options import LogOptions
 class TrainConfig:
     """How the network is trained."""
 
-    steps: int = 6000
-    """optimiser steps, where `epochs` is not given"""
+    steps: int | None = None
+    """optimiser steps; None counts by `epochs`"""
     epochs: float | None = None
-    """passes over the training rows; None counts by `steps`"""
+    """passes over the training rows; if `steps` is not given either, the mode's own length"""
     batch_size: int = 1024
     """rows per step; every row comes once in each pass, in random order"""
     learning_rate: float = 3e-3
     """Adam's rate at the start"""
-    schedule: Literal["cosine", "constant"] = "cosine"
-    """how the rate goes on: a cosine to zero at the last step, or as it is"""
-    average_epochs: float = 0.0
-    """the result is a running average of the weights over about so many passes; 0 takes the
-    weights of the last step"""
+    schedule: Literal["cosine", "constant"] | None = None
+    """how the rate goes on: a cosine to zero at the last step, or as it is; None: the mode's own"""
+    average_share: float | None = None
+    """the result is a running average of the weights over about this share of the run; 0 takes the
+    weights of the last step; None: the mode's own"""
     early_validation: float = 0.0
     """share of the training rows held out, in contiguous pieces with a guard gap, to choose among
     the checkpoints the weights with the least error there; 0 takes those of the end"""
@@ -64,21 +65,53 @@ class TrainConfig:
             ValueError: naming the value and the rule.
         """
         for name in ("steps", "batch_size", "checkpoint_every"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"{name} is {getattr(self, name)}, but must be at least 1")
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} is {value}, but must be at least 1")
+        if self.steps is not None and self.epochs is not None:
+            raise ValueError(
+                f"steps is {self.steps} and epochs {self.epochs}, but a run has one length; give "
+                "one of them"
+            )
         for name in ("epochs", "learning_rate", "max_spectral_norm"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value}, but must be finite and above 0")
-        if not self.average_epochs >= 0.0:
+        if self.average_share is not None and not 0.0 <= self.average_share <= 1.0:
             raise ValueError(
-                f"average_epochs is {self.average_epochs}, but must be 0 (no average) or more"
+                f"average_share is {self.average_share}, but must be from 0 (no average) to 1"
             )
         if not 0.0 <= self.early_validation <= 0.5:
             raise ValueError(
                 f"early_validation is {self.early_validation}, but must be a share from 0 (none) "
                 "to 0.5"
             )
+
+
+Mode = Literal["anchored", "measured"]
+
+_OWN: Mapping[Mode, Mapping[str, Any]] = {
+    "anchored": {"steps": 6000, "schedule": "cosine", "average_share": 0.0},
+    "measured": {"epochs": 80.0, "schedule": "constant", "average_share": 0.2},
+}
+
+_NOT_IN_THE_PAPER: Mapping[str, Any] = {
+    "slope_limit": None,
+    "position_jitter_m": 0.0,
+    "velocity_jitter": 0.0,
+    "balance": 0.0,
+}
+"""What a measured fit leaves out of the training, whatever it is told."""
+
+Config = TypeVar("Config", bound=TrainConfig)
+
+
+def settled(config: Config, mode: Mode = "anchored") -> Config:
+    """The same options with nothing left to the mode: what is trained, and what reports record."""
+    own = {name: v for name, v in _OWN[mode].items() if getattr(config, name) is None}
+    if config.steps is not None or config.epochs is not None:
+        own = {name: v for name, v in own.items() if name not in ("steps", "epochs")}
+    return replace(config, **own, **(_NOT_IN_THE_PAPER if mode == "measured" else {}))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +123,7 @@ class FitConfig(TrainConfig):
     .parquet file, or a folder of them (the format: docs/flight-logs.md)"""
     out: Path
     """folder for the weights `learned.safetensors`, the report `learned.json`, the checkpoint"""
-    mode: Literal["anchored", "measured"] = "anchored"
+    mode: Mode = "anchored"
     """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
     `measured`: the paper's form on the labels as they are, every neighbour seen"""
     offsets: Literal["estimated", "none"] = "estimated"

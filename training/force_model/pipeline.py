@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from typing import Any
 
 import numpy as np
 import torch
@@ -17,6 +16,7 @@ from swarm_envs.training.force_model.calibration import (
     subtract_offsets,
 )
 from swarm_envs.training.force_model.config import FitConfig as FitConfig
+from swarm_envs.training.force_model.config import settled
 from swarm_envs.training.force_model.data import data_sha256, read_data
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network, save_network
@@ -41,15 +41,6 @@ VOLUME_M = np.array([HARD_LATERAL_M, HARD_LATERAL_M, HARD_VERTICAL_M])
 """Half edges of the interaction volume."""
 
 
-AS_IN_THE_PAPER: dict[str, Any] = {
-    "slope_limit": None,
-    "position_jitter_m": 0.0,
-    "velocity_jitter": 0.0,
-    "balance": 0.0,
-}
-"""What a measured fit leaves out of the training."""
-
-
 def fit(config: FitConfig) -> FitReport:
     """Fit a deep set to rows and write `learned.safetensors` and `learned.json` into `config.out`.
 
@@ -61,8 +52,7 @@ def fit(config: FitConfig) -> FitReport:
         ValueError: the rows cannot be fitted; the message says which rule they break.
     """
     began = time.perf_counter()
-    if config.mode == "measured":
-        config = dataclasses.replace(config, **AS_IN_THE_PAPER)
+    told, config = config, settled(config, config.mode)
     rows, logs = read_data(config.data, config.logs, config.progress)
     _check(rows)
     drag = fit_drag(rows)
@@ -84,14 +74,14 @@ def fit(config: FitConfig) -> FitReport:
         run.network.drag.copy_(torch.from_numpy(drag))
     path = config.out / "learned.safetensors"
     provenance: dict[str, object] = {
-        "command": command(config),
+        "command": command(told),
         "data_sha256": data_sha256(config.data),
         "mode": config.mode,
         "seed": config.seed,
     }
     save_network(path, run.network, provenance)
     report = FitReport(
-        command=command(config),
+        command=command(told),
         config=json_ready(config),
         data_sha256=data_sha256(config.data),
         offset_rule=RULE if calibrated else "none",

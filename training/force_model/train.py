@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from swarm_envs.training.force_model.checkpoint import load_checkpoint, save_checkpoint
 from swarm_envs.training.force_model.config import TrainConfig as TrainConfig
+from swarm_envs.training.force_model.config import settled
 from swarm_envs.training.force_model.early import inner_split
 from swarm_envs.training.force_model.epochs import Examples, batches_per_epoch, shuffled
 from swarm_envs.training.force_model.flat import FlatWeights
@@ -100,7 +101,7 @@ def train(
 
     The rows' validation blocks are held out; their error is recorded at every checkpoint and
     chooses nothing. The result has the weights of the last step, or their running average
-    (`average_epochs`), or of these the ones with the least error on pieces of the training rows
+    (`average_share`), or of these the ones with the least error on pieces of the training rows
     (`early_validation`).
 
     Args:
@@ -115,6 +116,7 @@ def train(
         ValueError: the checkpoint belongs to another configuration, or the rows cannot be split.
     """
     torch.set_num_threads(1)
+    config = settled(config)
     run = start(spec, config)
     configuration = _configuration(rows, spec, config)
     if checkpoint is not None and checkpoint.exists():
@@ -129,7 +131,7 @@ def train(
         if order is None or place == 0:
             order = shuffled(examples, config, run.step // batches)
         chosen = order.part(place * config.batch_size, (place + 1) * config.batch_size)
-        loss_sum += _step(run, chosen, config, total, batches)
+        loss_sum += _step(run, chosen, config, total)
         bar.update()
         if run.step % config.checkpoint_every == 0 or run.step == total:
             count = run.step % config.checkpoint_every or config.checkpoint_every
@@ -150,6 +152,7 @@ def train(
 def total_steps(config: TrainConfig, rows: int) -> int:
     """Optimiser steps of a run on so many training rows."""
     if config.epochs is None:
+        assert config.steps is not None  # `settled` gives one of them
         return config.steps
     return max(1, round(config.epochs * batches_per_epoch(rows, config.batch_size)))
 
@@ -190,7 +193,7 @@ def type_weights(rows: InteractionRows, balance: float) -> Tensor:
     return torch.from_numpy(weight / weight.mean()).float()
 
 
-def _step(run: Training, chosen: Examples, config: TrainConfig, total: int, batches: int) -> float:
+def _step(run: Training, chosen: Examples, config: TrainConfig, total: int) -> float:
     """Take one step of Adam on a batch; returns the batch's MSE, g^2."""
     run.optimiser.param_groups[0]["lr"] = _rate(config, run.step / total)
     squared = (run.network(chosen.batch) - chosen.label) ** 2
@@ -206,8 +209,9 @@ def _step(run: Training, chosen: Examples, config: TrainConfig, total: int, batc
     run.optimiser.step()
     hold_spectral_norms(run.weights.matrices(), config.max_spectral_norm, config.spectral)
     run.step += 1
-    if config.average_epochs:
-        share = max(1.0 / (config.average_epochs * batches), 1.0 / (1.0 + 0.3 * run.step))
+    if config.average_share:
+        # At first the average is shorter, or the first weights would count to the end.
+        share = max(1.0 / (config.average_share * total), 1.0 / (1.0 + 0.3 * run.step))
         run.averaged.lerp_(run.weights.values.detach(), min(share, 1.0))
     return float(squared.detach().mean())
 
@@ -221,7 +225,7 @@ def _rate(config: TrainConfig, done: float) -> float:
 
 def _candidate(run: Training, config: TrainConfig) -> Tensor:
     """The weights as they would be the result now: (P,), within their spectral norms."""
-    if not config.average_epochs:
+    if not config.average_share:
         return run.weights.values.detach().clone()
     # A mean of clipped matrices is within the clip, the norm being convex; of exact ones not exact.
     averaged = run.averaged.clone()
@@ -247,7 +251,7 @@ def _judge(
 
 def _chosen(run: Training, config: TrainConfig) -> str:
     """Say which weights of a finished run are its result."""
-    what = "running average of the weights" if config.average_epochs else "weights"
+    what = "running average of the weights" if config.average_share else "weights"
     if config.early_validation:
         return f"{what} at step {run.best_step}, the best on pieces of the training rows"
     return f"{what} at the last step; validation chose nothing"

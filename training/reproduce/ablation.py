@@ -17,8 +17,9 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.files import write_json, written_whole
+from swarm_envs.training.force_model.config import FitConfig, settled
 from swarm_envs.training.force_model.files import file_sha256, json_ready
-from swarm_envs.training.force_model.pipeline import AS_IN_THE_PAPER, FitConfig, fit
+from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.reproduce.cells import CELLS, Cell
 
 
@@ -52,11 +53,11 @@ def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig
         hidden=cell.hidden,
         layers=cell.layers,
         relative_velocity=cell.relative_velocity,
+        spectral="clip" if cell.clipped else "none",
         lipschitz_samples=0,
         seed=seed,
     )
-    settings = AS_IN_THE_PAPER if cell.clipped else {**AS_IN_THE_PAPER, "spectral": "none"}
-    return replace(plain, **settings)
+    return settled(plain, "measured")
 
 
 def run_folder(out: Path, cell: Cell, seed: int) -> Path:
