@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from swarm_envs.training.force_model.config import TrainConfig
+from swarm_envs.training.force_model.config import TrainConfig, settled
 from swarm_envs.training.force_model.early import GUARD_ENTRIES, PIECE_ENTRIES, inner_split
 from swarm_envs.training.force_model.epochs import Examples, shuffled, turn
 from swarm_envs.training.force_model.network import EVERYWHERE, DeepSet, DeepSetSpec, swarm_batch
@@ -168,8 +168,18 @@ def test_pieces_of_early_validation_are_apart_in_time():
     assert (other != held_out).any()
 
 
+def test_whole_flights_of_every_scenario_can_be_held_out():
+    rows = rows_of(2000, flights=10)
+    rows = dataclasses.replace(rows, scenario=rows.flight % 2)  # five flights of each
+    training, held_out = inner_split(rows, 0.2, 0, "flights")
+    flights = np.unique(rows.flight[held_out])
+    assert len(flights) == 2 and set(flights % 2) == {0, 1}
+    assert not np.isin(rows.flight[training], flights).any()
+    assert ((training | held_out) == ~rows.validation).all()
+
+
 def test_early_validation_needs_enough_rows():
-    with pytest.raises(ValueError, match="none can be held out for early validation"):
+    with pytest.raises(ValueError, match="no pieces can be held out for early validation"):
         inner_split(rows_of(100, flights=1), 0.2, 0)
     with pytest.raises(ValueError, match=r"share is 0\.7"):
         inner_split(rows_of(), 0.7, 0)
@@ -227,6 +237,19 @@ def test_bad_numbers_are_refused(name, value):
         dataclasses.replace(PLAIN, **{name: value})
 
 
+def test_each_mode_has_its_own_length_unless_it_is_given():
+    plain, given = TrainConfig(), TrainConfig(steps=70, average_share=0.1)
+    assert (settled(plain).steps, settled(plain).average_share) == (6000, 0.0)
+    measured = settled(plain, "measured")
+    assert measured.steps is None and measured.epochs and measured.average_share
+    assert measured.slope_limit is None and measured.position_jitter_m == 0.0
+    kept = settled(given, "measured")
+    assert (kept.steps, kept.epochs, kept.average_share) == (70, None, 0.1)
+    assert settled(kept, "measured") == kept
+    with pytest.raises(ValueError, match=r"steps is 70 and epochs 2\.0"):
+        dataclasses.replace(given, epochs=2.0)
+
+
 def test_event_files_are_optional(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with scalar_writer(None) as watch:
@@ -273,7 +296,7 @@ def test_event_files_hold_the_history(tmp_path, monkeypatch):
     assert closed == [True]
     said = json.loads((config.out / "learned.json").read_text())
     assert said["chosen"] == report.chosen
-    assert "best on pieces of the training rows" in said["chosen"]
+    assert "the best on held-out pieces" in said["chosen"]
     assert said["config"]["early_validation"] == 0.4
 
 

@@ -29,8 +29,10 @@ class TrainConfig:
     """the result is a running average of the weights over about this share of the run; 0 takes the
     weights of the last step; None: the mode's own"""
     early_validation: float = 0.0
-    """share of the training rows held out, in contiguous pieces with a guard gap, to choose among
-    the checkpoints the weights with the least error there; 0 takes those of the end"""
+    """share of the training rows held out, to choose among the checkpoints the weights with the
+    least error there; 0 takes those of the end"""
+    early_held: Literal["pieces", "flights"] = "pieces"
+    """what is held out so: contiguous pieces with a guard gap, or whole flights"""
     spectral: Literal["clip", "exact", "none"] = "clip"
     """what holds after each step for every weight matrix: `clip`, its spectral norm is at most
     `max_spectral_norm`; `exact`, it is exactly this (eq. 12); `none`, nothing"""

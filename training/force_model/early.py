@@ -1,6 +1,12 @@
-"""Early validation: pieces of the training rows held out to choose the weights, never `val`."""
+"""Early validation: training rows held out to choose weights or settings, never `val`.
+
+Two kinds, since a model may generalise in time and still know its flights: contiguous pieces of
+flights that are trained on, and whole flights.
+"""
 
 from __future__ import annotations
+
+from typing import Literal
 
 import numpy as np
 
@@ -12,15 +18,21 @@ GUARD_ENTRIES = 15
 """Entries before and after a held-out piece that are neither trained on nor held out."""
 
 
-def inner_split(rows: InteractionRows, share: float, seed: int) -> tuple[BoolArray, BoolArray]:
-    """Split the training rows once more, by contiguous pieces of time with a guard gap.
+Held = Literal["pieces", "flights"]
 
-    A piece takes all drones of its flight. An entry is the usual step between rows of a flight.
+
+def inner_split(
+    rows: InteractionRows, share: float, seed: int, held: Held = "pieces"
+) -> tuple[BoolArray, BoolArray]:
+    """Split the training rows once more.
 
     Args:
         rows: all rows; those of the validation blocks are in neither part.
-        share: of the pieces to hold out, above 0 and at most 0.5.
+        share: of the pieces or flights to hold out, above 0 and at most 0.5.
         seed: of the draw.
+        held: `pieces` of time, all drones of a flight together, with a guard gap before and
+            after; an entry is the usual step between rows of a flight. Or whole `flights`, so
+            many of every scenario, at least one.
 
     Returns:
         (R,) masks of the rows to train on and of those held out.
@@ -30,6 +42,29 @@ def inner_split(rows: InteractionRows, share: float, seed: int) -> tuple[BoolArr
     """
     if not 0.0 < share <= 0.5:
         raise ValueError(f"share is {share}, but must be above 0 and at most 0.5")
+    held_out, guarded = (_pieces if held == "pieces" else _flights)(rows, share, seed)
+    training = ~rows.validation & ~held_out & ~guarded
+    held_out &= ~rows.validation
+    if not (training.any() and held_out.any()):
+        raise ValueError(
+            f"of {int((~rows.validation).sum())} training rows no {held} can be held out for early "
+            f"validation (a piece has {PIECE_ENTRIES} entries); fit without it, or add flights"
+        )
+    return training, held_out
+
+
+def _flights(rows: InteractionRows, share: float, seed: int) -> tuple[BoolArray, BoolArray]:
+    """Whole flights of every scenario; nothing is guarded."""
+    rng, chosen = np.random.default_rng(seed), set()
+    for scenario in np.unique(rows.scenario):
+        flights = np.unique(rows.flight[rows.scenario == scenario])
+        count = max(1, round(share * len(flights)))
+        chosen |= set(rng.choice(flights, count, replace=False).tolist())
+    return np.isin(rows.flight, sorted(chosen)), np.zeros(len(rows), dtype=np.bool_)
+
+
+def _pieces(rows: InteractionRows, share: float, seed: int) -> tuple[BoolArray, BoolArray]:
+    """Contiguous pieces of time, and what lies in their guard gaps."""
     from swarm_envs.training.flight_logs.split import held_out_blocks  # imports this package
 
     flights = np.unique(rows.flight)
@@ -42,14 +77,7 @@ def inner_split(rows: InteractionRows, share: float, seed: int) -> tuple[BoolArr
         own = rows.flight == flight
         held_out[own] = pieces[entry // PIECE_ENTRIES]
         guarded[own] = _near_a_piece(entry, pieces)
-    training = ~rows.validation & ~held_out & ~guarded
-    held_out &= ~rows.validation
-    if not (training.any() and held_out.any()):
-        raise ValueError(
-            f"of {int((~rows.validation).sum())} training rows in pieces of {PIECE_ENTRIES} "
-            "entries none can be held out for early validation; fit without it, or add flights"
-        )
-    return training, held_out
+    return held_out, guarded
 
 
 def _entries(

@@ -170,7 +170,7 @@ def _split(
     """What is trained on, and what is held out: the validation blocks, and early validation."""
     chosen, held_out = ~rows.validation, {"validation": rows.validation}
     if config.early_validation:
-        chosen, early = inner_split(rows, config.early_validation, config.seed)
+        chosen, early = inner_split(rows, config.early_validation, config.seed, config.early_held)
         held_out["early_validation"] = early
     training = rows.select(chosen)
     weight = type_weights(training, config.balance)
@@ -253,5 +253,5 @@ def _chosen(run: Training, config: TrainConfig) -> str:
     """Say which weights of a finished run are its result."""
     what = "running average of the weights" if config.average_share else "weights"
     if config.early_validation:
-        return f"{what} at step {run.best_step}, the best on pieces of the training rows"
+        return f"{what} at step {run.best_step}, the best on held-out {config.early_held}"
     return f"{what} at the last step; validation chose nothing"
