@@ -17,7 +17,7 @@ from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.interactions.field import ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.wake import load_wake
-from swarm_envs.interactions.weights_file import load_deep_set
+from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
@@ -89,7 +89,8 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
 
     Args:
         name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (the shipped deep
-            set), or the path of a safetensors file; a model is returned as it is.
+            set), or the path of what `swarm-envs fit` made: a safetensors file of a deep set or of
+            a pairwise sum, or the JSON of a wake; a model is returned as it is.
 
     Raises:
         ValueError: the name is none of these, or the file is damaged.
@@ -102,17 +103,16 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
         types = tuple(sorted({vehicle.interaction_type for vehicle in VEHICLES.values()}))
         return InteractionModel("none", types, empty_field(len(types)))
     if text == "wake":
-        types, wake = load_wake()
-        return InteractionModel("wake", types, wake)
+        return InteractionModel("wake", *load_wake())
     if text == "learned":
         with resources.as_file(_shipped("learned.safetensors")) as path:
-            types, learned, notes = load_deep_set(path)
-        return InteractionModel("learned", types, learned, notes)
+            return InteractionModel("learned", *load_weights(path))
+    if text.endswith(".json"):
+        return InteractionModel(text, *load_wake(Path(text)))
     if not text.endswith(".safetensors"):
-        valid = (*MODELS, "a path that ends in .safetensors")
+        valid = (*MODELS, "a path that ends in .safetensors or .json")
         raise ValueError(unknown_name("interaction model", text, valid))
-    types, learned, notes = load_deep_set(Path(text))
-    return InteractionModel(text, types, learned, notes)
+    return InteractionModel(text, *load_weights(Path(text)))
 
 
 def _shipped(file: str) -> Any:

@@ -6,7 +6,8 @@ import numpy as np
 
 from swarm_envs.compiled import kernel
 from swarm_envs.interactions.deep_set import deep_set_forces
-from swarm_envs.interactions.field import LEARNED, WAKE, ForceField
+from swarm_envs.interactions.field import LEARNED, PAIRWISE, WAKE, ForceField
+from swarm_envs.interactions.pairwise import pairwise_forces
 from swarm_envs.interactions.wake import wake_forces
 from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import BoolArray, FloatArray, IntArray
@@ -37,6 +38,8 @@ def environment_forces(
         deep_set_forces(field, types, position, velocity, out)
     elif field.kind == WAKE:
         wake_forces(field, types, position, velocity, out)
+    elif field.kind == PAIRWISE:
+        pairwise_forces(field, types, position, velocity, out)
 
 
 @kernel

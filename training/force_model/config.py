@@ -121,10 +121,14 @@ class FitConfig(TrainConfig):
     """What to fit, from which rows, and where to put the result."""
 
     data: Path
-    """rows: the published flights' table, or what `save_rows` wrote; or flight logs: one .csv or
-    .parquet file, or a folder of them (the format: docs/flight-logs.md)"""
+    """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
+    .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
     out: Path
-    """folder for the weights `learned.safetensors`, the report `learned.json`, the checkpoint"""
+    """folder for model, report and checkpoint: `learned.safetensors` and `learned.json` of a deep
+    set, `pairwise.safetensors` and `pairwise.json`, `wake.json` and its report `wake-fit.json`"""
+    model: Literal["deep-set", "pairwise", "wake"] = "deep-set"
+    """`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: a network per pair of types, summed up;
+    `wake`: the closed form, by least squares"""
     mode: Mode = "anchored"
     """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
     `measured`: the paper's form on the labels as they are, every neighbour seen"""
@@ -138,11 +142,26 @@ class FitConfig(TrainConfig):
     """L, layers of every phi and rho"""
     relative_velocity: bool = True
     """let the network see velocities; without, it sees positions alone"""
+    torque: bool = False
+    """let the deep set give the torque too, from rows that carry it"""
     lipschitz_samples: int = 1_000_000
     """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
     """show a progress bar"""
     tensorboard: Path | None = None
     """folder for TensorBoard's event files: losses and errors at every checkpoint"""
+    json: Path | None = None
+    """write the report to this file too"""
     logs: LogOptions = LogOptions()
-    """how flight logs become rows"""
+    """how flight logs become rows, and what of row tables is held out"""
+
+    def __post_init__(self) -> None:
+        """Refuse what no model can do.
+
+        Raises:
+            ValueError: torque is asked of a model without a head for it, or a number is out of
+                range.
+        """
+        super().__post_init__()
+        if self.torque and self.model != "deep-set":
+            raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")

@@ -23,7 +23,8 @@ from swarm_envs.training.force_model.config import settled
 from swarm_envs.training.force_model.early import inner_split
 from swarm_envs.training.force_model.epochs import Examples, batches_per_epoch, shuffled
 from swarm_envs.training.force_model.flat import FlatWeights
-from swarm_envs.training.force_model.network import Batch, DeepSet, DeepSetSpec
+from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
+from swarm_envs.training.force_model.pairwise import build
 from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
@@ -36,7 +37,7 @@ Entry = dict[str, float]
 class Training:
     """A run: what a checkpoint holds."""
 
-    network: DeepSet
+    network: ForceNetwork
     weights: FlatWeights
     optimiser: torch.optim.Adam
     averaged: Tensor
@@ -66,7 +67,7 @@ def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch
     )
 
 
-def predict(network: DeepSet, batch: Batch, chunk: int = 65536) -> Tensor:
+def predict(network: ForceNetwork, batch: Batch, chunk: int = 65536) -> Tensor:
     """Vertical force from the network, (R,) in gram-force, without gradient."""
     with torch.no_grad():
         count = len(batch.ego_type)
@@ -81,7 +82,7 @@ def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
     """Make a fresh run: seeded weights and optimiser."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        network = DeepSet(spec)
+        network = build(spec)
     weights = FlatWeights(network)
     hold_spectral_norms(weights.matrices(), config.max_spectral_norm, config.spectral)
     optimiser = torch.optim.Adam([weights.values], lr=config.learning_rate)
