@@ -89,11 +89,13 @@ def _fit(arguments: Sequence[str]) -> int:
 
     config = _read("fit", FitConfig, arguments, prefixes=True)
     _check_folder("--out", config.out)
+    if config.json is not None:
+        _check_file("--json", config.json)
     _need_torch()
     from swarm_envs.training.force_model.pipeline import fit
 
     report = fit(config)
-    print(*report.lines(), f"wrote the weights and the report into {config.out}", sep="\n")
+    print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
     return DONE
 
 

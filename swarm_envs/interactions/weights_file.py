@@ -51,7 +51,7 @@ def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any
             "`swarm-envs fit`, or one of 'none', 'wake', 'learned'"
         )
     try:
-        tensors, notes = _read(path)
+        tensors, notes = read_tensors(path)
         types = _types(notes["types"])
         field = _assemble(types, tensors, notes)
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
@@ -62,7 +62,13 @@ def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any
     return types, field, notes
 
 
-def _read(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+def read_tensors(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """Read the tensors, as float64, and the note of a file.
+
+    Raises:
+        SafetensorError: it is no safetensors file.
+        ValueError: its format is unknown, or a number is not finite or absurd.
+    """
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata() or {}
         names = file.keys()  # the file itself cannot be iterated

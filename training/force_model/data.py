@@ -134,7 +134,8 @@ def _read_logs(
 
 
 def _joined(parts: Sequence[_Part]) -> Joined:
-    rows = join_rows([part.rows for part in parts])
+    # A table alone keeps its numbers of flights and vehicles.
+    rows = join_rows([part.rows for part in parts]) if len(parts) > 1 else parts[0].rows
     origin = np.repeat(np.arange(len(parts)), [len(part.rows) for part in parts])
     unmarked = [part.file.kind == "table" and not part.rows.validation.any() for part in parts]
     return Joined(rows, origin, [part.file for part in parts], np.array(unmarked))

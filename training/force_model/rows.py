@@ -176,7 +176,7 @@ def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     if not Path(path).is_file():
         raise FileNotFoundError(f"no file of interaction rows at {name!r}; give its path")
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
     except (ValueError, OSError, EOFError, zipfile.BadZipFile, AttributeError) as error:
         raise ValueError(f"{name!r} is no npz file without pickle ({error})") from error
