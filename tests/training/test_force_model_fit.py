@@ -19,8 +19,9 @@ from swarm_envs.training.force_model.calibration import (
 )
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network
+from swarm_envs.training.force_model.labels import measured_range
 from swarm_envs.training.force_model.network import OUTER_FADE, DeepSetSpec
-from swarm_envs.training.force_model.pipeline import FitConfig, fit, measured_range
+from swarm_envs.training.force_model.pipeline import FitConfig, fit
 from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 from swarm_envs.training.force_model.train import TrainConfig, predict, to_batch, train
 from swarm_envs.training.force_model.wake_fit import WakeFitConfig, fit_wake, run

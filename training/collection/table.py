@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -55,7 +55,9 @@ def interaction_rows(flights: Sequence[Flight]) -> InteractionRows:
     tables = [table for table in tables if len(table["step"])]
     if not tables:
         raise ValueError(f"{len(flights)} flights give no row; fly longer, or nearer to each other")
-    columns = {name: np.concatenate([t[name] for t in tables]) for name in tables[0]}
+    columns: dict[str, Any] = {
+        name: np.concatenate([t[name] for t in tables]) for name in tables[0]
+    }
     names = np.unique(columns["scenario"])
     columns["scenario"] = np.searchsorted(names, columns["scenario"])
     return InteractionRows(types=TYPES, scenario_names=tuple(names.tolist()), **columns)

@@ -5,6 +5,7 @@ A pass is put in order as a whole, so that a step only takes a slice of it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -14,13 +15,16 @@ from torch import Tensor
 from swarm_envs.training.force_model.config import TrainConfig
 from swarm_envs.training.force_model.network import Batch
 
+Change = Callable[[Batch], Batch]
+"""Turns and mirrors rows."""
+
 
 class Examples(NamedTuple):
     """Inputs with what the network should answer."""
 
     batch: Batch
     label: Tensor
-    """(R,) vertical force, gram-force."""
+    """(R,) vertical force, gram-force; or (R, 4) with the torque, as `torque_head.targets`."""
     weight: Tensor
     """(R,) of the squared error, mean 1."""
 
@@ -44,18 +48,46 @@ def shuffled(examples: Examples, config: TrainConfig, epoch: int) -> Examples:
     count = len(examples.label)
     order = torch.from_numpy(rng.permutation(count))
     batch = Batch(*(values.index_select(0, order) for values in examples.batch))
-    if config.symmetry == "square":
-        batch = transform(batch, *_random_symmetry(count, rng))
-    elif config.symmetry == "circle":
-        mirror_x, mirror_y, swap = _random_symmetry(count, rng)
-        angle = torch.from_numpy(rng.uniform(0.0, 2.0 * np.pi, count)).to(batch.pair.dtype)
-        batch = turn(transform(batch, mirror_x, mirror_y, swap), angle)
+    label, weight = (values.index_select(0, order) for values in examples[1:])
+    if config.symmetry != "none":
+        change = _random_change(config.symmetry == "circle", count, rng)
+        batch, label = change(batch), changed_label(label, change)
     if config.position_jitter_m or config.velocity_jitter:
         scale = torch.tensor([config.position_jitter_m] * 3 + [config.velocity_jitter] * 3)
         noise = rng.standard_normal(batch.pair.shape, dtype=np.float32)
         batch = batch._replace(pair=batch.pair + scale * torch.from_numpy(noise))
-    label, weight = (values.index_select(0, order) for values in examples[1:])
     return Examples(batch, label, weight)
+
+
+def _random_change(circle: bool, count: int, rng: np.random.Generator) -> Change:
+    """A symmetry of its own for each of `count` rows: of the square, or any turn too."""
+    mirror_x, mirror_y, swap = _random_symmetry(count, rng)
+    angle = torch.from_numpy(rng.uniform(0.0, 2.0 * np.pi, count)) if circle else None
+
+    def change(batch: Batch) -> Batch:
+        changed = transform(batch, mirror_x, mirror_y, swap)
+        return changed if angle is None else turn(changed, angle.to(batch.pair.dtype))
+
+    return change
+
+
+def changed_label(label: Tensor, change: Change) -> Tensor:
+    """Labels of rows that were turned and mirrored.
+
+    Forces along z stay. A torque turns like a vector, and with a mirror changes its sign besides.
+
+    Args:
+        label: (R,) forces, or (R, 4) forces and torques.
+        change: what was done to the rows.
+    """
+    if label.ndim == 1:
+        return label
+    units = torch.tensor([1.0, 0.0, 0.0, 0.0, 1.0, 0.0], dtype=label.dtype)
+    nobody = torch.zeros(len(label), 1, dtype=torch.long)
+    moved = change(Batch(nobody[:, 0], label.clone(), units.expand(len(label), 1, 6), nobody))
+    x, y = moved.pair[:, 0, :3], moved.pair[:, 0, 3:]
+    sign = x[:, 0] * y[:, 1] - x[:, 1] * y[:, 0]
+    return torch.cat([label[:, :1], sign[:, None] * moved.environment[:, 1:]], dim=1)
 
 
 def _random_symmetry(count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:

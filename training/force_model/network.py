@@ -42,7 +42,6 @@ __all__ = [
     "ForceNetwork",
     "InputRange",
     "Window",
-    "clip_spectral_norms",
     "fade",
     "layers",
     "perceptron",

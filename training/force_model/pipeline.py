@@ -141,7 +141,9 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
 def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
     path = config.out / WEIGHTS["wake"]
     function, predicted, notes = fit_wake_model(path, treated, config, provenance)
-    return _Fitted(examine(function, predicted, treated, 0, config.seed), [], "least squares", notes)
+    return _Fitted(
+        examine(function, predicted, treated, 0, config.seed), [], "least squares", notes
+    )
 
 
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:

@@ -32,7 +32,7 @@ class TorqueErrors:
     """Of predicting none."""
 
 
-def targets(rows: InteractionRows, torque: bool) -> Tensor:
+def targets(rows: InteractionRows, torque: bool = False) -> Tensor:
     """Labels of the rows: (R,) the force in gram-force, or (R, 4) with the torque, gram-force cm.
 
     Raises:

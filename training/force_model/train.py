@@ -28,6 +28,7 @@ from swarm_envs.training.force_model.pairwise import build
 from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
+from swarm_envs.training.force_model.torque_head import targets
 
 Entry = dict[str, float]
 """Of the history: step, mean training loss since the last entry, validation MSE, g^2."""
@@ -122,7 +123,7 @@ def train(
     configuration = _configuration(rows, spec, config)
     if checkpoint is not None and checkpoint.exists():
         load_checkpoint(checkpoint, run, configuration)
-    examples, checks = _split(rows, config)
+    examples, checks = _split(rows, config, spec.torque)
     total = total_steps(config, len(examples.label))
     batches = batches_per_epoch(len(examples.label), config.batch_size)
     loss_sum, order = 0.0, None
@@ -160,13 +161,15 @@ def total_steps(config: TrainConfig, rows: int) -> int:
 
 def _configuration(rows: InteractionRows, spec: DeepSetSpec, config: TrainConfig) -> str:
     settings = {entry.name: getattr(config, entry.name) for entry in fields(TrainConfig)}
-    labels = hashlib.sha256(rows.force_g.tobytes()).hexdigest()
-    content = {"labels": labels, "spec": asdict(spec), "training": settings}
+    labels = hashlib.sha256(rows.force_g.tobytes())
+    if spec.torque and rows.torque is not None:
+        labels.update(rows.torque.tobytes())
+    content = {"labels": labels.hexdigest(), "spec": asdict(spec), "training": settings}
     return json.dumps(content, sort_keys=True)
 
 
 def _split(
-    rows: InteractionRows, config: TrainConfig
+    rows: InteractionRows, config: TrainConfig, torque: bool
 ) -> tuple[Examples, dict[str, tuple[Batch, Tensor]]]:
     """What is trained on, and what is held out: the validation blocks, and early validation."""
     chosen, held_out = ~rows.validation, {"validation": rows.validation}
@@ -175,13 +178,9 @@ def _split(
         held_out["early_validation"] = early
     training = rows.select(chosen)
     weight = type_weights(training, config.balance)
-    examples = Examples(to_batch(training), _labels(training), weight)
+    examples = Examples(to_batch(training), targets(training, torque), weight)
     parts = {name: rows.select(mask) for name, mask in held_out.items()}
-    return examples, {name: (to_batch(part), _labels(part)) for name, part in parts.items()}
-
-
-def _labels(rows: InteractionRows) -> Tensor:
-    return torch.from_numpy(rows.force_g[:, 2]).float()
+    return examples, {name: (to_batch(part), targets(part)) for name, part in parts.items()}
 
 
 def type_weights(rows: InteractionRows, balance: float) -> Tensor:
@@ -197,8 +196,8 @@ def type_weights(rows: InteractionRows, balance: float) -> Tensor:
 def _step(run: Training, chosen: Examples, config: TrainConfig, total: int) -> float:
     """Take one step of Adam on a batch; returns the batch's MSE, g^2."""
     run.optimiser.param_groups[0]["lr"] = _rate(config, run.step / total)
-    squared = (run.network(chosen.batch) - chosen.label) ** 2
-    loss = torch.mean(chosen.weight * squared)
+    squared = (run.network.heads(chosen.batch) - chosen.label.reshape(len(chosen.label), -1)) ** 2
+    loss = torch.mean(chosen.weight * squared.sum(dim=1))
     if config.slope_limit is not None:
         # A generator per step, so that a run continued from a checkpoint draws the same.
         rng = np.random.default_rng([config.seed, run.step, 1])
@@ -214,7 +213,7 @@ def _step(run: Training, chosen: Examples, config: TrainConfig, total: int) -> f
         # At first the average is shorter, or the first weights would count to the end.
         share = max(1.0 / (config.average_share * total), 1.0 / (1.0 + 0.3 * run.step))
         run.averaged.lerp_(run.weights.values.detach(), min(share, 1.0))
-    return float(squared.detach().mean())
+    return float(squared[:, 0].detach().mean())
 
 
 def _rate(config: TrainConfig, done: float) -> float:
