@@ -37,7 +37,8 @@ class TrainConfig:
     """what holds after each step for every weight matrix: `clip`, its spectral norm is at most
     `max_spectral_norm`; `exact`, it is exactly this (eq. 12); `none`, nothing"""
     max_spectral_norm: float = 3.0
-    """that norm; the paper's gamma is its fourth power"""
+    """that norm; the paper's gamma is its fourth power; a pairwise sum, whose one network stands
+    for phi and rho, takes its square"""
     slope_limit: float | None = 250.0
     """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
     slope_weight: float = 0.01

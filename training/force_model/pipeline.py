@@ -96,7 +96,12 @@ def fit(config: FitConfig) -> FitReport:
 
 
 def _report(
-    config: FitConfig, words: str, treated: Treated, logs: LogReport, fitted: _Fitted, seconds: float
+    config: FitConfig,
+    words: str,
+    treated: Treated,
+    logs: LogReport,
+    fitted: _Fitted,
+    seconds: float,
 ) -> FitReport:
     rows = treated.rows
     return FitReport(
@@ -120,8 +125,11 @@ def _report(
 def _network(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
     spec = network_spec(treated.rows, config)
     checkpoint = config.out / CHECKPOINT
+    recipe = config
+    if spec.kind == "pairwise":  # one network stands for phi and rho: as steep as both together
+        recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
     with scalar_writer(config.tensorboard) as watch:
-        run = train(treated.target, spec, config, checkpoint, config.progress, watch)
+        run = train(treated.target, spec, recipe, checkpoint, config.progress, watch)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
     path = config.out / WEIGHTS[config.model]

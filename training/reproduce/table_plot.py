@@ -40,7 +40,7 @@ def _cells(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     drawn = (-0.19, "ours", OURS, "ours"), (0.19, "paper", PAPER, "Neural-Swarm2")
     for offset, kind, color, label in drawn:
         values = [row[f"{kind}_g2"] for row in rows]
-        spread = [row[f"{kind}_deviation_g2"] or 0.0 for row in rows]
+        spread = [row[f"{kind}_deviation_g2"] or np.nan for row in rows]
         shown = [k for k, value in enumerate(values) if value is not None]
         width = [values[k] for k in shown]
         axis.barh(
@@ -48,20 +48,20 @@ def _cells(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
             label=label, error_kw={"ecolor": INK, "elinewidth": 1.0, "capsize": 2.0},
         )  # fmt: skip
         for k, value in zip(shown, width, strict=True):
-            end = value + spread[k]
+            end = value + np.nan_to_num(spread[k])
             axis.annotate(f"{value:.2f}", (end, place[k] + offset), xytext=(4, 0), fontsize=8,
                           textcoords="offset points", va="center", color=INK)  # fmt: skip
     axis.set_yticks(place, [row["cell"] for row in rows])
     axis.invert_yaxis()
     axis.set_xlabel("Mean squared error (g²); whiskers: one standard deviation of single runs")
     axis.margins(x=0.12)
-    axis.legend(loc="lower right", fontsize=9)
+    _legend(axis)
     axis.set_title("Cells of Table III and beside it")
     axis.grid(True, axis="x")
 
 
 def _scenarios(axis: Axes, both: Sequence[Mapping[str, Any]]) -> None:
-    names = sorted(both[0]["scenarios_g2"], key=lambda name: (len(name), name))
+    names = sorted(both[0]["scenarios_g2"], key=_order)
     place = np.arange(len(names))
     for offset, row, color, label in zip(
         (-0.19, 0.19), both, (OURS, SUM), ("deep set", "sum over pairs"), strict=True
@@ -76,9 +76,19 @@ def _scenarios(axis: Axes, both: Sequence[Mapping[str, Any]]) -> None:
         axis.text(0.99, three[-1] + 0.4, "three drones", ha="right", va="bottom", color=GREY,
                   transform=axis.get_yaxis_transform())  # fmt: skip
     axis.set_xlabel("Mean squared error (g²)")
-    axis.legend(loc="center right", fontsize=9)
+    _legend(axis)
     axis.set_title("Deep set and sum over pairs by scenario")
     axis.grid(True, axis="x")
+
+
+def _legend(axis: Axes) -> None:
+    """Beside the title, where no bar can be."""
+    axis.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, fontsize=9, borderpad=0.0)
+
+
+def _order(scenario: str) -> tuple[bool, bool, str]:
+    """Lone drones first, then pairs, then three."""
+    return is_three_drones(scenario), not scenario.startswith("Ge"), scenario
 
 
 def is_three_drones(scenario: str) -> bool:
