@@ -6,6 +6,7 @@ import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -55,7 +56,7 @@ BAD_LOGS: dict[str, tuple[Edit, str]] = {
 
 
 @pytest.fixture(scope="module")
-def sound(flown, as_table) -> FlightTable:  # type: ignore[no-untyped-def]
+def sound(flown: Any, as_table: Any) -> FlightTable:
     """Two drones, 8 s."""
     table: FlightTable = as_table(flown("SL", "walk", 8.0), "SL", ["50", "big"])
     return table
