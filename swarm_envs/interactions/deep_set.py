@@ -7,6 +7,8 @@ The vertical force on drone i, in grams, is
 with ReLU networks phi and rho and the window w of the interaction volume. An *anchored* model
 subtracts rho_I(i)(phi_env) of a lone drone at the anchor height with the same velocity: above that
 height a lone drone feels nothing, whatever it flies. Inputs are clamped to the measured range.
+
+Each network is applied to all drones or pairs of an environment that need it, a block at a time.
 """
 
 from __future__ import annotations
@@ -16,133 +18,156 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import kernel
+from swarm_envs.interactions.blocks import Networks, network, networks_of
 from swarm_envs.interactions.field import ForceField
+from swarm_envs.interactions.lanes import Numbers
 from swarm_envs.interactions.window import clamp, pair_weight
-from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
-
-class Networks(NamedTuple):
-    """The networks of a deep set with scratch arrays to apply them in: small enough to pass on."""
-
-    weights: FloatArray
-    """Flat weights of all networks, as in `ForceField`."""
-    layout: IntArray
-    """Depth, widths and offsets of each network, as in `ForceField`."""
-    x: FloatArray
-    """Input of a layer; as long as the widest."""
-    y: FloatArray
-    """Output of a layer; as long as the widest."""
-    active: IntArray
-    """Which inputs are not zero; one longer."""
+NEAR, FREE = 0, 1
+"""A drone's two codes: as it flies, and alone at the anchor height."""
 
 
-@kernel
-def networks_of(field: ForceField) -> Networks:
-    """The field's networks, with fresh scratch arrays."""
-    layout, widest = field.layout, 1
-    for n in range(layout.shape[0]):
-        for k in range(layout.shape[1] // 2):
-            widest = max(widest, layout[n, 1 + k])
-    x, y = np.empty(widest), np.empty(widest)
-    return Networks(field.weights, layout, x, y, np.empty(widest + 1, dtype=np.int64))
+class Codes(NamedTuple):
+    """Inputs of rho, for the N drones of one environment."""
+
+    value: Numbers
+    """(2, N, hidden) the codes NEAR and FREE."""
+    low: BoolArray
+    """(N,) whether the ground is felt: below the anchor height, or the model is not anchored."""
+    felt: BoolArray
+    """(N,) whether anything is felt; without, the force is exactly zero."""
+    drone: IntArray
+    """(lanes,) whose sample is in each lane."""
+    part: IntArray
+    """(lanes,) to which of its codes that sample belongs."""
+    share: FloatArray
+    """(lanes,) weight of the pair in each lane."""
 
 
 @kernel
-def network(nets: Networks, n: int) -> FloatArray:
-    """Apply ReLU network `n` to the input in `nets.x`; the array returned is `x` or `y`."""
-    weights, layout, x, y, active = nets.weights, nets.layout, nets.x, nets.y, nets.active
-    depth, columns = layout[n, 0], layout.shape[1] // 2
-    for layer in range(depth):
-        inputs, outputs = layout[n, 1 + layer], layout[n, 2 + layer]
-        start = layout[n, 1 + columns + layer]
-        affine(weights, start, inputs, outputs, x, y, active)
-        if layer < depth - 1:
-            for o in range(outputs):
-                y[o] = max(y[o], 0.0)
-        x, y = y, x
-    return x
+def empty_codes(nets: Networks, anchor: float, position: FloatArray) -> Codes:
+    """Codes of zero, for drones at (N, 3) m of which none has met another yet."""
+    drones, lanes = position.shape[0], nets.x.shape[1]
+    hidden = nets.layout[0, 1 + nets.layout[0, 0]]
+    value = np.zeros((2, drones, hidden), nets.x.dtype)
+    low, felt = np.empty(drones, np.bool_), np.empty(drones, np.bool_)
+    for i in range(drones):
+        low[i] = felt[i] = anchor == 0.0 or position[i, 2] < anchor
+    index = np.empty((2, lanes), np.int64)
+    return Codes(value, low, felt, index[0], index[1], np.empty(lanes))
 
 
 @kernel
-def affine(
-    weights: FloatArray,
-    start: int,
-    inputs: int,
-    outputs: int,
-    x: FloatArray,
-    y: FloatArray,
-    active: IntArray,
-) -> None:
-    """Write W x + b into `y`, W and b lying at `start` of the flat weights.
-
-    Half of all inputs are zero after a ReLU: the others are listed first (without a branch) and
-    taken two at a time, which halves the time of a plain loop. The order of the sum depends on the
-    input alone, never on what else is computed.
-    """
-    count = 0
-    for i in range(inputs):
-        active[count] = i
-        count += x[i] != 0.0
-    bias = start + inputs * outputs
-    for o in range(outputs):
-        y[o] = weights[bias + o]
-    for k in range(0, count - 1, 2):
-        i, j = active[k], active[k + 1]
-        first, second, a, b = start + i * outputs, start + j * outputs, x[i], x[j]
-        for o in range(outputs):
-            y[o] = (y[o] + weights[first + o] * a) + weights[second + o] * b
-    if count % 2:
-        i = active[count - 1]
-        last, a = start + i * outputs, x[i]
-        for o in range(outputs):
-            y[o] += weights[last + o] * a
+def add_block(nets: Networks, n: int, count: int, codes: Codes) -> None:
+    """Apply network `n` to `count` lanes and add each result, times its share, to its code."""
+    result = network(nets, n, count)
+    for lane in range(count):
+        code = codes.value[codes.part[lane], codes.drone[lane]]
+        for k in range(code.shape[0]):
+            code[k] += codes.share[lane] * result[k, lane]
 
 
 @kernel
-def environment_code(
+def add_neighbours(
     nets: Networks,
-    measured: FloatArray,
-    height: float,
+    field: ForceField,
+    types: IntArray,
+    position: FloatArray,
     velocity: FloatArray,
-    i: int,
-    code: FloatArray,
+    codes: Codes,
 ) -> None:
-    """Write phi_env of drone `i` at `height` (m), with its row of `velocity`, into `code`."""
-    x = nets.x
-    x[0] = clamp(-height, measured[0, 0], measured[1, 0])
-    for k in range(3):
-        x[k + 1] = clamp(-velocity[i, k], measured[0, k + 1], measured[1, k + 1])
-    result = network(nets, nets.layout.shape[0] // 2)
-    for k in range(code.shape[0]):
-        code[k] = result[k]
+    """Add phi of all pairs inside the interaction volume, by the neighbour's type."""
+    measured, window, x = field.pair_range, field.window, nets.x
+    for kind in range(nets.layout.shape[0] // 2):
+        lane = 0
+        for i in range(position.shape[0]):
+            for j in range(position.shape[0]):
+                dx = position[j, 0] - position[i, 0]
+                if j == i or types[j] != kind or abs(dx) >= window[1]:
+                    continue
+                dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+                weight = pair_weight(window, dx, dy, dz)
+                if weight > 0.0:
+                    for k in range(3):
+                        offset = position[j, k] - position[i, k]
+                        speed = velocity[j, k] - velocity[i, k]
+                        x[k, lane] = clamp(offset, measured[0, k], measured[1, k])
+                        x[k + 3, lane] = clamp(speed, measured[0, k + 3], measured[1, k + 3])
+                    codes.drone[lane], codes.part[lane], codes.share[lane] = i, NEAR, weight
+                    codes.felt[i] = True
+                    lane += 1
+                    if lane == x.shape[1]:
+                        add_block(nets, kind, lane, codes)
+                        lane = 0
+        if lane > 0:
+            add_block(nets, kind, lane, codes)
 
 
 @kernel
-def add_neighbour(
+def add_environment(
     nets: Networks,
-    measured: FloatArray,
-    kind: int,
-    weight: float,
-    relative: FloatArray,
-    code: FloatArray,
+    field: ForceField,
+    position: FloatArray,
+    velocity: FloatArray,
+    codes: Codes,
 ) -> None:
-    """Add `weight` times phi of a neighbour of type `kind` at `relative` (6,) to `code`."""
-    x = nets.x
-    for k in range(6):
-        x[k] = clamp(relative[k], measured[0, k], measured[1, k])
-    result = network(nets, kind)
-    for k in range(code.shape[0]):
-        code[k] += weight * result[k]
+    """Add phi_env of every drone that feels something: where it flies, and at the anchor height."""
+    measured, anchor, x = field.environment_range, field.anchor_height, nets.x
+    n = nets.layout.shape[0] // 2
+    lane = 0
+    for i in range(position.shape[0]):
+        for part in range(NEAR, FREE + 1):
+            if not codes.felt[i] or (anchor == 0.0 if part == FREE else not codes.low[i]):
+                continue
+            height = anchor if part == FREE else position[i, 2]
+            x[0, lane] = clamp(-height, measured[0, 0], measured[1, 0])
+            for k in range(3):
+                x[k + 1, lane] = clamp(-velocity[i, k], measured[0, k + 1], measured[1, k + 1])
+            codes.drone[lane], codes.part[lane], codes.share[lane] = i, part, 1.0
+            lane += 1
+            if lane == x.shape[1]:
+                add_block(nets, n, lane, codes)
+                lane = 0
+    if lane > 0:
+        add_block(nets, n, lane, codes)
+    for i in range(position.shape[0]):
+        if codes.felt[i] and not codes.low[i]:
+            for k in range(codes.value.shape[2]):
+                codes.value[NEAR, i, k] += codes.value[FREE, i, k]
 
 
 @kernel
-def output_force(nets: Networks, kind: int, code: FloatArray) -> float:
-    """Rho of a drone of type `kind` at the summed `code`: its vertical force, N."""
+def add_output_block(nets: Networks, kind: int, count: int, codes: Codes, out: FloatArray) -> None:
+    """Apply rho of type `kind` to `count` lanes; what a lone drone would feel is subtracted."""
+    result = network(nets, nets.layout.shape[0] // 2 + 1 + kind, count)
+    for lane in range(count):
+        force = result[0, lane] * GRAM_FORCE
+        out[codes.drone[lane], 2] += force if codes.part[lane] == NEAR else -force
+
+
+@kernel
+def add_outputs(
+    nets: Networks, types: IntArray, anchored: bool, codes: Codes, out: FloatArray
+) -> None:
+    """Add rho of every drone's codes, in newton, to the vertical part of `out` (N, 3)."""
     x = nets.x
-    for k in range(code.shape[0]):
-        x[k] = code[k]
-    return network(nets, nets.layout.shape[0] // 2 + 1 + kind)[0] * GRAM_FORCE
+    for kind in range(nets.layout.shape[0] // 2):
+        lane = 0
+        for i in range(types.shape[0]):
+            if types[i] != kind or not codes.felt[i]:
+                continue
+            for part in range(FREE + 1 if anchored else FREE):
+                for k in range(codes.value.shape[2]):
+                    x[k, lane] = codes.value[part, i, k]
+                codes.drone[lane], codes.part[lane] = i, part
+                lane += 1
+                if lane == x.shape[1]:
+                    add_output_block(nets, kind, lane, codes, out)
+                    lane = 0
+        if lane > 0:
+            add_output_block(nets, kind, lane, codes, out)
 
 
 @kernel
@@ -162,35 +187,8 @@ def deep_set_forces(
         velocity: (N, 3) m/s.
         out: (N, 3) forces, N, world frame.
     """
-    nets = networks_of(field)
-    hidden = nets.layout[0, 1 + nets.layout[0, 0]]
-    code, free, relative = np.empty(hidden), np.empty(hidden), np.empty(6)
-    anchor, window = field.anchor_height, field.window
-    own_range, pair_range = field.environment_range, field.pair_range
-    for i in range(position.shape[0]):
-        low = anchor == 0.0 or position[i, 2] < anchor
-        started = low
-        if low:
-            environment_code(nets, own_range, position[i, 2], velocity, i, code)
-        for j in range(position.shape[0]):
-            relative[0] = position[j, 0] - position[i, 0]
-            if j == i or abs(relative[0]) >= window[1]:
-                continue
-            relative[1] = position[j, 1] - position[i, 1]
-            relative[2] = position[j, 2] - position[i, 2]
-            weight = pair_weight(window, relative[0], relative[1], relative[2])
-            if weight > 0.0:
-                if not started:
-                    environment_code(nets, own_range, anchor, velocity, i, code)
-                    for k in range(hidden):
-                        free[k] = code[k]
-                    started = True
-                for k in range(3):
-                    relative[k + 3] = velocity[j, k] - velocity[i, k]
-                add_neighbour(nets, pair_range, types[j], weight, relative, code)
-        if started:
-            out[i, 2] += output_force(nets, types[i], code)
-            if anchor > 0.0:
-                if low:
-                    environment_code(nets, own_range, anchor, velocity, i, free)
-                out[i, 2] -= output_force(nets, types[i], free)
+    nets = networks_of(field.weights, field.layout)
+    codes = empty_codes(nets, field.anchor_height, position)
+    add_neighbours(nets, field, types, position, velocity, codes)
+    add_environment(nets, field, position, velocity, codes)
+    add_outputs(nets, types, field.anchor_height > 0.0, codes, out)
