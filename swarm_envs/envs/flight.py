@@ -17,6 +17,7 @@ from swarm_envs.control.config import ControlGains, ControllerConfig, compile_ga
 from swarm_envs.control.state import ControllerState, Setpoint
 from swarm_envs.control.tracking import extrapolate, track_env
 from swarm_envs.interactions import load
+from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces
 from swarm_envs.physics import BulletPhysics, Physics
@@ -51,6 +52,8 @@ class Pilot(NamedTuple):
     """Whether the controller compensates a force."""
     belief: ForceField
     """The force model in which it believes."""
+    belief_scratch: Scratch
+    """Working memory to evaluate it."""
     belief_types: IntArray
     """(E, N) interaction types of that model."""
     belief_force: FloatArray
@@ -85,7 +88,8 @@ def decide(e: int, world: World, pilot: Pilot) -> None:
     if pilot.believes:
         position, velocity = world.state.position[e], world.state.velocity[e]
         types, force = pilot.belief_types[e], pilot.belief_force[e]
-        environment_forces(pilot.belief, types, position, velocity, force)
+        scratch = pilot.belief_scratch
+        environment_forces(pilot.belief, types, position, velocity, scratch, force)
     track_env(
         e,
         world.state,
@@ -223,6 +227,7 @@ class Flight:
             nominal=parameters(physics.team, envs),
             believes=config.feedforward is not None,
             belief=belief.field,
+            belief_scratch=scratch_for(belief.field, drones),
             belief_types=np.repeat(belief.type_indices(physics.team)[None], envs, axis=0),
             belief_force=np.zeros((envs, drones, 3)),
             commands=np.zeros((envs, drones, 4)),

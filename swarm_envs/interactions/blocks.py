@@ -1,7 +1,6 @@
 """ReLU networks applied to a block of samples at once, one sample a lane.
 
-Samples go into the columns of `Networks.x`, one to a lane; a sample gives the same bits in any
-block and lane, so that what is computed together never shows.
+A sample gives the same bits in any block and any lane, so what is computed together never shows.
 """
 
 from __future__ import annotations
@@ -9,53 +8,69 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import register_jitable
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.lanes import BLOCK_BYTES, Numbers, affine
-from swarm_envs.state import IntArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 
-class Networks(NamedTuple):
-    """The networks of a deep set with scratch arrays to apply them in: small enough to pass on."""
+class Scratch(NamedTuple):
+    """Working memory to evaluate networks for the N drones of one environment, nothing to keep."""
 
-    weights: Numbers
-    """Flat weights of all networks, as in `ForceField`; scratch has their precision."""
-    layout: IntArray
-    """Depth, widths and offsets of each network, as in `ForceField`."""
-    x: Numbers
-    """(widest layer, lanes) input of a layer."""
-    y: Numbers
-    """(widest layer, lanes) output of a layer."""
+    layers: Numbers
+    """(2, widest layer, lanes): a network's input goes into the first, its layers take turns."""
+    codes: Numbers
+    """(2, N, hidden): sums over blocks, such as the input of rho."""
+    place: IntArray
+    """(2, lanes): to which code the sample in each lane belongs."""
+    share: FloatArray
+    """(lanes,): the factor with which the result in each lane counts."""
+    marks: BoolArray
+    """(2, N)"""
 
 
-@kernel
-def networks_of(weights: Numbers, layout: IntArray) -> Networks:
-    """The networks of a field, with fresh scratch arrays."""
-    widest = 1
+@register_jitable  # type: ignore[untyped-decorator]
+def scratch_for(field: ForceField, drones: int) -> Scratch:
+    """Working memory for a model and this many drones, in the precision of its weights."""
+    layout = field.layout
+    columns, widest = layout.shape[1] // 2, 1
     for n in range(layout.shape[0]):
-        for k in range(layout.shape[1] // 2):
+        for k in range(columns):
             widest = max(widest, layout[n, 1 + k])
-    scratch = np.empty((2, widest, BLOCK_BYTES // weights.itemsize), weights.dtype)
-    return Networks(weights, layout, scratch[0], scratch[1])
+    lanes = BLOCK_BYTES // field.weights.itemsize
+    return Scratch(
+        np.zeros((2, widest, lanes), field.weights.dtype),
+        np.zeros((2, drones, widest), field.weights.dtype),
+        np.zeros((2, lanes), np.int64),
+        np.zeros(lanes),
+        np.zeros((2, drones), np.bool_),
+    )
 
 
-@kernel
-def network(nets: Networks, n: int, count: int) -> Numbers:
-    """Apply ReLU network `n` to the first `count` lanes of `nets.x`.
+@borrowing_kernel
+def network(field: ForceField, n: int, count: int, layers: Numbers) -> int:
+    """Apply ReLU network `n` to the first `count` lanes of `layers[0]`.
+
+    Args:
+        field: its weights and layout.
+        n: row of the layout.
+        count: lanes with samples; the others are filled with copies of the first.
+        layers: (2, widest layer, lanes), as in `Scratch`; overwritten.
 
     Returns:
-        (widest layer, lanes) the outputs, one a row: `nets.x` or `nets.y`, which are both
-        overwritten. Lanes from `count` on hold copies of the first.
+        Which of the two layers holds the outputs, one a row.
     """
-    weights, layout, x, y = nets.weights, nets.layout, nets.x, nets.y
+    layout = field.layout
     depth, columns = layout[n, 0], layout.shape[1] // 2
     for k in range(layout[n, 1]):
-        for lane in range(count, x.shape[1]):
-            x[k, lane] = x[k, 0]
+        for lane in range(count, layers.shape[2]):
+            layers[0, k, lane] = layers[0, k, 0]
     for layer in range(depth):
         inputs, outputs = layout[n, 1 + layer], layout[n, 2 + layer]
         start = layout[n, 1 + columns + layer]
         lowest = 0.0 if layer < depth - 1 else -np.inf
-        affine(weights, start, inputs, outputs, x, y, lowest)
-        x, y = y, x
-    return x
+        x, y = layers[layer % 2], layers[1 - layer % 2]
+        affine(field.weights, start, inputs, outputs, x, y, lowest)
+    return depth % 2

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.deep_set import deep_set_forces
 from swarm_envs.interactions.field import LEARNED, WAKE, ForceField
 from swarm_envs.interactions.wake import wake_forces
@@ -12,12 +13,13 @@ from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 
-@kernel
+@borrowing_kernel
 def environment_forces(
     field: ForceField,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
+    scratch: Scratch,
     out: FloatArray,
 ) -> None:
     """Write the interaction and drag forces on N drones of one environment.
@@ -27,6 +29,7 @@ def environment_forces(
         types: (N,) interaction types, indices into the model's types.
         position: (N, 3) m, world frame.
         velocity: (N, 3) m/s, world frame.
+        scratch: working memory for N drones, from `scratch_for`.
         out: (N, 3) forces f_a, N, world frame; overwritten.
     """
     drag = field.drag
@@ -34,7 +37,7 @@ def environment_forces(
         for k in range(3):
             out[i, k] = -drag[types[i], k] * velocity[i, k]
     if field.kind == LEARNED:
-        deep_set_forces(field, types, position, velocity, out)
+        deep_set_forces(field, types, position, velocity, scratch, out)
     elif field.kind == WAKE:
         wake_forces(field, types, position, velocity, out)
 
@@ -48,11 +51,12 @@ def all_forces(
     out: FloatArray,
 ) -> None:
     """`environment_forces` for every environment: arrays lead with (E, N)."""
+    scratch = scratch_for(field, position.shape[1])
     for e in range(position.shape[0]):
-        environment_forces(field, types[e], position[e], velocity[e], out[e])
+        environment_forces(field, types[e], position[e], velocity[e], scratch, out[e])
 
 
-@kernel
+@borrowing_kernel
 def active_pairs(window: FloatArray, position: FloatArray) -> int:
     """Number of ordered pairs of one environment inside the interaction volume.
 
@@ -71,7 +75,7 @@ def active_pairs(window: FloatArray, position: FloatArray) -> int:
     return count
 
 
-@kernel
+@borrowing_kernel
 def outside_measured_range(
     field: ForceField, position: FloatArray, velocity: FloatArray, out: BoolArray
 ) -> None:

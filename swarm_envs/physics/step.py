@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import inlined_kernel, kernel
+from swarm_envs.interactions.blocks import Scratch
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import environment_forces, outside_measured_range
 from swarm_envs.motors import BatteryArrays, battery_step
@@ -31,6 +32,8 @@ class World(NamedTuple):
     """(E, N) interaction types."""
     field: ForceField
     """The force model that blows."""
+    scratch: Scratch
+    """Working memory to evaluate it."""
     force: FloatArray
     """(E, N, 3) interaction force, as last evaluated, N."""
     outside: BoolArray
@@ -55,7 +58,8 @@ def blow(e: int, world: World) -> None:
     if world.age[e] % world.hold == 0:
         state = world.state
         position, velocity = state.position[e], state.velocity[e]
-        environment_forces(world.field, world.types[e], position, velocity, world.force[e])
+        types, force = world.types[e], world.force[e]
+        environment_forces(world.field, types, position, velocity, world.scratch, force)
         outside_measured_range(world.field, position, velocity, world.outside[e])
     world.age[e] += 1
 
