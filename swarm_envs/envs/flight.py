@@ -19,7 +19,7 @@ from swarm_envs.control.tracking import extrapolate, track_env
 from swarm_envs.interactions import load
 from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import environment_forces
+from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.physics import BulletPhysics, Physics
 from swarm_envs.physics.contact import NO_DRONE, Contacts
 from swarm_envs.physics.rigid_body import TIME_STEP
@@ -89,7 +89,7 @@ def decide(e: int, world: World, pilot: Pilot) -> None:
         position, velocity = world.state.position[e], world.state.velocity[e]
         types, force = pilot.belief_types[e], pilot.belief_force[e]
         scratch = pilot.belief_scratch
-        environment_forces(pilot.belief, types, position, velocity, scratch, force)
+        swarm_forces(pilot.belief, len(types), types, position, velocity, scratch, force)
     track_env(
         e,
         world.state,

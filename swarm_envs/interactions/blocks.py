@@ -17,18 +17,18 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 
 class Scratch(NamedTuple):
-    """Working memory to evaluate networks for the N drones of one environment, nothing to keep."""
+    """Working memory to evaluate networks for M drones at once, nothing to keep."""
 
     layers: Numbers
     """(2, widest layer, lanes): a network's input goes into the first, its layers take turns."""
     codes: Numbers
-    """(2, N, hidden): sums over blocks, such as the input of rho."""
+    """(2, M, hidden): sums over blocks, such as the input of rho."""
     place: IntArray
     """(2, lanes): to which code the sample in each lane belongs."""
     share: FloatArray
     """(lanes,): the factor with which the result in each lane counts."""
     marks: BoolArray
-    """(2, N)"""
+    """(2, M): what is known of each drone."""
 
 
 @register_jitable  # type: ignore[untyped-decorator]
@@ -36,13 +36,14 @@ def scratch_for(field: ForceField, drones: int) -> Scratch:
     """Working memory for a model and this many drones, in the precision of its weights."""
     layout = field.layout
     columns, widest = layout.shape[1] // 2, 1
+    hidden = max(1, layout[0, 1 + layout[0, 0]])
     for n in range(layout.shape[0]):
         for k in range(columns):
             widest = max(widest, layout[n, 1 + k])
     lanes = BLOCK_BYTES // field.weights.itemsize
     return Scratch(
         np.zeros((2, widest, lanes), field.weights.dtype),
-        np.zeros((2, drones, widest), field.weights.dtype),
+        np.zeros((2, drones, hidden), field.weights.dtype),
         np.zeros((2, lanes), np.int64),
         np.zeros(lanes),
         np.zeros((2, drones), np.bool_),

@@ -8,7 +8,8 @@ with ReLU networks phi and rho and the window w of the interaction volume. An *a
 subtracts rho_I(i)(phi_env) of a lone drone at the anchor height with the same velocity: above that
 height a lone drone feels nothing, whatever it flies. Inputs are clamped to the measured range.
 
-Each network is applied to all drones or pairs of an environment that need it, a block at a time.
+Each network is applied to all drones or pairs that need it, a block at a time. Several environments
+of N drones each may be given at once, their M drones one after the other: blocks are then fuller.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ LOW, FELT = 0, 1
 
 @borrowing_kernel
 def begin(field: ForceField, position: FloatArray, scratch: Scratch) -> None:
-    """Set the codes of N drones at (N, 3) m to zero and mark those that are low."""
+    """Set the codes of M drones at (M, 3) m to zero and mark those that are low."""
     anchor, codes, marks = field.anchor_height, scratch.codes, scratch.marks
     for i in range(position.shape[0]):
         marks[LOW, i] = marks[FELT, i] = anchor == 0.0 or position[i, 2] < anchor
@@ -51,6 +52,7 @@ def add_block(field: ForceField, n: int, count: int, scratch: Scratch) -> None:
 @borrowing_kernel
 def add_neighbours(
     field: ForceField,
+    drones: int,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
@@ -61,7 +63,8 @@ def add_neighbours(
     for kind in range(field.layout.shape[0] // 2):
         lane = 0
         for i in range(position.shape[0]):
-            for j in range(position.shape[0]):
+            first = i // drones * drones
+            for j in range(first, first + drones):
                 dx = position[j, 0] - position[i, 0]
                 if j == i or types[j] != kind or abs(dx) >= window[1]:
                     continue
@@ -132,7 +135,7 @@ def add_output_block(
 
 @borrowing_kernel
 def add_outputs(field: ForceField, types: IntArray, scratch: Scratch, out: FloatArray) -> None:
-    """Add rho of every drone's codes, in newton, to the vertical part of `out` (N, 3)."""
+    """Add rho of every drone's codes, in newton, to the vertical part of `out` (M, 3)."""
     layers, codes, half = scratch.layers, scratch.codes, field.layout.shape[0] // 2
     parts = 2 if field.anchor_height > 0.0 else 1
     for kind in range(half):
@@ -156,23 +159,25 @@ def add_outputs(field: ForceField, types: IntArray, scratch: Scratch, out: Float
 @borrowing_kernel
 def deep_set_forces(
     field: ForceField,
+    drones: int,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
     scratch: Scratch,
     out: FloatArray,
 ) -> None:
-    """Add the network's vertical forces on N drones of one environment to `out`.
+    """Add the network's vertical forces on M drones, in environments of `drones` each, to `out`.
 
     Args:
         field: the model.
-        types: (N,) interaction types.
-        position: (N, 3) m.
-        velocity: (N, 3) m/s.
-        scratch: working memory for N drones.
-        out: (N, 3) forces, N, world frame.
+        drones: number of drones in each environment, N.
+        types: (M,) interaction types.
+        position: (M, 3) m.
+        velocity: (M, 3) m/s.
+        scratch: working memory for M drones.
+        out: (M, 3) forces, N, world frame.
     """
     begin(field, position, scratch)
-    add_neighbours(field, types, position, velocity, scratch)
+    add_neighbours(field, drones, types, position, velocity, scratch)
     add_environment(field, position, velocity, scratch)
     add_outputs(field, types, scratch, out)

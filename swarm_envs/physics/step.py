@@ -9,7 +9,7 @@ import numpy as np
 from swarm_envs.compiled import inlined_kernel, kernel
 from swarm_envs.interactions.blocks import Scratch
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import environment_forces, outside_measured_range
+from swarm_envs.interactions.forces import swarm_forces, outside_measured_range
 from swarm_envs.motors import BatteryArrays, battery_step
 from swarm_envs.physics.contact import Contacts, find_contacts
 from swarm_envs.physics.rigid_body import (
@@ -59,7 +59,7 @@ def blow(e: int, world: World) -> None:
         state = world.state
         position, velocity = state.position[e], state.velocity[e]
         types, force = world.types[e], world.force[e]
-        environment_forces(world.field, types, position, velocity, world.scratch, force)
+        swarm_forces(world.field, len(types), types, position, velocity, world.scratch, force)
         outside_measured_range(world.field, position, velocity, world.outside[e])
     world.age[e] += 1
 
