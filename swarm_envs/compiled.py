@@ -94,7 +94,7 @@ def kernel(function: F) -> F:
     Division by zero follows IEEE arithmetic; sums are never reordered, so the same input gives the
     same bytes on the same machine.
     """
-    return _cached(numba.njit(error_model="numpy")(function), function)
+    return _cached(numba.njit(error_model="numpy", no_cfunc_wrapper=True)(function), function)
 
 
 def borrowing_kernel(function: F) -> F:
@@ -104,7 +104,7 @@ def borrowing_kernel(function: F) -> F:
     atomic operation: a third of a microsecond where they are sixty. Whatever makes an array is
     refused when it is compiled. To return one would free it twice.
     """
-    return _cached(numba.njit(error_model="numpy", _nrt=False)(function), function)
+    return _cached(numba.njit(error_model="numpy", _nrt=False, no_cfunc_wrapper=True)(function), function)
 
 
 def _cached(dispatcher: Any, function: F) -> F:

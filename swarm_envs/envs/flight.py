@@ -52,8 +52,6 @@ class Pilot(NamedTuple):
     """Whether the controller compensates a force."""
     belief: ForceField
     """The force model in which it believes."""
-    belief_scratch: Scratch
-    """Working memory to evaluate it."""
     belief_types: IntArray
     """(E, N) interaction types of that model."""
     belief_force: FloatArray
@@ -81,14 +79,13 @@ class Tally(NamedTuple):
 
 
 @inlined_kernel
-def decide(e: int, world: World, pilot: Pilot) -> None:
+def decide(e: int, world: World, pilot: Pilot, scratch: Scratch) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
     if pilot.direct:
         return
     if pilot.believes:
         position, velocity = world.state.position[e], world.state.velocity[e]
         types, force = pilot.belief_types[e], pilot.belief_force[e]
-        scratch = pilot.belief_scratch
         swarm_forces(pilot.belief, len(types), types, position, velocity, scratch, force)
     track_env(
         e,
@@ -160,12 +157,14 @@ def fly_compiled(
         running: (E,) environments to fly.
         steps: number of steps of 1/240 s.
     """
+    drones = total.shape[1]
+    scratch, belief_scratch = scratch_for(world.field, drones), scratch_for(pilot.belief, drones)
     for e in range(total.shape[0]):
         if running[e]:
             forget(e, world.contacts)
             for _ in range(steps):
-                decide(e, world, pilot)
-                blow(e, world)
+                decide(e, world, pilot, belief_scratch)
+                blow(e, world, scratch)
                 count(e, world, tally, disc_area)
                 step_environment(e, world, pilot.commands, still, total)
 
@@ -195,8 +194,9 @@ def prepare_flight(
     """
     if first:
         forget(e, world.contacts)
-    decide(e, world, pilot)
-    blow(e, world)
+    drones = wrench.shape[0]
+    decide(e, world, pilot, scratch_for(pilot.belief, drones))
+    blow(e, world, scratch_for(world.field, drones))
     count(e, world, tally, disc_area)
     prepare_wrench(e, world, pilot.commands, still, wrench)
 
@@ -227,7 +227,6 @@ class Flight:
             nominal=parameters(physics.team, envs),
             believes=config.feedforward is not None,
             belief=belief.field,
-            belief_scratch=scratch_for(belief.field, drones),
             belief_types=np.repeat(belief.type_indices(physics.team)[None], envs, axis=0),
             belief_force=np.zeros((envs, drones, 3)),
             commands=np.zeros((envs, drones, 4)),

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_array, unknown_name
-from swarm_envs.interactions.field import ForceField, empty_field
+from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.wake import load_wake
 from swarm_envs.interactions.weights_file import load_deep_set
@@ -23,6 +23,8 @@ from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
 MODELS = ("none", "wake", "learned")
 """The models that ship, by name."""
+PRECISIONS = ("float64", "float32")
+"""Arithmetic in which networks can be evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,22 @@ class InteractionModel:
                 where = f"in interaction model {self.name!r}"
                 raise ValueError(unknown_name("interaction type", name, self.types, where))
         return types_array(names, self.types)
+
+    def with_precision(self, precision: str) -> InteractionModel:
+        """The same model, its networks evaluated in another precision.
+
+        `"float32"` is for speed where 1e-4 g are nothing; a model is `"float64"` when it is loaded.
+        Whatever takes a model takes this one: `BatchPhysics(..., interactions=model)`.
+
+        Raises:
+            ValueError: the precision is neither `"float64"` nor `"float32"`.
+        """
+        if precision not in PRECISIONS:
+            raise ValueError(unknown_name("precision", precision, PRECISIONS))
+        if self.field.kind in (NONE, WAKE):
+            return self  # no network to evaluate
+        field = self.field._replace(weights=self.field.weights.astype(precision))
+        return dataclasses.replace(self, field=field)
 
     def forces(
         self,

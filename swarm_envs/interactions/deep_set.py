@@ -60,8 +60,9 @@ def add_neighbours(
 ) -> None:
     """Add phi of all pairs inside the interaction volume to the codes, by the neighbour's type."""
     measured, window, layers = field.pair_range, field.window, scratch.layers
+    lanes = layers.shape[2]
     for kind in range(field.layout.shape[0] // 2):
-        lane = 0
+        count = 0
         for i in range(position.shape[0]):
             first = i // drones * drones
             for j in range(first, first + drones):
@@ -71,6 +72,7 @@ def add_neighbours(
                 dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
                 weight = pair_weight(window, dx, dy, dz)
                 if weight > 0.0:
+                    lane = count % lanes
                     for k in range(3):
                         offset = position[j, k] - position[i, k]
                         speed = velocity[j, k] - velocity[i, k]
@@ -81,12 +83,11 @@ def add_neighbours(
                     scratch.place[0, lane], scratch.place[1, lane] = NEAR, i
                     scratch.share[lane] = weight
                     scratch.marks[FELT, i] = True
-                    lane += 1
-                    if lane == layers.shape[2]:
-                        add_block(field, kind, lane, scratch)
-                        lane = 0
-        if lane > 0:
-            add_block(field, kind, lane, scratch)
+                    count += 1
+                    if count % lanes == 0:
+                        add_block(field, kind, lanes, scratch)
+        if count % lanes:
+            add_block(field, kind, count % lanes, scratch)
 
 
 @borrowing_kernel
@@ -96,25 +97,24 @@ def add_environment(
     """Add phi_env of every drone that feels something: where it flies, and at the anchor height."""
     measured, anchor, layers = field.environment_range, field.anchor_height, scratch.layers
     codes, marks = scratch.codes, scratch.marks
-    n = field.layout.shape[0] // 2
-    lane = 0
+    n, lanes, count = field.layout.shape[0] // 2, layers.shape[2], 0
     for i in range(position.shape[0]):
         for part in range(NEAR, FREE + 1):
             wanted = anchor > 0.0 if part == FREE else marks[LOW, i]
             if not (marks[FELT, i] and wanted):
                 continue
+            lane = count % lanes
             height = anchor if part == FREE else position[i, 2]
             layers[0, 0, lane] = clamp(-height, measured[0, 0], measured[1, 0])
             for k in range(1, 4):
                 layers[0, k, lane] = clamp(-velocity[i, k - 1], measured[0, k], measured[1, k])
             scratch.place[0, lane], scratch.place[1, lane] = part, i
             scratch.share[lane] = 1.0
-            lane += 1
-            if lane == layers.shape[2]:
-                add_block(field, n, lane, scratch)
-                lane = 0
-    if lane > 0:
-        add_block(field, n, lane, scratch)
+            count += 1
+            if count % lanes == 0:
+                add_block(field, n, lanes, scratch)
+    if count % lanes:
+        add_block(field, n, count % lanes, scratch)
     for i in range(position.shape[0]):
         if marks[FELT, i] and not marks[LOW, i]:
             for k in range(codes.shape[2]):
@@ -137,23 +137,22 @@ def add_output_block(
 def add_outputs(field: ForceField, types: IntArray, scratch: Scratch, out: FloatArray) -> None:
     """Add rho of every drone's codes, in newton, to the vertical part of `out` (M, 3)."""
     layers, codes, half = scratch.layers, scratch.codes, field.layout.shape[0] // 2
-    parts = 2 if field.anchor_height > 0.0 else 1
+    lanes, parts = layers.shape[2], 2 if field.anchor_height > 0.0 else 1
     for kind in range(half):
-        n = half + 1 + kind
-        lane = 0
+        n, count = half + 1 + kind, 0
         for i in range(types.shape[0]):
             if types[i] != kind or not scratch.marks[FELT, i]:
                 continue
             for part in range(parts):
+                lane = count % lanes
                 for k in range(field.layout[n, 1]):
                     layers[0, k, lane] = codes[part, i, k]
                 scratch.place[0, lane], scratch.place[1, lane] = part, i
-                lane += 1
-                if lane == layers.shape[2]:
-                    add_output_block(field, n, lane, scratch, out)
-                    lane = 0
-        if lane > 0:
-            add_output_block(field, n, lane, scratch, out)
+                count += 1
+                if count % lanes == 0:
+                    add_output_block(field, n, lanes, scratch, out)
+        if count % lanes:
+            add_output_block(field, n, count % lanes, scratch, out)
 
 
 @borrowing_kernel

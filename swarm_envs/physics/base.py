@@ -15,7 +15,6 @@ import numpy.typing as npt
 
 from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.blocks import scratch_for
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -85,7 +84,6 @@ class Physics(ABC):
             parameters=self.parameters,
             types=self.types,
             field=self.interactions.field,
-            scratch=scratch_for(self.interactions.field, len(self.team)),
             force=self.force,
             outside=np.zeros(shape, dtype=np.bool_),
             age=np.zeros(num_envs, dtype=np.int64),
