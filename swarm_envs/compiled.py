@@ -104,7 +104,9 @@ def borrowing_kernel(function: F) -> F:
     atomic operation: a third of a microsecond where they are sixty. Whatever makes an array is
     refused when it is compiled. To return one would free it twice.
     """
-    return _cached(numba.njit(error_model="numpy", _nrt=False, no_cfunc_wrapper=True)(function), function)
+    return _cached(
+        numba.njit(error_model="numpy", _nrt=False, no_cfunc_wrapper=True)(function), function
+    )
 
 
 def _cached(dispatcher: Any, function: F) -> F:

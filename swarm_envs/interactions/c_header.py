@@ -79,7 +79,10 @@ def _comment(lines: Iterable[str]) -> str:
 
 def _provenance(model: InteractionModel) -> list[str]:
     weights = np.ascontiguousarray(model.field.weights, np.float64)
-    lines = [f"model: {model.name}", f"weights: SHA-256 {hashlib.sha256(weights).hexdigest()}"]
+    lines = [
+        f"model: {model.name}",
+        f"weights: SHA-256 {hashlib.sha256(weights.tobytes()).hexdigest()}",
+    ]
     keys = ("command", "data_sha256", "mode", "seed")
     return lines + [f"{key}: {model.notes[key]}" for key in keys if key in model.notes]
 
@@ -97,10 +100,10 @@ def _costs(field: ForceField) -> list[str]:
             f"{2 * (own + rho)} for the drone itself (none at {field.anchor_height:g} m and above "
             "with no neighbour)"
         )
-    stack = 4 * (2 * _widest(field) + 2 * _widths(field, 0)[-1])
+    stack = 4 * (4 * _widest(field) + 2 * _widths(field, 0)[-1]) + 200
     return [
         f"read-only memory: {4 * field.weights.size} bytes of weights",
-        f"stack: {stack} bytes of numbers, and the frames of four calls",
+        f"stack: about {stack} bytes",
         f"multiply-adds: {pair} a neighbour, {once}",
     ]
 
@@ -183,7 +186,9 @@ def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
     velocity = rng.normal(0.0, 0.4, (*shape, 3))
     force = np.empty_like(position)
     all_forces(field, types, position, velocity, force)
-    pairs = np.concatenate([position[:, 1:] - position[:, :1], velocity[:, 1:] - velocity[:, :1]], 2)
+    pairs = np.concatenate(
+        [position[:, 1:] - position[:, :1], velocity[:, 1:] - velocity[:, :1]], 2
+    )
     states = [position[:, 0, 2:], velocity[:, 0], pairs.reshape(SAMPLES, -1), force[:, 0, 2:]]
     return {
         "samples": str(SAMPLES),

@@ -5,16 +5,16 @@ HEADER = """\
  *
 @provenance@
  *
- * Call it with the drone's own type, its position (m, world frame, z up from the ground) and velocity
- * (m/s), and for each neighbour its type, offset (its position minus the drone's) and relative velocity
- * (its velocity minus the drone's): six numbers a neighbour, one after the other. Neighbours beyond
- * @lateral@ m in x or y or @vertical@ m in z cost nothing. Forces are in newton, world frame, and
- * include drag. Inputs beyond the measured range are clamped to it.
+ * Call it with the drone's own type, its position (m, world frame, z up from the ground) and
+ * velocity (m/s), and for each neighbour its type, offset (its position minus the drone's) and
+ * relative velocity (its velocity minus the drone's): six numbers a neighbour, one after the
+ * other. Neighbours beyond @lateral@ m in x or y or @vertical@ m in z cost nothing. Forces are in
+ * newton, world frame, and include drag. Inputs beyond the measured range are clamped to it.
  *
 @costs@
  *
- * With @NAME@_SELF_TEST defined, @name@_self_test() gives the largest difference, in gram-force, from
- * the float64 model over @samples@ states; it should be below 0.001.
+ * With @NAME@_SELF_TEST defined, @name@_self_test() gives the largest difference, in
+ * gram-force, from the float64 model over @samples@ states; it should be below 0.001.
  */
 #ifndef @NAME@_FORCE_H
 #define @NAME@_FORCE_H

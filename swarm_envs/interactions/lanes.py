@@ -47,7 +47,7 @@ def affine(
     y[:outputs] = np.maximum(product, lowest)
 
 
-@overload(affine)
+@overload(affine)  # type: ignore[untyped-decorator]
 def _compiled_affine(
     weights: Any, start: Any, inputs: Any, outputs: Any, x: Any, y: Any, lowest: Any
 ) -> Any:
@@ -74,7 +74,7 @@ def _write_affine(context: Any, builder: Any, signature: Any, arguments: Any) ->
         for k in (0, 4, 5)
     ]
     _, start, inputs, outputs, _, _, lowest = arguments
-    layer = _Layer(builder, lowest.type, *data, start, inputs, outputs)
+    layer = _Layer(builder, lowest.type, data, start, inputs, outputs)
     floor, done = layer.spread(lowest), ir.Constant(outputs.type, 0)
     for tile in TILES:
         count = builder.sdiv(builder.sub(outputs, done), ir.Constant(outputs.type, tile))
@@ -92,13 +92,12 @@ class _Layer:
         self,
         builder: Any,
         number: Any,
-        weights: Any,
-        source: Any,
-        target: Any,
+        data: list[Any],
         start: Any,
         inputs: Any,
         outputs: Any,
     ) -> None:
+        weights, source, target = data
         self.bytes = 8 if isinstance(number, ir.DoubleType) else 4
         self.vector = ir.VectorType(number, BLOCK_BYTES // self.bytes)
         self.builder, self.inputs, self.outputs = builder, inputs, outputs
