@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.interactions.lanes import Numbers
 from swarm_envs.state import FloatArray, IntArray
 
 NONE, WAKE, LEARNED, PAIRWISE = 0, 1, 2, 3
@@ -50,8 +51,9 @@ class ForceField(NamedTuple):
     """(K, 2) ground effect at 0.07 m (N) and its decay height (m), by type."""
     wake_mitigation: FloatArray
     """(2,) share of downwash lost at the ground, and the height over which that fades (m)."""
-    weights: FloatArray
-    """Flat weights: per layer the transposed matrix (in, out), then the bias (out)."""
+    weights: Numbers
+    """Flat weights: per layer the transposed matrix (in, out), then the bias (out). Networks are
+    evaluated in their precision."""
     layout: IntArray
     """(networks, 2 L + 2): depth, the L + 1 widths, the L places in `weights` where the layers
     begin. Of a deep set 2 K + 1: phi of each type, phi of the environment, rho of each type. Of a

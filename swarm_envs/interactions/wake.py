@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.interactions.field import WAKE, ForceField, empty_field
 from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray, IntArray
@@ -93,7 +93,7 @@ def _check(parameters: object) -> None:
             raise ValueError("it holds a number that is not finite")
 
 
-@kernel
+@borrowing_kernel
 def jet_force(field: ForceField, upper: int, lower: int, lateral: float, depth: float) -> float:
     """Downward push (N, positive) of one jet at a lateral distance from its axis and a depth, m."""
     fit = field.wake_pair
@@ -104,7 +104,7 @@ def jet_force(field: ForceField, upper: int, lower: int, lateral: float, depth: 
     return amplitude * shape / (1.0 + math.exp(-depth / _ONSET))
 
 
-@kernel
+@borrowing_kernel
 def wake_forces(
     field: ForceField,
     types: IntArray,
