@@ -102,6 +102,8 @@ def _collect(arguments: Sequence[str]) -> int:
 
     options = _read("collect", CollectOptions, arguments)
     _check_folder("--out", options.out)
+    if options.json is not None:
+        _check_file("--json", options.json)
     run(options)
     return DONE
 
