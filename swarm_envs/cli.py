@@ -108,6 +108,21 @@ def _collect(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _curriculum(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.curriculum.config import CurriculumConfig
+
+    config = _read("curriculum", CurriculumConfig, arguments)
+    _check_folder("--out", config.out)
+    if config.json is not None:
+        _check_file("--json", config.json)
+    _need_torch()
+    from swarm_envs.training.curriculum.run import run_curriculum
+
+    report = run_curriculum(config)
+    print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
+    return DONE
+
+
 def _reproduce(arguments: Sequence[str]) -> int:
     from swarm_envs.training.reproduce.options import ReproduceOptions, run
 
@@ -124,6 +139,7 @@ def _reproduce(arguments: Sequence[str]) -> int:
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
+    "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
 }

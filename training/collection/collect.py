@@ -57,7 +57,7 @@ def collect(
         "feedforward_sha256": None if believed is None else fingerprint(believed),
     }
     out.mkdir(parents=True, exist_ok=True)
-    begin_manifest(out, origin)
+    begin_manifest(out / MANIFEST, origin)
     batches = config.batches()
     seconds = sum(batch.count for batch in batches) * config.duration_s
     with tqdm(total=round(seconds), disable=not progress, unit="s flown", desc="flights") as bar:
@@ -90,20 +90,19 @@ def was_cut_short(flight: Flight, config: CollectionConfig) -> bool:
     return flight.seconds < config.duration_s - 0.05
 
 
-def begin_manifest(out: Path, origin: dict[str, object]) -> None:
-    """Note in the folder what its flights come from, or check that it is the same.
+def begin_manifest(path: Path, origin: dict[str, object]) -> None:
+    """Note in a file what its folder comes from, or check that it is the same.
 
     Raises:
         ValueError: it is not.
     """
-    path = out / MANIFEST
     if path.exists():
         found = json.loads(path.read_text())
         for name, value in origin.items():
             if found.get(name) != json.loads(json.dumps(value)):
                 raise ValueError(
-                    f"{str(path)!r} has the {name} {found.get(name)}, but this collection has "
-                    f"{value}; choose another folder or delete that one"
+                    f"{str(path)!r} has the {name} {found.get(name)}, but this run has {value}; "
+                    "choose another folder or delete that one"
                 )
     else:
         write_json(path, origin)
@@ -133,7 +132,7 @@ def fly_batch(
     rngs = [flight_generator(config, name) for name in batch.names]
     motion, team = make_motion(config, batch, rngs), parse_team(batch.team)
     vehicles = config.errors.draw(team, config.seed, rngs)
-    logs = fly(team, motion, model, config.duration_s, feedforward, vehicles)
+    logs = fly(team, motion, model, config.duration_s, feedforward, vehicles, config.pilot)
     return [
         with_noise(resampled(log, config.log_rate), config.noise, rng)
         for log, rng in zip(logs, rngs, strict=True)

@@ -10,6 +10,7 @@ from typing import Literal
 
 from swarm_envs.errors import check_name
 from swarm_envs.training.collection.fleet import CalibrationErrors
+from swarm_envs.training.collection.flight import PILOTS
 from swarm_envs.training.collection.labels import Label
 from swarm_envs.training.collection.log import LOG_RATE
 from swarm_envs.training.collection.motion import MotionRanges
@@ -45,6 +46,9 @@ class CollectionConfig:
     """force model of the environment: `learned`, `wake`, `none` or a path of weights"""
     feedforward: Path | None = None
     """weights of the force model that the pilot compensates for; None for no compensation"""
+    pilot: Literal["soft", "mid", "stiff", "firm"] = "firm"
+    """position gains of the pilot: the controller's presets, or `firm`, stiffer than flights need,
+    to hold place in wakes that it does not know"""
     log_rate: Literal[100, 120] = 120
     """log entries per second: as flown, or resampled to 100"""
     label: Label = "differentiated"
@@ -79,6 +83,7 @@ class CollectionConfig:
             raise ValueError(f"duration_s is {self.duration_s}, but must be at least 1 s")
         if self.log_rate not in RATES:
             raise ValueError(f"log_rate is {self.log_rate}, but must be 100 or {LOG_RATE}")
+        check_name("pilot", self.pilot, PILOTS)
         check_name("label", self.label, ("differentiated", "imu"))
         check_name("format", self.format, ("npz", "parquet"))
 

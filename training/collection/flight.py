@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.control.config import ControllerConfig, PositionGains
+from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
 from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
+from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.rigid_body import TIME_STEP
@@ -16,8 +17,11 @@ from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, Flight
 from swarm_envs.training.collection.motion import Motion
 from swarm_envs.vehicles import GRAVITY, Team
 
-GAINS = PositionGains(position=3.0, velocity=5.0, integral=1.0)
-"""Of the pilot: stiffer than flights need, to hold place in wakes that it does not know."""
+FIRM = PositionGains(position=3.0, velocity=5.0, integral=1.0)
+"""Stiffer than flights need, to hold place in wakes that the pilot does not know."""
+
+PILOTS = {**GAINS, "firm": FIRM}
+"""Position gains of a pilot by name: those of the controller, and firmer ones."""
 
 _WIDTHS = (3, 3, 4, 3, 3, 4)  # of the arrays of a FlightLog
 
@@ -29,6 +33,7 @@ def fly(
     duration_s: float,
     feedforward: InteractionModel | None = None,
     vehicles: Vehicles | None = None,
+    pilot: str = "firm",
 ) -> list[FlightLog]:
     """Fly a motion in the environment and log it without noise.
 
@@ -39,6 +44,7 @@ def fly(
         duration_s: length of the flights, s.
         feedforward: the force that the pilot compensates for; None for no compensation.
         vehicles: what the drones really are; None for exactly their type.
+        pilot: name of its position gains, see `PILOTS`.
 
     Returns:
         E logs; one ends before its team touches anything or tumbles.
@@ -49,7 +55,8 @@ def fly(
     if vehicles is not None:
         physics.parameters.mass[...] *= vehicles.mass_factor
         thrust_factor = vehicles.thrust_factor[..., None]
-    pilot = TrackingController(team, envs, ControllerConfig(gains=GAINS, feedforward=feedforward))
+    gains = PILOTS[check_name("pilot", pilot, PILOTS)]
+    tracker = TrackingController(team, envs, ControllerConfig(gains, feedforward))
     setpoint = Setpoint.hold(motion.start)
     state = physics.reset(hover_state(team, motion.start))
     entries = round(duration_s * LOG_RATE)
@@ -61,7 +68,7 @@ def fly(
             target = motion.target((k + step / STEPS_PER_ENTRY) / LOG_RATE, state.position)
             for part, value in zip(setpoint, target, strict=False):
                 part[...] = value
-            commands = pilot.commands(state, setpoint)
+            commands = tracker.commands(state, setpoint)
             if step == 0:
                 record(log, k, state, target.position, commands)
             now = state.velocity.copy()
