@@ -84,21 +84,25 @@ def measure(flights: Sequence[Flight], duration_s: float) -> Closeness:
 
 
 def next_clearance(
-    clearance_m: float, closeness: Closeness, margin: float, least_m: float
+    clearance_m: float, closeness: Closeness, unknown: float, margin: float, least_m: float
 ) -> float:
     """The clearance that the next round may plan, m.
 
-    At least `margin` times the error of the vertical gap that was measured, at least half of this
-    round's clearance, at least `least_m`; and no smaller than this round's if a swap ended in a
-    contact.
+    Gaps go wrong by the force that the pilot does not know. So the gap error to expect is the one
+    that was measured, times the share of the then unknown force that is still unknown. The next
+    clearance is at least `margin` times that, at least half of this round's, at least `least_m`;
+    and no smaller than this round's if a swap ended in a contact.
 
     Args:
         clearance_m: planned in the round that was flown, m.
         closeness: measured in it.
-        margin: how many gap errors to keep.
+        unknown: RMS error of the new model over that of what the pilot knew, both against the
+            labels of the round's held-out flights.
+        margin: how many expected gap errors to keep.
         least_m: never less, m.
     """
-    wanted = max(margin * closeness.gap_error_m, LARGEST_STEP * clearance_m, least_m)
+    expected = closeness.gap_error_m * min(unknown, 1.0)
+    wanted = max(margin * expected, LARGEST_STEP * clearance_m, least_m)
     if closeness.cut_swaps:
         wanted = max(wanted, clearance_m)
     return round(wanted, 4)

@@ -7,12 +7,15 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import tyro
+
 from swarm_envs.errors import check_integer
 from swarm_envs.training.collection.config import CollectionConfig
 from swarm_envs.training.collection.fleet import CalibrationErrors
 from swarm_envs.training.collection.labels import Label
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.collection.sensors import SensorNoise
+from swarm_envs.vehicles import LARGE
 
 PAIRS = ("SS", "SL", "LL")
 THREES = ("SSS", "SSL", "SLL", "LLL")
@@ -41,6 +44,13 @@ STAGES = (
 )
 """The rounds of Sec. IV-D: first two vehicles without, then with the learned model, then more."""
 
+UNSEEN_TEAMS = (
+    *("SS", "LS", "SL", "LL"),
+    *("SSS", "LSS", "SSL", "LLS", "SLL", "LLL"),
+    *("SSSSS", "LLSSS", "SSSLL", "SLSLS", "LLLLL"),
+)
+"""Teams of two, three and five drones, the first on top; nobody flies five while it is learned."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
@@ -58,14 +68,14 @@ class CurriculumConfig:
     """seed of every flight and fit"""
     interactions: str = "learned"
     """force model of the environment: `learned`, `wake`, or a path of weights"""
-    first_clearance_m: float = 0.15
+    first_clearance_m: float = 0.25
     """least vertical clearance of two spheres in swaps of the first round, of which nothing is
     known, m"""
     least_clearance_m: float = 0.015
     """no round plans a smaller clearance, m"""
     margin: float = 1.5
-    """a round plans a clearance of at least this many times the error of the vertical gap that was
-    measured in the round before"""
+    """a round plans at least this many times the error of the vertical gap that is to be expected
+    from the round before"""
     flights: int = 5
     """flights of each team and motion in a round"""
     duration_s: float = 12.0
@@ -76,6 +86,10 @@ class CurriculumConfig:
     """optimiser steps of the last fit"""
     episodes: int = 20
     """unseen swaps of each team on which the models are judged"""
+    stages: tyro.conf.Suppress[tuple[Stage, ...]] = STAGES
+    """who flies in each round"""
+    unseen_teams: tyro.conf.Suppress[tuple[str, ...]] = UNSEEN_TEAMS
+    """whose swaps the models are judged on"""
     label: Label = "differentiated"
     """where the acceleration of the force's label comes from"""
     noise: SensorNoise = SensorNoise()
@@ -100,7 +114,7 @@ class CurriculumConfig:
         check_integer("last_steps", self.last_steps, 1)
         for name, low, high in (
             ("least_clearance_m", 0.005, 0.2),
-            ("first_clearance_m", self.least_clearance_m, 0.3),
+            ("first_clearance_m", self.least_clearance_m, 0.5),
             ("margin", 1.0, 10.0),
             ("duration_s", 3.0, 600.0),
         ):
@@ -126,21 +140,24 @@ def collection_config(
 ) -> CollectionConfig:
     """What round `number`, counted from 1, flies.
 
-    Swaps keep at least the clearance between the spheres of neighbouring planes; random walkers
+    Swaps keep at least the clearance between the spheres of neighbouring planes, and so the lowest
+    plane from the floor, since an uncompensated drone is pressed onto it; random walkers
     repel each other from a clearance 10 cm above it, with the same slopes at like shares of it. The
     pilot has the controller's usual gains: one who holds place in any wake needs no compensation.
     """
     usual, count = MotionRanges(), config.flights
     lowest, reach = 0.12 + clearance_m, WALK_REACH_M + clearance_m
+    floor = LARGE.radius + clearance_m
     motion = dataclasses.replace(
         usual,
         clearance_m=clearance_m,
         gap_m=(lowest, lowest + GAP_SPAN_M),
+        low_lowest_m=(max(usual.low_lowest_m[0], floor), max(usual.low_lowest_m[1], floor)),
         reach_m=reach,
         strength=usual.strength * (reach / usual.reach_m) ** 3,
     )
     return CollectionConfig(
-        teams=STAGES[number - 1].teams,
+        teams=config.stages[number - 1].teams,
         walks=count,
         low_walks=count,
         swaps=count,

@@ -8,15 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from swarm_envs.files import write_json
 from swarm_envs.training.collection.collect import collect
 from swarm_envs.training.collection.table import Flight, interaction_rows
 from swarm_envs.training.curriculum.closeness import Closeness, measure, next_clearance
-from swarm_envs.training.curriculum.config import STAGES, CurriculumConfig, collection_config
+from swarm_envs.training.curriculum.config import CurriculumConfig, collection_config
 from swarm_envs.training.force_model.config import FitConfig
+from swarm_envs.training.force_model.evaluate import predict_rows
+from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.files import file_sha256, json_ready
 from swarm_envs.training.force_model.pipeline import fit
-from swarm_envs.training.force_model.rows import save_rows
+from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 
 MARK = "round.json"
 """Written last: a round that has it is done."""
@@ -33,6 +37,11 @@ class RoundReport:
     clearance_m: float
     """Least vertical clearance that its swaps planned."""
     closeness: Closeness
+    unknown_before_g: float
+    """RMS of the force on the round's held-out flights that its pilot did not know, noise of the
+    labels included."""
+    unknown_after_g: float
+    """The same for the model that was fitted then."""
     next_clearance_m: float
     """What the rule allows the next round."""
     rows: int
@@ -72,7 +81,11 @@ def fly_round(
     Returns:
         The report, and the flights of all rounds so far.
     """
-    began, stage, folder = time.perf_counter(), STAGES[number - 1], round_folder(config, number)
+    began, stage, folder = (
+        time.perf_counter(),
+        config.stages[number - 1],
+        round_folder(config, number),
+    )
     feedforward = weights_of(config, number - 1) if stage.compensated else None
     collection = collection_config(config, number, clearance_m, feedforward)
     flown = collect(collection, folder / "flights", config.progress)
@@ -81,6 +94,9 @@ def fly_round(
         return read_report(mark), flights
     fitted = fit_all(config, number, flights)
     closeness = measure(flown, config.duration_s)
+    held_out = interaction_rows([f for f in flown if f.validation], config.label)
+    before = unknown_g(held_out, feedforward)
+    after = unknown_g(held_out, weights_of(config, number))
     report = RoundReport(
         number=number,
         title=stage.title,
@@ -88,8 +104,10 @@ def fly_round(
         compensated=stage.compensated,
         clearance_m=clearance_m,
         closeness=closeness,
+        unknown_before_g=round(before, 4),
+        unknown_after_g=round(after, 4),
         next_clearance_m=next_clearance(
-            clearance_m, closeness, config.margin, config.least_clearance_m
+            clearance_m, closeness, after / before, config.margin, config.least_clearance_m
         ),
         rows=fitted["findings"]["rows"],
         validation_mse=fitted["findings"]["errors"]["overall"],
@@ -118,7 +136,7 @@ def fit_all(config: CurriculumConfig, number: int, flights: list[Flight]) -> dic
 
 def fit_config(config: CurriculumConfig, number: int, table: Path) -> FitConfig:
     """Options of a round's fit: calibration offsets only where vehicles differ from their type."""
-    last = number == len(STAGES)
+    last = number == len(config.stages)
     differ = any(vars(config.errors).values())
     return FitConfig(
         data=table,
@@ -132,6 +150,12 @@ def fit_config(config: CurriculumConfig, number: int, table: Path) -> FitConfig:
         seed=config.seed,
         progress=config.progress,
     )
+
+
+def unknown_g(rows: InteractionRows, weights: Path | None) -> float:
+    """RMS of the vertical labels less what a model says, g; None stands for no model."""
+    predicted = 0.0 if weights is None else predict_rows(load_network(weights), rows)
+    return float(np.sqrt(np.mean((rows.force_g[:, 2] - predicted) ** 2)))
 
 
 def read_report(path: Path) -> RoundReport:

@@ -14,7 +14,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.collection.collect import begin_manifest, fingerprint
 from swarm_envs.training.collection.table import Flight
 from swarm_envs.training.curriculum.closeness import LARGEST_STEP, QUANTILE
-from swarm_envs.training.curriculum.config import STAGES, CurriculumConfig
+from swarm_envs.training.curriculum.config import CurriculumConfig
 from swarm_envs.training.curriculum.picture import draw
 from swarm_envs.training.curriculum.report import (
     CurriculumReport,
@@ -22,7 +22,7 @@ from swarm_envs.training.curriculum.report import (
     sizes_as_json,
 )
 from swarm_envs.training.curriculum.rounds import RoundReport, fly_round, weights_of
-from swarm_envs.training.curriculum.unseen import TEAMS, Unseen, judge_unseen
+from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen
 from swarm_envs.training.force_model.files import json_ready
 
 ORIGIN = "origin.json"
@@ -48,7 +48,7 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
     rounds = fly_rounds(config)
     unseen = judge_all(config, truth)
     with written_whole(config.out / "learned.safetensors") as partial:
-        shutil.copyfile(weights_of(config, len(STAGES)), partial)
+        shutil.copyfile(weights_of(config, len(config.stages)), partial)
     drag = {name: truth.field.drag[k].tolist() for k, name in enumerate(truth.types)}
     report = CurriculumReport(
         command=command(config),
@@ -75,9 +75,9 @@ def fly_rounds(config: CurriculumConfig) -> list[RoundReport]:
     flights: list[Flight] = []
     reports: list[RoundReport] = []
     clearance = config.first_clearance_m
-    for number, stage in enumerate(STAGES, start=1):
+    for number, stage in enumerate(config.stages, start=1):
         tqdm.write(
-            f"round {number} of {len(STAGES)}: {stage.title}, clearance at least "
+            f"round {number} of {len(config.stages)}: {stage.title}, clearance at least "
             f"{100 * clearance:.1f} cm"
         )
         report, flights = fly_round(config, number, clearance, flights)
@@ -91,8 +91,8 @@ def judge_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]
     path = config.out / UNSEEN
     if path.exists():
         return [Unseen(**entry) for entry in json.loads(path.read_text())]
-    models = [load(weights_of(config, k + 1)) for k in range(len(STAGES))]
-    bar = tqdm(TEAMS, disable=not config.progress, desc="unseen swaps", unit="team")
+    models = [load(weights_of(config, k + 1)) for k in range(len(config.stages))]
+    bar = tqdm(config.unseen_teams, disable=not config.progress, desc="unseen swaps", unit="team")
     found = [judge_unseen(models, truth, team, config.episodes) for team in bar]
     write_json(path, json_ready(found))
     return found
@@ -102,11 +102,12 @@ def rule(config: CurriculumConfig) -> str:
     """The rule by which a round's clearance follows, in a sentence."""
     return (
         f"the first round plans a clearance of {100 * config.first_clearance_m:g} cm; each next "
-        f"one the largest of {config.margin:g} times the gap error measured in the last (largest "
-        "difference of a vertical gap from the planned one in each swap, "
-        f"{100 * QUANTILE:g} % quantile of the swaps), {LARGEST_STEP:g} times the last clearance, "
-        f"and {100 * config.least_clearance_m:g} cm; and no smaller one than the last if a swap "
-        "ended in a contact"
+        f"one the largest of {config.margin:g} times the gap error to expect, {LARGEST_STEP:g} "
+        f"times the last clearance, and {100 * config.least_clearance_m:g} cm; and no smaller one "
+        "than the last if a swap ended in a contact. The gap error to expect is the one measured "
+        "in the last round (largest difference of a vertical gap from the planned one in each "
+        f"swap, {100 * QUANTILE:g} % quantile of the swaps) times the RMS error of the new model "
+        "over that of what the pilot knew, on the round's held-out flights"
     )
 
 
@@ -116,6 +117,8 @@ def command(config: CurriculumConfig) -> str:
     usual = CurriculumConfig(out=Path())
     for name in config.what_is_learned():
         value = getattr(config, name)
+        if name in ("stages", "unseen_teams"):  # no options of the command
+            continue
         if name in ("noise", "errors"):
             given = {k: v for k, v in vars(value).items() if v != getattr(getattr(usual, name), k)}
             words += [f"--{k.replace('_', '-')} {v}" for k, v in given.items()]

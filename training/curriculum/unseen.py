@@ -19,12 +19,6 @@ from swarm_envs.training.collection.belief.judge import SwapTrial, fly_swaps
 from swarm_envs.training.force_model.explained import explained_variance
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 
-TEAMS = (
-    *("SS", "LS", "SL", "LL"),
-    *("SSS", "LSS", "SSL", "LLS", "SLL", "LLL"),
-    *("SSSSS", "LLSSS", "SSSLL", "SLSLS", "LLLLL"),
-)
-"""Teams of two, three and five drones, the first on top."""
 GOALS = {2: 0.85, 3: 0.85, 5: 0.70}
 """Share of the variance of f_a,z that a model is to explain, by number of drones."""
 FIRST_SEED = 50_000
