@@ -20,7 +20,7 @@ from swarm_envs.training.curriculum import (
 from swarm_envs.training.curriculum import rounds as rounds_module
 from swarm_envs.training.curriculum import run as run_module
 from swarm_envs.training.curriculum.closeness import measure
-from swarm_envs.training.curriculum.config import STAGES, Stage, collection_config
+from swarm_envs.training.curriculum.config import STAGES, Stage, adds_drones, collection_config
 from swarm_envs.training.curriculum.report import goals_reached, rounds_table, sizes_as_json
 from swarm_envs.training.curriculum.run import command
 from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen, share
@@ -43,15 +43,15 @@ TINY = CurriculumConfig(
 @pytest.mark.parametrize(
     ("clearance", "closeness", "unknown", "expected"),
     [
-        (0.20, CALM, 1.0, 0.10),  # half is all that it dares at once: 1.5 * 4 cm would do
+        (0.30, CALM, 1.0, 0.09),  # 0.3 is all that it dares at once: 1.5 * 4 cm would do
         (0.10, CALM, 1.0, 0.06),  # 1.5 times the gap error
         (0.10, CALM, 0.9, 0.054),  # of which a tenth is known by now
         (0.02, CALM, 1.0, 0.06),  # it was too close: wider again
         (0.10, CALM, 2.0, 0.06),  # a model that got worse promises nothing
-        (0.03, dataclasses.replace(CALM, gap_error_m=0.0), 1.0, 0.015),
+        (0.06, dataclasses.replace(CALM, gap_error_m=0.0), 1.0, 0.018),
         (0.02, dataclasses.replace(CALM, gap_error_m=0.0), 1.0, 0.015),
         (0.20, dataclasses.replace(CALM, cut_swaps=1), 1.0, 0.20),  # a contact: no closer
-        (0.20, dataclasses.replace(CALM, cut_walks=3), 1.0, 0.10),
+        (0.20, dataclasses.replace(CALM, cut_walks=3), 1.0, 0.06),
     ],
 )
 def test_the_next_round_plans_by_the_rule(clearance, closeness, unknown, expected):
@@ -98,6 +98,7 @@ def test_the_first_round_is_not_compensated_and_has_at_most_two_drones():
     assert not first.compensated and max(map(len, first.teams)) == 2
     assert all(stage.compensated for stage in later)
     assert {len(team) for stage in later for team in stage.teams} == {2, 3}
+    assert [adds_drones(STAGES, k) for k in range(1, 6)] == [True, False, True, False, False]
 
 
 def test_swaps_keep_the_clearance_that_was_planned():
@@ -252,13 +253,13 @@ def test_bad_options_are_refused_with_exit_code_2(words, said, tmp_path, capsys,
 
 @pytest.mark.slow
 def test_the_curriculum_explains_the_true_force(tmp_path):
-    """A third of the flights and steps of the command's defaults, under the goals of the whole."""
+    """A third of the flights and less than half of the steps of the command's defaults."""
     config = CurriculumConfig(
-        out=tmp_path, flights=3, duration_s=8.0, steps=700, last_steps=1800, episodes=5
+        out=tmp_path, flights=2, duration_s=8.0, steps=600, last_steps=1600, episodes=4
     )
     report = run_curriculum(config)
     for size, least in (("2", 0.85), ("3", 0.85), ("5", 0.70)):
         assert report.explained[size]["mean"] > least, size
-    first, second = report.rounds[:2]
+    first, second, *_, last = report.rounds
     assert second.closeness.gap_error_m < 0.5 * first.closeness.gap_error_m
-    assert report.rounds[-1].clearance_m < 0.3 * first.clearance_m
+    assert last.clearance_m < 0.5 * first.clearance_m

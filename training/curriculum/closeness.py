@@ -16,7 +16,7 @@ PASSING_M = 0.2
 """Drones pass each other while they are so near laterally: within a wake's width."""
 QUANTILE = 0.95
 """Of the swaps, whose worst gap errors decide on the next round."""
-LARGEST_STEP = 0.5
+LARGEST_STEP = 0.3
 """A round plans at least this share of the last one's clearance, so that models extrapolate little.
 """
 
@@ -90,7 +90,7 @@ def next_clearance(
 
     Gaps go wrong by the force that the pilot does not know. So the gap error to expect is the one
     that was measured, times the share of the then unknown force that is still unknown. The next
-    clearance is at least `margin` times that, at least half of this round's, at least `least_m`;
+    clearance is at least `margin` times that, at least 0.3 of this round's, at least `least_m`;
     and no smaller than this round's if a swap ended in a contact.
 
     Args:

@@ -15,7 +15,7 @@ from swarm_envs.training.collection.fleet import CalibrationErrors
 from swarm_envs.training.collection.labels import Label
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.collection.sensors import SensorNoise
-from swarm_envs.vehicles import LARGE
+from swarm_envs.vehicles import LARGE, parse_team
 
 PAIRS = ("SS", "SL", "LL")
 THREES = ("SSS", "SSL", "SLL", "LLL")
@@ -40,9 +40,17 @@ STAGES = (
     Stage("one and two drones, not compensated", ("S", "L", *PAIRS), False),
     Stage("two drones, compensated", PAIRS, True),
     Stage("three drones, compensated", THREES, True),
-    Stage("two and three drones, closer", (*PAIRS, *THREES), True),
+    Stage("three drones, closer", THREES, True),
+    Stage("two and three drones, closest", (*PAIRS, *THREES), True),
 )
 """The rounds of Sec. IV-D: first two vehicles without, then with the learned model, then more."""
+
+
+def adds_drones(stages: tuple[Stage, ...], number: int) -> bool:
+    """Whether round `number`, counted from 1, flies more drones together than any before."""
+    largest = [max(len(parse_team(team)) for team in stage.teams) for stage in stages[:number]]
+    return number == 1 or largest[-1] > max(largest[:-1])
+
 
 UNSEEN_TEAMS = (
     *("SS", "LS", "SL", "LL"),
@@ -69,18 +77,18 @@ class CurriculumConfig:
     interactions: str = "learned"
     """force model of the environment: `learned`, `wake`, or a path of weights"""
     first_clearance_m: float = 0.25
-    """least vertical clearance of two spheres in swaps of the first round, of which nothing is
-    known, m"""
+    """least vertical clearance of two spheres in swaps of the first round, and of the first with
+    more drones: nothing is known then, m"""
     least_clearance_m: float = 0.015
     """no round plans a smaller clearance, m"""
     margin: float = 1.5
     """a round plans at least this many times the error of the vertical gap that is to be expected
     from the round before"""
-    flights: int = 5
+    flights: int = 4
     """flights of each team and motion in a round"""
     duration_s: float = 12.0
     """length of a flight, s"""
-    steps: int = 1500
+    steps: int = 1200
     """optimiser steps of the fits between rounds"""
     last_steps: int = 4000
     """optimiser steps of the last fit"""

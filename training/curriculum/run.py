@@ -14,7 +14,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.collection.collect import begin_manifest, fingerprint
 from swarm_envs.training.collection.table import Flight
 from swarm_envs.training.curriculum.closeness import LARGEST_STEP, QUANTILE
-from swarm_envs.training.curriculum.config import CurriculumConfig
+from swarm_envs.training.curriculum.config import CurriculumConfig, adds_drones
 from swarm_envs.training.curriculum.picture import draw
 from swarm_envs.training.curriculum.report import (
     CurriculumReport,
@@ -76,6 +76,8 @@ def fly_rounds(config: CurriculumConfig) -> list[RoundReport]:
     reports: list[RoundReport] = []
     clearance = config.first_clearance_m
     for number, stage in enumerate(config.stages, start=1):
+        if adds_drones(config.stages, number):
+            clearance = config.first_clearance_m
         tqdm.write(
             f"round {number} of {len(config.stages)}: {stage.title}, clearance at least "
             f"{100 * clearance:.1f} cm"
@@ -99,11 +101,12 @@ def judge_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]
 
 
 def rule(config: CurriculumConfig) -> str:
-    """The rule by which a round's clearance follows, in a sentence."""
+    """The rule by which a round's clearance follows, in words."""
+    first, least = (100 * v for v in (config.first_clearance_m, config.least_clearance_m))
     return (
-        f"the first round plans a clearance of {100 * config.first_clearance_m:g} cm; each next "
-        f"one the largest of {config.margin:g} times the gap error to expect, {LARGEST_STEP:g} "
-        f"times the last clearance, and {100 * config.least_clearance_m:g} cm; and no smaller one "
+        "the first round, and the first with more drones than flew before, plans a clearance of "
+        f"{first:g} cm; each other one the largest of {config.margin:g} times the gap error to "
+        f"expect, {LARGEST_STEP:g} times the last clearance, and {least:g} cm; and no smaller one "
         "than the last if a swap ended in a contact. The gap error to expect is the one measured "
         "in the last round (largest difference of a vertical gap from the planned one in each "
         f"swap, {100 * QUANTILE:g} % quantile of the swaps) times the RMS error of the new model "
