@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from swarm_envs.cli import main
-from swarm_envs.training.collection import CollectionConfig, collect, interaction_rows
+from swarm_envs.training.collection import (
+    CalibrationErrors,
+    CollectionConfig,
+    collect,
+    interaction_rows,
+)
 from swarm_envs.training.collection.signals import commanded_thrust, motor_signals
 from swarm_envs.training.collection.storage import flight_file, from_table, read_log, to_table
 from swarm_envs.training.collection.table import SCENARIOS
@@ -158,3 +163,17 @@ def test_bad_options_are_refused_with_exit_code_2(words, tmp_path, capsys):
     assert end.value.code == 2
     assert words.split()[1] in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_what_is_wrong_with_a_vehicle_is_found_from_its_parquet_flights(tmp_path):
+    """Offsets by hand: the type's weight less what the commands would carry."""
+    errors = CalibrationErrors(mass=0.05, thrust=0.04)
+    config = dataclasses.replace(CONFIG, teams=("S", "L"), errors=errors, duration_s=10.0, seed=5)
+    parquet(config, tmp_path)
+    _, report = read_logs(tmp_path, LogOptions(guard_s=0.0))
+    for name, vehicle in (("S1", SMALL), ("L1", LARGE)):
+        drawn = errors.draw((vehicle,), config.seed, [np.random.default_rng(0)])
+        mass, thrust = drawn.mass_factor[0, 0], drawn.thrust_factor[0, 0]
+        expected = 1e3 * vehicle.mass * (1.0 - mass / thrust)
+        assert abs(expected) > 0.5
+        assert report.vehicles[name].offset_g == pytest.approx(expected, abs=0.35)
