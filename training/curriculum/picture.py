@@ -69,7 +69,9 @@ def _explained(axis: Axes, report: CurriculumReport) -> None:
         axis.fill_between(number, low, high, color=color, alpha=0.15, linewidth=0)
     for goal in sorted(set(GOALS.values())):
         axis.axhline(100 * goal, color=GREY, linewidth=0.9, linestyle="--")
+        place = (number[-1], 100 * goal + 0.8)
+        axis.annotate(f"goal {100 * goal:.0f}", place, ha="right", fontsize=8, color=GREY)
     axis.set_ylim(bottom=max(0.0, axis.get_ylim()[0]), top=101)
     axis.set_ylabel("% of the variance of the true $f_{a,z}$")
-    axis.set_title("Unseen swaps (band: teams; dashed: goals)")
+    axis.set_title("Unseen swaps (band: all teams)")
     axis.legend(fontsize=9, loc="lower right")

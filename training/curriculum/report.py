@@ -30,6 +30,7 @@ class CurriculumReport:
     reached: bool
     """Whether every team of each number of drones reaches the goal."""
     wall_time_s: float
+    """Of this call: what was done before a kill is not in it."""
 
     def lines(self) -> list[str]:
         """What the command prints."""
