@@ -104,7 +104,24 @@ def _collect(arguments: Sequence[str]) -> int:
 
     options = _read("collect", CollectOptions, arguments)
     _check_folder("--out", options.out)
+    if options.json is not None:
+        _check_file("--json", options.json)
     run(options)
+    return DONE
+
+
+def _curriculum(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.curriculum.config import CurriculumConfig
+
+    config = _read("curriculum", CurriculumConfig, arguments)
+    _check_folder("--out", config.out)
+    if config.json is not None:
+        _check_file("--json", config.json)
+    _need_torch()
+    from swarm_envs.training.curriculum.run import run_curriculum
+
+    report = run_curriculum(config)
+    print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
     return DONE
 
 
@@ -169,6 +186,7 @@ def _export(arguments: Sequence[str]) -> int:
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
+    "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "export": Command("write a force model as a C header for a microcontroller", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),

@@ -10,11 +10,10 @@ from swarm_envs.errors import unknown_name
 from swarm_envs.motors import FULL_VOLTAGE, rotor_force_g
 from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.labels import thrust_direction
+from swarm_envs.training.collection.signals import PWM_SPAN
 from swarm_envs.training.flight_logs.table import GROUPS, FlightTable
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES, Vehicle
 
-PWM_SPAN = 65536.0
-"""Motor signals are PWM over this (Neural-Swarm2, Sec. VII-A)."""
 RUNNING = 0.2
 """Mean signal above which motors run: psi1 has no meaning below."""
 SHORTEST_S = 1.0

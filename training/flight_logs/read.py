@@ -15,7 +15,7 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.table import TYPES
 from swarm_envs.training.flight_logs.checks import DroneLog, check_table
 from swarm_envs.training.flight_logs.clock import ClockedFlight, common_clock
-from swarm_envs.training.flight_logs.collected import MANIFEST, read_collected
+from swarm_envs.training.flight_logs.collected import is_collection, read_collected
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
 from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.report import (
@@ -58,7 +58,7 @@ def read_logs(
         ImportError: a log is Parquet, and pyarrow is not installed.
         ValueError: no file is sound, or none gives a row; the message says why.
     """
-    if (path / MANIFEST).is_file():
+    if is_collection(path):
         return read_collected(path)
     rows, report = read_flights(log_files(path), options, progress)
     if rows is None:
