@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.training.flight_logs.collected import MANIFEST
+from swarm_envs.training.collection.collect import MANIFEST
 from swarm_envs.training.flight_logs.read import log_files, read_flights, read_logs
 from swarm_envs.training.flight_logs.report import FileReport, LogReport
 from swarm_envs.training.flight_logs.table import SUFFIXES
