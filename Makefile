@@ -57,6 +57,7 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 bench: $(VENV)/.dev
+	$(BIN)/python tests/benchmarks/forces.py
 	$(BIN)/python tests/benchmarks/throughput.py
 
 clean:

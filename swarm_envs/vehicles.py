@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from swarm_envs.errors import unknown_name
 
@@ -187,7 +188,7 @@ def parse_team(team: str | Sequence[Vehicle]) -> Team:
         raise ValueError(f"team is {team!r}, but must be a string such as 'SSL' or Vehicles")
     vehicles: Team
     if isinstance(team, str):
-        vehicles = tuple(_vehicle(token, team) for token in _TOKEN.findall(team) if token != "2")
+        vehicles = _read_tokens(team)
     else:
         vehicles = tuple(team)
         for vehicle in vehicles:
@@ -204,6 +205,11 @@ def parse_team(team: str | Sequence[Vehicle]) -> Team:
 def team_string(team: Sequence[Vehicle]) -> str:
     """Write a team as the string that `parse_team` reads: the inverse of it."""
     return "".join(vehicle.token for vehicle in team)
+
+
+@lru_cache(maxsize=256)
+def _read_tokens(team: str) -> Team:
+    return tuple(_vehicle(token, team) for token in _TOKEN.findall(team) if token != "2")
 
 
 def _vehicle(token: str, team: str) -> Vehicle:

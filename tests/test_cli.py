@@ -80,7 +80,7 @@ def run_without_torch(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("name", ["fit", "collect"])
+@pytest.mark.parametrize("name", ["fit", "collect", "curriculum"])
 def test_help_does_not_need_torch(name):
     done = run_without_torch(name, "--help")
     assert done.returncode == 0, done.stderr

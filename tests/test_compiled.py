@@ -7,10 +7,13 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numba
+import numpy as np
 import pytest
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
 
 PACKAGE = Path(__file__).parent.parent / "swarm_envs"
 MESSAGE = "swarm_envs: compiling kernels"
@@ -137,3 +140,27 @@ def test_division_by_zero_follows_ieee():
         return a / b
 
     assert divide(1.0, 0.0) == float("inf")
+
+
+def test_a_borrowing_kernel_that_makes_an_array_is_refused():
+    @borrowing_kernel
+    def total(x: np.ndarray) -> float:
+        return (2.0 * x).sum()
+
+    with pytest.raises(numba.core.errors.NumbaError, match="NRT"):
+        total(np.ones(3))
+
+
+def test_a_borrowing_kernel_counts_no_references():
+    @borrowing_kernel
+    def fill(x: np.ndarray) -> None:
+        row = x[1]
+        for k in range(row.shape[0]):
+            row[k] = k
+
+    array = np.zeros((2, 3))
+    fill(array)
+    assert array.tolist() == [[0, 0, 0], [0, 1, 2]]
+    dispatcher: Any = fill
+    code = dispatcher.inspect_llvm(dispatcher.signatures[0])
+    assert "NRT_incref" not in code.split("define", 2)[1]

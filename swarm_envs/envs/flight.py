@@ -18,8 +18,9 @@ from swarm_envs.control.state import ControllerState, Setpoint
 from swarm_envs.control.tracking import extrapolate, track_env
 from swarm_envs.envs.tally import Airframe, Tally, airframe_of, count, new_tally
 from swarm_envs.interactions import load
+from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import environment_forces
+from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.physics import BulletPhysics, Physics
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.physics.gusts import gust
@@ -63,7 +64,7 @@ class Pilot(NamedTuple):
 
 
 @inlined_kernel
-def decide(e: int, world: World, pilot: Pilot) -> None:
+def decide(e: int, world: World, pilot: Pilot, scratch: Scratch) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
     if pilot.level == ROTORS:
         return
@@ -74,7 +75,7 @@ def decide(e: int, world: World, pilot: Pilot) -> None:
     if pilot.believes:
         position, velocity = world.state.position[e], world.state.velocity[e]
         types, force = pilot.belief_types[e], pilot.belief_force[e]
-        environment_forces(pilot.belief, types, position, velocity, force)
+        swarm_forces(pilot.belief, len(types), types, position, velocity, scratch, force)
     track_env(
         e,
         world.state,
@@ -121,12 +122,14 @@ def fly_compiled(
         running: (E,) environments to fly.
         steps: number of steps of 1/240 s.
     """
+    drones = total.shape[1]
+    scratch, belief_scratch = scratch_for(world.field, drones), scratch_for(pilot.belief, drones)
     for e in range(total.shape[0]):
         if running[e]:
             forget(e, world.contacts)
             for _ in range(steps):
-                decide(e, world, pilot)
-                blow(e, world)
+                decide(e, world, pilot, belief_scratch)
+                blow(e, world, scratch)
                 count(e, world, tally, airframe)
                 gust(e, world.age[e], world.gusts, world.parameters.mass, external)
                 step_environment(e, world, pilot.commands, external, total)
@@ -157,8 +160,9 @@ def prepare_flight(
     """
     if first:
         forget(e, world.contacts)
-    decide(e, world, pilot)
-    blow(e, world)
+    drones = wrench.shape[0]
+    decide(e, world, pilot, scratch_for(pilot.belief, drones))
+    blow(e, world, scratch_for(world.field, drones))
     count(e, world, tally, airframe)
     gust(e, world.age[e], world.gusts, world.parameters.mass, external)
     prepare_wrench(e, world, pilot.commands, external, wrench)

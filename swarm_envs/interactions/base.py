@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import announce_compilation
+from swarm_envs.compiled import entry_point
 from swarm_envs.errors import check_array, unknown_name
-from swarm_envs.interactions.field import ForceField, empty_field
+from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.interactions.wake import load_wake
-from swarm_envs.interactions.weights_file import load_deep_set
+from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
 MODELS = ("none", "wake", "learned")
 """The models that ship, by name."""
+PRECISIONS = ("float64", "float32")
+"""Arithmetic in which networks can be evaluated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +57,22 @@ class InteractionModel:
                 raise ValueError(unknown_name("interaction type", name, self.types, where))
         return types_array(names, self.types)
 
+    def with_precision(self, precision: str) -> InteractionModel:
+        """The same model, its networks evaluated in another precision.
+
+        `"float32"` is for speed where 1e-4 g are nothing; a model is `"float64"` when it is loaded.
+        Whatever takes a model takes this one: `BatchPhysics(..., interactions=model)`.
+
+        Raises:
+            ValueError: the precision is neither `"float64"` nor `"float32"`.
+        """
+        if precision not in PRECISIONS:
+            raise ValueError(unknown_name("precision", precision, PRECISIONS))
+        if self.field.kind in (NONE, WAKE):
+            return self  # no network to evaluate
+        field = self.field._replace(weights=self.field.weights.astype(precision))
+        return dataclasses.replace(self, field=field)
+
     def forces(
         self,
         position: npt.ArrayLike,
@@ -77,11 +96,17 @@ class InteractionModel:
         shape = (*np.shape(position)[:1], len(vehicles), 3)
         p = check_array("position", position, shape, "(E, N, 3), N drones in the team")
         v = check_array("velocity", velocity, shape, "the shape of position")
-        out = np.empty_like(p)
-        types = np.repeat(self.type_indices(vehicles)[None], len(p), axis=0)
-        announce_compilation(all_forces)
-        all_forces(self.field, types, np.ascontiguousarray(p), np.ascontiguousarray(v), out)
+        types, out = np.empty(shape[:2], np.int64), np.empty(shape)
+        types[:] = self.type_indices(vehicles)
+        compiled = _ENTRIES.get(self)
+        if compiled is None:
+            compiled = _ENTRIES[self] = entry_point(all_forces, self.field, types, out, out, out)
+        compiled(self.field, types, p, v, out)
         return out
+
+
+_ENTRIES: WeakKeyDictionary[InteractionModel, Callable[..., None]] = WeakKeyDictionary()
+"""`all_forces` for the types of each model's arrays, which are then not looked up at each call."""
 
 
 def load(name: str | Path | InteractionModel) -> InteractionModel:
@@ -89,7 +114,8 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
 
     Args:
         name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (the shipped deep
-            set), or the path of a safetensors file; a model is returned as it is.
+            set), or the path of what `swarm-envs fit` made: a safetensors file of a deep set or of
+            a pairwise sum, or the JSON of a wake; a model is returned as it is.
 
     Raises:
         ValueError: the name is none of these, or the file is damaged.
@@ -102,17 +128,16 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
         types = tuple(sorted({vehicle.interaction_type for vehicle in VEHICLES.values()}))
         return InteractionModel("none", types, empty_field(len(types)))
     if text == "wake":
-        types, wake = load_wake()
-        return InteractionModel("wake", types, wake)
+        return InteractionModel("wake", *load_wake())
     if text == "learned":
         with resources.as_file(_shipped("learned.safetensors")) as path:
-            types, learned, notes = load_deep_set(path)
-        return InteractionModel("learned", types, learned, notes)
+            return InteractionModel("learned", *load_weights(path))
+    if text.endswith(".json"):
+        return InteractionModel(text, *load_wake(Path(text)))
     if not text.endswith(".safetensors"):
-        valid = (*MODELS, "a path that ends in .safetensors")
+        valid = (*MODELS, "a path that ends in .safetensors or .json")
         raise ValueError(unknown_name("interaction model", text, valid))
-    types, learned, notes = load_deep_set(Path(text))
-    return InteractionModel(text, types, learned, notes)
+    return InteractionModel(text, *load_weights(Path(text)))
 
 
 def _shipped(file: str) -> Any:

@@ -7,190 +7,176 @@ The vertical force on drone i, in grams, is
 with ReLU networks phi and rho and the window w of the interaction volume. An *anchored* model
 subtracts rho_I(i)(phi_env) of a lone drone at the anchor height with the same velocity: above that
 height a lone drone feels nothing, whatever it flies. Inputs are clamped to the measured range.
+
+Each network is applied to all drones or pairs that need it, a block at a time. Several environments
+of N drones each may be given at once, their M drones one after the other: blocks are then fuller.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import numpy as np
-
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel, inlined_kernel
+from swarm_envs.interactions.blocks import Scratch, network
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.window import clamp, pair_weight
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
-
-class Networks(NamedTuple):
-    """The networks of a deep set with scratch arrays to apply them in: small enough to pass on."""
-
-    weights: FloatArray
-    """Flat weights of all networks, as in `ForceField`."""
-    layout: IntArray
-    """Depth, widths and offsets of each network, as in `ForceField`."""
-    x: FloatArray
-    """Input of a layer; as long as the widest."""
-    y: FloatArray
-    """Output of a layer; as long as the widest."""
-    active: IntArray
-    """Which inputs are not zero; one longer."""
+NEAR, FREE = 0, 1
+"""A drone's two codes, the inputs of rho: as it flies, and alone at the anchor height."""
+LOW, FELT = 0, 1
+"""Marks of a drone: it feels the ground; it feels anything at all (else its force is exactly 0)."""
 
 
-@kernel
-def networks_of(field: ForceField) -> Networks:
-    """The field's networks, with fresh scratch arrays."""
-    layout, widest = field.layout, 1
-    for n in range(layout.shape[0]):
-        for k in range(layout.shape[1] // 2):
-            widest = max(widest, layout[n, 1 + k])
-    x, y = np.empty(widest), np.empty(widest)
-    return Networks(field.weights, layout, x, y, np.empty(widest + 1, dtype=np.int64))
+@inlined_kernel
+def begin(field: ForceField, position: FloatArray, scratch: Scratch) -> None:
+    """Set the codes of M drones at (M, 3) m to zero and mark those that are low."""
+    anchor, codes, marks = field.anchor_height, scratch.codes, scratch.marks
+    for i in range(position.shape[0]):
+        marks[LOW, i] = marks[FELT, i] = anchor == 0.0 or position[i, 2] < anchor
+        for k in range(codes.shape[2]):
+            codes[NEAR, i, k] = codes[FREE, i, k] = 0.0
 
 
-@kernel
-def network(nets: Networks, n: int) -> FloatArray:
-    """Apply ReLU network `n` to the input in `nets.x`; the array returned is `x` or `y`."""
-    weights, layout, x, y, active = nets.weights, nets.layout, nets.x, nets.y, nets.active
-    depth, columns = layout[n, 0], layout.shape[1] // 2
-    for layer in range(depth):
-        inputs, outputs = layout[n, 1 + layer], layout[n, 2 + layer]
-        start = layout[n, 1 + columns + layer]
-        affine(weights, start, inputs, outputs, x, y, active)
-        if layer < depth - 1:
-            for o in range(outputs):
-                y[o] = max(y[o], 0.0)
-        x, y = y, x
-    return x
+@borrowing_kernel
+def add_block(field: ForceField, n: int, count: int, scratch: Scratch) -> None:
+    """Apply network `n` to `count` lanes and add each result, times its share, to its code."""
+    layers, codes, place, share = scratch.layers, scratch.codes, scratch.place, scratch.share
+    result = network(field, n, count, layers)
+    hidden = field.layout[n, 1 + field.layout[n, 0]]
+    for lane in range(count):
+        part, i, weight = place[0, lane], place[1, lane], share[lane]
+        for k in range(hidden):
+            codes[part, i, k] += weight * layers[result, k, lane]
 
 
-@kernel
-def affine(
-    weights: FloatArray,
-    start: int,
-    inputs: int,
-    outputs: int,
-    x: FloatArray,
-    y: FloatArray,
-    active: IntArray,
-) -> None:
-    """Write W x + b into `y`, W and b lying at `start` of the flat weights.
-
-    Half of all inputs are zero after a ReLU: the others are listed first (without a branch) and
-    taken two at a time, which halves the time of a plain loop. The order of the sum depends on the
-    input alone, never on what else is computed.
-    """
-    count = 0
-    for i in range(inputs):
-        active[count] = i
-        count += x[i] != 0.0
-    bias = start + inputs * outputs
-    for o in range(outputs):
-        y[o] = weights[bias + o]
-    for k in range(0, count - 1, 2):
-        i, j = active[k], active[k + 1]
-        first, second, a, b = start + i * outputs, start + j * outputs, x[i], x[j]
-        for o in range(outputs):
-            y[o] = (y[o] + weights[first + o] * a) + weights[second + o] * b
-    if count % 2:
-        i = active[count - 1]
-        last, a = start + i * outputs, x[i]
-        for o in range(outputs):
-            y[o] += weights[last + o] * a
-
-
-@kernel
-def environment_code(
-    nets: Networks,
-    measured: FloatArray,
-    height: float,
-    velocity: FloatArray,
-    i: int,
-    code: FloatArray,
-) -> None:
-    """Write phi_env of drone `i` at `height` (m), with its row of `velocity`, into `code`."""
-    x = nets.x
-    x[0] = clamp(-height, measured[0, 0], measured[1, 0])
-    for k in range(3):
-        x[k + 1] = clamp(-velocity[i, k], measured[0, k + 1], measured[1, k + 1])
-    result = network(nets, nets.layout.shape[0] // 2)
-    for k in range(code.shape[0]):
-        code[k] = result[k]
-
-
-@kernel
-def add_neighbour(
-    nets: Networks,
-    measured: FloatArray,
-    kind: int,
-    weight: float,
-    relative: FloatArray,
-    code: FloatArray,
-) -> None:
-    """Add `weight` times phi of a neighbour of type `kind` at `relative` (6,) to `code`."""
-    x = nets.x
-    for k in range(6):
-        x[k] = clamp(relative[k], measured[0, k], measured[1, k])
-    result = network(nets, kind)
-    for k in range(code.shape[0]):
-        code[k] += weight * result[k]
-
-
-@kernel
-def output_force(nets: Networks, kind: int, code: FloatArray) -> float:
-    """Rho of a drone of type `kind` at the summed `code`: its vertical force, N."""
-    x = nets.x
-    for k in range(code.shape[0]):
-        x[k] = code[k]
-    return network(nets, nets.layout.shape[0] // 2 + 1 + kind)[0] * GRAM_FORCE
-
-
-@kernel
-def deep_set_forces(
+@inlined_kernel
+def add_neighbours(
     field: ForceField,
+    drones: int,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
+    scratch: Scratch,
+) -> None:
+    """Add phi of all pairs inside the interaction volume to the codes, by the neighbour's type."""
+    measured, window, layers = field.pair_range, field.window, scratch.layers
+    lanes = layers.shape[2]
+    for kind in range(field.layout.shape[0] // 2):
+        count = 0
+        for i in range(position.shape[0]):
+            first = i // drones * drones
+            for j in range(first, first + drones):
+                dx = position[j, 0] - position[i, 0]
+                if j == i or types[j] != kind or abs(dx) >= window[1]:
+                    continue
+                dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+                weight = pair_weight(window, dx, dy, dz)
+                if weight > 0.0:
+                    lane = count % lanes
+                    for k in range(3):
+                        offset = position[j, k] - position[i, k]
+                        speed = velocity[j, k] - velocity[i, k]
+                        layers[0, k, lane] = clamp(offset, measured[0, k], measured[1, k])
+                        layers[0, k + 3, lane] = clamp(
+                            speed, measured[0, k + 3], measured[1, k + 3]
+                        )
+                    scratch.place[0, lane], scratch.place[1, lane] = NEAR, i
+                    scratch.share[lane] = weight
+                    scratch.marks[FELT, i] = True
+                    count += 1
+                    if count % lanes == 0:
+                        add_block(field, kind, lanes, scratch)
+        if count % lanes:
+            add_block(field, kind, count % lanes, scratch)
+
+
+@inlined_kernel
+def add_environment(
+    field: ForceField, position: FloatArray, velocity: FloatArray, scratch: Scratch
+) -> None:
+    """Add phi_env of every drone that feels something: where it flies, and at the anchor height."""
+    measured, anchor, layers = field.environment_range, field.anchor_height, scratch.layers
+    codes, marks = scratch.codes, scratch.marks
+    n, lanes, count = field.layout.shape[0] // 2, layers.shape[2], 0
+    for i in range(position.shape[0]):
+        for part in range(NEAR, FREE + 1):
+            wanted = anchor > 0.0 if part == FREE else marks[LOW, i]
+            if not (marks[FELT, i] and wanted):
+                continue
+            lane = count % lanes
+            height = anchor if part == FREE else position[i, 2]
+            layers[0, 0, lane] = clamp(-height, measured[0, 0], measured[1, 0])
+            for k in range(1, 4):
+                layers[0, k, lane] = clamp(-velocity[i, k - 1], measured[0, k], measured[1, k])
+            scratch.place[0, lane], scratch.place[1, lane] = part, i
+            scratch.share[lane] = 1.0
+            count += 1
+            if count % lanes == 0:
+                add_block(field, n, lanes, scratch)
+    if count % lanes:
+        add_block(field, n, count % lanes, scratch)
+    for i in range(position.shape[0]):
+        if marks[FELT, i] and not marks[LOW, i]:
+            for k in range(codes.shape[2]):
+                codes[NEAR, i, k] += codes[FREE, i, k]
+
+
+@borrowing_kernel
+def add_output_block(
+    field: ForceField, n: int, count: int, scratch: Scratch, out: FloatArray
+) -> None:
+    """Apply rho, network `n`, to `count` lanes; what a lone drone would feel is subtracted."""
+    layers, place = scratch.layers, scratch.place
+    result = network(field, n, count, layers)
+    for lane in range(count):
+        force = layers[result, 0, lane] * GRAM_FORCE
+        out[place[1, lane], 2] += force if place[0, lane] == NEAR else -force
+
+
+@inlined_kernel
+def add_outputs(field: ForceField, types: IntArray, scratch: Scratch, out: FloatArray) -> None:
+    """Add rho of every drone's codes, in newton, to the vertical part of `out` (M, 3)."""
+    layers, codes, half = scratch.layers, scratch.codes, field.layout.shape[0] // 2
+    lanes, parts = layers.shape[2], 2 if field.anchor_height > 0.0 else 1
+    for kind in range(half):
+        n, count = half + 1 + kind, 0
+        for i in range(types.shape[0]):
+            if types[i] != kind or not scratch.marks[FELT, i]:
+                continue
+            for part in range(parts):
+                lane = count % lanes
+                for k in range(field.layout[n, 1]):
+                    layers[0, k, lane] = codes[part, i, k]
+                scratch.place[0, lane], scratch.place[1, lane] = part, i
+                count += 1
+                if count % lanes == 0:
+                    add_output_block(field, n, lanes, scratch, out)
+        if count % lanes:
+            add_output_block(field, n, count % lanes, scratch, out)
+
+
+@inlined_kernel
+def deep_set_forces(
+    field: ForceField,
+    drones: int,
+    types: IntArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    scratch: Scratch,
     out: FloatArray,
 ) -> None:
-    """Add the network's vertical forces on N drones of one environment to `out`.
+    """Add the network's vertical forces on M drones, in environments of `drones` each, to `out`.
 
     Args:
         field: the model.
-        types: (N,) interaction types.
-        position: (N, 3) m.
-        velocity: (N, 3) m/s.
-        out: (N, 3) forces, N, world frame.
+        drones: number of drones in each environment, N.
+        types: (M,) interaction types.
+        position: (M, 3) m.
+        velocity: (M, 3) m/s.
+        scratch: working memory for M drones.
+        out: (M, 3) forces, N, world frame.
     """
-    nets = networks_of(field)
-    hidden = nets.layout[0, 1 + nets.layout[0, 0]]
-    code, free, relative = np.empty(hidden), np.empty(hidden), np.empty(6)
-    anchor, window = field.anchor_height, field.window
-    own_range, pair_range = field.environment_range, field.pair_range
-    for i in range(position.shape[0]):
-        low = anchor == 0.0 or position[i, 2] < anchor
-        started = low
-        if low:
-            environment_code(nets, own_range, position[i, 2], velocity, i, code)
-        for j in range(position.shape[0]):
-            relative[0] = position[j, 0] - position[i, 0]
-            if j == i or abs(relative[0]) >= window[1]:
-                continue
-            relative[1] = position[j, 1] - position[i, 1]
-            relative[2] = position[j, 2] - position[i, 2]
-            weight = pair_weight(window, relative[0], relative[1], relative[2])
-            if weight > 0.0:
-                if not started:
-                    environment_code(nets, own_range, anchor, velocity, i, code)
-                    for k in range(hidden):
-                        free[k] = code[k]
-                    started = True
-                for k in range(3):
-                    relative[k + 3] = velocity[j, k] - velocity[i, k]
-                add_neighbour(nets, pair_range, types[j], weight, relative, code)
-        if started:
-            out[i, 2] += output_force(nets, types[i], code)
-            if anchor > 0.0:
-                if low:
-                    environment_code(nets, own_range, anchor, velocity, i, free)
-                out[i, 2] -= output_force(nets, types[i], free)
+    begin(field, position, scratch)
+    add_neighbours(field, drones, types, position, velocity, scratch)
+    add_environment(field, position, velocity, scratch)
+    add_outputs(field, types, scratch, out)

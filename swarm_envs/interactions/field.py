@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.interactions.lanes import Numbers
 from swarm_envs.state import FloatArray, IntArray
 
-NONE, WAKE, LEARNED = 0, 1, 2
+NONE, WAKE, LEARNED, PAIRWISE = 0, 1, 2, 3
 
 LATERAL_REACH = 0.35
 """Half width of the interaction volume in x and y, m (Neural-Swarm2's filter)."""
@@ -31,7 +32,7 @@ class ForceField(NamedTuple):
     """Numbers of a force model over K interaction types. SI units unless said."""
 
     kind: int
-    """NONE, WAKE or LEARNED."""
+    """NONE, WAKE, LEARNED (a deep set) or PAIRWISE."""
     drag: FloatArray
     """(K, 3) linear drag coefficients c of a lone drone, N s/m: force -c v."""
     window: FloatArray
@@ -50,11 +51,13 @@ class ForceField(NamedTuple):
     """(K, 2) ground effect at 0.07 m (N) and its decay height (m), by type."""
     wake_mitigation: FloatArray
     """(2,) share of downwash lost at the ground, and the height over which that fades (m)."""
-    weights: FloatArray
-    """Flat weights: per layer the transposed matrix (in, out), then the bias (out)."""
+    weights: Numbers
+    """Flat weights: per layer the transposed matrix (in, out), then the bias (out). Networks are
+    evaluated in their precision."""
     layout: IntArray
-    """(2 K + 1, 2 L + 2) of phi of each type, phi of the environment, rho of each type: depth,
-    the L + 1 widths, the L places in `weights` where the layers begin."""
+    """(networks, 2 L + 2): depth, the L + 1 widths, the L places in `weights` where the layers
+    begin. Of a deep set 2 K + 1: phi of each type, phi of the environment, rho of each type. Of a
+    pairwise sum K (K + 1): of the pairs, [neighbour, drone] in rows, of the types' environment."""
     anchor_height: float
     """Height from which a lone drone feels exactly nothing, m; 0 if the model is not anchored."""
 

@@ -4,39 +4,52 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.deep_set import deep_set_forces
-from swarm_envs.interactions.field import LEARNED, WAKE, ForceField
+from swarm_envs.interactions.field import LEARNED, PAIRWISE, WAKE, ForceField
+from swarm_envs.interactions.pairwise import pairwise_forces
 from swarm_envs.interactions.wake import wake_forces
 from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
+CHUNK = 128
+"""Drones whose forces are evaluated together: enough to fill blocks, few enough for the cache."""
 
-@kernel
-def environment_forces(
+
+@borrowing_kernel
+def swarm_forces(
     field: ForceField,
+    drones: int,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
+    scratch: Scratch,
     out: FloatArray,
 ) -> None:
-    """Write the interaction and drag forces on N drones of one environment.
+    """Write the interaction and drag forces on M drones, in environments of `drones` each.
 
     Args:
         field: the model.
-        types: (N,) interaction types, indices into the model's types.
-        position: (N, 3) m, world frame.
-        velocity: (N, 3) m/s, world frame.
-        out: (N, 3) forces f_a, N, world frame; overwritten.
+        drones: number of drones in each environment, N; M is it or a multiple.
+        types: (M,) interaction types, indices into the model's types.
+        position: (M, 3) m, world frame.
+        velocity: (M, 3) m/s, world frame.
+        scratch: working memory for M drones, from `scratch_for`.
+        out: (M, 3) forces f_a, N, world frame; overwritten.
     """
     drag = field.drag
     for i in range(position.shape[0]):
         for k in range(3):
             out[i, k] = -drag[types[i], k] * velocity[i, k]
     if field.kind == LEARNED:
-        deep_set_forces(field, types, position, velocity, out)
+        deep_set_forces(field, drones, types, position, velocity, scratch, out)
     elif field.kind == WAKE:
-        wake_forces(field, types, position, velocity, out)
+        for a in range(0, position.shape[0], drones):
+            b = a + drones
+            wake_forces(field, types[a:b], position[a:b], velocity[a:b], out[a:b])
+    elif field.kind == PAIRWISE:
+        pairwise_forces(field, drones, types, position, velocity, scratch, out)
 
 
 @kernel
@@ -47,9 +60,15 @@ def all_forces(
     velocity: FloatArray,
     out: FloatArray,
 ) -> None:
-    """`environment_forces` for every environment: arrays lead with (E, N)."""
-    for e in range(position.shape[0]):
-        environment_forces(field, types[e], position[e], velocity[e], out[e])
+    """`swarm_forces` for arrays that lead with (E, N)."""
+    drones = position.shape[1]
+    total, chunk = types.size, max(1, CHUNK // drones) * drones
+    scratch = scratch_for(field, min(chunk, total))
+    kinds, places = types.reshape(total), position.reshape(total, 3)
+    speeds, forces = velocity.reshape(total, 3), out.reshape(total, 3)
+    for a in range(0, total, chunk):
+        b = min(a + chunk, total)
+        swarm_forces(field, drones, kinds[a:b], places[a:b], speeds[a:b], scratch, forces[a:b])
 
 
 @kernel

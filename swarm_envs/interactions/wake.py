@@ -16,16 +16,18 @@ from __future__ import annotations
 import json
 import math
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.interactions.field import WAKE, ForceField, empty_field
 from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
+FORMAT = "wake-1"
 _ONSET = 0.03
 _LOWEST_MEASURED = 0.07
 
@@ -52,14 +54,46 @@ def wake_field(parameters: dict[str, Any]) -> ForceField:
     )
 
 
-def load_wake() -> tuple[tuple[str, ...], ForceField]:
-    """Types and field of the shipped closed form."""
-    text = resources.files("swarm_envs.interactions").joinpath("weights/wake.json").read_text()
-    parameters = json.loads(text)
-    return tuple(parameters["types"]), wake_field(parameters)
+def load_wake(path: Path | None = None) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
+    """Types, field and notes of a closed form: the shipped one, or a file of `swarm-envs fit`.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: the file is damaged, or no closed form that can be evaluated.
+    """
+    if path is None:
+        file = resources.files("swarm_envs.interactions").joinpath("weights/wake.json")
+        parameters = json.loads(file.read_text())
+        return tuple(parameters["types"]), wake_field(parameters), {}
+    if not path.is_file():
+        raise FileNotFoundError(f"wake file {str(path)!r} does not exist; give its path")
+    try:
+        parameters = json.loads(path.read_text(encoding="utf-8"))
+        _check(parameters)
+        field = wake_field(parameters)
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise ValueError(
+            f"wake file {str(path)!r} is damaged or not a {FORMAT!r} file ({error}); fit it again "
+            "by `swarm-envs fit --model wake`"
+        ) from error
+    return tuple(parameters["types"]), field, parameters
 
 
-@kernel
+def _check(parameters: object) -> None:
+    """Refuse what is no closed form, or one that the kernels do not compute."""
+    if not isinstance(parameters, dict) or parameters.get("format") != FORMAT:
+        raise ValueError("its format is another")
+    if parameters["advection_velocity"] != "neighbor":
+        raise ValueError(
+            f"its jets tilt with the velocity {parameters['advection_velocity']!r}, but only "
+            "'neighbor', the upper drone's own, is computed"
+        )
+    for array in wake_field(parameters):
+        if not np.isfinite(array).all():
+            raise ValueError("it holds a number that is not finite")
+
+
+@borrowing_kernel
 def jet_force(field: ForceField, upper: int, lower: int, lateral: float, depth: float) -> float:
     """Downward push (N, positive) of one jet at a lateral distance from its axis and a depth, m."""
     fit = field.wake_pair
@@ -70,7 +104,7 @@ def jet_force(field: ForceField, upper: int, lower: int, lateral: float, depth: 
     return amplitude * shape / (1.0 + math.exp(-depth / _ONSET))
 
 
-@kernel
+@borrowing_kernel
 def wake_forces(
     field: ForceField,
     types: IntArray,

@@ -1,7 +1,8 @@
-"""Reading a deep set's weights file: safetensors with a JSON note, checked before it is believed.
+"""Reading a network's weights file: safetensors with a JSON note, checked before it is believed.
 
-Tensors, float64: `phi.<type>.<layer>.weight` (out, in) and `.bias`, the same for
-`phi.environment` and `rho.<type>`, and `drag.<type>` (3,) in N s/m. The note under the key
+Tensors, float64, of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`, the same for
+`phi.environment` and `rho.<type>`; of a pairwise sum: `pair.<neighbour>.<drone>.<layer>...` and
+`environment.<type>.<layer>...`; of both `drag.<type>` (3,) in N s/m. The note under the key
 `swarm_envs` holds format, types, window, input ranges, anchor height and provenance.
 """
 
@@ -19,25 +20,30 @@ from swarm_envs.errors import check_array
 from swarm_envs.interactions.field import (
     LATERAL_REACH,
     LEARNED,
+    PAIRWISE,
     VERTICAL_REACH,
     ForceField,
     empty_field,
     unlimited,
 )
+from swarm_envs.interactions.pairwise import pairwise_names
 from swarm_envs.state import FloatArray
 
-FORMAT = "deep-set-1"
+KINDS = {"deep-set-1": LEARNED, "pairwise-1": PAIRWISE}
+"""Formats, and which kernels read them."""
+_FORMATS = " or ".join(map(repr, KINDS))
 ENVIRONMENT = "environment"
+_PREFIXES = ("phi.", "rho.", "pair.", f"{ENVIRONMENT}.")
 LARGEST = 1e6
 """No number of a network that was fitted comes near it; one beyond it was damaged."""
 
 
-def load_deep_set(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
+def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
     """Read a weights file: interaction types, the compiled field, and the file's own notes.
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or not a deep set of this format.
+        ValueError: the file is damaged, or of no format that is known.
     """
     if not path.is_file():
         raise FileNotFoundError(
@@ -45,18 +51,24 @@ def load_deep_set(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, An
             "`swarm-envs fit`, or one of 'none', 'wake', 'learned'"
         )
     try:
-        tensors, notes = _read(path)
+        tensors, notes = read_tensors(path)
         types = _types(notes["types"])
         field = _assemble(types, tensors, notes)
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         raise ValueError(
-            f"weights file {str(path)!r} is damaged or not a {FORMAT!r} file ({error}); "
+            f"weights file {str(path)!r} is damaged or not a {_FORMATS} file ({error}); "
             "fit it again or reinstall the package"
         ) from error
     return types, field, notes
 
 
-def _read(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+def read_tensors(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
+    """Read the tensors, as float64, and the note of a file.
+
+    Raises:
+        SafetensorError: it is no safetensors file.
+        ValueError: its format is unknown, or a number is not finite or absurd.
+    """
     with safe_open(path, framework="numpy") as file:
         metadata = file.metadata() or {}
         names = file.keys()  # the file itself cannot be iterated
@@ -64,7 +76,7 @@ def _read(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
     notes = json.loads(metadata.get("swarm_envs", "{}"))
     if not isinstance(notes, dict):
         raise ValueError(f"its note is {notes!r:.80}, not a JSON object")
-    if notes.get("format") != FORMAT:
+    if notes.get("format") not in KINDS:
         raise ValueError(f"its format is {notes.get('format')!r}")
     for name, tensor in tensors.items():
         if not np.isfinite(tensor).all():
@@ -89,7 +101,8 @@ def _types(value: object) -> tuple[str, ...]:
 def _assemble(
     types: tuple[str, ...], tensors: dict[str, FloatArray], notes: dict[str, Any]
 ) -> ForceField:
-    names = [*(f"phi.{t}" for t in types), f"phi.{ENVIRONMENT}", *(f"rho.{t}" for t in types)]
+    kind = KINDS[notes["format"]]
+    names = pairwise_names(types) if kind == PAIRWISE else _deep_set_names(types)
     networks = [_layers(name, tensors) for name in names]
     _check_all_read(tensors, networks)
     _check_widths(names, networks)
@@ -106,7 +119,7 @@ def _assemble(
             position += weight.size + bias.size
     own_range, pair_range = _ranges(notes.get("input_range"))
     return empty_field(len(types))._replace(
-        kind=LEARNED,
+        kind=kind,
         drag=np.array([_drag(t, tensors) for t in types]),
         window=_window(notes.get("window")),
         environment_range=own_range,
@@ -115,6 +128,11 @@ def _assemble(
         layout=layout,
         anchor_height=_anchor_height(notes.get("anchor_height_m")),
     )
+
+
+def _deep_set_names(types: tuple[str, ...]) -> list[str]:
+    """Names of the networks of a deep set, in the order of the field."""
+    return [*(f"phi.{t}" for t in types), f"phi.{ENVIRONMENT}", *(f"rho.{t}" for t in types)]
 
 
 def _layers(name: str, tensors: dict[str, FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
@@ -140,7 +158,7 @@ def _check_all_read(
     tensors: dict[str, FloatArray], networks: list[list[tuple[FloatArray, FloatArray]]]
 ) -> None:
     """Refuse layers that nothing reads: one before them is missing, or a type is not named."""
-    found = sum(name.startswith(("phi.", "rho.")) for name in tensors)
+    found = sum(name.startswith(_PREFIXES) for name in tensors)
     read = 2 * sum(map(len, networks))
     if found != read:
         raise ValueError(f"it holds {found} weights and biases, but its networks have {read}")
@@ -150,10 +168,11 @@ def _check_widths(names: list[str], networks: list[list[tuple[FloatArray, FloatA
     hidden = networks[0][-1][0].shape[0]
     for name, layers in zip(names, networks, strict=True):
         inputs, outputs = layers[0][0].shape[1], layers[-1][0].shape[0]
-        if name.startswith("rho."):
+        part = name.split(".")[0]
+        last = 1 if part in ("pair", ENVIRONMENT) else hidden
+        expected = (4 if ENVIRONMENT in name.split(".") else 6, last)
+        if part == "rho":
             expected = (hidden, 1)
-        else:
-            expected = (4 if name.endswith(f".{ENVIRONMENT}") else 6, hidden)
         if (inputs, outputs) != expected:
             raise ValueError(f"{name!r} maps {inputs} to {outputs} numbers, not {expected}")
 

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import inlined_kernel, kernel
+from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import environment_forces, outside_measured_range
+from swarm_envs.interactions.forces import outside_measured_range, swarm_forces
 from swarm_envs.motors import BatteryArrays, battery_step
 from swarm_envs.physics.contact import Contacts, find_contacts
 from swarm_envs.physics.gusts import Gusts
@@ -56,16 +57,16 @@ class World(NamedTuple):
 
 
 @inlined_kernel
-def blow(e: int, world: World) -> None:
+def blow(e: int, world: World, scratch: Scratch) -> None:
     """Evaluate the interaction force on environment `e` at its present state, if it is due."""
     if world.age[e] % world.hold == 0:
         state = world.state
         position, velocity = state.position[e], state.velocity[e]
-        environment_forces(world.field, world.types[e], position, velocity, world.force[e])
-        scale = world.force_scale[e]
-        for i in range(position.shape[0]):
+        types, force, scale = world.types[e], world.force[e], world.force_scale[e]
+        swarm_forces(world.field, len(types), types, position, velocity, scratch, force)
+        for i in range(len(types)):
             for k in range(3):
-                world.force[e, i, k] *= scale
+                force[i, k] *= scale
         outside_measured_range(world.field, position, velocity, world.outside[e])
     world.age[e] += 1
 
@@ -137,8 +138,9 @@ def step_environment(
 @kernel
 def step_all(world: World, commands: FloatArray, external: FloatArray, total: FloatArray) -> None:
     """One physics step of every environment on the compiled engine."""
+    scratch = scratch_for(world.field, total.shape[1])
     for e in range(total.shape[0]):
-        blow(e, world)
+        blow(e, world, scratch)
         step_environment(e, world, commands, external, total)
 
 
@@ -147,7 +149,7 @@ def blow_and_prepare(
     e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
 ) -> None:
     """`blow`, then `prepare_wrench`."""
-    blow(e, world)
+    blow(e, world, scratch_for(world.field, out.shape[0]))
     prepare_wrench(e, world, commands, external, out)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from swarm_envs.interactions.weights_file import load_deep_set
+from swarm_envs.interactions.weights_file import load_weights
 
 Tensors = dict[str, np.ndarray]
 TYPES = ["S", "L"]
@@ -45,13 +45,14 @@ def write(path: Path, tensors: Tensors, note: object) -> Path:
 
 
 def refused(path: Path, cause: str) -> None:
-    pattern = rf"weights file '.*' is damaged or not a 'deep-set-1' file \(.*{cause}.*\); fit it"
+    known = "a 'deep-set-1' or 'pairwise-1' file"
+    pattern = rf"weights file '.*' is damaged or not {known} \(.*{cause}.*\); fit it"
     with pytest.raises(ValueError, match=pattern):
-        load_deep_set(path)
+        load_weights(path)
 
 
 def test_a_sound_file_is_read_as_it_stands(tmp_path: Path) -> None:
-    types, field, note = load_deep_set(write(tmp_path / "w", sound_tensors(), sound_note()))
+    types, field, note = load_weights(write(tmp_path / "w", sound_tensors(), sound_note()))
     assert types == ("S", "L")
     assert note == sound_note()
     assert field.window.tolist() == [0.25, 0.35, 0.8, 1.1]
@@ -71,7 +72,7 @@ def test_a_sound_file_is_read_as_it_stands(tmp_path: Path) -> None:
     ],
 )
 def test_what_a_note_may_say_too(tmp_path: Path, key: str, value: object) -> None:
-    load_deep_set(write(tmp_path / "w", sound_tensors(), sound_note() | {key: value}))
+    load_weights(write(tmp_path / "w", sound_tensors(), sound_note() | {key: value}))
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,12 @@ from swarm_envs.training.collection import (
 )
 from swarm_envs.training.collection.collect import flight_generator, make_motion
 from swarm_envs.training.collection.config import FlightBatch
-from swarm_envs.training.collection.flight import LOG_RATE, fly, with_noise
+from swarm_envs.training.collection.flight import fly
 from swarm_envs.training.collection.labels import derivative, lagged_thrust, smooth
-from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, repulsion
+from swarm_envs.training.collection.log import LOG_RATE
+from swarm_envs.training.collection.motion import MotionRanges, RandomWalk
+from swarm_envs.training.collection.potentials import Potential, repulsion
+from swarm_envs.training.collection.sensors import with_noise
 from swarm_envs.training.collection.table import scenario_name
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL, parse_team
 
@@ -100,9 +103,11 @@ def test_repulsion_is_the_slope_of_its_potential():
         return 0.5 * 3e-3 * (1 / clearance - 1 / 0.15) ** 2
 
     slope = (potential(c - step) - potential(c + step)) / (2 * step)
-    np.testing.assert_allclose(repulsion(c, 0.15, 3e-3, np.inf), slope, rtol=1e-5)
-    assert repulsion(np.array([0.15, 1.0]), 0.15, 3e-3, 8.0).tolist() == [0.0, 0.0]
-    assert repulsion(np.array([-0.1, 0.0]), 0.15, 3e-3, 8.0).tolist() == [8.0, 8.0]
+    free = Potential(0.15, 3e-3, np.inf)
+    np.testing.assert_allclose([repulsion(x, free) for x in c], slope, rtol=1e-5)
+    limited = free._replace(limit=8.0)
+    assert [repulsion(x, limited) for x in (0.15, 1.0)] == [0.0, 0.0]
+    assert [repulsion(x, limited) for x in (-0.1, 0.0)] == [8.0, 8.0]
 
 
 def test_repulsion_keeps_random_walks_apart():
@@ -166,11 +171,11 @@ def test_a_killed_collection_goes_on_and_ends_the_same(collection, tmp_path, mon
     module, flown = sys.modules[collect.__module__], []
     original = module.fly_batch
 
-    def counted(config, batch, model):
+    def counted(config, batch, *models):
         flown.append(batch.names)
         if len(flown) == 3:
             raise KeyboardInterrupt
-        return original(config, batch, model)
+        return original(config, batch, *models)
 
     monkeypatch.setattr(module, "fly_batch", counted)
     with pytest.raises(KeyboardInterrupt):

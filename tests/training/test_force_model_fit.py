@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from swarm_envs.interactions import load
 from swarm_envs.training.force_model import pipeline
 from swarm_envs.training.force_model.calibration import (
     estimate_offsets,
@@ -18,8 +19,9 @@ from swarm_envs.training.force_model.calibration import (
 )
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network
+from swarm_envs.training.force_model.labels import measured_range
 from swarm_envs.training.force_model.network import OUTER_FADE, DeepSetSpec
-from swarm_envs.training.force_model.pipeline import FitConfig, fit, measured_range
+from swarm_envs.training.force_model.pipeline import FitConfig, fit
 from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 from swarm_envs.training.force_model.train import TrainConfig, predict, to_batch, train
 from swarm_envs.training.force_model.wake_fit import WakeFitConfig, fit_wake, run
@@ -252,12 +254,21 @@ def test_measured_fit_is_the_papers_form(tmp_path):
     assert network.force_g(far, still, "SS")[0, 0] != network.force_g(near, still, "SS")[0, 0]
 
 
-def test_type_without_rows_of_its_own_is_refused(tmp_path):
-    rows = planted_rows(400)
+@pytest.mark.parametrize("model", ["deep-set", "pairwise"])
+def test_a_type_that_is_only_a_neighbour_pushes_but_feels_nothing(model, tmp_path):
+    rows = planted_rows(2000)
     save_rows(tmp_path / "rows.npz", rows.select(rows.ego_type == 0))
-    config = FitConfig(data=tmp_path / "rows.npz", out=tmp_path / "out", progress=False)
-    with pytest.raises(ValueError, match="type 'L' that feels the force"):
-        fit(config)
+    config = FitConfig(data=tmp_path / "rows.npz", out=tmp_path / "out", model=model, steps=20,
+                       offsets="none", lipschitz_samples=0, progress=False)  # fmt: skip
+    report = fit(config)
+    assert report.notes == [
+        "type 'L' is the drone of no training row: the model says it feels nothing"
+    ]
+    found = load(str(config.out / pipeline.WEIGHTS[model]))
+    position = [[[0.0, 0.0, 0.2], [0.0, 0.0, 0.5]]]
+    small, large = (found.forces(position, np.zeros((1, 2, 3)), team) for team in ("SL", "LL"))
+    assert small[0, 0, 2] != 0.0
+    assert not large.any()
 
 
 def test_command_line_makes_the_same_configuration():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from swarm_envs.interactions import load
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, layers, without_velocity
 from swarm_envs.training.force_model.pipeline import fit
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.force_model.rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.reproduce.ablation import (
     Budget,
     fit_config,
@@ -71,12 +72,12 @@ def budget(tmp_path_factory):
 )
 def test_sizes_are_those_of_the_paper(name, phi, rho):
     cell = CELL[name]
-    network = DeepSet(DeepSetSpec(("S", "L"), hidden=cell.hidden, layers=cell.layers))
+    network = DeepSet(DeepSetSpec(("S", "L"), **cell.changes))
     for module in (*network.phi.values(), network.phi_environment):
         assert [layer.out_features for layer in layers(module)] == phi
     for module in network.rho.values():
         assert [layer.out_features for layer in layers(module)] == rho
-        assert layers(module)[0].in_features == cell.hidden
+        assert layers(module)[0].in_features == phi[-1]
 
 
 def test_the_values_are_those_of_the_paper():
@@ -132,14 +133,16 @@ def test_each_cell_changes_one_thing(budget, tmp_path):
         "L=3": {"layers": 3},
         "L=5": {"layers": 5},
         "no-relative-velocity": {"relative_velocity": False},
-        "no-spectral-norm": {"max_spectral_norm": None},
+        "no-spectral-norm": {"spectral": "none"},
+        "exact-spectral-norm": {"spectral": "exact"},
+        "pairwise": {"model": "pairwise"},
     }
 
 
 def test_velocity_counts_where_the_force_depends_on_it(budget, tmp_path):
     cells = [CELL["H=20,L=4"], CELL["no-relative-velocity"]]
     table = run_ablation(
-        tmp_path, budget._replace(steps=300, learning_rate=1e-2), [0], cells, progress=False
+        tmp_path, budget._replace(steps=600, learning_rate=1e-2), [0], cells, progress=False
     )
     seen, blind = (row["ours_g2"] / table["scenario_mean_g2"] for row in table["rows"])
     assert seen < 0.7  # of the labels' variance, which the blind one cannot explain
@@ -154,9 +157,9 @@ def test_without_the_clip_weights_grow_past_it(budget, tmp_path):
         )
         network = load_network(run_folder(tmp_path, cell, 0) / "learned.safetensors")
         matrices = [p.detach().numpy() for p in network.parameters() if p.ndim == 2]
-        norms[cell.clipped] = max(np.linalg.norm(m, 2) for m in matrices)
-    assert norms[True] <= 3.0 + 1e-4
-    assert norms[False] > 3.5
+        norms[cell.name] = max(np.linalg.norm(m, 2) for m in matrices)
+    assert norms["H=20,L=4"] <= 3.0 + 1e-4
+    assert norms["no-spectral-norm"] > 3.5
 
 
 def test_an_interrupted_table_goes_on(budget, tmp_path, monkeypatch):
@@ -230,3 +233,32 @@ def test_bad_options_are_explained(options, said, capsys, monkeypatch):
         main(["reproduce", "neural-swarm2", *options])
     assert end.value.code == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_sum_over_pairs_stands_beside_the_deep_set_by_scenario(budget, tmp_path):
+    rows = read_rows(budget.data)
+    second = np.concatenate([rows.neighbor, rows.neighbor[::-1]], axis=1)
+    force = rows.force_g.copy()
+    force[:, 2] = -20.0 * np.abs(second[..., 3]).max(axis=1)  # the stronger of two, no sum
+    joint = dataclasses.replace(
+        rows, neighbor=second, neighbor_type=np.repeat(rows.neighbor_type, 2, axis=1),
+        force_g=force, scenario_names=("SS2S", "LL2L"), flight=rows.flight + 1,
+    )  # fmt: skip
+    folder = tmp_path / "rows"
+    save_rows(folder / "three.npz", joint)
+    save_rows(folder / "two.npz", dataclasses.replace(rows, scenario_names=("S2S", "L2L")))
+    cells = [CELL["H=20,L=4"], CELL["pairwise"]]
+    table = run_ablation(tmp_path, budget._replace(data=folder), [0], cells, progress=False)
+    deep, pairs = table["rows"]
+    for row in (deep, pairs):
+        errors = row["scenarios_g2"]
+        assert set(errors) == {"S2S", "L2L", "SS2S", "LL2L"}
+        mean = (errors["SS2S"] + errors["LL2L"]) / 2
+        assert row["three_drones_g2"] == pytest.approx(mean, abs=1e-3)
+    assert (run_folder(tmp_path, CELL["pairwise"], 0) / "pairwise.safetensors").is_file()
+    with (tmp_path / "table_3.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [float(line["SS2S_g2"]) for line in lines] == [
+        row["scenarios_g2"]["SS2S"] for row in table["rows"]
+    ]
+    assert (tmp_path / "table_3.png").read_bytes()[:4] == b"\x89PNG"

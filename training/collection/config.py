@@ -5,10 +5,21 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
 
-from swarm_envs.training.collection.flight import SensorNoise
+from swarm_envs.errors import check_name
+from swarm_envs.training.collection.fleet import CalibrationErrors
+from swarm_envs.training.collection.flight import PILOTS
+from swarm_envs.training.collection.labels import Label
+from swarm_envs.training.collection.log import LOG_RATE
 from swarm_envs.training.collection.motion import MotionRanges
+from swarm_envs.training.collection.sensors import SensorNoise
+from swarm_envs.training.collection.storage import Format
 from swarm_envs.vehicles import parse_team
+
+RATES = (100, LOG_RATE)
+"""Log entries per second that can be had."""
 
 KINDS = ("walk", "low-walk", "swap", "low-swap")
 """Motions: random walks and stacked swaps, aloft and near the ground."""
@@ -33,10 +44,25 @@ class CollectionConfig:
     """length of a flight, s; a flight ends earlier at its first contact"""
     interactions: str = "learned"
     """force model of the environment: `learned`, `wake`, `none` or a path of weights"""
+    feedforward: Path | None = None
+    """weights of the force model that the pilot compensates for; None for no compensation"""
+    pilot: Literal["soft", "mid", "stiff", "firm"] = "firm"
+    """position gains of the pilot: the controller's presets, or `firm`, stiffer than flights need,
+    to hold place in wakes that it does not know"""
+    log_rate: Literal[100, 120] = 120
+    """log entries per second: as flown, or resampled to 100"""
+    label: Label = "differentiated"
+    """where the acceleration of the force's label comes from: velocities differentiated over five
+    points, or the accelerometer"""
+    format: Format = "npz"
+    """files of flights: `npz`, or `parquet` in the format of real logs (docs/flight-logs.md), with
+    the accelerations if they are to give the label"""
     motion: MotionRanges = MotionRanges()
     """what the motions are drawn from"""
     noise: SensorNoise = SensorNoise()
     """what sensors add to the logged state; the pilot flies with the true one"""
+    errors: CalibrationErrors = CalibrationErrors()
+    """by how much vehicles differ from their type; none by default"""
     seed: int = 0
     """seed of every flight; each has its own generator, so that none depends on another"""
 
@@ -55,6 +81,11 @@ class CollectionConfig:
                 raise ValueError(f"{name} is {getattr(self, name)}, but must not be negative")
         if not (math.isfinite(self.duration_s) and self.duration_s >= 1.0):
             raise ValueError(f"duration_s is {self.duration_s}, but must be at least 1 s")
+        if self.log_rate not in RATES:
+            raise ValueError(f"log_rate is {self.log_rate}, but must be 100 or {LOG_RATE}")
+        check_name("pilot", self.pilot, PILOTS)
+        check_name("label", self.label, ("differentiated", "imu"))
+        check_name("format", self.format, ("npz", "parquet"))
 
     def batches(self) -> list[FlightBatch]:
         """Flights in the order in which they are flown: those of a batch fly at the same time."""

@@ -2,73 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import NamedTuple
-
 import numpy as np
 
-from swarm_envs.control.config import ControllerConfig, PositionGains
+from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
 from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
+from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
-from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.state import FloatArray, SwarmState, hover_state
+from swarm_envs.training.collection.fleet import Vehicles
+from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog, rotate_back
 from swarm_envs.training.collection.motion import Motion
-from swarm_envs.vehicles import Team
+from swarm_envs.vehicles import GRAVITY, Team
 
-LOG_RATE = 120
-"""Log entries per second: every second physics step."""
+FIRM = PositionGains(position=3.0, velocity=5.0, integral=1.0)
+"""Stiffer than flights need, to hold place in wakes that the pilot does not know."""
 
-STEPS_PER_ENTRY = PHYSICS_RATE // LOG_RATE
-"""Physics steps between log entries."""
+PILOTS = {**GAINS, "firm": FIRM}
+"""Position gains of a pilot by name: those of the controller, and firmer ones."""
 
-GAINS = PositionGains(position=3.0, velocity=5.0, integral=1.0)
-"""Of the pilot: stiffer than flights need, to hold place in wakes that it does not know."""
-
-
-@dataclass(frozen=True)
-class SensorNoise:
-    """White noise on the logged state, standard deviations per component."""
-
-    position_m: float = 2e-4
-    """of a motion-capture system, m"""
-    velocity: float = 0.01
-    """of the state estimator, m/s"""
-    attitude_rad: float = 3e-3
-    """of the state estimator, rad"""
-
-    def __post_init__(self) -> None:
-        """Check every number.
-
-        Raises:
-            ValueError: a standard deviation is negative or not finite.
-        """
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{entry.name} is {value}, but must be finite and not negative")
-
-
-NO_NOISE = SensorNoise(0.0, 0.0, 0.0)
-"""Perfect sensors."""
-
-
-class FlightLog(NamedTuple):
-    """What one flight of N drones recorded, T entries at `LOG_RATE`. World frame, SI units."""
-
-    position: FloatArray
-    """(T, N, 3) m."""
-    velocity: FloatArray
-    """(T, N, 3) m/s."""
-    quaternion: FloatArray
-    """(T, N, 4) attitude (x, y, z, w), body to world."""
-    commands: FloatArray
-    """(T, N, 4) rotor thrusts as commanded from this entry on, N; never those that act."""
-
-    def cut(self, count: int) -> FlightLog:
-        """Return the first `count` entries."""
-        return FlightLog(*(array[:count] for array in self))
+_WIDTHS = (3, 3, 4, 3, 3, 4)  # of the arrays of a FlightLog
 
 
 def fly(
@@ -76,64 +31,62 @@ def fly(
     motion: Motion,
     interactions: str | InteractionModel,
     duration_s: float,
+    feedforward: InteractionModel | None = None,
+    vehicles: Vehicles | None = None,
+    pilot: str = "firm",
 ) -> list[FlightLog]:
-    """Fly a motion in the environment, uncompensated, and log it without noise.
+    """Fly a motion in the environment and log it without noise.
 
     Args:
         team: the N vehicles.
         motion: of E teams.
         interactions: the force model that blows.
         duration_s: length of the flights, s.
+        feedforward: the force that the pilot compensates for; None for no compensation.
+        vehicles: what the drones really are; None for exactly their type.
+        pilot: name of its position gains, see `PILOTS`.
 
     Returns:
         E logs; one ends before its team touches anything or tumbles.
     """
     envs, drones = motion.start.shape[:2]
     physics = BatchPhysics(team, envs, interactions)
-    pilot = TrackingController(team, envs, ControllerConfig(gains=GAINS))
+    thrust_factor: FloatArray = np.ones((envs, drones, 1))
+    if vehicles is not None:
+        physics.parameters.mass[...] *= vehicles.mass_factor
+        thrust_factor = vehicles.thrust_factor[..., None]
+    gains = PILOTS[check_name("pilot", pilot, PILOTS)]
+    tracker = TrackingController(team, envs, ControllerConfig(gains, feedforward))
     setpoint = Setpoint.hold(motion.start)
     state = physics.reset(hover_state(team, motion.start))
     entries = round(duration_s * LOG_RATE)
-    widths = (3, 3, 4, 4)
-    log = FlightLog(*(np.empty((entries, envs, drones, width)) for width in widths))
+    log = FlightLog(*(np.empty((entries, envs, drones, width)) for width in _WIDTHS))
     length = np.full(envs, entries)
+    before = state.velocity.copy()
     for k in range(entries):
         for step in range(STEPS_PER_ENTRY):
             target = motion.target((k + step / STEPS_PER_ENTRY) / LOG_RATE, state.position)
             for part, value in zip(setpoint, target, strict=False):
                 part[...] = value
-            commands = pilot.commands(state, setpoint)
+            commands = tracker.commands(state, setpoint)
             if step == 0:
-                record(log, k, state, commands)
-            state = physics.step(commands)
+                record(log, k, state, target.position, commands)
+            now = state.velocity.copy()
+            state = physics.step(thrust_factor * commands)
+            if step == 0:  # the two steps around the entry
+                log.specific_force[k] = (state.velocity - before) / (TIME_STEP * (2 if k else 1))
+            before = now
             touched = (physics.contact | physics.contacts.tumbling).any(axis=1)
             length[touched] = np.minimum(length[touched], k)
+    log.specific_force[..., 2] += GRAVITY
+    log = log._replace(specific_force=rotate_back(log.quaternion, log.specific_force))
     flights = (FlightLog(*(array[:, e] for array in log)) for e in range(envs))
     return [flight.cut(int(count)) for flight, count in zip(flights, length, strict=True)]
 
 
-def record(log: FlightLog, k: int, state: SwarmState, commands: FloatArray) -> None:
-    """Write entry k of a batch's log (T, E, N, ...)."""
+def record(
+    log: FlightLog, k: int, state: SwarmState, setpoint: FloatArray, commands: FloatArray
+) -> None:
+    """Write entry k of a batch's log (T, E, N, ...), but for its specific force."""
     log.position[k], log.velocity[k] = state.position, state.velocity
-    log.quaternion[k], log.commands[k] = state.quaternion, commands
-
-
-def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> FlightLog:
-    """Return the log as noisy sensors would have written it."""
-    shape = log.position.shape
-    turn = 0.5 * noise.attitude_rad * rng.standard_normal(shape)
-    small = np.concatenate([turn, np.ones((*shape[:-1], 1))], axis=-1)
-    quaternion = multiply(small, log.quaternion)
-    return log._replace(
-        position=log.position + noise.position_m * rng.standard_normal(shape),
-        velocity=log.velocity + noise.velocity * rng.standard_normal(shape),
-        quaternion=quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True),
-    )
-
-
-def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
-    """Product p q of quaternions (..., 4) in the order (x, y, z, w)."""
-    a, b = p[..., :3], q[..., :3]
-    s, t = p[..., 3:], q[..., 3:]
-    vector = s * b + t * a + np.cross(a, b)
-    return np.concatenate([vector, s * t - (a * b).sum(axis=-1, keepdims=True)], axis=-1)
+    log.quaternion[k], log.setpoint[k], log.commands[k] = state.quaternion, setpoint, commands

@@ -2,20 +2,28 @@
 
     f_a = m a + m g k - R T k
 
-The acceleration a is differentiated from the logged velocity, the thrust T is what the motor lag
-makes of the logged commands, the attitude R is as logged. Nothing is read from a simulator.
+The acceleration a is differentiated from the logged velocity over five points, or is what the
+accelerometer read; the thrust T is what the motor lag makes of the logged commands, the attitude R
+is as logged, the mass m is the type's. A log is all that these functions are given.
 """
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
+from scipy.signal import lfilter
 
 from swarm_envs.state import FloatArray
-from swarm_envs.training.collection.flight import LOG_RATE, FlightLog
+from swarm_envs.training.collection.log import LOG_RATE, FlightLog, world_acceleration
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
 
 SMOOTHING_S = 0.1
-"""Width of the window that labels are averaged over: a drone moves some centimetres meanwhile."""
+"""Width of the window that labels of differentiated velocity are averaged over: a drone moves some
+centimetres meanwhile."""
+
+Label = Literal["differentiated", "imu"]
+"""Where the acceleration of a label comes from."""
 
 
 def derivative(values: FloatArray, step: float) -> FloatArray:
@@ -32,12 +40,12 @@ def lagged_thrust(commands: FloatArray, team: Team, step: float) -> FloatArray:
     Between two entries the command is taken as their mean.
     """
     command = commands.sum(axis=-1)
-    blend = np.array([-np.expm1(-vehicle.motor_rate * step) for vehicle in team])
+    held = 0.5 * (command[1:] + command[:-1])
     thrust = np.empty_like(command)
-    thrust[0] = [4.0 * vehicle.hover_rotor_thrust for vehicle in team]
-    for k in range(1, len(command)):
-        held = 0.5 * (command[k - 1] + command[k])
-        thrust[k] = thrust[k - 1] + blend * (held - thrust[k - 1])
+    for i, vehicle in enumerate(team):
+        thrust[:1, i] = hover = 4.0 * vehicle.hover_rotor_thrust
+        keep = np.exp(-vehicle.motor_rate * step)
+        thrust[1:, i], _ = lfilter([1.0 - keep], [1.0, -keep], held[:, i], zi=[keep * hover])
     return thrust
 
 
@@ -61,22 +69,34 @@ def smooth(values: FloatArray, width: int) -> FloatArray:
     return result
 
 
-def interaction_force(log: FlightLog, team: Team, smoothing_s: float = SMOOTHING_S) -> FloatArray:
+def interaction_force(
+    log: FlightLog,
+    team: Team,
+    smoothing_s: float = SMOOTHING_S,
+    rate_hz: float = LOG_RATE,
+    label: Label = "differentiated",
+) -> FloatArray:
     """Interaction force on every drone at every entry of a log.
 
     Args:
         log: T entries of N drones.
         team: the N vehicles.
-        smoothing_s: width of the Hann window over which the force is averaged, s; less than two
-            log entries for none.
+        smoothing_s: width of the Hann window over which a differentiated label is averaged, s;
+            less than two log entries for none. One from the accelerometer is taken as it is.
+        rate_hz: log entries per second.
+        label: where the acceleration comes from.
 
     Returns:
         (T, N, 3) force in gram-force, world frame; NaN near both ends, where it is unknown.
     """
-    step = 1.0 / LOG_RATE
     mass = np.array([vehicle.mass for vehicle in team])[:, None]
-    thrust = lagged_thrust(log.commands, team, step)[..., None]
-    force = mass * derivative(log.velocity, step) - thrust * thrust_direction(log.quaternion)
-    force[..., 2] += mass[:, 0] * GRAVITY
-    width = 2 * round(0.5 * smoothing_s * LOG_RATE) + 1
-    return (smooth(force, width) if width > 1 else force) / GRAM_FORCE
+    thrust = lagged_thrust(log.commands, team, 1.0 / rate_hz)[..., None]
+    if label == "imu":
+        acceleration = world_acceleration(log)
+    else:
+        acceleration = derivative(log.velocity, 1.0 / rate_hz)
+        acceleration[..., 2] += GRAVITY
+    force = mass * acceleration - thrust * thrust_direction(log.quaternion)
+    width = 2 * round(0.5 * smoothing_s * rate_hz) + 1
+    averaged = label == "differentiated" and width > 1
+    return np.asarray((smooth(force, width) if averaged else force) / GRAM_FORCE)

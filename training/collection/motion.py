@@ -3,11 +3,8 @@
 Random walk (Neural-Swarm2, Sec. VII-B): each drone has a set-point, a point mass that an
 attractive potential draws to a goal in a small box; goals are drawn anew at a fixed frequency.
 Half of the time all goals stand in one vertical line, so that drones pass over and under each
-other. Neighbours and the floor repel with the potential of Khatib (1986),
-
-    U(c) = strength / 2 (1/c - 1/reach)^2 for clearances c < reach,
-
-whose slope at the *measured* positions accelerates the set-point. The constants are ours.
+other. Neighbours and the floor repel with the potential of `potentials`, whose slope at the
+*measured* positions accelerates the set-point. The constants are ours.
 """
 
 from __future__ import annotations
@@ -19,6 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from swarm_envs.state import FloatArray
+from swarm_envs.training.collection.potentials import Potential, push_apart
 from swarm_envs.trajectories import Reference, ramped_line
 from swarm_envs.vehicles import Team
 
@@ -58,7 +56,10 @@ class MotionRanges:
     radius_m: Range = (0.35, 0.75)
     """radius of the circle of a swap"""
     gap_m: Range = (0.15, 0.45)
-    """distance of neighbouring planes of a swap; more where spheres would come within 1.5 cm"""
+    """distance of neighbouring planes of a swap; more where spheres would come within
+    `clearance_m`"""
+    clearance_m: float = 0.015
+    """least clearance of the spheres of drones in neighbouring planes of a swap"""
     crossing_s: Range = (2.0, 5.0)
     """time of one crossing"""
     pause_s: Range = (0.2, 0.8)
@@ -110,13 +111,6 @@ class Motion(Protocol):
         """
 
 
-def repulsion(clearance: FloatArray, reach: float, strength: float, limit: float) -> FloatArray:
-    """Acceleration -dU/dc away from what is at a clearance c, m, of Khatib's potential, m/s^2."""
-    c = np.maximum(clearance, 1e-3)
-    slope = strength * (1.0 / c - 1.0 / reach) / (c * c)
-    return np.where(c < reach, np.minimum(slope, limit), 0.0)
-
-
 class RandomWalk:
     """Random walks of E teams in a small box.
 
@@ -147,6 +141,10 @@ class RandomWalk:
         self.start = np.stack([separated(g[0], self.radius) for g in self.goals])
         self._goal = self.start.copy()
         self._position, self._velocity = self.start.copy(), np.zeros_like(self.start)
+        r = ranges
+        self._neighbor = Potential(r.reach_m, r.strength, r.repulsion_limit)
+        self._floor = Potential(r.floor_reach_m, r.floor_strength, r.repulsion_limit)
+        self._push = np.zeros_like(self.start)
 
     def target(self, time: float, position: FloatArray) -> Target:
         """Set-points after one more step; see `Motion`."""
@@ -157,26 +155,11 @@ class RandomWalk:
         pull = w * w * (self._goal - self._position) - 2.0 * w * self._velocity
         size = np.sqrt((pull * pull).sum(axis=-1, keepdims=True))
         pull *= self.ranges.acceleration_limit / np.maximum(size, self.ranges.acceleration_limit)
-        acceleration = pull + self._push(position)
+        push_apart(position, self.radius, self._neighbor, self._floor, self._push)
+        acceleration = pull + self._push
         self._velocity = self._velocity + self.step * acceleration
         self._position = self._position + self.step * self._velocity
         return Target(self._position, self._velocity, acceleration)
-
-    def _push(self, position: FloatArray) -> FloatArray:
-        r = self.ranges
-        push = np.zeros_like(position)
-        floor = position[..., 2] - self.radius
-        push[..., 2] = repulsion(floor, r.floor_reach_m, r.floor_strength, r.repulsion_limit)
-        for i in range(len(self.radius)):
-            for j in range(i):
-                apart = position[:, i] - position[:, j]
-                distance = np.sqrt((apart * apart).sum(axis=-1))
-                clearance = distance - (self.radius[i] + self.radius[j])
-                size = repulsion(clearance, r.reach_m, r.strength, r.repulsion_limit)
-                away = apart * (size / np.maximum(distance, 1e-6))[:, None]
-                push[:, i] += away
-                push[:, j] -= away
-        return push
 
 
 def draw_goals(
@@ -282,6 +265,6 @@ def stacked_heights(
     height = np.empty(len(radius))
     height[order[0]] = rng.uniform(*lowest)
     for below, above in itertools.pairwise(order):
-        gap = max(rng.uniform(*ranges.gap_m), radius[below] + radius[above] + 0.015)
+        gap = max(rng.uniform(*ranges.gap_m), radius[below] + radius[above] + ranges.clearance_m)
         height[above] = height[below] + gap
     return height

@@ -10,11 +10,10 @@ from swarm_envs.errors import unknown_name
 from swarm_envs.motors import FULL_VOLTAGE, rotor_force_g
 from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.labels import thrust_direction
+from swarm_envs.training.collection.signals import PWM_SPAN
 from swarm_envs.training.flight_logs.table import GROUPS, FlightTable
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES, Vehicle
 
-PWM_SPAN = 65536.0
-"""Motor signals are PWM over this (Neural-Swarm2, Sec. VII-A)."""
 RUNNING = 0.2
 """Mean signal above which motors run: psi1 has no meaning below."""
 SHORTEST_S = 1.0
@@ -130,6 +129,7 @@ def _check_motors(drone: DroneLog) -> None:
         scale = next((f" (it looks like {s}: multiply by {65535 / m:.6g})" for s, m in
                       (("0 to 1", 1.0), ("per cent", 100.0), ("0 to 255", 255.0))
                       if least >= 0.0 and most <= m), "")  # fmt: skip
+        scale = _thrust_hint(drone) or scale
         raise ValueError(
             f"PWM of drone {drone.name!r} goes from {least:g} to {most:g}, but must be the signal "
             f"from 0 to 65535{scale}"
@@ -147,15 +147,25 @@ def _check_motors(drone: DroneLog) -> None:
         )
 
 
+def _thrust_hint(drone: DroneLog) -> str:
+    """What to say if the signals are the rotors' forces: their sum carries the vehicle."""
+    total = float(np.median(drone.pwm.sum(axis=1)))
+    for unit, newton in (("gram-force", GRAM_FORCE), ("newtons", 1.0)):
+        if THRUST_SHARE[0] <= total * newton / (drone.vehicle.mass * GRAVITY) <= THRUST_SHARE[1]:
+            return f" (it looks like thrust in {unit}: log the signal that the motors are given)"
+    return ""
+
+
 def _check_attitude(drone: DroneLog) -> None:
     length = np.linalg.norm(drone.quaternion, axis=1)
     off = np.abs(length - 1.0) > UNIT_TOLERANCE
     if off.any():
         k = int(np.argmax(off))
+        degrees = " (it looks like degrees)" if np.abs(drone.quaternion).max() > 2.0 else ""
         raise ValueError(
             f"attitude quaternion of drone {drone.name!r} has length {length[k]:.4g} at its line "
             f"{k + 1}, but must have 1 (within {UNIT_TOLERANCE}); give (qx, qy, qz, qw) unscaled, "
-            "no angles"
+            f"no angles{degrees}"
         )
     upright = float(np.median(thrust_direction(drone.quaternion)[:, 2]))
     if upright < 0.5:

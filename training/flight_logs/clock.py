@@ -9,7 +9,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.training.flight_logs.checks import PWM_SPAN, RUNNING, DroneLog
+from swarm_envs.training.collection.signals import PWM_SPAN
+from swarm_envs.training.flight_logs.checks import RUNNING, DroneLog
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.vehicles import Team
 

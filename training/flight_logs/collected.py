@@ -4,15 +4,25 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from swarm_envs.training.collection.collect import MANIFEST, flight_file, read_log
+from swarm_envs.training.collection.collect import MANIFEST
+from swarm_envs.training.collection.storage import flight_file, read_log
 from swarm_envs.training.collection.table import Flight, interaction_rows
 from swarm_envs.training.flight_logs.report import FileReport, LogReport, ScenarioReport
 from swarm_envs.training.force_model.rows import InteractionRows
 
-__all__ = ["MANIFEST", "read_collected"]
+__all__ = ["is_collection", "read_collected"]
+
+
+def is_collection(path: Path) -> bool:
+    """Whether a folder holds npz flights and their manifest; Parquet ones are read as real logs."""
+    manifest = path / MANIFEST
+    if not manifest.is_file():
+        return False
+    return bool(_config(json.loads(manifest.read_text())).get("format") != "parquet")
 
 
 def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
@@ -29,16 +39,23 @@ def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
             "`swarm-envs collect` again with the same options"
         )
     flights = [
-        Flight(e["name"], e["team"], read_log(flight_file(path, e["name"])), e["validation"])
+        Flight(
+            e["name"],
+            e["team"],
+            read_log(flight_file(path, e["name"])),
+            e["validation"],
+            manifest["log_rate"],
+        )
         for e in manifest["flights"]
     ]
-    rows = interaction_rows(flights)
+    label = _config(manifest)["label"]
+    rows = interaction_rows(flights, label)
     files = [
         FileReport(
             file=flight_file(path, entry["name"]).name,
             seconds=entry["seconds"],
             rate_hz=manifest["log_rate"],
-            acceleration="differentiated",
+            acceleration="logged" if label == "imu" else label,
             rows=int((rows.flight == index).sum()),
         )
         for index, entry in enumerate(manifest["flights"])
@@ -48,3 +65,8 @@ def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
         held_out = rows.validation[rows.scenario == index]
         scenarios[name] = ScenarioReport(int((~held_out).sum()), int(held_out.sum()))
     return rows, LogReport(files, scenarios, {}, len(rows), int(np.sum(rows.validation)))
+
+
+def _config(manifest: dict[str, Any]) -> dict[str, Any]:
+    config: dict[str, Any] = manifest.get("config", {})
+    return config

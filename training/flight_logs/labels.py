@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.motors import FULL_VOLTAGE, rotor_force_g
 from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.labels import (
     derivative,
@@ -12,21 +11,12 @@ from swarm_envs.training.collection.labels import (
     smooth,
     thrust_direction,
 )
-from swarm_envs.training.flight_logs.checks import PWM_SPAN
+from swarm_envs.training.collection.signals import commanded_thrust
 from swarm_envs.training.flight_logs.clock import ClockedFlight, pieces
-from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY
 
 SETTLED = 5.0
 """Time constants of the motors after which nothing is left of an unknown thrust at the start."""
-
-
-def commanded_thrust(pwm: FloatArray, voltage: FloatArray, team: Team) -> FloatArray:
-    """Thrust (T, N, 4), N, that psi1 of each vehicle gives for signals and voltages (T, N), V."""
-    thrust = np.empty_like(pwm)
-    for i, vehicle in enumerate(team):
-        volts = voltage[:, i, None] / FULL_VOLTAGE
-        thrust[:, i] = GRAM_FORCE * rotor_force_g(vehicle, pwm[:, i] / PWM_SPAN, volts)
-    return thrust
 
 
 def interaction_force_g(flight: ClockedFlight, smoothing_s: float) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.table import TYPES
 from swarm_envs.training.flight_logs.checks import DroneLog, check_table
 from swarm_envs.training.flight_logs.clock import ClockedFlight, common_clock
-from swarm_envs.training.flight_logs.collected import MANIFEST, read_collected
+from swarm_envs.training.flight_logs.collected import is_collection, read_collected
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
 from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.report import (
@@ -31,6 +32,7 @@ from swarm_envs.training.flight_logs.split import (
     is_held_out,
 )
 from swarm_envs.training.flight_logs.table import SUFFIXES, read_table
+from swarm_envs.training.force_model.join import with_present_types
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.rows import InteractionRows
 
@@ -56,10 +58,29 @@ def read_logs(
         ImportError: a log is Parquet, and pyarrow is not installed.
         ValueError: no file is sound, or none gives a row; the message says why.
     """
-    if (path / MANIFEST).is_file():
+    if is_collection(path):
         return read_collected(path)
+    rows, report = read_flights(log_files(path), options, progress)
+    if rows is None:
+        reasons = "; ".join(f"{file.file}: {file.refused}" for file in report.files)
+        raise ValueError(f"no flight of {str(path)!r} is sound: {reasons}")
+    return rows, report
+
+
+def read_flights(
+    files: Sequence[Path], options: LogOptions = DEFAULT, progress: bool = False
+) -> tuple[InteractionRows | None, LogReport]:
+    """Read logs, one flight each; flights are numbered in the order of the sound files.
+
+    Returns:
+        The rows, None if no file is sound; and what became of every file.
+
+    Raises:
+        ImportError: a log is Parquet, and pyarrow is not installed.
+        ValueError: the sound files give no row.
+    """
     flights, refused, kinds = [], [], dict[str, str]()
-    for file in tqdm(log_files(path), disable=not progress, unit="flight"):
+    for file in tqdm(files, disable=not progress, unit="flight"):
         try:
             flight = _read_flight(file, kinds, options)
         except ValueError as error:
@@ -68,8 +89,7 @@ def read_logs(
             flights.append(flight)
             kinds |= flight.file.drones
     if not flights:
-        reasons = "; ".join(f"{file.file}: {file.refused}" for file in refused)
-        raise ValueError(f"no flight of {str(path)!r} is sound: {reasons}")
+        return None, LogReport(refused, {}, {}, 0, 0)
     return _assemble(flights, refused, sorted(kinds), options)
 
 
@@ -265,18 +285,8 @@ def _rows(
                 }
             )
     columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-    return _present_types(InteractionRows(TYPES, scenario_names=tuple(scenarios), **columns))
-
-
-def _present_types(rows: InteractionRows) -> InteractionRows:
-    """Return the rows with only those types that some drone has."""
-    used = sorted({*np.unique(rows.ego_type).tolist(), *np.unique(rows.neighbor_type).tolist()})
-    used = [index for index in used if index >= 0]
-    place = np.full(len(rows.types) + 1, -1)  # the last entry serves empty slots
-    place[used] = np.arange(len(used))
-    return dataclasses.replace(
-        rows,
-        types=tuple(rows.types[index] for index in used),
-        ego_type=place[rows.ego_type],
-        neighbor_type=place[rows.neighbor_type],
+    named = {number: name for name, number in vehicles.items()}
+    rows_of_all = InteractionRows(
+        TYPES, scenario_names=tuple(scenarios), vehicle_names=named, **columns
     )
+    return with_present_types(rows_of_all)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -17,6 +18,8 @@ class FileReport:
     file: str
     refused: str | None = None
     """Which rule it breaks; nothing of it was used then."""
+    kind: Literal["log", "table"] = "log"
+    """A flight's log, or a table of rows, of which only rows, entries and dropped have meaning."""
     drones: dict[str, str] = field(default_factory=dict)
     """Type by name."""
     seconds: float = 0.0
@@ -34,6 +37,8 @@ class FileReport:
     rows: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
     """Entries that are no rows, by reason; with `rows` they make up `entries`."""
+    notes: tuple[str, ...] = ()
+    """What else there is to say."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +83,11 @@ class LogReport:
         """Return the report as lines of text."""
         bad = [file for file in self.files if file.refused is not None]
         seconds = sum(file.seconds for file in self.files)
+        what = "files" if any(file.kind == "table" for file in self.files) else "flights"
+        time = f"{seconds:.0f} s, " if seconds else ""
         said = [
-            f"{len(self.files) - len(bad)} of {len(self.files)} flights are sound: "
-            f"{seconds:.0f} s, {self.rows} rows, {self.validation_rows} of them held out"
+            f"{len(self.files) - len(bad)} of {len(self.files)} {what} are sound: "
+            f"{time}{self.rows} rows, {self.validation_rows} of them held out"
         ]
         said += [f"refused {file.file}: {file.refused}" for file in bad]
         for file in self.files:
@@ -94,7 +101,10 @@ class LogReport:
 
 
 def _notes(file: FileReport) -> list[str]:
-    notes = []
+    notes = list(file.notes)
+    if file.kind == "table" and any(file.dropped.values()):
+        reasons = ", ".join(f"{name}: {n}" for name, n in file.dropped.items() if n)
+        notes.append(f"{file.rows} of {file.entries} rows are used (left out: {reasons})")
     if file.ignored_columns:
         notes.append(f"ignored columns {', '.join(file.ignored_columns)}")
     if file.gap_seconds > 0.0:

@@ -1,4 +1,4 @@
-"""Checkpoints of a training run as safetensors: weights, Adam's state, history."""
+"""Checkpoints of a training run as safetensors: weights, Adam's state, averages, history."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
         run: where training stands.
         configuration: what the run depends on; only the same may continue it.
     """
-    tensors = {f"network.{name}": value for name, value in run.network.state_dict().items()}
-    for name, parameter in run.network.named_parameters():
-        state = run.optimiser.state[parameter]
-        tensors |= {f"adam.{key}.{name}": state[key] for key in _ADAM}
+    weights = run.weights
+    tensors = {"weights": weights.values.detach()}
+    tensors |= {"averaged": run.averaged, "best": run.best}
+    tensors |= {f"adam.{key}": run.optimiser.state[weights.values][key] for key in _ADAM}
     metadata = {
         "step": str(run.step),
+        "best_step": str(run.best_step),
         "history": json.dumps(run.history),
         "configuration": configuration,
     }
@@ -60,10 +61,8 @@ def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
             f"{metadata['configuration']}, which is not this run's {configuration}; "
             "delete the file or choose another output folder"
         )
-    run.network.load_state_dict(
-        {name: tensors[f"network.{name}"] for name in run.network.state_dict()}
-    )
-    for name, parameter in run.network.named_parameters():
-        run.optimiser.state[parameter] = {key: tensors[f"adam.{key}.{name}"] for key in _ADAM}
-    run.step = int(metadata["step"])
+    run.weights.set(tensors["weights"])
+    run.averaged, run.best = tensors["averaged"], tensors["best"]
+    run.optimiser.state[run.weights.values] = {key: tensors[f"adam.{key}"] for key in _ADAM}
+    run.step, run.best_step = int(metadata["step"]), int(metadata["best_step"])
     run.history = json.loads(metadata["history"])

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 from swarm_envs.training.force_model.log_options import LogOptions
 
@@ -13,15 +15,30 @@ from swarm_envs.training.force_model.log_options import LogOptions
 class TrainConfig:
     """How the network is trained."""
 
-    steps: int = 6000
-    """optimiser steps"""
+    steps: int | None = None
+    """optimiser steps; None counts by `epochs`"""
+    epochs: float | None = None
+    """passes over the training rows; if `steps` is not given either, the mode's own length"""
     batch_size: int = 1024
-    """rows per step, drawn with replacement"""
+    """rows per step; every row comes once in each pass, in random order"""
     learning_rate: float = 3e-3
-    """Adam's rate at the start; a cosine takes it to zero at the last step"""
-    max_spectral_norm: float | None = 3.0
-    """limit of every weight matrix (the paper's gamma is its fourth power), held after each step;
-    None for none"""
+    """Adam's rate at the start"""
+    schedule: Literal["cosine", "constant"] | None = None
+    """how the rate goes on: a cosine to zero at the last step, or as it is; None: the mode's own"""
+    average_share: float | None = None
+    """the result is a running average of the weights over about this share of the run; 0 takes the
+    weights of the last step; None: the mode's own"""
+    early_validation: float = 0.0
+    """share of the training rows held out, to choose among the checkpoints the weights with the
+    least error there; 0 takes those of the end"""
+    early_held: Literal["pieces", "flights"] = "pieces"
+    """what is held out so: contiguous pieces with a guard gap, or whole flights"""
+    spectral: Literal["clip", "exact", "none"] = "clip"
+    """what holds after each step for every weight matrix: `clip`, its spectral norm is at most
+    `max_spectral_norm`; `exact`, it is exactly this (eq. 12); `none`, nothing"""
+    max_spectral_norm: float = 3.0
+    """that norm; the paper's gamma is its fourth power; a pairwise sum, whose one network stands
+    for phi and rho, takes its square"""
     slope_limit: float | None = 250.0
     """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
     slope_weight: float = 0.01
@@ -36,12 +53,68 @@ class TrainConfig:
     balance: float = 1.0
     """how far squared errors are weighed by the inverse mean square label of the drone's type: 0
     not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
-    symmetric: bool = True
-    """turn and mirror each row at random: the eight symmetries of the square in x and y"""
+    symmetry: Literal["square", "circle", "none"] = "square"
+    """turn and mirror each row at random: by the eight symmetries of the square in x and y, or by
+    any angle"""
     checkpoint_every: int = 500
     """steps between checkpoints and validation errors"""
     seed: int = 0
     """seed of the first weights and of every draw; the same seed gives the same weights"""
+
+    def __post_init__(self) -> None:
+        """Check the numbers that no later step would refuse.
+
+        Raises:
+            ValueError: naming the value and the rule.
+        """
+        for name in ("steps", "batch_size", "checkpoint_every"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} is {value}, but must be at least 1")
+        if self.steps is not None and self.epochs is not None:
+            raise ValueError(
+                f"steps is {self.steps} and epochs {self.epochs}, but a run has one length; give "
+                "one of them"
+            )
+        for name in ("epochs", "learning_rate", "max_spectral_norm"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value}, but must be finite and above 0")
+        if self.average_share is not None and not 0.0 <= self.average_share <= 1.0:
+            raise ValueError(
+                f"average_share is {self.average_share}, but must be from 0 (no average) to 1"
+            )
+        if not 0.0 <= self.early_validation <= 0.5:
+            raise ValueError(
+                f"early_validation is {self.early_validation}, but must be a share from 0 (none) "
+                "to 0.5"
+            )
+
+
+Mode = Literal["anchored", "measured"]
+
+_OWN: Mapping[Mode, Mapping[str, Any]] = {
+    "anchored": {"steps": 6000, "schedule": "cosine", "average_share": 0.0},
+    "measured": {"epochs": 80.0, "schedule": "constant", "average_share": 0.2},
+}
+
+_NOT_IN_THE_PAPER: Mapping[str, Any] = {
+    "slope_limit": None,
+    "position_jitter_m": 0.0,
+    "velocity_jitter": 0.0,
+    "balance": 0.0,
+}
+"""What a measured fit leaves out of the training, whatever it is told."""
+
+Config = TypeVar("Config", bound=TrainConfig)
+
+
+def settled(config: Config, mode: Mode = "anchored") -> Config:
+    """The same options with nothing left to the mode: what is trained, and what reports record."""
+    own = {name: v for name, v in _OWN[mode].items() if getattr(config, name) is None}
+    if config.steps is not None or config.epochs is not None:
+        own = {name: v for name, v in own.items() if name not in ("steps", "epochs")}
+    return replace(config, **own, **(_NOT_IN_THE_PAPER if mode == "measured" else {}))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +122,15 @@ class FitConfig(TrainConfig):
     """What to fit, from which rows, and where to put the result."""
 
     data: Path
-    """rows: the published flights' table, or what `save_rows` wrote; or flight logs: one .csv or
-    .parquet file, or a folder of them (the format: docs/flight-logs.md)"""
+    """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
+    .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
     out: Path
-    """folder for the weights `learned.safetensors`, the report `learned.json`, the checkpoint"""
-    mode: Literal["anchored", "measured"] = "anchored"
+    """folder for model, report and checkpoint: `learned.safetensors` and `learned.json` of a deep
+    set, `pairwise.safetensors` and `pairwise.json`, `wake.json` and its report `wake-fit.json`"""
+    model: Literal["deep-set", "pairwise", "wake"] = "deep-set"
+    """`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: a network per pair of types, summed up;
+    `wake`: the closed form, by least squares"""
+    mode: Mode = "anchored"
     """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
     `measured`: the paper's form on the labels as they are, every neighbour seen"""
     offsets: Literal["estimated", "none"] = "estimated"
@@ -66,9 +143,26 @@ class FitConfig(TrainConfig):
     """L, layers of every phi and rho"""
     relative_velocity: bool = True
     """let the network see velocities; without, it sees positions alone"""
+    torque: bool = False
+    """let the deep set give the torque too, from rows that carry it"""
     lipschitz_samples: int = 1_000_000
     """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
     """show a progress bar"""
+    tensorboard: Path | None = None
+    """folder for TensorBoard's event files: losses and errors at every checkpoint"""
+    json: Path | None = None
+    """write the report to this file too"""
     logs: LogOptions = LogOptions()
-    """how flight logs become rows"""
+    """how flight logs become rows, and what of row tables is held out"""
+
+    def __post_init__(self) -> None:
+        """Refuse what no model can do.
+
+        Raises:
+            ValueError: torque is asked of a model without a head for it, or a number is out of
+                range.
+        """
+        super().__post_init__()
+        if self.torque and self.model != "deep-set":
+            raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")

@@ -1,36 +1,160 @@
-"""What a fit is given: a table of rows, or logs of flights that are made into one."""
+"""What a fit is given: tables of rows, logs of flights that are made into rows, or both."""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
+import numpy as np
+
+from swarm_envs.training.collection.collect import MANIFEST
+from swarm_envs.training.flight_logs.read import log_files, read_flights, read_logs
+from swarm_envs.training.flight_logs.report import FileReport, LogReport
+from swarm_envs.training.flight_logs.table import SUFFIXES
+from swarm_envs.training.force_model.finish import Joined, finish
+from swarm_envs.training.force_model.join import join_rows
 from swarm_envs.training.force_model.log_options import LogOptions
+from swarm_envs.training.force_model.row_checks import check_table, notes_of
 from swarm_envs.training.force_model.rows import InteractionRows, read_rows
 
-if TYPE_CHECKING:
-    from swarm_envs.training.flight_logs import LogReport
+TABLE_SUFFIX = ".npz"
+
+
+class Wanted(NamedTuple):
+    """What a fit needs of its rows."""
+
+    offsets: bool = True
+    """Calibration offsets: vehicles without quiet rows are left out."""
+    torque: bool = False
+    """Torque labels: tables without them are refused."""
+
+
+class _Part(NamedTuple):
+    file: FileReport
+    rows: InteractionRows
 
 
 def read_data(
-    path: Path, options: LogOptions, progress: bool = False
-) -> tuple[InteractionRows, LogReport | None]:
-    """Read rows (`.npz`), a flight log (`.csv`, `.parquet`), or a folder of logs.
+    path: Path, options: LogOptions, progress: bool = False, wanted: Wanted | None = None
+) -> tuple[InteractionRows, LogReport]:
+    """Read tables of rows (`.npz`), flight logs (`.csv`, `.parquet`), or a folder of both.
 
-    Returns:
-        The rows, and what became of the logs if that is what they come from.
+    What is sound is joined; the report says of every file what became of it. A folder that
+    `swarm-envs collect` wrote is read as that.
 
     Raises:
         FileNotFoundError: there is nothing to read.
         ImportError: a log is Parquet, and pyarrow is not installed.
-        ValueError: the file has none of the formats, or no log is sound.
+        ValueError: no file is sound, or what is left is no row; the message says why.
     """
-    if not path.is_dir() and path.suffix not in (".csv", ".parquet"):
-        return read_rows(path), None
-    from swarm_envs.training.flight_logs import read_logs  # imports rows from this package
+    wanted = wanted or Wanted()
+    if (path / MANIFEST).is_file():
+        return read_logs(path, options, progress)
+    tables, logs = data_files(path)
+    if not tables:
+        rows, report = read_logs(path, options, progress)
+        if wanted.torque:
+            raise ValueError(_no_torque(path.name, "flight logs"))
+        return rows, report
+    parts, refused = _read_tables(tables, options, wanted)
+    if logs and not wanted.torque:
+        found = _read_logs(logs, options, progress)
+        parts, refused = [*found[0], *parts], [*found[1], *refused]
+    elif logs:
+        refused += [FileReport(file.name, _no_torque(file.name, "a log")) for file in logs]
+    if not parts:
+        raise ValueError(_nothing(path, refused))
+    return finish(_joined(parts), refused, options, wanted.offsets)
 
-    return read_logs(path, options, progress)
+
+def data_files(path: Path) -> tuple[list[Path], list[Path]]:
+    """Return the tables and the logs at a path, sorted: itself, or those of the folder.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: the file is neither, or a flight is there both as CSV and as Parquet.
+    """
+    if not path.exists():
+        raise FileNotFoundError(
+            f"no data at {str(path)!r}; give a file of rows or logs, or a folder"
+        )
+    if not path.is_dir():
+        if path.suffix not in (TABLE_SUFFIX, *SUFFIXES):
+            raise ValueError(
+                f"{path.name} ends in {path.suffix!r}, but must in .npz (rows), .csv or .parquet "
+                "(logs)"
+            )
+        return ([path], []) if path.suffix == TABLE_SUFFIX else ([], [path])
+    visible = sorted(file for file in path.iterdir() if not file.name.startswith("."))
+    tables = [file for file in visible if file.suffix == TABLE_SUFFIX]
+    if tables and not any(file.suffix in SUFFIXES for file in visible):
+        return tables, []
+    return tables, log_files(path)
+
+
+def _read_tables(
+    files: Sequence[Path], options: LogOptions, wanted: Wanted
+) -> tuple[list[_Part], list[FileReport]]:
+    parts, refused = [], []
+    for file in files:
+        try:
+            rows = read_rows(file)
+            check_table(rows, options.check_units)
+            if wanted.torque and rows.torque is None:
+                raise ValueError(_no_torque(file.name, "the table"))
+        except ValueError as error:
+            refused.append(FileReport(file.name, str(error), kind="table"))
+        else:
+            report = FileReport(file.name, kind="table", entries=len(rows), notes=notes_of(rows))
+            parts.append(_Part(report, rows))
+    return parts, refused
+
+
+def _read_logs(
+    files: Sequence[Path], options: LogOptions, progress: bool
+) -> tuple[list[_Part], list[FileReport]]:
+    """Logs among tables: what is too little is judged when all is joined."""
+    lenient = dataclasses.replace(options, min_scenario_rows=0, min_quiet_rows=0)
+    try:
+        rows, report = read_flights(files, lenient, progress)
+    except ValueError as error:  # no row passes the filter
+        return [], [FileReport(file.name, str(error)) for file in files]
+    refused = [file for file in report.files if file.refused is not None]
+    sound = [file for file in report.files if file.refused is None]
+    if rows is None:
+        return [], refused
+    # Flights are numbered in the order of the sound files.
+    return [
+        _Part(file, rows.select(rows.flight == number)) for number, file in enumerate(sound)
+    ], refused
+
+
+def _joined(parts: Sequence[_Part]) -> Joined:
+    # A table alone keeps its numbers of flights and vehicles.
+    rows = join_rows([part.rows for part in parts]) if len(parts) > 1 else parts[0].rows
+    origin = np.repeat(np.arange(len(parts)), [len(part.rows) for part in parts])
+    unmarked = [part.file.kind == "table" and not part.rows.validation.any() for part in parts]
+    return Joined(rows, origin, [part.file for part in parts], np.array(unmarked))
+
+
+def _no_torque(name: str, what: str) -> str:
+    return (
+        f"a torque head is wanted, but {what} carries no torque; add an array `torque` (R, 3), N m "
+        f"in the world frame, to {name}, or fit without --torque"
+    )
+
+
+def _nothing(path: Path, refused: Sequence[FileReport]) -> str:
+    if len(refused) == 1 and not path.is_dir():
+        return f"{refused[0].file}: {refused[0].refused}"
+    counts = Counter(file.kind for file in refused)
+    what = " and ".join(f"{count} {kind}s" for kind, count in counts.items())
+    reasons = "; ".join(f"{file.file}: {file.refused}" for file in refused)
+    return f"none of {what} in {str(path)!r} is sound: {reasons}"
 
 
 def data_sha256(path: Path) -> str:

@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from swarm_envs.training.force_model.network import DeepSet
+from swarm_envs.training.force_model.network import ForceNetwork
 from swarm_envs.training.force_model.rows import BoolArray, FloatArray, InteractionRows
 from swarm_envs.training.force_model.train import predict, to_batch
 from swarm_envs.vehicles import GRAM_FORCE
 
 _AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis
+
+
+class ForceFunction(Protocol):
+    """A model of any kind, as it is judged here."""
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """Return the interaction types that it knows."""
+        ...
+
+    def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
+        """Vertical force (E, N), gram-force, at (E, N, 3) m and m/s, drag included."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -92,14 +108,16 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
     )
 
 
-def predict_rows(network: DeepSet, rows: InteractionRows) -> FloatArray:
+def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
     """Vertical force of every row from the network and the drag, (R,) in gram-force."""
     force = predict(network, to_batch(rows, torch.float64)).numpy()
     drag = network.drag.numpy()[rows.ego_type, 2]
     return np.asarray(force - drag * rows.velocity[:, 2] / GRAM_FORCE)
 
 
-def axis_bins(network: DeepSet, predicted_g: FloatArray, rows: InteractionRows) -> list[AxisBin]:
+def axis_bins(
+    network: ForceFunction, predicted_g: FloatArray, rows: InteractionRows
+) -> list[AxisBin]:
     """Compare measured and modelled force under one neighbour, by vertical distance."""
     one = rows.has_neighbor.sum(axis=1) == 1
     slot = np.argmax(rows.has_neighbor, axis=1)
@@ -135,7 +153,7 @@ def _bin(
     return AxisBin(above, below, *edges, int(inside.sum()), measured, modelled, middle)
 
 
-def pair_force(network: DeepSet, below: str, above: str, distance_m: float) -> float:
+def pair_force(network: ForceFunction, below: str, above: str, distance_m: float) -> float:
     """Force on a drone at rest, `distance_m` under another one at rest, 1 m above the ground, g."""
     position = torch.tensor([[[0.0, 0.0, 1.0], [0.0, 0.0, 1.0 + distance_m]]], dtype=torch.float64)
     with torch.no_grad():
@@ -143,7 +161,9 @@ def pair_force(network: DeepSet, below: str, above: str, distance_m: float) -> f
     return float(force[0, 0])
 
 
-def scan_swarms(network: DeepSet, drones: int, swarms: int, rng: np.random.Generator) -> Extremes:
+def scan_swarms(
+    network: ForceFunction, drones: int, swarms: int, rng: np.random.Generator
+) -> Extremes:
     """Largest forces in random swarms, packed so that many share one interaction volume.
 
     Positions are uniform in a box of 0.6 x 0.6 x 1.5 m above 8 cm, velocities uniform in
@@ -152,7 +172,7 @@ def scan_swarms(network: DeepSet, drones: int, swarms: int, rng: np.random.Gener
     position = torch.from_numpy(rng.uniform(0.0, 1.0, (swarms, drones, 3)) * [0.6, 0.6, 1.5])
     position[..., 2] += 0.08
     velocity = torch.from_numpy(rng.uniform(-1.0, 1.0, (swarms, drones, 3)))
-    first, last = network.spec.types[0], network.spec.types[-1]
+    first, last = network.types[0], network.types[-1]
     teams = [(first,) * drones, tuple(last if i % 2 else first for i in range(drones))]
     found = []
     for team in teams:

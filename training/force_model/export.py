@@ -1,37 +1,44 @@
-"""The file of a deep set that ships: safetensors with float64 weights and a JSON description."""
+"""The file of a force network: safetensors with float64 weights and a JSON description."""
 
 from __future__ import annotations
 
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import torch
 from safetensors import safe_open
-from torch import Tensor
+from torch import Tensor, nn
 
 from swarm_envs.training.force_model.checkpoint import write_safetensors
 from swarm_envs.training.force_model.network import (
     DeepSet,
     DeepSetSpec,
+    ForceNetwork,
     InputRange,
     Window,
     layers,
 )
+from swarm_envs.training.force_model.pairwise import build
+from swarm_envs.training.force_model.spec import NetworkKind
 
-FORMAT = "deep-set-1"
+FORMATS: dict[str, NetworkKind] = {"deep-set-1": "deep-set", "pairwise-1": "pairwise"}
 METADATA_KEY = "swarm_envs"
 
 
 def save_network(
-    path: str | os.PathLike[str], network: DeepSet, provenance: Mapping[str, object] | None = None
+    path: str | os.PathLike[str],
+    network: ForceNetwork,
+    provenance: Mapping[str, object] | None = None,
 ) -> None:
     """Write a network with its drag, atomically.
 
-    Tensors: `phi.<type>.<layer>.weight` (out, in) and `.bias`, `phi.environment.<layer>...`,
-    `rho.<type>.<layer>...`, `drag.<type>` (3,) in N s/m.
+    Tensors of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`,
+    `phi.environment.<layer>...`, `rho.<type>.<layer>...`, of a torque head also
+    `torque.<type>.weight` (3, width) and `.bias`, which take the place of rho's last layer and
+    give gram-force centimetres. Of a sum over pairs: `pair.<neighbour>.<drone>.<layer>...`,
+    `environment.<type>.<layer>...`. Of both: `drag.<type>` (3,) in N s/m.
 
     Args:
         path: the file to write.
@@ -40,14 +47,12 @@ def save_network(
     """
     spec = network.spec
     tensors = {f"drag.{name}": network.drag[i] for i, name in enumerate(spec.types)}
-    for prefix, module in _parts(network).items():
-        for index, layer in enumerate(layers(module)):
-            tensors[f"{prefix}.{index}.weight"] = layer.weight
-            tensors[f"{prefix}.{index}.bias"] = layer.bias
+    tensors |= {name: layer.weight for name, layer in _layers(network, ".weight").items()}
+    tensors |= {name: layer.bias for name, layer in _layers(network, ".bias").items()}
     window, limits = spec.window, spec.input_range
     description = {
         **(provenance or {}),
-        "format": FORMAT,
+        "format": next(name for name, kind in FORMATS.items() if kind == spec.kind),
         "types": list(spec.types),
         "window": None if window is None else window._asdict(),
         "input_range": None
@@ -59,7 +64,7 @@ def save_network(
     write_safetensors(Path(path), exact, {METADATA_KEY: json.dumps(description)})
 
 
-def load_network(path: str | os.PathLike[str]) -> DeepSet:
+def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
     """Read a file that `save_network` wrote, as a float64 network.
 
     Raises:
@@ -71,21 +76,17 @@ def load_network(path: str | os.PathLike[str]) -> DeepSet:
     with safe_open(path, framework="pt") as file:
         tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         description = json.loads((file.metadata() or {}).get(METADATA_KEY, "{}"))
-    if description.get("format") != FORMAT:
+    if description.get("format") not in FORMATS:
         raise ValueError(
             f"{os.fspath(path)!r} has format {description.get('format')!r}, but must have "
-            f"{FORMAT!r}; write it with save_network"
+            f"{' or '.join(map(repr, FORMATS))}; write it with save_network"
         )
-    spec = _spec(description)
-    rho = f"rho.{spec.types[0]}"
-    hidden, depth = tensors[f"{rho}.0.weight"].shape[1], sum(_is_layer(n, rho) for n in tensors)
-    spec = replace(spec, hidden=hidden, layers=depth)
-    network = DeepSet(spec, dtype=torch.float64)
+    network = build(_spec(description, tensors), dtype=torch.float64)
     with torch.no_grad():
-        for prefix, module in _parts(network).items():
-            for index, layer in enumerate(layers(module)):
-                layer.weight.copy_(tensors[f"{prefix}.{index}.weight"])
-                layer.bias.copy_(tensors[f"{prefix}.{index}.bias"])
+        for name, layer in _layers(network, ".weight").items():
+            layer.weight.copy_(tensors[name])
+        for name, layer in _layers(network, ".bias").items():
+            layer.bias.copy_(tensors[name])
         for index, name in enumerate(network.spec.types):
             network.drag[index] = tensors[f"drag.{name}"]
     return network
@@ -98,25 +99,37 @@ def description_of(path: str | os.PathLike[str]) -> dict[str, object]:
     return result
 
 
-def _is_layer(tensor: str, prefix: str) -> bool:
-    return tensor.startswith(f"{prefix}.") and tensor.endswith(".weight")
+def _layers(network: ForceNetwork, ending: str) -> dict[str, nn.Linear]:
+    """Layers by the names of their tensors, which end in `.weight` or `.bias`."""
+    found = {
+        f"{prefix}.{index}{ending}": layer
+        for prefix, module in network.named_networks().items()
+        for index, layer in enumerate(layers(module))
+    }
+    if isinstance(network, DeepSet) and network.spec.torque:
+        for name, head in network.torque.items():
+            assert isinstance(head, nn.Linear)
+            found[f"torque.{name}{ending}"] = head
+    return found
 
 
-def _parts(network: DeepSet) -> dict[str, torch.nn.Module]:
-    phi = {f"phi.{name}": module for name, module in network.phi.items()}
-    rho = {f"rho.{name}": module for name, module in network.rho.items()}
-    return {**phi, "phi.environment": network.phi_environment, **rho}
-
-
-def _spec(description: dict[str, object]) -> DeepSetSpec:
+def _spec(description: dict[str, object], tensors: dict[str, Tensor]) -> DeepSetSpec:
     window, limits = description["window"], description["input_range"]
     types, anchor = description["types"], description["anchor_height_m"]
     assert isinstance(types, list) and (anchor is None or isinstance(anchor, float))
+    kind = FORMATS[str(description["format"])]
+    first = f"pair.{types[0]}.{types[0]}." if kind == "pairwise" else f"rho.{types[0]}."
+    depth = sum(name.startswith(first) and name.endswith(".weight") for name in tensors)
+    hidden = {} if kind == "pairwise" else {"hidden": tensors[f"{first}0.weight"].shape[1]}
     return DeepSetSpec(
         types=tuple(types),
         window=_window(window) if isinstance(window, dict) else None,
         input_range=_input_range(limits) if isinstance(limits, dict) else None,
         anchor_height_m=anchor,
+        layers=depth,
+        kind=kind,
+        torque=f"torque.{types[0]}.weight" in tensors,
+        **hidden,
     )
 
 

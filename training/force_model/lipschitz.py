@@ -13,7 +13,14 @@ import numpy as np
 import torch
 from torch import nn
 
-from swarm_envs.training.force_model.network import EVERYWHERE, Batch, DeepSet, layers
+from swarm_envs.training.force_model.network import (
+    EVERYWHERE,
+    Batch,
+    DeepSet,
+    ForceNetwork,
+    layers,
+)
+from swarm_envs.training.force_model.pairwise import PairwiseSum
 from swarm_envs.training.force_model.smoothness import (
     input_gradient,
     joint_norm,
@@ -32,6 +39,8 @@ class LipschitzBound:
     """Against one neighbour's relative position."""
     input_g_per_unit: float
     """Against the whole input with one neighbour."""
+    input_two_neighbors_g_per_unit: float
+    """Against the whole input with two neighbours."""
 
 
 @dataclass(frozen=True)
@@ -54,25 +63,38 @@ def spectral_product(network: nn.Module) -> float:
     return math.prod(float(norm) for norm in norms)
 
 
-def lipschitz_bound(network: DeepSet) -> LipschitzBound:
+def lipschitz_bound(network: ForceNetwork) -> LipschitzBound:
     """Bound the shipped function: with window w, |d(w phi)/dp| <= Lip(phi) + |dw/dp| sup|phi|.
 
-    A network without a finite input range has no bound with a window: infinity. The hard cut-off
-    is no Lipschitz function: infinity too.
+    A neighbour acts through L = Lip(rho) (Lip(phi) + |dw| sup|phi|), in a sum over pairs without
+    rho; the environment through M = Lip(rho) Lip(phi_env), twice where an anchor is subtracted.
+    Each stands in inputs of its own, so K neighbours and the environment together have at most
+    sqrt(K L^2 + M^2). A network without a finite input range has no bound with a window: infinity.
+    The hard cut-off is no Lipschitz function: infinity too.
     """
-    slope = _window_slope(network)
-    rho = max(spectral_product(module) for module in network.rho.values())
-    pair = max(
-        spectral_product(module) + (slope * _largest_output(network, module) if slope else 0.0)
-        for module in network.phi.values()
-    )
-    environment = spectral_product(network.phi_environment)
+    if isinstance(network, PairwiseSum):
+        outer, pairs = 1.0, [network.network_of(a, b) for a in network.types for b in network.types]
+        grounds = list(network.environment.values())
+    else:
+        assert isinstance(network, DeepSet)
+        outer = max(spectral_product(module) for module in network.rho.values())
+        pairs, grounds = list(network.phi.values()), [network.phi_environment]
+    pair = outer * max(_windowed(network, module) for module in pairs)
+    ground = outer * max(spectral_product(module) for module in grounds)
     if network.spec.anchor_height_m is not None:
-        environment *= 2.0  # both rho(h) and the baseline rho(e_ref) move with the velocity
-    return LipschitzBound(rho * pair, rho * math.hypot(pair, environment))
+        ground *= 2.0  # both the force and the baseline move with the velocity
+    return LipschitzBound(pair, math.hypot(pair, ground), math.hypot(math.sqrt(2.0) * pair, ground))
 
 
-def _window_slope(network: DeepSet) -> float:
+def _windowed(network: ForceNetwork, module: nn.Module) -> float:
+    """Bound of w times a perceptron of a pair, over the pair's six inputs."""
+    slope, steepness = _window_slope(network), spectral_product(module)
+    if slope == 0.0 or math.isinf(slope):
+        return steepness + slope
+    return steepness + slope * _largest_output(network, module)
+
+
+def _window_slope(network: ForceNetwork) -> float:
     if network.spec.window is None:
         return math.inf
     if network.spec.window == EVERYWHERE:
@@ -82,7 +104,7 @@ def _window_slope(network: DeepSet) -> float:
     return math.hypot(*slopes)
 
 
-def _largest_output(network: DeepSet, module: nn.Module) -> float:
+def _largest_output(network: ForceNetwork, module: nn.Module) -> float:
     low, high = network.pair_low, network.pair_high
     if not bool(torch.isfinite(low).all() & torch.isfinite(high).all()):
         return math.inf
@@ -93,7 +115,7 @@ def _largest_output(network: DeepSet, module: nn.Module) -> float:
 
 
 def measure_lipschitz(
-    network: DeepSet, samples: int, neighbors: int, rng: np.random.Generator
+    network: ForceNetwork, samples: int, neighbors: int, rng: np.random.Generator
 ) -> MeasuredLipschitz:
     """Search the constants of a float64 network by gradient and by random pairs.
 
@@ -114,9 +136,9 @@ def measure_lipschitz(
 
 
 def _search(
-    network: DeepSet, count: int, neighbors: int, rng: np.random.Generator
+    network: ForceNetwork, count: int, neighbors: int, rng: np.random.Generator
 ) -> tuple[float, float, float, float]:
-    first = random_inputs(len(network.spec.types), count, neighbors, rng)
+    first = random_inputs(len(network.types), count, neighbors, rng)
     second = _second_inputs(first, rng)
     at_environment, at_pair = input_gradient(network, first)
     moved = first.pair.clone()

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class LogOptions:
-    """How logs of flights become rows; without effect on tables of rows."""
+    """How logs of flights become rows, and which rows of tables are held out."""
 
     rate_hz: float = 100.0
-    """rate of the common clock of a flight's drones; the slowest drone's own rate where less"""
+    """rate of the common clock of a flight's drones; the slowest drone's own rate where less; of
+    tables of rows, their steps per second"""
     keep_every: int = 3
     """every so many entries of the clock one row: neighbouring entries are near copies"""
     max_gap_s: float = 0.05
@@ -27,6 +28,11 @@ class LogOptions:
     """training rows so near in time to a held-out block of their flight are left out"""
     split_seed: int = 0
     """held-out blocks are drawn from it"""
+    resplit: bool = False
+    """draw the held-out blocks of row tables too, though they come with marks; tables without
+    marks get drawn blocks in any case"""
+    check_units: bool = True
+    """refuse row tables whose sizes look like other units"""
     min_scenario_rows: int = 100
     """scenarios with fewer training rows are left out"""
 

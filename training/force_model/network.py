@@ -11,104 +11,46 @@ anchor that makes a lone drone aloft feel exactly nothing.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from swarm_envs.training.force_model.spec import (
+    EVERYWHERE,
+    HARD_LATERAL_M,
+    HARD_VERTICAL_M,
+    OUTER_FADE,
+    UNLIMITED,
+    DeepSetSpec,
+    InputRange,
+    Window,
+    without_velocity,
+)
 from swarm_envs.vehicles import GRAM_FORCE
 
-_FIRST_WIDTH = 25  # of phi's first hidden layer
-_WIDTH = 40  # of every other hidden layer
+__all__ = [
+    "EVERYWHERE",
+    "HARD_LATERAL_M",
+    "HARD_VERTICAL_M",
+    "OUTER_FADE",
+    "TORQUES",
+    "Batch",
+    "DeepSet",
+    "DeepSetSpec",
+    "ForceNetwork",
+    "InputRange",
+    "Window",
+    "fade",
+    "layers",
+    "perceptron",
+    "swarm_batch",
+    "without_velocity",
+]
 
-HARD_LATERAL_M = 0.35
-HARD_VERTICAL_M = 1.1
-"""Half edges of the interaction volume, where a network without a window cuts off."""
-
-
-class Window(NamedTuple):
-    """Where a pair's contribution fades from 1 to 0: |dx| and |dy|, and |dz|."""
-
-    lateral_m: tuple[float, float] = (0.25, 0.35)
-    vertical_m: tuple[float, float] = (0.8, 1.1)
-
-
-EVERYWHERE = Window((1e3, 1.001e3), (1e3, 1.001e3))
-"""A window so wide that every neighbour counts fully."""
-
-
-@dataclass(frozen=True)
-class InputRange:
-    """Range that inputs are clamped to before phi: lowest and highest value of each input."""
-
-    pair: tuple[tuple[float, ...], tuple[float, ...]]
-    """Of p_ij and v_ij: 6 lowest, 6 highest."""
-    environment: tuple[tuple[float, ...], tuple[float, ...]]
-    """Of -z_i and -v_i: 4 lowest, 4 highest."""
-
-
-UNLIMITED = InputRange(((-math.inf,) * 6, (math.inf,) * 6), ((-math.inf,) * 4, (math.inf,) * 4))
-"""No clamp at all."""
-
-_FAR = InputRange(((-1e6,) * 6, (1e6,) * 6), ((-1e6,) * 4, (1e6,) * 4))  # JSON has no infinity
-
-OUTER_FADE = Window()
-"""The fade of the models that ship: over the outer 0.1 m laterally and 0.3 m vertically."""
-
-
-@dataclass(frozen=True)
-class DeepSetSpec:
-    """What a deep set computes beside its weights."""
-
-    types: tuple[str, ...]
-    """Vehicle types: each has its own phi and rho."""
-    window: Window | None = OUTER_FADE
-    """Smooth fade of pairs; None cuts off hard at |dx|, |dy| = 0.35 m and |dz| = 1.1 m."""
-    input_range: InputRange | None = None
-    """Clamp of the inputs; None leaves them."""
-    anchor_height_m: float | None = 0.6
-    """At and above this height a lone drone feels exactly zero; None for the paper's form."""
-    hidden: int = 20
-    """H, the number of outputs of every phi and inputs of every rho (Sec. VII-C)."""
-    layers: int = 4
-    """L, the number of layers of every phi and rho; 40-wide ones come or go (Sec. VII-C)."""
-
-    def __post_init__(self) -> None:
-        """Check the sizes.
-
-        Raises:
-            ValueError: there would be no hidden state, or phi no hidden layer.
-        """
-        if self.hidden < 1:
-            raise ValueError(f"hidden is {self.hidden}, but must be at least 1")
-        if self.layers < 2:
-            raise ValueError(f"layers is {self.layers}, but must be at least 2")
-
-    @property
-    def phi_widths(self) -> tuple[int, ...]:
-        """Widths of phi after its input (6 for a vehicle, 4 for the environment)."""
-        return (_FIRST_WIDTH, *(_WIDTH,) * (self.layers - 2), self.hidden)
-
-    @property
-    def rho_widths(self) -> tuple[int, ...]:
-        """Widths of rho from its input to its output."""
-        return (self.hidden, *(_WIDTH,) * (self.layers - 1), 1)
-
-
-def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
-    """The same function, blind to velocities: the range they are clamped to is the point 0.
-
-    The environment is a neighbour at rest, so its relative velocity goes too. Being a clamp, the
-    blindness is part of the weights file, and every reader of it is as blind.
-    """
-    limits = spec.input_range or _FAR
-    still = (0.0, 0.0, 0.0)
-    pair = ((*limits.pair[0][:3], *still), (*limits.pair[1][:3], *still))
-    environment = ((limits.environment[0][0], *still), (limits.environment[1][0], *still))
-    return replace(spec, input_range=InputRange(pair, environment))
+TORQUES = 3
+"""Numbers of a torque head: the components in the world frame, gram-force centimetre."""
 
 
 class Batch(NamedTuple):
@@ -138,8 +80,8 @@ def fade(distance: Tensor, inner: float, outer: float) -> Tensor:
     return 1.0 - u * u * u * (u * (6.0 * u - 15.0) + 10.0)
 
 
-class DeepSet(nn.Module):
-    """phi per type, phi of the environment, rho per type; see the module's docstring."""
+class ForceNetwork(nn.Module):
+    """What networks of the interaction force share: window, clamp, anchor, drag."""
 
     pair_low: Tensor
     pair_high: Tensor
@@ -148,7 +90,7 @@ class DeepSet(nn.Module):
     drag: Tensor
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
-        """Make a network with torch's default initialisation.
+        """Set the constants that the weights of a subclass come beside.
 
         Args:
             spec: types, window, clamp and anchor.
@@ -156,10 +98,6 @@ class DeepSet(nn.Module):
         """
         super().__init__()
         self.spec = spec
-        phi = {name: perceptron((6, *spec.phi_widths), dtype) for name in spec.types}
-        self.phi = nn.ModuleDict(phi)
-        self.phi_environment = perceptron((4, *spec.phi_widths), dtype)
-        self.rho = nn.ModuleDict({name: perceptron(spec.rho_widths, dtype) for name in spec.types})
         limits = spec.input_range or UNLIMITED
         constants = {
             "pair_low": limits.pair[0],
@@ -171,6 +109,26 @@ class DeepSet(nn.Module):
         for name, value in constants.items():
             self.register_buffer(name, torch.tensor(value, dtype=dtype), persistent=False)
 
+    @property
+    def types(self) -> tuple[str, ...]:
+        """Vehicle types that it knows."""
+        return self.spec.types
+
+    def named_networks(self) -> dict[str, nn.Module]:
+        """Return its perceptrons by the names that they have in a weights file."""
+        raise NotImplementedError
+
+    def heads(self, batch: Batch) -> Tensor:
+        """Outputs for every row, (R, 1) the vertical force in gram-force.
+
+        With a torque head (R, 4): the force, and the torque in the world frame, gram-force cm.
+        """
+        raise NotImplementedError
+
+    def forward(self, batch: Batch) -> Tensor:
+        """Vertical interaction force from the network alone, (R,) in gram-force."""
+        return self.heads(batch)[:, 0]
+
     def window(self, pair: Tensor) -> Tensor:
         """Weight w of pairs (..., 6): 1 near, 0 outside the interaction volume."""
         x, y, z = pair[..., 0].abs(), pair[..., 1].abs(), pair[..., 2].abs()
@@ -181,48 +139,19 @@ class DeepSet(nn.Module):
         lateral = fade(x, *window.lateral_m) * fade(y, *window.lateral_m)
         return lateral * fade(z, *window.vertical_m)
 
-    def forward(self, batch: Batch) -> Tensor:
-        """Vertical interaction force from the network alone, (R,) in gram-force."""
-        environment = batch.environment
+    def anchored(self, environment: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Inputs of the environment (R, 4) below the anchor, and those at it; None without one."""
         anchor = self.spec.anchor_height_m
-        if anchor is not None:
-            height = environment[:, :1].clamp(min=-anchor)
-            environment = torch.cat([height, environment[:, 1:]], dim=1)
-        hidden = self._environment(environment) + self._pairs(batch)
         if anchor is None:
-            return self._rho(batch.ego_type, hidden)
-        aloft = torch.full_like(environment[:, :1], -anchor)
-        reference = self._environment(torch.cat([aloft, environment[:, 1:]], dim=1))
-        both = self._rho(batch.ego_type.repeat(2), torch.cat([hidden, reference]))
-        force, baseline = both.chunk(2)
-        return force - baseline
+            return environment, None
+        height = environment[:, :1].clamp(min=-anchor)
+        aloft = torch.full_like(height, -anchor)
+        velocity = environment[:, 1:]
+        return torch.cat([height, velocity], dim=1), torch.cat([aloft, velocity], dim=1)
 
-    def _environment(self, environment: Tensor) -> Tensor:
-        inputs = environment.clamp(self.environment_low, self.environment_high)
-        hidden: Tensor = self.phi_environment(inputs)
-        return hidden
-
-    def _pairs(self, batch: Batch) -> Tensor:
-        rows, slots = batch.pair_type.shape
-        pair = batch.pair.reshape(rows * slots, 6)
-        weight = self.window(pair)
-        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
-        total = pair.new_zeros(rows, self.spec.hidden)
-        for index, name in enumerate(self.spec.types):
-            chosen = torch.nonzero(kind == index).squeeze(1)
-            if len(chosen):
-                inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
-                value = self.phi[name](inputs) * weight[chosen, None]
-                total = total.index_add(0, chosen // slots, value)
-        return total
-
-    def _rho(self, ego_type: Tensor, hidden: Tensor) -> Tensor:
-        force = hidden.new_zeros(len(hidden))
-        for index, name in enumerate(self.spec.types):
-            chosen = torch.nonzero(ego_type == index).squeeze(1)
-            if len(chosen):
-                force = force.index_add(0, chosen, self.rho[name](hidden[chosen]).squeeze(1))
-        return force
+    def clamped(self, environment: Tensor) -> Tensor:
+        """Inputs of the environment (R, 4) moved into the measured range."""
+        return environment.clamp(self.environment_low, self.environment_high)
 
     def force_g(
         self, position: Tensor, velocity: Tensor, type_names: Sequence[str], drag: bool = True
@@ -246,6 +175,76 @@ class DeepSet(nn.Module):
         return force
 
 
+class DeepSet(ForceNetwork):
+    """phi per type, phi of the environment, rho per type; see the module's docstring."""
+
+    def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
+        """Make a network with torch's default initialisation.
+
+        Args:
+            spec: types, window, clamp, anchor, sizes, whether there is a torque head.
+            dtype: float32 for training, float64 for checks.
+        """
+        super().__init__(spec, dtype)
+        phi = {name: perceptron((6, *spec.phi_widths), dtype) for name in spec.types}
+        self.phi = nn.ModuleDict(phi)
+        self.phi_environment = perceptron((4, *spec.phi_widths), dtype)
+        self.rho = nn.ModuleDict({name: perceptron(spec.rho_widths, dtype) for name in spec.types})
+        if spec.torque:
+            width = spec.rho_widths[-2]
+            heads = {name: nn.Linear(width, TORQUES, dtype=dtype) for name in spec.types}
+            self.torque = nn.ModuleDict(heads)
+
+    def named_networks(self) -> dict[str, nn.Module]:
+        """Return its perceptrons by the names that they have in a weights file."""
+        phi = {f"phi.{name}": module for name, module in self.phi.items()}
+        rho = {f"rho.{name}": module for name, module in self.rho.items()}
+        return {**phi, "phi.environment": self.phi_environment, **rho}
+
+    def heads(self, batch: Batch) -> Tensor:
+        """Outputs for every row, (R, 1) or (R, 4); see `ForceNetwork.heads`."""
+        environment, aloft = self.anchored(batch.environment)
+        hidden: Tensor = self.phi_environment(self.clamped(environment))
+        hidden = hidden + self._pairs(batch)
+        if aloft is None:
+            return self._rho(batch.ego_type, hidden)
+        reference: Tensor = self.phi_environment(self.clamped(aloft))
+        both = self._rho(batch.ego_type.repeat(2), torch.cat([hidden, reference]))
+        force, baseline = both.chunk(2)
+        return force - baseline
+
+    def _pairs(self, batch: Batch) -> Tensor:
+        rows, slots = batch.pair_type.shape
+        pair = batch.pair.reshape(rows * slots, 6)
+        weight = self.window(pair)
+        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
+        total = pair.new_zeros(rows, self.spec.hidden)
+        for index, name in enumerate(self.spec.types):
+            chosen = torch.nonzero(kind == index).squeeze(1)
+            if len(chosen):
+                inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
+                value = self.phi[name](inputs) * weight[chosen, None]
+                total = total.index_add(0, chosen // slots, value)
+        return total
+
+    def _rho(self, ego_type: Tensor, hidden: Tensor) -> Tensor:
+        outputs = hidden.new_zeros(len(hidden), 1 + TORQUES * self.spec.torque)
+        for index, name in enumerate(self.spec.types):
+            chosen = torch.nonzero(ego_type == index).squeeze(1)
+            if len(chosen):
+                outputs = outputs.index_add(0, chosen, self._of_type(name, hidden[chosen]))
+        return outputs
+
+    def _of_type(self, name: str, hidden: Tensor) -> Tensor:
+        rho = self.rho[name]
+        if not self.spec.torque:
+            force: Tensor = rho(hidden)
+            return force
+        assert isinstance(rho, nn.Sequential)
+        last: Tensor = rho[:-1](hidden)
+        return torch.cat([rho[-1](last), self.torque[name](last)], dim=1)
+
+
 def swarm_batch(position: Tensor, velocity: Tensor, types: Sequence[int]) -> Batch:
     """Rows of every drone of (E, N, 3) swarms, with all others as its neighbours."""
     envs, drones = position.shape[:2]
@@ -261,20 +260,6 @@ def swarm_batch(position: Tensor, velocity: Tensor, types: Sequence[int]) -> Bat
         pair=pair.reshape(envs * drones, drones - 1, 6),
         pair_type=kind[others].repeat(envs, 1),
     )
-
-
-@torch.no_grad()
-def clip_spectral_norms(network: nn.Module, limit: float) -> None:
-    """Scale every weight matrix whose spectral norm exceeds `limit` down to it, never up.
-
-    This is what the published code does for Neural-Swarm2 eq. (12).
-    """
-    for parameter in network.parameters():
-        # The Frobenius norm bounds the spectral norm, and costs a thirtieth of it.
-        if parameter.ndim == 2 and torch.linalg.matrix_norm(parameter) > limit:
-            norm = torch.linalg.matrix_norm(parameter, 2)
-            if norm > limit:
-                parameter.mul_(limit / norm)
 
 
 def layers(network: nn.Module) -> list[nn.Linear]:

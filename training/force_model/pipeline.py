@@ -4,105 +4,173 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from typing import Any
+from typing import NamedTuple
 
-import numpy as np
 import torch
 
 from swarm_envs.files import write_json
-from swarm_envs.training.force_model.calibration import (
-    NO_OFFSETS,
-    RULE,
-    estimate_offsets,
-    subtract_offsets,
-)
+from swarm_envs.training.flight_logs.report import LogReport
+from swarm_envs.training.force_model.calibration import RULE
 from swarm_envs.training.force_model.config import FitConfig as FitConfig
-from swarm_envs.training.force_model.data import data_sha256, read_data
-from swarm_envs.training.force_model.drag import fit_drag
+from swarm_envs.training.force_model.config import settled
+from swarm_envs.training.force_model.data import Wanted, data_sha256, read_data
+from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.files import json_ready
+from swarm_envs.training.force_model.labels import (
+    Treated,
+    check_rows,
+    is_calibrated,
+    measured_range,
+    treat,
+)
 from swarm_envs.training.force_model.log_options import LogOptions
-from swarm_envs.training.force_model.network import (
+from swarm_envs.training.force_model.network import DeepSet
+from swarm_envs.training.force_model.report import Findings, FitReport, examine
+from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.force_model.spec import (
     EVERYWHERE,
-    HARD_LATERAL_M,
-    HARD_VERTICAL_M,
     OUTER_FADE,
     DeepSetSpec,
-    InputRange,
+    NetworkKind,
     without_velocity,
 )
-from swarm_envs.training.force_model.report import FitReport, examine
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.force_model.tensorboard import scalar_writer
+from swarm_envs.training.force_model.torque_head import TorqueErrors, torque_errors
 from swarm_envs.training.force_model.train import train
-from swarm_envs.vehicles import GRAM_FORCE
+from swarm_envs.training.force_model.unseen import silence_unseen
+from swarm_envs.training.force_model.wake_product import fit_wake_model
 
-VOLUME_M = np.array([HARD_LATERAL_M, HARD_LATERAL_M, HARD_VERTICAL_M])
-"""Half edges of the interaction volume."""
-
-
-AS_IN_THE_PAPER: dict[str, Any] = {
-    "slope_limit": None,
-    "position_jitter_m": 0.0,
-    "velocity_jitter": 0.0,
-    "balance": 0.0,
+WEIGHTS = {
+    "deep-set": "learned.safetensors",
+    "pairwise": "pairwise.safetensors",
+    "wake": "wake.json",
 }
-"""What a measured fit leaves out of the training."""
+"""File of the fitted model, by kind; `swarm_envs.interactions.load` reads it."""
+_ASIDE = ("progress", "json", "tensorboard")  # options that change nothing of the result
+REPORTS = {"deep-set": "learned.json", "pairwise": "pairwise.json", "wake": "wake-fit.json"}
+"""File of the report, by kind."""
+CHECKPOINT = "checkpoint.safetensors"
+"""File that a killed training continues from."""
+
+
+class _Fitted(NamedTuple):
+    """What a fit of any kind has to tell."""
+
+    findings: Findings
+    history: list[dict[str, float]]
+    chosen: str
+    notes: list[str]
+    torque: TorqueErrors | None = None
 
 
 def fit(config: FitConfig) -> FitReport:
-    """Fit a deep set to rows and write `learned.safetensors` and `learned.json` into `config.out`.
+    """Fit a model to rows and write it and its report into `config.out`.
 
-    Killed and called again with the same configuration, it continues from its checkpoint and
-    gives the same weights.
+    Killed and called again with the same configuration, the training of a network continues from
+    its checkpoint and gives the same weights.
 
     Raises:
-        FileNotFoundError: there is no data file.
+        FileNotFoundError: there is no data.
         ValueError: the rows cannot be fitted; the message says which rule they break.
     """
     began = time.perf_counter()
-    if config.mode == "measured":
-        config = dataclasses.replace(config, **AS_IN_THE_PAPER)
-    rows, logs = read_data(config.data, config.logs, config.progress)
-    _check(rows)
-    drag = fit_drag(rows)
-    anchored = config.mode == "anchored"
-    calibrated = anchored and config.offsets == "estimated"
-    offsets = estimate_offsets(rows) if calibrated else NO_OFFSETS
-    if not anchored:
-        drag[:, 2] = 0.0  # the network learns the vertical drag with the rest
-    spec = _spec(rows, config) if anchored else DeepSetSpec(rows.types, EVERYWHERE, None, None)
-    spec = dataclasses.replace(spec, hidden=config.hidden, layers=config.layers)
-    spec = spec if config.relative_velocity else without_velocity(spec)
-    treated = subtract_offsets(rows, offsets)
-    vertical_drag_g = drag[rows.ego_type, 2] * rows.velocity[:, 2] / GRAM_FORCE
-    target = treated.with_vertical_force(treated.force_g[:, 2] + vertical_drag_g)
-    checkpoint = config.out / "checkpoint.safetensors"
-    run = train(target, spec, config, checkpoint, config.progress)
-    with torch.no_grad():
-        run.network.drag.copy_(torch.from_numpy(drag))
-    path = config.out / "learned.safetensors"
+    told, config = config, settled(config, config.mode)
+    wanted = Wanted(offsets=is_calibrated(config), torque=config.torque)
+    rows, logs = read_data(config.data, config.logs, config.progress, wanted)
+    check_rows(rows)
+    treated = treat(rows, config)
     provenance: dict[str, object] = {
-        "command": command(config),
+        "command": command(told),
         "data_sha256": data_sha256(config.data),
         "mode": config.mode,
         "seed": config.seed,
     }
-    save_network(path, run.network, provenance)
-    report = FitReport(
-        command=command(config),
+    fitted = (_wake if config.model == "wake" else _network)(treated, config, provenance)
+    report = _report(config, command(told), treated, logs, fitted, time.perf_counter() - began)
+    for path in (config.out / REPORTS[config.model], config.json):
+        if path is not None:
+            write_json(path, json_ready(report))
+    (config.out / CHECKPOINT).unlink(missing_ok=True)
+    return report
+
+
+def _report(
+    config: FitConfig,
+    words: str,
+    treated: Treated,
+    logs: LogReport,
+    fitted: _Fitted,
+    seconds: float,
+) -> FitReport:
+    rows = treated.rows
+    return FitReport(
+        model=config.model,
+        command=words,
         config=json_ready(config),
         data_sha256=data_sha256(config.data),
-        offset_rule=RULE if calibrated else "none",
-        vehicle_offsets_g={str(vehicle): g for vehicle, g in offsets.vehicle.items()},
-        drag={name: drag[index].tolist() for index, name in enumerate(rows.types)},
-        history=run.history,
-        findings=examine(load_network(path), rows, offsets, config.lipschitz_samples, config.seed),
-        wall_time_s=round(time.perf_counter() - began, 1),
+        offset_rule=RULE if is_calibrated(config) else "none",
+        vehicle_offsets_g={str(vehicle): g for vehicle, g in treated.offsets.vehicle.items()},
+        drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
+        findings=fitted.findings,
+        history=fitted.history,
+        chosen=fitted.chosen,
+        wall_time_s=round(seconds, 1),
         logs=logs,
+        notes=fitted.notes,
+        torque_errors=fitted.torque,
     )
-    write_json(config.out / "learned.json", json_ready(report))
-    checkpoint.unlink()
-    return report
+
+
+def _network(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
+    spec = network_spec(treated.rows, config)
+    checkpoint = config.out / CHECKPOINT
+    recipe = config
+    if spec.kind == "pairwise":  # one network stands for phi and rho: as steep as both together
+        recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+    with scalar_writer(config.tensorboard) as watch:
+        run = train(treated.target, spec, recipe, checkpoint, config.progress, watch)
+    with torch.no_grad():
+        run.network.drag.copy_(torch.from_numpy(treated.drag))
+    path = config.out / WEIGHTS[config.model]
+    save_network(path, run.network, provenance)
+    network = load_network(path)
+    notes = silence_unseen(network, treated.rows)
+    if notes:
+        save_network(path, network, provenance | {"notes": notes})
+    predicted = predict_rows(network, treated.rows)
+    findings = examine(network, predicted, treated, config.lipschitz_samples, config.seed)
+    torque = None
+    if isinstance(network, DeepSet) and config.torque:
+        torque = torque_errors(network, treated.rows)
+    return _Fitted(findings, run.history, run.chosen, notes, torque)
+
+
+def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
+    path = config.out / WEIGHTS["wake"]
+    function, predicted, notes = fit_wake_model(path, treated, config, provenance)
+    return _Fitted(
+        examine(function, predicted, treated, 0, config.seed), [], "least squares", notes
+    )
+
+
+def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
+    """The function that a fit looks for."""
+    kind: NetworkKind = "pairwise" if config.model == "pairwise" else "deep-set"
+    spec = DeepSetSpec(
+        rows.types, hidden=config.hidden, layers=config.layers, kind=kind, torque=config.torque
+    )
+    if config.mode == "anchored":
+        measured = measured_range(rows)
+        spec = dataclasses.replace(
+            spec,
+            window=OUTER_FADE,
+            input_range=measured,
+            anchor_height_m=config.anchor_height_m,
+        )
+    else:
+        spec = dataclasses.replace(spec, window=EVERYWHERE, input_range=None, anchor_height_m=None)
+    return spec if config.relative_velocity else without_velocity(spec)
 
 
 def command(config: FitConfig) -> str:
@@ -119,44 +187,5 @@ def _options(config: FitConfig | LogOptions, prefix: str = "--") -> list[str]:
         if isinstance(value, LogOptions):
             words += _options(value, f"{name}.")
         elif entry.default is not dataclasses.MISSING and value != entry.default:
-            words += [] if entry.name == "progress" else [f"{name} {value}"]
+            words += [] if entry.name in _ASIDE else [f"{name} {value}"]
     return words
-
-
-def _check(rows: InteractionRows) -> None:
-    for index, name in enumerate(rows.types):
-        if not ((rows.ego_type == index) & ~rows.validation).any():
-            raise ValueError(
-                f"no training row has a drone of type {name!r} that feels the force, so its rho "
-                "cannot be fitted; add such rows or leave the type out of `types`"
-            )
-    if not rows.validation.any():
-        raise ValueError("no row is marked for validation; mark whole blocks of time, about 20 %")
-
-
-def _spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
-    return DeepSetSpec(rows.types, OUTER_FADE, measured_range(rows), config.anchor_height_m)
-
-
-def measured_range(rows: InteractionRows) -> InputRange:
-    """Range that the inputs of an anchored fit are clamped to.
-
-    Heights between the lowest and the highest of all rows; of every speed and of the vertical
-    distance the 99.9 % quantile of its magnitude inside the interaction volume, one number for x
-    and y; laterally the edge of the volume, since the window ends there.
-    """
-    inside = (np.abs(rows.neighbor[..., :3]) <= VOLUME_M).all(axis=-1) & rows.has_neighbor
-    own = np.quantile(np.abs(rows.velocity), 0.999, axis=0)
-    own[:2] = own[:2].max()
-    pair = np.zeros(6)
-    if inside.any():
-        pair = np.quantile(np.abs(rows.neighbor[inside]), 0.999, axis=0)
-    pair[3:5] = pair[3:5].max()
-    pair[:2] = VOLUME_M[:2]
-    own, pair = np.round(own, 2), np.round(pair, 2)
-    height = rows.position[:, 2]
-    low, high = round(float(height.min()), 2), round(float(height.max()), 2)
-    return InputRange(
-        pair=(tuple((-pair).tolist()), tuple(pair.tolist())),
-        environment=((-high, *(-own).tolist()), (-low, *own.tolist())),
-    )

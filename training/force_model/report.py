@@ -7,24 +7,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarm_envs.training.force_model.calibration import Offsets, subtract_offsets
+from swarm_envs.training.force_model.calibration import subtract_offsets
 from swarm_envs.training.force_model.evaluate import (
     AxisBin,
     Errors,
     Extremes,
+    ForceFunction,
     axis_bins,
     mean_squared_errors,
-    predict_rows,
     scan_swarms,
 )
+from swarm_envs.training.force_model.labels import Treated
 from swarm_envs.training.force_model.lipschitz import (
     LipschitzBound,
     MeasuredLipschitz,
     lipschitz_bound,
     measure_lipschitz,
 )
-from swarm_envs.training.force_model.network import DeepSet
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.force_model.network import ForceNetwork
+from swarm_envs.training.force_model.rows import FloatArray
+from swarm_envs.training.force_model.torque_head import TorqueErrors
 
 if TYPE_CHECKING:
     from swarm_envs.training.flight_logs import LogReport
@@ -45,9 +47,10 @@ class Findings:
     """Against labels with one offset per vehicle, as if it did not drift between flights."""
     errors_raw: Errors
     """Against labels as measured."""
-    lipschitz_bound: LipschitzBound
+    lipschitz_bound: LipschitzBound | None
+    """Of a network; None of the closed form."""
     lipschitz_measured: dict[str, MeasuredLipschitz]
-    """By number of neighbours; empty if it was left out."""
+    """By number of neighbours; empty if it was left out, or of the closed form."""
     axis_bins: list[AxisBin]
     """Measured and modelled force under one neighbour; labels treated as in training."""
     extremes: list[Extremes]
@@ -56,8 +59,10 @@ class Findings:
 
 @dataclass(frozen=True)
 class FitReport:
-    """What was fitted and how well: the content of `learned.json`."""
+    """What was fitted and how well: the content of `learned.json`, whatever the model."""
 
+    model: str
+    """`deep-set`, `pairwise` or `wake`."""
     command: str
     config: object
     data_sha256: str
@@ -67,50 +72,64 @@ class FitReport:
     """c per type and axis, N s/m."""
     findings: Findings
     history: list[dict[str, float]]
-    """Step, training loss and validation MSE, g^2."""
+    """Step, training loss, validation MSE and that of early validation, g^2."""
+    chosen: str
+    """Which weights of the run these are."""
     wall_time_s: float
     """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
-    logs: LogReport | None = None
-    """What became of flight logs; None where the data were rows already."""
+    logs: LogReport
+    """What became of every file."""
+    notes: list[str]
+    """What a user of the model must know: types that no row shows."""
+    torque_errors: TorqueErrors | None = None
+    """On held-out rows, if there is a torque head."""
 
     def lines(self) -> list[str]:
         """What a command prints of it."""
         errors = self.findings.errors
-        said = self.logs.lines() if self.logs else []
         return [
-            *said,
-            f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, scenario mean "
-            f"{errors.scenario_mean:.2f})",
+            *self.logs.lines(),
+            *(f"note: {note}" for note in self.notes),
+            f"{self.model}: validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, "
+            f"scenario mean {errors.scenario_mean:.2f})",
         ]
 
 
 def examine(
-    network: DeepSet, rows: InteractionRows, offsets: Offsets, lipschitz_samples: int, seed: int
+    function: ForceFunction,
+    predicted_g: FloatArray,
+    treated: Treated,
+    lipschitz_samples: int,
+    seed: int,
 ) -> Findings:
-    """Measure a float64 network on rows whose labels are as measured.
+    """Measure a fitted model.
 
     Args:
-        network: as `load_network` returns it.
-        rows: all rows, with the labels as measured.
-        offsets: what training took out of the labels.
+        function: the model; Lipschitz constants are those of networks.
+        predicted_g: (R,) its vertical force for every row, drag included.
+        treated: the rows, and what was taken out of their labels.
         lipschitz_samples: random pairs for the Lipschitz constants; 0 leaves them out.
         seed: of the random inputs.
     """
     rng = np.random.default_rng(seed)
-    predicted = predict_rows(network, rows)
-    treated = subtract_offsets(rows, offsets)
-    vehicle = subtract_offsets(rows, offsets.per_vehicle())
-    measured = {}
-    for neighbors in (1, 2) if lipschitz_samples else ():
-        measured[str(neighbors)] = measure_lipschitz(network, lipschitz_samples, neighbors, rng)
+    rows, offsets = treated.rows, treated.offsets
+    free = subtract_offsets(rows, offsets)
+    measured, bound = {}, None
+    if isinstance(function, ForceNetwork):
+        bound = lipschitz_bound(function)
+        for neighbors in (1, 2) if lipschitz_samples else ():
+            found = measure_lipschitz(function, lipschitz_samples, neighbors, rng)
+            measured[str(neighbors)] = found
     return Findings(
         rows=len(rows),
         validation_rows=int(rows.validation.sum()),
-        errors=mean_squared_errors(predicted, treated),
-        errors_vehicle_offsets=mean_squared_errors(predicted, vehicle),
-        errors_raw=mean_squared_errors(predicted, rows),
-        lipschitz_bound=lipschitz_bound(network),
+        errors=mean_squared_errors(predicted_g, free),
+        errors_vehicle_offsets=mean_squared_errors(
+            predicted_g, subtract_offsets(rows, offsets.per_vehicle())
+        ),
+        errors_raw=mean_squared_errors(predicted_g, rows),
+        lipschitz_bound=bound,
         lipschitz_measured=measured,
-        axis_bins=axis_bins(network, predicted, treated),
-        extremes=[scan_swarms(network, size, _SWARMS, rng) for size in _SWARM_SIZES],
+        axis_bins=axis_bins(function, predicted_g, free),
+        extremes=[scan_swarms(function, size, _SWARMS, rng) for size in _SWARM_SIZES],
     )

@@ -7,13 +7,16 @@ fitted to them. World frame, z up; SI, but labels in gram-force, as Neural-Swarm
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 
 FloatArray = npt.NDArray[np.float64]
@@ -23,7 +26,12 @@ BoolArray = npt.NDArray[np.bool_]
 NO_NEIGHBOR = -1
 """Type of a neighbour slot that is empty."""
 
+FORMAT = "interaction-rows-1"
 _LARGE_VEHICLES = 100  # vehicle ids from here on are large in the logs of the published flights
+_PUBLISHED = ("x", "fa", "names", "cf", "flight", "step", "scenario")
+_INTEGERS = ("ego_type", "neighbor_type", "flight", "step", "vehicle", "scenario")
+
+Arrays = Mapping[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,10 @@ class InteractionRows:
     """(R,) held out of training. Whole blocks of time, since neighbouring rows are near copies."""
     scenario_names: tuple[str, ...]
     """Names of the scenarios: `SL2S` is a small drone under a small and a large one."""
+    torque: FloatArray | None = None
+    """(R, 3) measured interaction torque tau_a, N m, world frame; None where it is not known."""
+    vehicle_names: dict[int, str] = field(default_factory=dict)
+    """Names of vehicles by their id in `vehicle`; one without a name goes by its number."""
 
     def __post_init__(self) -> None:
         """Check that the arrays fit together.
@@ -64,6 +76,11 @@ class InteractionRows:
             ValueError: an array has a wrong shape, an index is out of range, or a value is not
                 finite.
         """
+        if self.neighbor_type.ndim != 2:
+            raise ValueError(
+                f"neighbor_type has shape {self.neighbor_type.shape}, but must have (R, K): a row "
+                "per drone and time, an entry per neighbour"
+            )
         count, slots = self.neighbor_type.shape
         shapes = {
             "position": (count, 3),
@@ -71,6 +88,8 @@ class InteractionRows:
             "neighbor": (count, slots, 6),
             "force_g": (count, 3),
         }
+        if self.torque is not None:
+            shapes["torque"] = (count, 3)
         shapes |= dict.fromkeys(_ROW_VECTORS, (count,))
         for name, shape in shapes.items():
             _check_shape(name, getattr(self, name), shape)
@@ -89,7 +108,9 @@ class InteractionRows:
 
     def select(self, rows: BoolArray | IntArray) -> InteractionRows:
         """Return only the given rows, by mask or by index."""
-        return replace(self, **{name: getattr(self, name)[rows] for name in _ARRAYS})
+        torque = None if self.torque is None else self.torque[rows]
+        arrays = {name: getattr(self, name)[rows] for name in ROW_ARRAYS}
+        return replace(self, torque=torque, **arrays)
 
     def with_vertical_force(self, force_z_g: FloatArray) -> InteractionRows:
         """Return the same rows with another vertical label, (R,) in gram-force."""
@@ -99,19 +120,21 @@ class InteractionRows:
 
 
 _ROW_VECTORS = ("ego_type", "flight", "step", "vehicle", "scenario", "validation")
-_ARRAYS = ("position", "velocity", "neighbor", "neighbor_type", "force_g", *_ROW_VECTORS)
-_FORMAT = "interaction-rows-1"
+ROW_ARRAYS = ("position", "velocity", "neighbor", "neighbor_type", "force_g", *_ROW_VECTORS)
 
 
 def _check_shape(name: str, array: npt.NDArray[np.generic], shape: tuple[int, ...]) -> None:
     if array.shape != shape:
         raise ValueError(
             f"{name} has shape {array.shape}, but must have shape {shape}: "
-            "one entry per row of neighbor_type"
+            "one entry per row of neighbor_type, (R, K)"
         )
     if np.issubdtype(array.dtype, np.floating) and not np.isfinite(array).all():
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name} is {array[index]} at index {index}; every entry must be finite")
+        raise ValueError(
+            f"{name} is {array[index]} at index {index}, but every entry must be finite; remove "
+            "rows that hold no measurement"
+        )
 
 
 def _check_index(name: str, array: IntArray, low: int, high: int) -> None:
@@ -128,46 +151,75 @@ def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
         path: the file to write, ending in `.npz`.
         rows: what to write.
     """
-    target = Path(path)
-    arrays: dict[str, npt.NDArray[Any]] = {name: getattr(rows, name) for name in _ARRAYS}
+    arrays: dict[str, npt.NDArray[Any]] = {name: getattr(rows, name) for name in ROW_ARRAYS}
     arrays["types"] = np.array(rows.types)
     arrays["scenario_names"] = np.array(rows.scenario_names)
-    arrays["format"] = np.array(_FORMAT)
-    with written_whole(target) as partial:
+    arrays["vehicle_ids"] = np.array(list(rows.vehicle_names), dtype=np.int64)
+    arrays["vehicle_names"] = np.array(list(rows.vehicle_names.values()), dtype=np.str_)
+    if rows.torque is not None:
+        arrays["torque"] = rows.torque
+    arrays["format"] = np.array(FORMAT)
+    with written_whole(Path(path)) as partial:
         np.savez_compressed(partial, allow_pickle=False, **arrays)
 
 
 def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     """Read rows from a file that `save_rows` wrote, or from the published flights' table.
 
+    Without the array that marks rows as held out (`validation`, or `val`) none is.
+
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file has neither format.
+        ValueError: the file is damaged, has neither format, or breaks a rule of `InteractionRows`.
     """
+    name = os.fspath(path)
     if not Path(path).is_file():
-        raise FileNotFoundError(
-            f"no file of interaction rows at {os.fspath(path)!r}; give its path"
-        )
-    with np.load(path, allow_pickle=False) as file:
-        if "format" in file and str(file["format"]) == _FORMAT:
-            return _saved_rows({name: file[name] for name in file.files})
-        if {"x", "fa", "names", "cf", "val"} <= set(file.files):
-            return _published_rows({name: file[name] for name in file.files})
-        raise ValueError(
-            f"{os.fspath(path)!r} holds {sorted(file.files)}, which is neither {_FORMAT!r} nor the "
-            "table of published flights (x, fa, names, cf, val, ...); write it with save_rows"
-        )
-
-
-def _saved_rows(arrays: dict[str, npt.NDArray[np.generic]]) -> InteractionRows:
-    return InteractionRows(
-        types=tuple(str(name) for name in arrays["types"]),
-        scenario_names=tuple(str(name) for name in arrays["scenario_names"]),
-        **{name: arrays[name] for name in _ARRAYS},  # type: ignore[arg-type]
+        raise FileNotFoundError(f"no file of interaction rows at {name!r}; give its path")
+    try:
+        with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile, AttributeError) as error:
+        raise ValueError(f"{name!r} is no npz file without pickle ({error})") from error
+    if "format" in arrays and str(arrays["format"]) == FORMAT:
+        return _saved_rows(arrays)
+    if set(_PUBLISHED) <= set(arrays):
+        return _published_rows(arrays)
+    raise ValueError(
+        f"{name!r} holds {sorted(arrays)}, which is neither {FORMAT!r} nor the "
+        "table of published flights (x, fa, names, cf, val, ...); write it with save_rows"
     )
 
 
-def _published_rows(arrays: dict[str, npt.NDArray[np.generic]]) -> InteractionRows:
+def _saved_rows(arrays: Arrays) -> InteractionRows:
+    missing = [n for n in (*ROW_ARRAYS, "types", "scenario_names") if n not in arrays]
+    missing = [name for name in missing if name != "validation"]
+    if missing:
+        raise ValueError(f"array {missing[0]!r} is missing; there are {', '.join(sorted(arrays))}")
+    numbers = {name: _numbers(arrays, name) for name in ROW_ARRAYS if name in arrays}
+    count = len(numbers["force_g"]) if numbers["force_g"].ndim else 0
+    numbers.setdefault("validation", np.zeros(count, dtype=np.bool_))
+    ids, names = (arrays.get(key, np.zeros(0)) for key in ("vehicle_ids", "vehicle_names"))
+    return InteractionRows(
+        types=tuple(str(name) for name in arrays["types"]),
+        scenario_names=tuple(str(name) for name in arrays["scenario_names"]),
+        torque=_numbers(arrays, "torque") if "torque" in arrays else None,
+        vehicle_names={int(k): str(name) for k, name in zip(ids, names, strict=True)},
+        **numbers,
+    )
+
+
+def _numbers(arrays: Arrays, name: str) -> npt.NDArray[Any]:
+    """An array as the numbers it must hold: booleans, integers or float64."""
+    array = arrays[name]
+    wanted = np.int64 if name in _INTEGERS else np.float64
+    allowed = "iub" if name in (*_INTEGERS, "validation") else "iuf"
+    if array.dtype.kind not in allowed:
+        kind = "integers" if name in _INTEGERS else "numbers"
+        raise ValueError(f"{name} holds {array.dtype}, but must hold {kind}")
+    return array.astype(np.bool_ if name == "validation" else wanted)
+
+
+def _published_rows(arrays: Arrays) -> InteractionRows:
     """Read the table of the Neural-Swarm authors' flights.
 
     Columns of `x`: -p and -v of the drone (the environment as a neighbour at the origin), then
@@ -176,28 +228,43 @@ def _published_rows(arrays: dict[str, npt.NDArray[np.generic]]) -> InteractionRo
     The label is `fa[:, 0:3]`. A row was kept if *any* neighbour is near, so some neighbours stand
     outside the interaction volume: they stay in the table, and the models' window masks them.
     """
-    x = arrays["x"].astype(np.float64)
+    x, fa = _numbers(arrays, "x"), _numbers(arrays, "fa")
+    if x.ndim != 2 or x.shape[1] != 18 or fa.ndim != 2 or fa.shape[1] < 3:
+        raise ValueError(
+            f"x has shape {x.shape} and fa {fa.shape}, but they must have (R, 18) and (R, 3) or "
+            "(R, 4)"
+        )
     names = tuple(str(name) for name in arrays["names"])
     scenario = arrays["scenario"].astype(np.int64)
-    types = ("S", "L")
-    table = np.full((len(names), 2), NO_NEIGHBOR)
-    for index, name in enumerate(names):
-        above = name.split("2")[0]
-        if above != "Ge":
-            table[index, : len(above)] = [types.index(letter) for letter in above]
+    if scenario.size and not 0 <= scenario.min() <= scenario.max() < len(names):
+        raise ValueError(f"scenario goes to {scenario.max()}, but there are {len(names)} names")
     vehicle = arrays["cf"].astype(np.int64)
+    table = np.array([_neighbours(name) for name in names]).reshape(-1, 2)
     return InteractionRows(
-        types=types,
+        types=("S", "L"),
         ego_type=(vehicle > _LARGE_VEHICLES).astype(np.int64),
         position=-x[:, 0:3],
         velocity=-x[:, 3:6],
         neighbor=x[:, 6:18].reshape(-1, 2, 6),
         neighbor_type=table[scenario].astype(np.int64),
-        force_g=arrays["fa"][:, 0:3].astype(np.float64),
+        force_g=fa[:, 0:3],
         flight=arrays["flight"].astype(np.int64),
         step=arrays["step"].astype(np.int64),
         vehicle=vehicle,
         scenario=scenario,
-        validation=arrays["val"].astype(np.bool_),
+        validation=arrays.get("val", np.zeros(len(x))).astype(np.bool_),
         scenario_names=names,
     )
+
+
+def _neighbours(scenario: str) -> list[int]:
+    """Types of the two neighbours of a scenario such as `SL2S`."""
+    above, _, ego = scenario.partition("2")
+    above = "" if above == "Ge" else above
+    for letter in (*above, ego):
+        if letter not in ("S", "L"):
+            where = f"in the scenario {scenario!r}"
+            raise ValueError(unknown_name("vehicle type", letter, ("S", "L"), where))
+    if len(above) > 2:
+        raise ValueError(f"scenario {scenario!r} has {len(above)} neighbours, but x holds two")
+    return [*(("S", "L").index(letter) for letter in above), *[NO_NEIGHBOR] * (2 - len(above))]

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarm_envs.training.force_model.network import Batch, DeepSet
+from swarm_envs.training.force_model.network import Batch, ForceNetwork
 from swarm_envs.training.force_model.rows import NO_NEIGHBOR
 
 
@@ -53,7 +53,7 @@ def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generat
 
 
 def input_gradient(
-    network: DeepSet, batch: Batch, keep_graph: bool = False
+    network: ForceNetwork, batch: Batch, keep_graph: bool = False
 ) -> tuple[Tensor, Tensor]:
     """Gradient of the network's force against its inputs.
 
@@ -81,7 +81,7 @@ def joint_norm(environment: Tensor, pair: Tensor) -> Tensor:
     return norm
 
 
-def slope_penalty(network: DeepSet, batch: Batch, limit: float) -> Tensor:
+def slope_penalty(network: ForceNetwork, batch: Batch, limit: float) -> Tensor:
     """Mean square of what the gradient's norm exceeds `limit` by, (g per unit)^2."""
     norm = joint_norm(*input_gradient(network, batch, keep_graph=True))
     excess = torch.relu(norm - limit)

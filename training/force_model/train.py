@@ -1,4 +1,4 @@
-"""Training of a deep set on rows: Adam, cosine schedule, spectral clip after every step.
+"""Training of a deep set on rows: Adam, spectral norms held after every step.
 
 A run that is killed continues from its checkpoint and ends with the same weights.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
@@ -18,25 +19,42 @@ from tqdm import tqdm
 
 from swarm_envs.training.force_model.checkpoint import load_checkpoint, save_checkpoint
 from swarm_envs.training.force_model.config import TrainConfig as TrainConfig
-from swarm_envs.training.force_model.network import (
-    Batch,
-    DeepSet,
-    DeepSetSpec,
-    clip_spectral_norms,
-)
+from swarm_envs.training.force_model.config import settled
+from swarm_envs.training.force_model.early import inner_split
+from swarm_envs.training.force_model.epochs import Examples, batches_per_epoch, shuffled
+from swarm_envs.training.force_model.flat import FlatWeights
+from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
+from swarm_envs.training.force_model.pairwise import build
 from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
+from swarm_envs.training.force_model.spectral import hold_spectral_norms
+from swarm_envs.training.force_model.torque_head import targets
+
+Entry = dict[str, float]
+"""Of the history: step, mean training loss since the last entry, validation MSE, g^2."""
 
 
 @dataclass
 class Training:
     """A run: what a checkpoint holds."""
 
-    network: DeepSet
+    network: ForceNetwork
+    weights: FlatWeights
     optimiser: torch.optim.Adam
+    averaged: Tensor
+    """(P,) running average of the weights."""
+    best: Tensor
+    """(P,) weights with the least error of early validation so far."""
+    best_step: int = 0
     step: int = 0
-    history: list[dict[str, float]] = field(default_factory=list)
-    """Step, mean training loss since the last entry, and validation MSE, g^2."""
+    history: list[Entry] = field(default_factory=list)
+    chosen: str = "last step"
+    """Which weights are the result, once training has ended."""
+
+    @property
+    def best_error(self) -> float:
+        """Least error of early validation so far, g^2."""
+        return min((entry["early_validation"] for entry in self.history), default=math.inf)
 
 
 def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch:
@@ -50,26 +68,7 @@ def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch
     )
 
 
-def transform(batch: Batch, mirror_x: Tensor, mirror_y: Tensor, swap: Tensor) -> Batch:
-    """Apply symmetries of the square to positions and velocities.
-
-    Args:
-        batch: R rows.
-        mirror_x: (R,) +1 or -1, factor of the x components.
-        mirror_y: (R,) the same for y.
-        swap: (R,) whether x and y are exchanged afterwards.
-    """
-    one = torch.ones_like(mirror_x)
-    factor = torch.stack([mirror_x, mirror_y, one], dim=1)
-    environment = batch.environment * torch.cat([one[:, None], factor], dim=1)
-    pair = batch.pair * factor.repeat(1, 2)[:, None]
-    swapped = environment[:, [0, 2, 1, 3]]
-    environment = torch.where(swap[:, None], swapped, environment)
-    pair = torch.where(swap[:, None, None], pair[..., [1, 0, 2, 4, 3, 5]], pair)
-    return batch._replace(environment=environment, pair=pair)
-
-
-def predict(network: DeepSet, batch: Batch, chunk: int = 65536) -> Tensor:
+def predict(network: ForceNetwork, batch: Batch, chunk: int = 65536) -> Tensor:
     """Vertical force from the network, (R,) in gram-force, without gradient."""
     with torch.no_grad():
         count = len(batch.ego_type)
@@ -81,14 +80,15 @@ def predict(network: DeepSet, batch: Batch, chunk: int = 65536) -> Tensor:
 
 
 def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
-    """Make a fresh run: seeded weights, optimiser and generator."""
+    """Make a fresh run: seeded weights and optimiser."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
-        network = DeepSet(spec)
-    if config.max_spectral_norm is not None:
-        clip_spectral_norms(network, config.max_spectral_norm)
-    optimiser = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
-    return Training(network, optimiser)
+        network = build(spec)
+    weights = FlatWeights(network)
+    hold_spectral_norms(weights.matrices(), config.max_spectral_norm, config.spectral)
+    optimiser = torch.optim.Adam([weights.values], lr=config.learning_rate)
+    first = weights.values.detach()
+    return Training(network, weights, optimiser, first.clone(), first.clone())
 
 
 def train(
@@ -97,11 +97,14 @@ def train(
     config: TrainConfig,
     checkpoint: Path | None = None,
     progress: bool = True,
+    watch: Callable[[Entry], None] | None = None,
 ) -> Training:
     """Fit the network to the rows' vertical labels by least squares.
 
     The rows' validation blocks are held out; their error is recorded at every checkpoint and
-    chooses nothing: the weights of the last step are the result.
+    chooses nothing. The result has the weights of the last step, or their running average
+    (`average_share`), or of these the ones with the least error on pieces of the training rows
+    (`early_validation`).
 
     Args:
         rows: labels in `force_g[:, 2]`, already free of whatever should not be learned.
@@ -109,46 +112,75 @@ def train(
         config: how.
         checkpoint: file to continue from if it exists, and to write; None keeps none.
         progress: show a progress bar.
+        watch: called with every new entry of the history.
 
     Raises:
-        ValueError: the checkpoint belongs to another configuration.
+        ValueError: the checkpoint belongs to another configuration, or the rows cannot be split.
     """
     torch.set_num_threads(1)
+    config = settled(config)
     run = start(spec, config)
     configuration = _configuration(rows, spec, config)
     if checkpoint is not None and checkpoint.exists():
         load_checkpoint(checkpoint, run, configuration)
-    training, held_out = rows.select(~rows.validation), rows.select(rows.validation)
-    batch, label = to_batch(training), _labels(training)
-    weight = type_weights(training, config.balance)
-    check, check_label = to_batch(held_out), _labels(held_out)
-    loss_sum = 0.0
-    bar = tqdm(total=config.steps, initial=run.step, disable=not progress, unit="step")
-    while run.step < config.steps:
-        loss_sum += _step(run, batch, label, weight, config)
+    examples, checks = _split(rows, config, spec.torque)
+    total = total_steps(config, len(examples.label))
+    batches = batches_per_epoch(len(examples.label), config.batch_size)
+    loss_sum, order = 0.0, None
+    bar = tqdm(total=total, initial=run.step, disable=not progress, unit="step")
+    while run.step < total:
+        place = run.step % batches
+        if order is None or place == 0:
+            order = shuffled(examples, config, run.step // batches)
+        chosen = order.part(place * config.batch_size, (place + 1) * config.batch_size)
+        loss_sum += _step(run, chosen, config, total)
         bar.update()
-        if run.step % config.checkpoint_every == 0 or run.step == config.steps:
+        if run.step % config.checkpoint_every == 0 or run.step == total:
             count = run.step % config.checkpoint_every or config.checkpoint_every
-            error = float(torch.mean((predict(run.network, check) - check_label) ** 2))
-            entry = {"step": run.step, "loss": loss_sum / count, "validation": error}
-            run.history.append(entry)
+            entry = _judge(run, {"step": run.step, "loss": loss_sum / count}, checks, config)
             bar.set_postfix({name: f"{value:.2f}" for name, value in entry.items()})
             loss_sum = 0.0
+            if watch is not None:
+                watch(entry)
             if checkpoint is not None:
                 save_checkpoint(checkpoint, run, configuration)
     bar.close()
+    run.weights.set(run.best if config.early_validation else _candidate(run, config))
+    run.chosen = _chosen(run, config)
+    run.weights.release()
     return run
+
+
+def total_steps(config: TrainConfig, rows: int) -> int:
+    """Optimiser steps of a run on so many training rows."""
+    if config.epochs is None:
+        assert config.steps is not None  # `settled` gives one of them
+        return config.steps
+    return max(1, round(config.epochs * batches_per_epoch(rows, config.batch_size)))
 
 
 def _configuration(rows: InteractionRows, spec: DeepSetSpec, config: TrainConfig) -> str:
     settings = {entry.name: getattr(config, entry.name) for entry in fields(TrainConfig)}
-    labels = hashlib.sha256(rows.force_g.tobytes()).hexdigest()
-    content = {"labels": labels, "spec": asdict(spec), "training": settings}
+    labels = hashlib.sha256(rows.force_g.tobytes())
+    if spec.torque and rows.torque is not None:
+        labels.update(rows.torque.tobytes())
+    content = {"labels": labels.hexdigest(), "spec": asdict(spec), "training": settings}
     return json.dumps(content, sort_keys=True)
 
 
-def _labels(rows: InteractionRows) -> Tensor:
-    return torch.from_numpy(rows.force_g[:, 2]).float()
+def _split(
+    rows: InteractionRows, config: TrainConfig, torque: bool
+) -> tuple[Examples, dict[str, tuple[Batch, Tensor]]]:
+    """What is trained on, and what is held out: the validation blocks, and early validation."""
+    chosen, held_out = ~rows.validation, {"validation": rows.validation}
+    if config.early_validation:
+        chosen, early = inner_split(rows, config.early_validation, config.seed, config.early_held)
+        held_out["early_validation"] = early
+    training = rows.select(chosen)
+    weight = type_weights(training, config.balance)
+    examples = Examples(to_batch(training), targets(training, torque), weight)
+    parts = {name: rows.select(mask) for name, mask in held_out.items()}
+    return examples, {name: (to_batch(part), targets(part)) for name, part in parts.items()}
 
 
 def type_weights(rows: InteractionRows, balance: float) -> Tensor:
@@ -161,36 +193,65 @@ def type_weights(rows: InteractionRows, balance: float) -> Tensor:
     return torch.from_numpy(weight / weight.mean()).float()
 
 
-def _step(run: Training, batch: Batch, label: Tensor, weight: Tensor, config: TrainConfig) -> float:
-    """Take one step of Adam on a random batch; returns the batch's MSE, g^2."""
-    # A generator per step, so that a run continued from a checkpoint draws the same.
-    rng = np.random.default_rng([config.seed, run.step])
-    rate = 0.5 * config.learning_rate * (1 + math.cos(math.pi * run.step / config.steps))
-    for group in run.optimiser.param_groups:
-        group["lr"] = rate
-    index = torch.from_numpy(rng.integers(len(label), size=config.batch_size))
-    chosen = Batch(*(values[index] for values in batch))
-    if config.symmetric:
-        chosen = transform(chosen, *_random_symmetry(config.batch_size, rng))
-    if config.position_jitter_m or config.velocity_jitter:
-        scale = torch.tensor([config.position_jitter_m] * 3 + [config.velocity_jitter] * 3)
-        noise = rng.standard_normal(chosen.pair.shape, dtype=np.float32)
-        chosen = chosen._replace(pair=chosen.pair + scale * torch.from_numpy(noise))
-    squared = (run.network(chosen) - label[index]) ** 2
-    loss = torch.mean(weight[index] * squared)
+def _step(run: Training, chosen: Examples, config: TrainConfig, total: int) -> float:
+    """Take one step of Adam on a batch; returns the batch's MSE, g^2."""
+    run.optimiser.param_groups[0]["lr"] = _rate(config, run.step / total)
+    squared = (run.network.heads(chosen.batch) - chosen.label.reshape(len(chosen.label), -1)) ** 2
+    loss = torch.mean(chosen.weight * squared.sum(dim=1))
     if config.slope_limit is not None:
+        # A generator per step, so that a run continued from a checkpoint draws the same.
+        rng = np.random.default_rng([config.seed, run.step, 1])
         inputs = random_inputs(len(run.network.spec.types), config.slope_inputs, 2, rng)
         inputs = inputs._replace(environment=inputs.environment.float(), pair=inputs.pair.float())
         loss = loss + config.slope_weight * slope_penalty(run.network, inputs, config.slope_limit)
-    run.optimiser.zero_grad(set_to_none=True)
+    run.weights.clear_gradient()
     loss.backward()  # type: ignore[no-untyped-call]
     run.optimiser.step()
-    if config.max_spectral_norm is not None:
-        clip_spectral_norms(run.network, config.max_spectral_norm)
+    hold_spectral_norms(run.weights.matrices(), config.max_spectral_norm, config.spectral)
     run.step += 1
-    return float(squared.detach().mean())
+    if config.average_share:
+        # At first the average is shorter, or the first weights would count to the end.
+        share = max(1.0 / (config.average_share * total), 1.0 / (1.0 + 0.3 * run.step))
+        run.averaged.lerp_(run.weights.values.detach(), min(share, 1.0))
+    return float(squared[:, 0].detach().mean())
 
 
-def _random_symmetry(count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor, Tensor]:
-    signs = torch.from_numpy(rng.integers(2, size=(3, count)))
-    return 1.0 - 2.0 * signs[0], 1.0 - 2.0 * signs[1], signs[2] > 0
+def _rate(config: TrainConfig, done: float) -> float:
+    """Adam's rate after a share of the steps."""
+    if config.schedule == "constant":
+        return config.learning_rate
+    return 0.5 * config.learning_rate * (1.0 + math.cos(math.pi * done))
+
+
+def _candidate(run: Training, config: TrainConfig) -> Tensor:
+    """The weights as they would be the result now: (P,), within their spectral norms."""
+    if not config.average_share:
+        return run.weights.values.detach().clone()
+    # A mean of clipped matrices is within the clip, the norm being convex; of exact ones not exact.
+    averaged = run.averaged.clone()
+    matrices = run.weights.matrices(averaged)
+    hold_spectral_norms(matrices, config.max_spectral_norm, config.spectral)
+    return averaged
+
+
+def _judge(
+    run: Training, entry: Entry, checks: dict[str, tuple[Batch, Tensor]], config: TrainConfig
+) -> Entry:
+    """Add the errors of the candidate weights to an entry, and the entry to the history."""
+    kept, candidate = run.weights.values.detach().clone(), _candidate(run, config)
+    run.weights.set(candidate)
+    for name, (batch, label) in checks.items():
+        entry[name] = float(torch.mean((predict(run.network, batch) - label) ** 2))
+    run.weights.set(kept)
+    if "early_validation" in checks and entry["early_validation"] < run.best_error:
+        run.best, run.best_step = candidate, run.step
+    run.history.append(entry)
+    return entry
+
+
+def _chosen(run: Training, config: TrainConfig) -> str:
+    """Say which weights of a finished run are its result."""
+    what = "running average of the weights" if config.average_share else "weights"
+    if config.early_validation:
+        return f"{what} at step {run.best_step}, the best on held-out {config.early_held}"
+    return f"{what} at the last step; validation chose nothing"

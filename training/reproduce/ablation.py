@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,20 +17,27 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.files import write_json, written_whole
-from swarm_envs.training.force_model.files import file_sha256, json_ready
-from swarm_envs.training.force_model.pipeline import AS_IN_THE_PAPER, FitConfig, fit
+from swarm_envs.training.force_model.config import FitConfig, TrainConfig, settled
+from swarm_envs.training.force_model.data import data_sha256
+from swarm_envs.training.force_model.files import json_ready
+from swarm_envs.training.force_model.pipeline import REPORTS, fit
 from swarm_envs.training.reproduce.cells import CELLS, Cell
+from swarm_envs.training.reproduce.table_plot import is_three_drones, plot_table
+
+_TRAINING = tuple(entry.name for entry in fields(TrainConfig) if entry.name != "seed")
 
 
 class Budget(NamedTuple):
     """What every fit of the table shares."""
 
     data: Path
-    """Rows of measured force."""
-    steps: int = 6000
-    """Optimiser steps."""
-    batch_size: int = 1024
-    learning_rate: float = 3e-3
+    """Rows of measured force: a file, or a folder of files."""
+    steps: int | None = None
+    """Optimiser steps; this and the others are the trainer's default where None."""
+    epochs: float | None = None
+    """Passes over the training rows, in place of steps."""
+    batch_size: int | None = None
+    learning_rate: float | None = None
 
 
 def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig:
@@ -46,17 +53,12 @@ def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig
         data=budget.data,
         out=folder,
         mode="measured",
-        steps=budget.steps,
-        batch_size=budget.batch_size,
-        learning_rate=budget.learning_rate,
-        hidden=cell.hidden,
-        layers=cell.layers,
-        relative_velocity=cell.relative_velocity,
         lipschitz_samples=0,
         seed=seed,
     )
-    settings = AS_IN_THE_PAPER if cell.clipped else {**AS_IN_THE_PAPER, "max_spectral_norm": None}
-    return replace(plain, **settings)
+    length = {name: value for name, value in budget._asdict().items() if name != "data"}
+    shared = {name: value for name, value in length.items() if value is not None}
+    return settled(replace(plain, **{**shared, **cell.changes}), "measured")
 
 
 def run_folder(out: Path, cell: Cell, seed: int) -> Path:
@@ -74,7 +76,7 @@ def run_ablation(
     """Fit every cell with every seed, and write the table.
 
     Runs that are there already are read, not repeated. After every run the table is written anew
-    with what there is: `table_3.json`, `table_3.csv`.
+    with what there is: `table_3.json`, `table_3.csv`; at the end `table_3.png` is drawn.
 
     Args:
         out: folder of the table; runs go into `runs/<cell>/seed_<seed>`.
@@ -90,9 +92,9 @@ def run_ablation(
         FileNotFoundError: there is no data.
         ValueError: a run in the folder was made with other data or settings.
     """
-    if not budget.data.is_file():
+    if not budget.data.exists():
         raise FileNotFoundError(f"no file of rows at {str(budget.data)!r}; give its path by --data")
-    digest = file_sha256(budget.data)
+    digest = data_sha256(budget.data)
     jobs = [(cell, seed) for seed in seeds for cell in cells]
     reports: dict[tuple[str, int], Mapping[str, Any]] = {}
     for cell, seed in jobs:
@@ -106,20 +108,22 @@ def run_ablation(
             config = fit_config(cell, seed, budget, run_folder(out, cell, seed))
             fit(replace(config, progress=progress))
             reports[cell.name, seed] = _read(config)
-            _write(out, _table(cells, seeds, reports, budget, digest))
-    table = _table(cells, seeds, reports, budget, digest)
+            _write(out, _table(cells, seeds, reports, digest))
+    table = _table(cells, seeds, reports, digest)
     _write(out, table)
+    plot_table(out / "table_3.png", table)
     return table
 
 
 def _read(config: FitConfig) -> Mapping[str, Any]:
-    report: dict[str, Any] = json.loads((config.out / "learned.json").read_text(encoding="utf-8"))
+    path = config.out / REPORTS[config.model]
+    report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     return report
 
 
 def _finished(config: FitConfig, digest: str) -> Mapping[str, Any] | None:
     """The report of a run if it has ended."""
-    if not (config.out / "learned.json").is_file():
+    if not (config.out / REPORTS[config.model]).is_file():
         return None
     report = _read(config)
     wanted = json.loads(json.dumps(json_ready(replace(config, progress=True))))
@@ -139,7 +143,6 @@ def _table(
     cells: Sequence[Cell],
     seeds: Sequence[int],
     reports: Mapping[tuple[str, int], Mapping[str, Any]],
-    budget: Budget,
     digest: str,
 ) -> dict[str, Any]:
     rows: list[dict[str, Any]] = []
@@ -155,6 +158,7 @@ def _table(
                 "ours_deviation_g2": _rounded(np.std(errors, ddof=1)) if len(errors) > 1 else None,
                 "runs_g2": [_rounded(error) for error in errors],
                 "seeds": [s for s in seeds if (cell.name, s) in reports],
+                "three_drones_g2": _three_drones(own),
                 "scenarios_g2": _by_scenario(own),
             }
         )
@@ -167,9 +171,7 @@ def _table(
         "rows": rows,
         "zero_g2": errors_of_first.get("zero"),
         "scenario_mean_g2": errors_of_first.get("scenario_mean"),
-        "steps": budget.steps,
-        "batch_size": budget.batch_size,
-        "learning_rate": budget.learning_rate,
+        "training": {name: first["config"][name] for name in _TRAINING} if first else {},
         "data_sha256": digest,
     }
 
@@ -184,26 +186,37 @@ def _by_scenario(reports: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return {name: _rounded(np.mean([e[name] for e in errors])) for name in names}
 
 
+def _three_drones(reports: Sequence[Mapping[str, Any]]) -> float | None:
+    """Mean over the scenarios of three drones, each counted once."""
+    errors = [e for name, e in _by_scenario(reports).items() if is_three_drones(name)]
+    return _rounded(np.mean(errors)) if errors else None
+
+
 def _write(out: Path, table: Mapping[str, Any]) -> None:
     write_json(out / "table_3.json", table)
-    columns = ("cell", "paper_g2", "paper_deviation_g2", "ours_g2", "ours_deviation_g2", "seeds")
+    columns = (
+        "cell", "paper_g2", "paper_deviation_g2", "ours_g2", "ours_deviation_g2", "three_drones_g2"
+    )  # fmt: skip
+    names = sorted({name for row in table["rows"] for name in row["scenarios_g2"]})
     with (
         written_whole(out / "table_3.csv") as partial,
         partial.open("w", newline="", encoding="utf-8") as file,
     ):
         writer = csv.writer(file)
-        writer.writerow((*columns[:-1], "runs"))
+        writer.writerow((*columns, "runs", *(f"{name}_g2" for name in names)))
         for row in table["rows"]:
-            writer.writerow([*(row[name] for name in columns[:-1]), len(row["seeds"])])
+            scenarios = [row["scenarios_g2"].get(name) for name in names]
+            writer.writerow([*(row[name] for name in columns), len(row["seeds"]), *scenarios])
 
 
 def format_table(table: Mapping[str, Any]) -> str:
     """The table as text: paper's value beside ours."""
-    lines = [f"{'validation MSE (g^2)':22}{'paper':>14}{'ours':>14}  runs"]
+    lines = [f"{'validation MSE (g^2)':22}{'paper':>14}{'ours':>14}{'three drones':>14}  runs"]
     for row in table["rows"]:
         paper = _spread(row["paper_g2"], row["paper_deviation_g2"])
         ours = _spread(row["ours_g2"], row["ours_deviation_g2"])
-        lines.append(f"{row['cell']:22}{paper:>14}{ours:>14}{len(row['seeds']):6}")
+        three = _spread(row["three_drones_g2"], None)
+        lines.append(f"{row['cell']:22}{paper:>14}{ours:>14}{three:>14}{len(row['seeds']):6}")
     return "\n".join(lines)
 
 

@@ -38,15 +38,15 @@ class ReproduceOptions:
     bins: Path | None = None
     """figure: CSV of measured force bins to hold the model against"""
     data: Path | None = None
-    """table: file of rows of measured force, as `swarm-envs fit` reads it"""
+    """table: rows of measured force, a file or a folder, as `swarm-envs fit` reads them"""
     seed: int = 0
     """table: seed of the first run of each cell; the figure draws nothing at random"""
     seeds: int = 3
     """table: runs of each cell"""
     cells: tuple[str, ...] = CELL_NAMES
     """table: which cells to fit"""
-    steps: int = 6000
-    """table: optimiser steps of each fit"""
+    steps: int | None = None
+    """table: optimiser steps of each fit; the trainer's default if not given"""
     json: Path | None = None
     """write the numbers to this file too"""
 
@@ -64,7 +64,7 @@ class ReproduceOptions:
         if self.seed < 0:
             raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
         for name in ("seeds", "steps"):
-            if getattr(self, name) < 1:
+            if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise ValueError(f"--{name} is {getattr(self, name)}, but must be 1 or more")
         for cell in self.cells:
             check_name("cell", cell, CELL_NAMES)
@@ -91,5 +91,5 @@ def _table(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
     seeds = range(options.seed, options.seed + options.seeds)
     cells = [cell for cell in CELLS if cell.name in options.cells]
     table = run_ablation(options.out, Budget(options.data, options.steps), seeds, cells)
-    files = f"{options.out / 'table_3.json'}, {options.out / 'table_3.csv'}"
+    files = ", ".join(str(options.out / f"table_3.{kind}") for kind in ("json", "csv", "png"))
     return table, f"{format_table(table)}\nwrote {files}"

@@ -12,7 +12,8 @@ from scipy.interpolate import CubicSpline
 from swarm_envs.motors import FULL_VOLTAGE
 from swarm_envs.training.collection.collect import flight_generator, make_motion
 from swarm_envs.training.collection.config import CollectionConfig, FlightBatch
-from swarm_envs.training.collection.flight import LOG_RATE, FlightLog, fly
+from swarm_envs.training.collection.flight import fly
+from swarm_envs.training.collection.log import LOG_RATE, FlightLog
 from swarm_envs.training.flight_logs import FlightTable
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team, Vehicle, parse_team
 

@@ -11,6 +11,7 @@ import pytest
 from swarm_envs.training.flight_logs import LogOptions, read_logs, read_table, write_table
 from swarm_envs.training.flight_logs.checks import check_table
 from swarm_envs.training.flight_logs.table import from_columns
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL
 
 
 @pytest.fixture(scope="module")
@@ -120,6 +121,23 @@ def scaled(names, factor):
     return lambda columns: columns | {name: columns[name] * factor for name in names}
 
 
+def degrees(columns):
+    """Roll, pitch and yaw in degrees where the quaternion belongs."""
+    angles = 2.0 * np.degrees(np.arcsin(np.clip(columns["qx"], -1.0, 1.0)))
+    return columns | {"qx": angles + 3.0, "qy": angles, "qz": angles, "qw": 0.0 * angles}
+
+
+def rotor_forces(unit):
+    """Each rotor's force, in gram-force times `unit`, where its signal belongs."""
+    weight = {"S": SMALL.mass, "L": LARGE.mass}
+
+    def edit(columns):
+        share = np.array([weight[kind] / GRAM_FORCE for kind in columns["type"]]) * GRAVITY / 4.0
+        return columns | dict.fromkeys(PWM, share * unit)
+
+    return edit
+
+
 PWM = [f"pwm{k}" for k in range(1, 5)]
 ACCELERATION = ["ax", "ay", "az"]
 
@@ -140,6 +158,9 @@ ACCELERATION = ["ax", "ay", "az"]
         (changed("drone", at(4, "cf9")), "drone 'cf9' has 1 lines"),
         (changed("qw", at(6, 0.5)), r"quaternion of drone 'cf0' has length 0\.\d+ at its line 4"),
         (lambda c: c | {"qx": c["qw"], "qw": c["qx"]}, "qw the scalar"),
+        (degrees, r"quaternion of drone 'cf0' has length .* no angles \(it looks like degrees\)"),
+        (rotor_forces(1.0), "looks like thrust in gram-force: log the signal"),
+        (rotor_forces(GRAM_FORCE), "looks like thrust in newtons: log the signal"),
         (scaled(["x", "y", "z"], 1000.0), "moves 1e[+]03 times as its velocity says"),
         (scaled(["vx", "vy", "vz"], -1.0), "moves -1 times as its velocity says"),
         (scaled(ACCELERATION, 1 / 9.80665), "looks like multiples of g: multiply by 9.80665"),

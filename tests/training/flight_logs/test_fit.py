@@ -11,7 +11,7 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.interactions import load
 from swarm_envs.training.collection import CollectionConfig, collect, interaction_rows
-from swarm_envs.training.collection.flight import SensorNoise, with_noise
+from swarm_envs.training.collection.sensors import SensorNoise, with_noise
 from swarm_envs.training.flight_logs import read_logs, write_table
 from swarm_envs.training.flight_logs.__main__ import main as look
 from swarm_envs.training.force_model.data import data_sha256

@@ -16,7 +16,6 @@ from swarm_envs.training.collection.belief.card import model_card
 from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, SwapTrial, judge
 from swarm_envs.training.collection.collect import MANIFEST, collect, fingerprint
 from swarm_envs.training.collection.config import CollectionConfig
-from swarm_envs.training.collection.flight import LOG_RATE
 from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
 from swarm_envs.training.force_model import fit as fit_force_model
@@ -90,7 +89,7 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
         interactions=model.name,
         interactions_sha256=fingerprint(model),
         flights=len(flights),
-        flown_s=round(sum(len(flight.log.position) for flight in flights) / LOG_RATE, 1),
+        flown_s=round(sum(flight.seconds for flight in flights), 1),
         rows=len(rows),
         rows_sha256=file_sha256(table),
         fit=fitted,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,6 +82,29 @@ def worst_height_errors(
     Raises:
         RuntimeError: drones collided.
     """
+    *_, core = fly_swaps(trial, controller, environment)
+    if core.verdict.crashed.any():
+        raise RuntimeError(f"swap of {trial.team}: drones collided in a trial with {controller}")
+    return core.record.worst_height_error.copy()
+
+
+def fly_swaps(
+    trial: SwapTrial,
+    controller: ControllerConfig,
+    environment: str | InteractionModel,
+    first_seed: int = 0,
+) -> Iterator[SwarmCore]:
+    """Fly the episodes of a trial on their references, all at once.
+
+    Args:
+        trial: what to fly.
+        controller: of every drone.
+        environment: the force model that blows.
+        first_seed: of the first episode; the others follow.
+
+    Yields:
+        The environments, always the same, after each decision.
+    """
     agent = TrackingAgent(controller)
     task = SwapTask(parse_team(trial.team), "stacked", trial.layout)
     config = EnvConfig(
@@ -93,11 +117,9 @@ def worst_height_errors(
         end_on_success=False,
     )
     core = SwarmCore(task, config, trial.episodes)
-    core.reset(list(range(trial.episodes)))
+    core.reset(list(range(first_seed, first_seed + trial.episodes)))
     while core.running.any():
         reference = task.reference(core.mission, core.time)
         yaw = np.zeros((trial.episodes, core.num_drones, 2))
         core.step(np.concatenate([*reference, yaw], axis=-1))
-    if core.verdict.crashed.any():
-        raise RuntimeError(f"swap of {trial.team}: drones collided in a trial with {controller}")
-    return core.record.worst_height_error.copy()
+        yield core

@@ -1,0 +1,198 @@
+"""A fitted deep set as a C99 header: float32, no library, no heap, for a 32-bit microcontroller.
+
+The paper evaluates its networks on the vehicles' own processors (Neural-Swarm2, Sec. VI). Window,
+clamps, anchor and drag are those of the model, so the header's force is the simulator's, rounded.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.interactions.base import InteractionModel
+from swarm_envs.interactions.c_source import HEADER
+from swarm_envs.interactions.field import LEARNED, ForceField
+from swarm_envs.interactions.forces import all_forces
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE
+
+SAMPLES, NEIGHBOURS = 16, 3
+"""States in the header's self-test, and neighbours in each."""
+_PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+
+
+def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> str:
+    """Source of a header that evaluates a model.
+
+    Args:
+        model: a deep set.
+        name: prefix of everything that the header defines.
+        seed: from which the states of the header's self-test are drawn.
+
+    Raises:
+        ValueError: the model is no deep set, or the name cannot begin an identifier of C.
+    """
+    if not _PREFIX.fullmatch(name):
+        raise ValueError(
+            f"name is {name!r}, but must be a letter and up to 30 letters, digits or underscores"
+        )
+    field = model.field
+    if field.kind != LEARNED:
+        raise ValueError(
+            f"interaction model {model.name!r} is no deep set; only those can be exported, "
+            "such as 'learned' or a file that `swarm-envs fit` made"
+        )
+    kinds = len(field.drag)
+    networks = [
+        f"{{{name}_weights_{n}, {name}_widths_{n}, {len(_widths(field, n)) - 1}}}"
+        for n in range(2 * kinds + 1)
+    ]
+    words = {
+        "name": name,
+        "NAME": name.upper(),
+        "provenance": _comment(_provenance(model)),
+        "costs": _comment(_costs(field)),
+        "lateral": f"{field.window[1]:g}",
+        "vertical": f"{field.window[3]:g}",
+        "types": _enumeration(name.upper(), model.types),
+        "tables": "\n".join(_tables(name, field)),
+        "phi": ",\n    ".join(networks[:kinds]),
+        "environment": networks[kinds],
+        "rho": ",\n    ".join(networks[kinds + 1 :]),
+        "widest": str(_widest(field)),
+        "hidden": str(_widths(field, 0)[-1]),
+        "gram": _number(GRAM_FORCE),
+        "anchor": _number(field.anchor_height),
+        **_self_test(field, np.random.default_rng(seed)),
+    }
+    return re.sub(r"@(\w+)@", lambda found: words[found[1]], HEADER)
+
+
+def _comment(lines: Iterable[str]) -> str:
+    return "\n".join(" *   " + line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
+
+
+def _provenance(model: InteractionModel) -> list[str]:
+    weights = np.ascontiguousarray(model.field.weights, np.float64)
+    lines = [
+        f"model: {model.name}",
+        f"weights: SHA-256 {hashlib.sha256(weights.tobytes()).hexdigest()}",
+    ]
+    keys = ("command", "data_sha256", "mode", "seed")
+    return lines + [f"{key}: {model.notes[key]}" for key in keys if key in model.notes]
+
+
+def _costs(field: ForceField) -> list[str]:
+    """What an evaluation takes."""
+    kinds = len(field.drag)
+    products = [
+        sum(a * b for a, b in pairwise(_widths(field, n))) for n in range(len(field.layout))
+    ]
+    pair, own, rho = max(products[:kinds]), products[kinds], max(products[kinds + 1 :])
+    once = f"{own + rho} for the drone itself"
+    if field.anchor_height > 0.0:
+        once = (
+            f"{2 * (own + rho)} for the drone itself (none at {field.anchor_height:g} m and above "
+            "with no neighbour)"
+        )
+    stack = 4 * (4 * _widest(field) + 2 * _widths(field, 0)[-1]) + 200
+    return [
+        f"read-only memory: {4 * field.weights.size} bytes of weights",
+        f"stack: about {stack} bytes",
+        f"multiply-adds: {pair} a neighbour, {once}",
+    ]
+
+
+def _widths(field: ForceField, n: int) -> list[int]:
+    return [int(width) for width in field.layout[n, 1 : field.layout[n, 0] + 2]]
+
+
+def _widest(field: ForceField) -> int:
+    return max(max(_widths(field, n)) for n in range(len(field.layout)))
+
+
+def _enumeration(prefix: str, types: tuple[str, ...]) -> str:
+    """The types' constants, under their names as far as C takes them."""
+    names = [re.sub(r"\W", "_", kind, flags=re.ASCII) for kind in types]
+    if len({*names, "TYPES", "SELF_TEST", "FORCE_H"}) < len(names) + 3:
+        names = [f"TYPE_{k}" for k in range(len(names))]
+    rows = [f"    {prefix}_{name} = {k}," for k, name in enumerate(names)]
+    return "\n".join([*rows, f"    {prefix}_TYPES = {len(types)}"])
+
+
+def _tables(name: str, field: ForceField) -> list[str]:
+    """Declarations of all numbers."""
+    fades = field.window.reshape(2, 2)
+    steep = [1.0 / (end - full) if end > full else 0.0 for full, end in fades]
+    tables = [
+        _array(f"{name}_window", np.column_stack([fades, steep]).ravel()),
+        _array(f"{name}_environment_range", field.environment_range),
+        _array(f"{name}_pair_range", field.pair_range),
+        _array(f"{name}_drag", field.drag),
+    ]
+    for n in range(len(field.layout)):
+        widths = ", ".join(map(str, _widths(field, n)))
+        tables.append(f"static const int {name}_widths_{n}[] = {{{widths}}};")
+        tables.append(_array(f"{name}_weights_{n}", _by_output(field, n)))
+    return tables
+
+
+def _by_output(field: ForceField, n: int) -> FloatArray:
+    """Weights of network `n`: for each output its bias, then its row of the matrix."""
+    columns, parts = field.layout.shape[1] // 2, []
+    for layer, (inputs, outputs) in enumerate(pairwise(_widths(field, n))):
+        start = int(field.layout[n, 1 + columns + layer])
+        bias = start + inputs * outputs
+        matrix = field.weights[start:bias].reshape(inputs, outputs).T
+        parts.append(np.column_stack([field.weights[bias : bias + outputs], matrix]).ravel())
+    return np.concatenate(parts)
+
+
+def _array(name: str, values: npt.ArrayLike) -> str:
+    numbers = np.asarray(values)
+    if numbers.ndim == 1:
+        return f"static const float {name}[] = {{\n{_lines(map(_number, numbers))}}};"
+    return f"static const float {name}[][{numbers.shape[1]}] = {{\n{_rows(numbers)}}};"
+
+
+def _rows(numbers: npt.NDArray[np.generic]) -> str:
+    return ",\n".join(f"    {{{_lines(map(_number, row)).lstrip()}}}" for row in numbers)
+
+
+def _lines(words: Iterable[str], each: int = 7) -> str:
+    given = list(words)
+    lines = [", ".join(given[k : k + each]) for k in range(0, len(given), each)]
+    return ",\n".join(f"    {line}" for line in lines)
+
+
+def _number(value: float) -> str:
+    if isinstance(value, np.integer):
+        return str(value)
+    return f"{np.float32(value)!s}f"  # the shortest text that gives the same float32
+
+
+def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
+    """States near the ground and aloft, some of their neighbours at the edge of the volume."""
+    shape = (SAMPLES, 1 + NEIGHBOURS)
+    types = rng.integers(0, len(field.drag), shape)
+    position = rng.uniform([-0.3, -0.3, -0.8], [0.3, 0.3, 0.8], (*shape, 3))
+    position[:, 0] = np.stack([np.zeros(SAMPLES)] * 2 + [rng.uniform(0.1, 1.2, SAMPLES)], axis=1)
+    position[:, 1:, 2] += position[:, :1, 2]
+    velocity = rng.normal(0.0, 0.4, (*shape, 3))
+    force = np.empty_like(position)
+    all_forces(field, types, position, velocity, force)
+    pairs = np.concatenate(
+        [position[:, 1:] - position[:, :1], velocity[:, 1:] - velocity[:, :1]], 2
+    )
+    states = [position[:, 0, 2:], velocity[:, 0], pairs.reshape(SAMPLES, -1), force[:, 0, 2:]]
+    return {
+        "samples": str(SAMPLES),
+        "neighbours": str(NEIGHBOURS),
+        "test_types": _rows(types),
+        "test_states": _rows(np.concatenate(states, axis=1)),
+    }

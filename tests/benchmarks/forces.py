@@ -1,0 +1,205 @@
+"""Speed of the interaction forces, and of the same networks in torch and in plain numpy.
+
+    make bench
+    python tests/benchmarks/forces.py --json forces.json
+
+CPU time of one thread, median of repetitions, shipped `learned` weights, small and large drones
+in turn, every pair inside the interaction volume, all above the anchor height. `kernel` is the
+compiled function, called from Python; `forces` is the model's method, with all its checks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import platform
+import statistics
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from importlib import resources
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.field import ForceField
+from swarm_envs.interactions.forces import active_pairs, all_forces
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
+
+Row = dict[str, Any]
+Array = npt.NDArray[Any]
+
+SIZES = ((1, 4), (1, 16), (1024, 4))
+"""Environments, and drones in each."""
+LEAST_SECONDS = 0.05
+"""Each repetition calls as often as fills this time."""
+
+
+def states(num_envs: int, num_drones: int) -> tuple[Array, Array]:
+    """Positions (m) and velocities (m/s), (E, N, 3), of drones that all feel each other."""
+    rng = np.random.default_rng(0)
+    shape = (num_envs, num_drones, 3)
+    position = rng.uniform([-0.12, -0.12, 0.8], [0.12, 0.12, 1.4], shape)
+    return position, rng.normal(0.0, 0.3, shape)
+
+
+def team_of(num_drones: int) -> str:
+    """Small and large drones in turn."""
+    return ("SL" * num_drones)[:num_drones]
+
+
+def layers(field: ForceField, n: int) -> list[tuple[Array, Array]]:
+    """Matrix (in, out) and bias of each layer of a network."""
+    depth, columns = int(field.layout[n, 0]), field.layout.shape[1] // 2
+    found = []
+    for k, (inputs, outputs) in enumerate(pairwise(field.layout[n, 1 : depth + 2])):
+        start = field.layout[n, 1 + columns + k]
+        bias = start + inputs * outputs
+        matrix = field.weights[start:bias].reshape(inputs, outputs)
+        found.append((matrix, field.weights[bias : bias + outputs]))
+    return found
+
+
+def apply(network: list[tuple[Array, Array]], x: Array) -> Array:
+    """A ReLU network on the last axis."""
+    for k, (matrix, bias) in enumerate(network):
+        x = (np.maximum(x, 0.0) if k else x) @ matrix + bias
+    return x
+
+
+def numpy_forces(model: InteractionModel, position: Array, velocity: Array, team: str) -> Array:
+    """Forces (E, N, 3), N, of drones all above the anchor height, in plain numpy."""
+    field, count = model.field, len(model.types)
+    types = model.type_indices(parse_team(team))
+    own = np.concatenate([np.full_like(position[..., :1], -field.anchor_height), -velocity], 2)
+    free = apply(layers(field, count), np.clip(own, *field.environment_range))
+    pairs = np.concatenate([a[:, None] - a[:, :, None] for a in (position, velocity)], 3)
+    weights = 1.0 - np.eye(len(types))
+    for axis, (full, end) in enumerate(field.window.reshape(2, 2)[[0, 0, 1]]):
+        u = np.clip((abs(pairs[..., axis]) - full) / (end - full), 0.0, 1.0)
+        weights = weights * (1.0 - u**3 * (10.0 + u * (6.0 * u - 15.0)))
+    inputs, code = np.clip(pairs, *field.pair_range), free.copy()
+    for kind in range(count):
+        those = types == kind
+        phi = apply(layers(field, kind), inputs[:, :, those])
+        code += np.einsum("eij,eijk->eik", weights[:, :, those], phi)
+    force = -field.drag[types] * velocity
+    for kind in range(count):
+        those, rho = types == kind, layers(field, count + 1 + kind)
+        lift = apply(rho, code[:, those]) - apply(rho, free[:, those])
+        force[:, those, 2] += lift[..., 0] * GRAM_FORCE
+    return force
+
+
+def torch_forces(dtype: str, position: Array, velocity: Array, team: str) -> Callable[[], Any]:
+    """A call of the trained network in torch."""
+    import torch
+
+    from swarm_envs.training.force_model import load_network
+
+    torch.set_num_threads(1)
+    weights = resources.files("swarm_envs.interactions").joinpath("weights/learned.safetensors")
+    with resources.as_file(weights) as path:
+        network = load_network(path).to(getattr(torch, dtype))
+    p, v = (torch.from_numpy(a).to(getattr(torch, dtype)) for a in (position, velocity))
+    types = [vehicle.interaction_type for vehicle in parse_team(team)]
+
+    def call() -> Any:
+        with torch.no_grad():
+            return network.force_g(p, v, types)
+
+    return call
+
+
+def kernel_forces(model: InteractionModel, position: Array, velocity: Array, team: str) -> Any:
+    """A call of the compiled function itself."""
+    indices = model.type_indices(parse_team(team))
+    types, out = np.repeat(indices[None], len(position), axis=0), np.empty_like(position)
+
+    def call() -> Array:
+        all_forces(model.field, types, position, velocity, out)
+        return out
+
+    return call
+
+
+def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions: int) -> Row:
+    """Microseconds of one evaluation of all environments."""
+    row: Row = {"what": way, "precision": dtype, "environments": num_envs, "drones": num_drones}
+    if way == "torch" and importlib.util.find_spec("torch") is None:
+        return row | {"note": "not installed"}
+    position, velocity = states(num_envs, num_drones)
+    team, model = team_of(num_drones), load("learned").with_precision(dtype)
+    pairs = sum(active_pairs(model.field.window, p) for p in position) / num_envs
+    calls: dict[str, Callable[[], Callable[[], Any]]] = {
+        "kernel": lambda: kernel_forces(model, position, velocity, team),
+        "forces": lambda: partial(model.forces, position, velocity, team),
+        "numpy": lambda: partial(numpy_forces, model, position, velocity, team),
+        "torch": lambda: torch_forces(dtype, position, velocity, team),
+    }
+    call = calls[way]()
+    call()
+    begin = time.thread_time()
+    call()
+    times = max(1, int(LEAST_SECONDS / max(time.thread_time() - begin, 1e-6)))
+    found = [1e6 * thread_seconds(call, times) for _ in range(repetitions)]
+    middle = statistics.median(found)
+    return row | {"pairs": pairs, "value": middle, "low": min(found), "high": max(found)}
+
+
+def thread_seconds(call: Callable[[], object], times: int) -> float:
+    """CPU time of one call, s: the mean over a run of them."""
+    begin = time.thread_time()
+    for _ in range(times):
+        call()
+    return (time.thread_time() - begin) / times
+
+
+def jobs(repetitions: int) -> Iterator[Callable[[], Row]]:
+    """Everything that is measured, in the order of the table."""
+    ways = [("kernel", "float64"), ("kernel", "float32"), ("forces", "float64")]
+    ways += [("numpy", "float64"), ("torch", "float64"), ("torch", "float32")]
+    for envs, drones in SIZES:
+        for way, dtype in ways:
+            yield partial(force_row, way, dtype, envs, drones, repetitions)
+
+
+def table(rows: list[Row]) -> str:
+    """The rows as aligned text."""
+    lines = [
+        f"{'':8}{'precision':>10}{'envs':>6}{'drones':>8}{'pairs':>7}{'median us':>12}  min - max"
+    ]
+    for row in rows:
+        start = f"{row['what']:8}{row['precision']:>10}{row['environments']:6}{row['drones']:8}"
+        if "note" in row:
+            lines.append(f"{start}  {row['note']}")
+        else:
+            spread = f"{row['low']:,.1f} - {row['high']:,.1f}"
+            lines.append(f"{start}{row['pairs']:7.0f}{row['value']:12,.1f}  {spread}")
+    return "\n".join(lines)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, print the table, and write it as JSON if asked to."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--json", type=Path, help="also write the rows there")
+    parser.add_argument("--repetitions", type=int, default=15, help="runs of each (default 15)")
+    options = parser.parse_args(arguments)
+    if options.repetitions < 1:
+        parser.error(f"--repetitions is {options.repetitions}, but must be at least 1")
+    rows = [job() for job in tqdm(list(jobs(options.repetitions)), unit="row")]
+    print(table(rows))
+    if options.json is not None:
+        from swarm_envs.files import write_json
+
+        machine = {"python": platform.python_version(), "processor": platform.machine()}
+        write_json(options.json, {"machine": machine, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,265 @@
+"""The curriculum: how close the next round may plan, what is measured, resumption, its numbers."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from swarm_envs.cli import main
+from swarm_envs.interactions import load
+from swarm_envs.training.collection.config import FlightBatch
+from swarm_envs.training.collection.log import FlightLog
+from swarm_envs.training.collection.table import Flight
+from swarm_envs.training.curriculum import (
+    Closeness,
+    CurriculumConfig,
+    next_clearance,
+    run_curriculum,
+)
+from swarm_envs.training.curriculum import rounds as rounds_module
+from swarm_envs.training.curriculum import run as run_module
+from swarm_envs.training.curriculum.closeness import measure
+from swarm_envs.training.curriculum.config import STAGES, Stage, adds_drones, collection_config
+from swarm_envs.training.curriculum.report import goals_reached, rounds_table, sizes_as_json
+from swarm_envs.training.curriculum.run import command
+from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen, share
+from swarm_envs.vehicles import SMALL
+
+CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
+TINY = CurriculumConfig(
+    out=None,  # type: ignore[arg-type]
+    flights=2,
+    duration_s=3.0,
+    steps=30,
+    last_steps=40,
+    episodes=1,
+    stages=(Stage("alone and in pairs", ("S", "L", "SL"), False), Stage("pairs", ("SL",), True)),
+    unseen_teams=("LS", "SSL", "SSSSL"),
+    progress=False,
+)
+
+
+@pytest.mark.parametrize(
+    ("clearance", "closeness", "unknown", "expected"),
+    [
+        (0.30, CALM, 1.0, 0.09),  # 0.3 is all that it dares at once: 1.5 * 4 cm would do
+        (0.10, CALM, 1.0, 0.06),  # 1.5 times the gap error
+        (0.10, CALM, 0.9, 0.054),  # of which a tenth is known by now
+        (0.02, CALM, 1.0, 0.06),  # it was too close: wider again
+        (0.10, CALM, 2.0, 0.06),  # a model that got worse promises nothing
+        (0.06, dataclasses.replace(CALM, gap_error_m=0.0), 1.0, 0.018),
+        (0.02, dataclasses.replace(CALM, gap_error_m=0.0), 1.0, 0.015),
+        (0.20, dataclasses.replace(CALM, cut_swaps=1), 1.0, 0.20),  # a contact: no closer
+        (0.20, dataclasses.replace(CALM, cut_walks=3), 1.0, 0.06),
+    ],
+)
+def test_the_next_round_plans_by_the_rule(clearance, closeness, unknown, expected):
+    assert next_clearance(clearance, closeness, unknown, 1.5, 0.015) == pytest.approx(expected)
+
+
+def synthetic(name, gaps, planned, lateral, team="SS"):
+    """Two drones over each other at given gaps, set-points at given gaps."""
+    count = len(gaps)
+    position, setpoint = np.zeros((2, count, 2, 3))
+    position[:, 1, 2], position[:, 1, 0], setpoint[:, 1, 2] = gaps, lateral, planned
+    nothing = np.zeros((count, 2, 3))
+    quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (count, 2, 1))
+    log = FlightLog(position, nothing, quaternion, nothing, setpoint, np.zeros((count, 2, 4)))
+    return Flight(name, team, log, False)
+
+
+def test_closeness_is_measured_where_drones_pass():
+    count = 120
+    gaps = np.full(count, 0.30)
+    gaps[50], gaps[60], gaps[5] = 0.25, 0.33, 0.18
+    lateral = np.full(count, 0.05)
+    lateral[5] = 0.5  # far to the side: no passing
+    flights = [
+        synthetic("SS-swap-000", gaps, 0.30, lateral),
+        synthetic("SS-walk-000", np.full(60, 0.20), 0.20, 0.0),  # a walk, cut short
+    ]
+    found = measure(flights, duration_s=1.0)
+    assert found.gap_error_m == pytest.approx(0.05)
+    assert found.least_clearance_m == pytest.approx(0.25 - 2 * SMALL.radius)
+    assert found.least_distance_ratio == pytest.approx(0.20 / (2 * SMALL.radius), abs=1e-3)
+    assert (found.cut_swaps, found.cut_walks, found.flights) == (0, 1, 2)
+
+
+def test_gap_errors_are_a_quantile_of_the_swaps():
+    flights = [
+        synthetic(f"SS-swap-{k:03d}", np.full(120, 0.3 - 0.001 * k), 0.3, 0.0) for k in range(21)
+    ]
+    assert measure(flights, 1.0).gap_error_m == pytest.approx(0.019)
+
+
+def test_the_first_round_is_not_compensated_and_has_at_most_two_drones():
+    first, *later = STAGES
+    assert not first.compensated and max(map(len, first.teams)) == 2
+    assert all(stage.compensated for stage in later)
+    assert {len(team) for stage in later for team in stage.teams} == {2, 3}
+    assert [adds_drones(STAGES, k) for k in range(1, 6)] == [True, False, True, False, False]
+
+
+def test_swaps_keep_the_clearance_that_was_planned():
+    from swarm_envs.training.collection.collect import flight_generator, make_motion
+
+    for clearance in (0.25, 0.02):
+        config = collection_config(TINY, 1, clearance, None)
+        for kind in ("swap", "low-swap"):
+            batch = FlightBatch("SL", kind, 30)
+            rngs = [flight_generator(config, name) for name in batch.names]
+            heights = make_motion(config, batch, rngs).start[..., 2]
+            between = np.abs(heights[:, 1] - heights[:, 0]) - 0.155
+            assert between.min() >= clearance - 1e-9
+            assert between.min() < clearance + 0.1
+            assert heights.min() - 0.06 >= clearance
+
+
+def contents(folder):
+    names = ("*.safetensors", "rows.npz", "unseen.json", "manifest.json", "*.png")
+    return {
+        str(file.relative_to(folder)): file.read_bytes()
+        for name in names
+        for file in folder.rglob(name)
+    }
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    out = tmp_path_factory.mktemp("curriculum")
+    return out, run_curriculum(dataclasses.replace(TINY, out=out))
+
+
+def test_a_run_reports_every_round(tiny):
+    out, report = tiny
+    said = json.loads((out / "curriculum.json").read_text())
+    assert [r["compensated"] for r in said["rounds"]] == [False, True]
+    assert said["rounds"][1]["clearance_m"] == said["rounds"][0]["next_clearance_m"]
+    assert said["rounds"][1]["rows"] > said["rounds"][0]["rows"] > 300
+    manifest = json.loads((out / "round_2" / "flights" / "manifest.json").read_text())
+    assert manifest["feedforward_sha256"] is not None
+    assert {u["drones"]: len(u["explained"]) for u in said["unseen"]} == {2: 2, 3: 2, 5: 2}
+    assert set(said["explained"]) == {"2", "3", "5"}
+    assert str(out) not in json.dumps(said)
+    weights = (out / "round_2" / "fit" / "learned.safetensors").read_bytes()
+    assert (out / "learned.safetensors").read_bytes() == weights
+    text = "\n".join(report.lines())
+    assert "1 alone and in pairs" in text and "5 drones: " in text
+    assert (out / "curriculum.png").read_bytes().startswith(b"\x89PNG")
+
+
+def kill(monkeypatch, module, name, call, config):
+    """Run until the given call of a function of a module, and die there."""
+    original, calls = getattr(module, name), []
+
+    def dying(*arguments):
+        calls.append(name)
+        if len(calls) == call:
+            raise KeyboardInterrupt
+        return original(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, name, dying)
+        with pytest.raises(KeyboardInterrupt):
+            run_curriculum(config)
+
+
+def test_killed_at_every_stage_it_goes_on_and_ends_the_same(tiny, tmp_path, monkeypatch):
+    config = dataclasses.replace(TINY, out=tmp_path)
+    kill(monkeypatch, rounds_module, "fit", 2, config)  # of the second round, after its flights
+    kill(monkeypatch, rounds_module, "measure", 1, config)  # after its fit
+    kill(monkeypatch, run_module, "judge_unseen", 2, config)
+    assert not (tmp_path / "curriculum.json").exists()
+    run_curriculum(config)
+    assert contents(tmp_path) == contents(tiny[0])
+
+
+def test_what_is_done_is_not_done_again(tiny, monkeypatch):
+    out, report = tiny
+
+    def forbidden(*_):
+        raise AssertionError("done before")
+
+    for name in ("fit", "measure", "save_rows"):
+        monkeypatch.setattr(rounds_module, name, forbidden)
+    again = run_curriculum(dataclasses.replace(TINY, out=out))
+    assert again.rounds == report.rounds and again.unseen == report.unseen
+
+
+def test_a_folder_of_another_curriculum_is_refused(tiny):
+    out, _ = tiny
+    with pytest.raises(ValueError, match="choose another folder"):
+        run_curriculum(dataclasses.replace(TINY, out=out, seed=1))
+
+
+def test_a_model_that_is_the_truth_explains_all_and_none_nothing():
+    truth = load("learned")
+    found = judge_unseen([load("none"), truth], truth, "SS", 1)
+    assert found.explained[1] == found.explained_horizontal[1] == 1.0
+    assert found.explained[0] < 0.1 and found.rms_error_g == 0.0
+    assert found.crashed == 0 and found.rms_force_g > 0.5
+
+
+def test_share_by_hand():
+    true = np.zeros((2, 1, 3))
+    true[:, 0, 0] = 1.0, -1.0
+    found = true.copy()
+    found[:, 0, 0] *= 0.5
+    assert share(found, true) == pytest.approx(0.75)
+    assert share(true, np.zeros((2, 1, 3))) == 0.0
+
+
+def test_goals_are_of_the_worst_team_of_each_size():
+    def unseen(team, value):
+        return Unseen(team, len(team), 1, 0, 1.0, 0.1, [0.0, value], [0.0, 0.0])
+
+    good = [unseen("SS", 0.9), unseen("SSS", 0.86), unseen("SSSSS", 0.71)]
+    assert goals_reached(good)
+    assert not goals_reached([*good, unseen("LL", 0.84)])
+    sizes = sizes_as_json([*good, unseen("LL", 0.84)])
+    assert sizes["2"] == {"mean": 0.87, "least": 0.84, "goal": 0.85}
+    assert sizes["5"]["goal"] == 0.70
+
+
+def test_a_table_can_be_made_without_judgement(tiny):
+    _, report = tiny
+    assert "nan" in rounds_table(report.rounds, [])
+
+
+def test_the_command_names_what_differs_from_the_default():
+    text = command(dataclasses.replace(TINY, seed=3))
+    assert text.startswith("swarm-envs curriculum --out DIR --seed 3")
+    assert "--flights 2" in text and "--last-steps 40" in text and "stages" not in text
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--margin 0.5", "margin is 0.5"),
+        ("--flights 1", "flights is 1"),
+        ("--first-clearance-m 0.001", "first_clearance_m is 0.001"),
+        ("--seed -1", "seed is -1"),
+    ],
+)
+def test_bad_options_are_refused_with_exit_code_2(words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    with pytest.raises(SystemExit) as end:
+        main(["curriculum", "--out", str(tmp_path / "out"), *words.split()])
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_the_curriculum_explains_the_true_force(tmp_path):
+    """A third of the flights and less than half of the steps of the command's defaults."""
+    config = CurriculumConfig(
+        out=tmp_path, flights=2, duration_s=8.0, steps=600, last_steps=1600, episodes=4
+    )
+    report = run_curriculum(config)
+    for size, least in (("2", 0.85), ("3", 0.85), ("5", 0.70)):
+        assert report.explained[size]["mean"] > least, size
+    first, second, *_, last = report.rounds
+    assert second.closeness.gap_error_m < 0.5 * first.closeness.gap_error_m
+    assert last.clearance_m < 0.5 * first.clearance_m

@@ -1,0 +1,255 @@
+"""Options of the trainer: passes, averages, early validation, spectral norms, event files."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import types
+
+import numpy as np
+import pytest
+import torch
+
+from swarm_envs.training.force_model.config import TrainConfig, settled
+from swarm_envs.training.force_model.epochs import Examples, shuffled, turn
+from swarm_envs.training.force_model.network import EVERYWHERE, DeepSet, DeepSetSpec, swarm_batch
+from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.force_model.spectral import hold_spectral_norms
+from swarm_envs.training.force_model.tensorboard import scalar_writer
+from swarm_envs.training.force_model.train import predict, to_batch, train
+
+PLAIN = TrainConfig(
+    steps=40,
+    batch_size=64,
+    slope_limit=None,
+    position_jitter_m=0.0,
+    velocity_jitter=0.0,
+    balance=0.0,
+    checkpoint_every=10,
+)
+SPEC = DeepSetSpec(("S", "L"), EVERYWHERE, None, None)
+
+
+def rows_of(count=1200, flights=2, noise=0.0, seed=0):
+    """Rows in which a neighbour's height decides the force; three steps of the log a row."""
+    rng = np.random.default_rng(seed)
+    kind = rng.integers(2, size=(2, count))
+    neighbor = rng.uniform(-0.4, 0.4, (count, 1, 6))
+    force = np.zeros((count, 3))
+    force[:, 2] = -8.0 * np.maximum(neighbor[:, 0, 2], 0.0) + noise * rng.normal(size=count)
+    step = 3 * (np.arange(count) // flights)
+    return InteractionRows(
+        types=("S", "L"),
+        ego_type=kind[0],
+        position=rng.uniform(0.5, 1.0, (count, 3)),
+        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
+        neighbor=neighbor,
+        neighbor_type=kind[1][:, None],
+        force_g=force,
+        flight=np.arange(count) % flights,
+        step=step,
+        vehicle=np.where(kind[0], 101, 50),
+        scenario=kind[0],
+        validation=step // 300 % 5 == 4,
+        scenario_names=("S", "L"),
+    )
+
+
+def norms(network):
+    return [np.linalg.norm(p.detach().numpy(), 2) for p in network.parameters() if p.ndim == 2]
+
+
+def test_a_pass_takes_every_row_once_in_an_order_of_its_own():
+    rows = rows_of(300)
+    batch = to_batch(rows)
+    examples = Examples(batch, torch.arange(300.0), torch.ones(300))
+    config = dataclasses.replace(PLAIN, symmetry="none")
+    first, second, again = (shuffled(examples, config, epoch) for epoch in (0, 1, 0))
+    assert torch.equal(first.label.sort().values, examples.label)
+    assert not torch.equal(first.label, second.label)
+    assert torch.equal(first.label, again.label)
+    order = first.label.long()
+    for shuffled_values, values in zip(first.batch, batch, strict=True):
+        assert torch.equal(shuffled_values, values[order])
+
+
+@pytest.mark.parametrize("symmetry", ["square", "circle"])
+def test_random_turns_keep_what_does_not_depend_on_direction(symmetry):
+    examples = Examples(to_batch(rows_of(200)), torch.arange(200.0), torch.ones(200))
+    turned = shuffled(examples, dataclasses.replace(PLAIN, symmetry=symmetry), 0)
+    order = turned.label.long()
+    old, new = examples.batch.pair[order, 0], turned.batch.pair[:, 0]
+    assert torch.equal(old[:, [2, 5]], new[:, [2, 5]])
+    assert torch.allclose(old[:, :2].norm(dim=1), new[:, :2].norm(dim=1), atol=1e-6)
+    before, after = ((x[:, :2] * x[:, 3:5]).sum(1) for x in (old, new))
+    assert torch.allclose(before, after, atol=1e-6)
+    own = [b[:, 1:3] for b in (examples.batch.environment[order], turned.batch.environment)]
+    before, after = ((x[:, :2] * v).sum(1) for x, v in zip((old, new), own, strict=True))
+    assert torch.allclose(before, after, atol=1e-6)  # drone and neighbour turn together
+    assert not torch.allclose(old, new)
+
+
+def test_a_turn_is_counterclockwise():
+    position = torch.tensor([[[0.0, 0.0, 1.0], [1.0, 0.0, 1.5]]])
+    velocity = torch.tensor([[[0.2, 0.0, 0.1], [0.0, 0.3, 0.0]]])
+    batch = turn(swarm_batch(position, velocity, [0, 0]), torch.full((2,), np.pi / 2))
+    expected = torch.tensor([0.0, 1.0, 0.5, -0.3, -0.2, -0.1])
+    assert torch.allclose(batch.pair[0, 0], expected, atol=1e-6)
+    assert torch.allclose(batch.environment[0], -torch.tensor([1.0, 0.0, 0.2, 0.1]), atol=1e-6)
+
+
+def test_epochs_say_how_many_steps_there_are():
+    rows = rows_of()
+    count = int((~rows.validation).sum())
+    run = train(rows, SPEC, dataclasses.replace(PLAIN, steps=None, epochs=1.5), progress=False)
+    assert run.step == round(1.5 * np.ceil(count / 64))
+
+
+def test_average_of_the_last_steps_is_within_the_clip_and_resumes(tmp_path, monkeypatch):
+    rows = rows_of(noise=5.0)
+    config = dataclasses.replace(PLAIN, average_share=0.1, early_validation=0.4, learning_rate=3e-2)
+    whole = train(rows, SPEC, config, progress=False)
+    assert max(norms(whole.network)) <= 3.0 * (1 + 1e-6)
+    assert "average" in whole.chosen
+    from swarm_envs.training.force_model import train as module
+
+    step, path = module._step, tmp_path / "checkpoint.safetensors"
+
+    def dying_step(run, *others):
+        if run.step == 34 and not (tmp_path / "died").exists():
+            (tmp_path / "died").touch()
+            raise KeyboardInterrupt
+        return step(run, *others)
+
+    monkeypatch.setattr(module, "_step", dying_step)
+    with pytest.raises(KeyboardInterrupt):
+        train(rows, SPEC, config, path, progress=False)
+    resumed = train(rows, SPEC, config, path, progress=False)
+    assert resumed.history == whole.history
+    assert resumed.chosen == whole.chosen
+    for a, b in zip(whole.network.parameters(), resumed.network.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+def test_average_is_nearer_the_truth_than_a_noisy_last_step():
+    """Steps of a large rate go on jumping about the minimum; their average does not."""
+    rows, errors = rows_of(1200, noise=4.0), {}
+    truth = -8.0 * np.maximum(rows.neighbor[:, 0, 2], 0.0)
+    for average in (0.0, 0.25):
+        config = dataclasses.replace(
+            PLAIN,
+            steps=None,
+            epochs=20.0,
+            learning_rate=5e-3,
+            average_share=average,
+            schedule="constant",
+        )
+        network = train(rows, SPEC, config, progress=False).network
+        errors[average] = np.mean((predict(network, to_batch(rows)).numpy() - truth) ** 2)
+    assert errors[0.25] < 0.7 * errors[0.0]
+
+
+@pytest.mark.parametrize("average", [0.0, 0.02])
+def test_exact_normalisation_gives_every_matrix_the_norm(average):
+    config = dataclasses.replace(
+        PLAIN, spectral="exact", max_spectral_norm=1.7, average_share=average
+    )
+    run = train(rows_of(), SPEC, config, progress=False)
+    assert norms(run.network) == pytest.approx([1.7] * 20, rel=1e-5)
+    free = train(rows_of(), SPEC, dataclasses.replace(config, spectral="none"), progress=False)
+    assert np.ptp(norms(free.network)) > 0.1
+
+
+def test_zero_matrix_cannot_be_normalised_exactly():
+    with pytest.raises(ValueError, match="shape \\(2, 3\\) is zero"):
+        hold_spectral_norms([torch.zeros(2, 3)], 1.0, "exact")
+    hold_spectral_norms([torch.zeros(2, 3)], 1.0, "clip")
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("steps", 0),
+        ("epochs", 1.0),
+        ("learning_rate", float("nan")),
+        ("average_share", -1.0),
+        ("early_validation", 0.6),
+        ("max_spectral_norm", 0.0),
+    ],
+)
+def test_bad_numbers_are_refused(name, value):
+    with pytest.raises(ValueError, match=rf"{name} (is )?{value}"):
+        dataclasses.replace(PLAIN, **{name: value})
+
+
+def test_each_mode_has_its_own_length_unless_it_is_given():
+    plain, given = TrainConfig(), TrainConfig(steps=70, average_share=0.1)
+    assert (settled(plain).steps, settled(plain).average_share) == (6000, 0.0)
+    measured = settled(plain, "measured")
+    assert measured.steps is None and measured.epochs and measured.average_share
+    assert measured.slope_limit is None and measured.position_jitter_m == 0.0
+    kept = settled(given, "measured")
+    assert (kept.steps, kept.epochs, kept.average_share) == (70, None, 0.1)
+    assert settled(kept, "measured") == kept
+    with pytest.raises(ValueError, match=r"steps is 70 and epochs 2\.0"):
+        dataclasses.replace(given, epochs=2.0)
+
+
+def test_event_files_are_optional(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    with scalar_writer(None) as watch:
+        assert watch is None
+    with (
+        pytest.raises(ImportError, match=r"swarm-envs\[tensorboard\]"),
+        scalar_writer(tmp_path),
+    ):
+        pass
+
+
+def test_event_files_hold_the_history(tmp_path, monkeypatch):
+    """A writer that notes what it is given; the package itself may be missing."""
+    written, closed = [], []
+
+    class Writer:
+        def __init__(self, folder):
+            assert folder == str(tmp_path / "events")
+
+        def add_scalar(self, name, value, step):
+            written.append((name, value, step))
+
+        def close(self):
+            closed.append(True)
+
+    module = types.ModuleType("torch.utils.tensorboard")
+    vars(module)["SummaryWriter"] = Writer
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", module)
+    save_rows(tmp_path / "rows.npz", rows_of())
+    config = FitConfig(
+        data=tmp_path / "rows.npz",
+        out=tmp_path / "out",
+        mode="measured",
+        steps=20,
+        checkpoint_every=10,
+        early_validation=0.4,
+        lipschitz_samples=0,
+        progress=False,
+        tensorboard=tmp_path / "events",
+    )
+    report = fit(config)
+    names = ("loss", "validation", "early_validation")
+    assert written == [(n, e[n], e["step"]) for e in report.history for n in names]
+    assert closed == [True]
+    said = json.loads((config.out / "learned.json").read_text())
+    assert said["chosen"] == report.chosen
+    assert "the best on held-out pieces" in said["chosen"]
+    assert said["config"]["early_validation"] == 0.4
+
+
+def test_weights_have_storage_of_their_own_after_training():
+    network = train(rows_of(), SPEC, dataclasses.replace(PLAIN, steps=2), progress=False).network
+    assert isinstance(network, DeepSet)
+    assert len({p.untyped_storage().data_ptr() for p in network.parameters()}) == len(
+        list(network.parameters())
+    )

@@ -1,0 +1,170 @@
+"""Deep set and pairwise sum, in torch and compiled: what must not change their forces."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.state import FloatArray
+from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.network import DeepSetSpec, ForceNetwork, layers
+from swarm_envs.training.force_model.pairwise import PairwiseSum, build
+from swarm_envs.training.force_model.spec import OUTER_FADE, InputRange, NetworkKind
+from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
+
+RANGE = InputRange(
+    ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),
+    ((-1.6, -0.6, -0.6, -1.0), (-0.07, 0.6, 0.6, 1.0)),
+)
+KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise")
+TEAM = "SLSLS"
+
+
+def random_network(kind: NetworkKind, seed: int = 0) -> ForceNetwork:
+    """A float64 network with weights twice as large as at the start, so that clamps matter."""
+    torch.manual_seed(seed)
+    made = build(DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, 0.6, kind=kind), torch.float64)
+    with torch.no_grad():
+        for parameter in made.parameters():
+            parameter.mul_(2.0)
+        made.drag[0], made.drag[1] = torch.tensor([0.01, 0.01, 0.02]), torch.tensor([0.04] * 3)
+    return made
+
+
+@pytest.fixture(params=KINDS)
+def kind(request: pytest.FixtureRequest) -> NetworkKind:
+    return request.param
+
+
+@pytest.fixture
+def network(kind: NetworkKind) -> ForceNetwork:
+    return random_network(kind)
+
+
+@pytest.fixture
+def model(network: ForceNetwork, tmp_path: Path) -> InteractionModel:
+    save_network(tmp_path / "model.safetensors", network, {"seed": 3})
+    return load(tmp_path / "model.safetensors")
+
+
+def swarm(seed: int, envs: int, drones: int) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(0.05, 1.0, (envs, drones, 3)) * [0.5, 0.5, 1.5]
+    return position, rng.uniform(-1.5, 1.5, position.shape)
+
+
+def torch_force_g(
+    network: ForceNetwork, position: FloatArray, velocity: FloatArray, team: str
+) -> FloatArray:
+    with torch.no_grad():
+        force = network.force_g(torch.from_numpy(position), torch.from_numpy(velocity), list(team))
+    return np.asarray(force.numpy())
+
+
+def test_compiled_forces_are_those_of_torch(network: ForceNetwork, model: InteractionModel) -> None:
+    for seed, team in enumerate(("S", "SL", "LLS", TEAM)):
+        position, velocity = swarm(seed, 30, len(team))
+        compiled = model.forces(position, velocity, team)[..., 2] / GRAM_FORCE
+        expected = torch_force_g(network, position, velocity, team)
+        assert np.abs(expected).max() > 0.1
+        np.testing.assert_allclose(compiled, expected, atol=1e-9, rtol=0)
+
+
+def test_the_order_of_drones_does_not_matter(
+    network: ForceNetwork, model: InteractionModel
+) -> None:
+    position, velocity = swarm(10, 40, len(TEAM))
+    vehicles = parse_team(TEAM)
+    for order in (np.array([2, 1, 4, 3, 0]), np.array([4, 0, 3, 2, 1])):
+        shuffled: tuple[Vehicle, ...] = tuple(vehicles[i] for i in order)
+        names = "".join(TEAM[i] for i in order)
+        force = torch_force_g(network, position, velocity, TEAM)
+        again = torch_force_g(network, position[:, order], velocity[:, order], names)
+        assert np.abs(again - force[:, order]).max() < 1e-6
+        compiled = model.forces(position, velocity, TEAM)
+        again = model.forces(position[:, order], velocity[:, order], shuffled)
+        assert np.abs(again - compiled[:, order]).max() < 1e-6 * GRAM_FORCE
+
+
+@pytest.mark.parametrize("offset", [(0.351, 0.0, 0.0), (0.0, -0.36, 0.2), (0.1, 0.1, 1.11)])
+def test_a_neighbour_outside_the_volume_does_not_matter(
+    offset: tuple[float, ...], network: ForceNetwork, model: InteractionModel
+) -> None:
+    position, velocity = swarm(11, 20, 2)
+    position[:, 1] = position[:, 0] + [0.1, 0.0, 0.3]
+    beyond = np.maximum(*position.swapaxes(0, 1)) if min(offset) >= 0.0 else position.min(axis=1)
+    far = np.concatenate([position, (beyond + offset)[:, None]], axis=1)
+    moving = np.concatenate([velocity, np.full((20, 1, 3), 0.7)], axis=1)
+    force = torch_force_g(network, position, velocity, "SL")
+    assert np.array_equal(torch_force_g(network, far, moving, "SLL")[:, :2], force)
+    compiled = model.forces(position, velocity, "SL")
+    assert np.array_equal(model.forces(far, moving, "SLL")[:, :2], compiled)
+    near = far.copy()
+    near[:, 2] = position[:, 0] + [0.0, 0.05, 0.4]
+    assert not np.array_equal(model.forces(near, moving, "SLL")[:, :2], compiled)
+
+
+def test_a_lone_drone_aloft_feels_drag_alone(model: InteractionModel) -> None:
+    velocity = np.array([[[0.3, -0.2, 0.5]]])
+    force = model.forces([[[0.0, 0.0, 0.8]]], velocity, "L")
+    np.testing.assert_allclose(force, -0.04 * velocity, rtol=1e-6)
+
+
+def test_pairwise_forces_add_up_and_deep_sets_do_not() -> None:
+    position, velocity = swarm(12, 50, 3)
+    position[..., 2] += 0.6
+    gaps = {}
+    for kind in KINDS:
+        made = random_network(kind)
+        alone = torch_force_g(made, position[:, :1], velocity[:, :1], "S")[:, 0]
+        pairs = sum(
+            torch_force_g(made, position[:, [0, j]], velocity[:, [0, j]], "SL")[:, 0] - alone
+            for j in (1, 2)
+        )
+        joint = torch_force_g(made, position, velocity, "SLL")[:, 0]
+        gaps[kind] = float(np.abs(joint - alone - pairs).max())
+    assert gaps["pairwise"] < 1e-12
+    assert gaps["deep-set"] > 0.01
+
+
+def test_a_pairwise_sum_is_what_the_module_says() -> None:
+    made = random_network("pairwise")
+    assert isinstance(made, PairwiseSum)
+    position, velocity = np.array([[[0.0, 0.1, 0.3], [0.1, 0.0, 0.7]]]), np.zeros((1, 2, 3))
+    velocity[0, 0] = [0.1, 0.2, -0.3]
+
+    def perceptron(module: torch.nn.Module, x: FloatArray) -> float:
+        chain = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in layers(module)]
+        assert [weight.shape[0] for weight, _ in chain] == [25, 40, 40, 1]
+        for weight, bias in chain[:-1]:
+            x = np.maximum(weight @ x + bias, 0.0)
+        return float((chain[-1][0] @ x + chain[-1][1])[0])
+
+    pair = np.concatenate([position[0, 1] - position[0, 0], velocity[0, 1] - velocity[0, 0]])
+    ground = made.environment["S"]
+    expected = perceptron(made.network_of("L", "S"), pair)  # well inside: weight 1
+    expected += perceptron(ground, -np.array([0.3, 0.1, 0.2, -0.3]))
+    expected -= perceptron(ground, -np.array([0.6, 0.1, 0.2, -0.3]))
+    expected += float(made.drag[0, 2]) * 0.3 / GRAM_FORCE
+    found = torch_force_g(made, position, velocity, "SL")[0, 0]
+    assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_file_gives_back_the_same_network(network: ForceNetwork, tmp_path: Path) -> None:
+    path = tmp_path / "a.safetensors"
+    save_network(path, network)
+    again = load_network(path)
+    assert type(again) is type(network) and again.spec == network.spec
+    position, velocity = swarm(13, 10, 3)
+    force = torch_force_g(network, position, velocity, "SLS")
+    assert np.array_equal(torch_force_g(again, position, velocity, "SLS"), force)
+
+
+@pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])
+def test_a_type_that_cannot_be_filed_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="cannot name a vehicle type"):
+        DeepSetSpec(("S", name))

@@ -1,0 +1,131 @@
+"""Files of flights: npz without pickle, or Parquet in the format of real flight logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from swarm_envs.files import written_whole
+from swarm_envs.state import FloatArray
+from swarm_envs.training.collection.fleet import vehicle_names
+from swarm_envs.training.collection.log import FlightLog, rotate_back, world_acceleration
+from swarm_envs.training.collection.signals import commanded_thrust, motor_signals
+from swarm_envs.vehicles import Team
+
+if TYPE_CHECKING:
+    from swarm_envs.training.flight_logs.table import FlightTable
+
+Format = Literal["npz", "parquet"]
+
+
+def flight_file(out: Path, name: str, form: str = "npz") -> Path:
+    """The file of a flight."""
+    return out / f"{name}.{form}"
+
+
+def save_log(
+    path: Path, log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = True
+) -> None:
+    """Write a log, atomically, as the path's ending says.
+
+    Args:
+        path: ends in `.npz` (single precision) or `.parquet`.
+        log: what to write.
+        team: the N vehicles.
+        rate_hz: entries per second.
+        accelerometer: write the acceleration into Parquet too; a fit to it then takes its label
+            from there.
+
+    Raises:
+        ImportError: it is to be Parquet, and pyarrow is not installed.
+    """
+    if path.suffix == ".parquet":
+        from swarm_envs.training.flight_logs.table import write_table  # it imports this package
+
+        write_table(path, to_table(log, team, rate_hz, accelerometer))
+        return
+    arrays = {name: array.astype(np.float32) for name, array in log._asdict().items()}
+    with written_whole(path) as partial:
+        np.savez(partial, allow_pickle=False, **arrays)
+
+
+def read_log(path: Path, team: Team | None = None) -> FlightLog:
+    """Read a file that `save_log` wrote.
+
+    Args:
+        path: ends in `.npz` or `.parquet`.
+        team: the N vehicles; Parquet needs them.
+
+    Raises:
+        FileNotFoundError: there is none.
+    """
+    if path.suffix == ".parquet":
+        from swarm_envs.training.flight_logs.table import read_table
+
+        if team is None:
+            raise ValueError(f"{path.name} is Parquet, whose lines are no team; give the team")
+        return from_table(read_table(path), team)
+    with np.load(path, allow_pickle=False) as file:
+        return FlightLog(*(file[name].astype(np.float64) for name in FlightLog._fields))
+
+
+def to_table(log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = True) -> FlightTable:
+    """The log as real vehicles would have written it; see `swarm_envs.training.flight_logs`.
+
+    Rotor thrusts become motor signals and voltages by psi1 of Table I, and the specific force the
+    acceleration in the world by the logged attitude.
+    """
+    from swarm_envs.training.flight_logs.table import FlightTable
+
+    count, drones = log.position.shape[:2]
+    pwm, voltage = motor_signals(log.commands, team, rate_hz)
+    acceleration = lines(world_acceleration(log)) if accelerometer else None
+    return FlightTable(
+        drone=np.tile(np.array(vehicle_names(team)), count),
+        type=np.tile(np.array([vehicle.token for vehicle in team]), count),
+        time=np.repeat(np.arange(count) / rate_hz, drones),
+        position=lines(log.position),
+        velocity=lines(log.velocity),
+        quaternion=lines(log.quaternion),
+        acceleration=acceleration,
+        pwm=lines(pwm),
+        voltage=lines(voltage),
+    )
+
+
+def from_table(table: FlightTable, team: Team) -> FlightLog:
+    """The log that `to_table` made a table of; without its set-points, and NaN for no acceleration.
+
+    Raises:
+        ValueError: the table's lines are not those of the team.
+    """
+    drones, names = len(team), vehicle_names(team)
+    if tuple(table.drone[:drones]) != names or len(table) % drones:
+        raise ValueError(
+            f"a table begins with the drones {', '.join(table.drone[:drones])}, but must list "
+            f"{', '.join(names)} at every time; collect it anew"
+        )
+
+    def array(values: FloatArray) -> FloatArray:
+        return values.reshape(-1, drones, *values.shape[1:])
+
+    position, quaternion = array(table.position), array(table.quaternion)
+    unknown = np.full(position.shape, np.nan)
+    specific = unknown
+    if table.acceleration is not None:
+        specific = rotate_back(quaternion, array(table.acceleration))
+    return FlightLog(
+        position=position,
+        velocity=array(table.velocity),
+        quaternion=quaternion,
+        specific_force=specific,
+        setpoint=unknown,
+        commands=commanded_thrust(array(table.pwm), array(table.voltage), team),
+    )
+
+
+def lines(values: FloatArray) -> FloatArray:
+    """Values (T, N, ...) as (T N, ...): the drones of a time follow each other."""
+    return values.reshape(-1, *values.shape[2:])

@@ -1,0 +1,130 @@
+"""The whole curriculum: rounds, judgement on unseen swaps, report, table and picture."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from pathlib import Path
+
+from tqdm import tqdm
+
+from swarm_envs.files import write_json, written_whole
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.training.collection.collect import begin_manifest, fingerprint
+from swarm_envs.training.collection.table import Flight
+from swarm_envs.training.curriculum.closeness import LARGEST_STEP, QUANTILE
+from swarm_envs.training.curriculum.config import CurriculumConfig, adds_drones
+from swarm_envs.training.curriculum.picture import draw
+from swarm_envs.training.curriculum.report import (
+    CurriculumReport,
+    goals_reached,
+    sizes_as_json,
+)
+from swarm_envs.training.curriculum.rounds import RoundReport, fly_round, weights_of
+from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen
+from swarm_envs.training.force_model.files import json_ready
+
+ORIGIN = "origin.json"
+UNSEEN = "unseen.json"
+
+
+def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
+    """Run what is not yet done and report on everything.
+
+    Writes `round_1` ... `round_4`, `unseen.json`, `learned.safetensors` (the last round's model),
+    `curriculum.json` and `curriculum.png` into `config.out`; each stage whole or not at all.
+
+    Raises:
+        ValueError: the folder holds a curriculum of other options or another force model.
+    """
+    began, config = time.perf_counter(), config.sized()
+    truth = load(config.interactions)
+    origin: dict[str, object] = {
+        "config": json_ready(config.what_is_learned()),
+        "interactions_sha256": fingerprint(truth),
+    }
+    begin_manifest(config.out / ORIGIN, origin)
+    rounds = fly_rounds(config)
+    unseen = judge_all(config, truth)
+    with written_whole(config.out / "learned.safetensors") as partial:
+        shutil.copyfile(weights_of(config, len(config.stages)), partial)
+    drag = {name: truth.field.drag[k].tolist() for k, name in enumerate(truth.types)}
+    report = CurriculumReport(
+        command=command(config),
+        config=origin["config"],
+        interactions=truth.name,
+        interactions_sha256=fingerprint(truth),
+        rule=rule(config),
+        rounds=rounds,
+        true_drag=drag,
+        unseen=unseen,
+        explained=sizes_as_json(unseen),
+        reached=goals_reached(unseen),
+        wall_time_s=round(time.perf_counter() - began, 1),
+    )
+    for path in (config.out / "curriculum.json", config.json):
+        if path is not None:
+            write_json(path, json_ready(report))
+    draw(report, config.out / "curriculum.png")
+    return report
+
+
+def fly_rounds(config: CurriculumConfig) -> list[RoundReport]:
+    """Fly every round, each as close as the one before allows."""
+    flights: list[Flight] = []
+    reports: list[RoundReport] = []
+    clearance = config.first_clearance_m
+    for number, stage in enumerate(config.stages, start=1):
+        if adds_drones(config.stages, number):
+            clearance = config.first_clearance_m
+        tqdm.write(
+            f"round {number} of {len(config.stages)}: {stage.title}, clearance at least "
+            f"{100 * clearance:.1f} cm"
+        )
+        report, flights = fly_round(config, number, clearance, flights)
+        reports.append(report)
+        clearance = report.next_clearance_m
+    return reports
+
+
+def judge_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
+    """Judge the models of all rounds on unseen swaps, or read what was judged."""
+    path = config.out / UNSEEN
+    if path.exists():
+        return [Unseen(**entry) for entry in json.loads(path.read_text())]
+    models = [load(weights_of(config, k + 1)) for k in range(len(config.stages))]
+    bar = tqdm(config.unseen_teams, disable=not config.progress, desc="unseen swaps", unit="team")
+    found = [judge_unseen(models, truth, team, config.episodes) for team in bar]
+    write_json(path, json_ready(found))
+    return found
+
+
+def rule(config: CurriculumConfig) -> str:
+    """The rule by which a round's clearance follows, in words."""
+    first, least = (100 * v for v in (config.first_clearance_m, config.least_clearance_m))
+    return (
+        "the first round, and the first with more drones than flew before, plans a clearance of "
+        f"{first:g} cm; each other one the largest of {config.margin:g} times the gap error to "
+        f"expect, {LARGEST_STEP:g} times the last clearance, and {least:g} cm; and no smaller one "
+        "than the last if a swap ended in a contact. The gap error to expect is the one measured "
+        "in the last round (largest difference of a vertical gap from the planned one in each "
+        f"swap, {100 * QUANTILE:g} % quantile of the swaps) times the RMS error of the new model "
+        "over that of what the pilot knew, on the round's held-out flights"
+    )
+
+
+def command(config: CurriculumConfig) -> str:
+    """Command line that makes this curriculum, with the folder left out."""
+    words = ["swarm-envs curriculum --out DIR", f"--seed {config.seed}"]
+    usual = CurriculumConfig(out=Path())
+    for name in config.what_is_learned():
+        value = getattr(config, name)
+        if name in ("stages", "unseen_teams"):  # no options of the command
+            continue
+        if name in ("noise", "errors"):
+            given = {k: v for k, v in vars(value).items() if v != getattr(getattr(usual, name), k)}
+            words += [f"--{k.replace('_', '-')} {v}" for k, v in given.items()]
+        elif value != getattr(usual, name) and name != "seed":
+            words.append(f"--{name.replace('_', '-')} {value}")
+    return " ".join(words)

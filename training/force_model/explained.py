@@ -1,0 +1,172 @@
+"""How much of a true force a model explains: possible in simulation, where the truth is known.
+
+Flights give labels with noise; a simulator can be asked for the force itself. `generalisation`
+asks on swarms of any size, larger than those that a model was fitted to (Neural-Swarm2, Fig. 5(g,
+h) and Sec. VII-C: trained with at most three drones, used with up to sixteen).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.errors import check_integer
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
+
+TEAMS = ("SS", "SL", "SSL", "SSSS", "SSLL", "SSSSS", "SSSLL", "S" * 16, "S" * 12 + "L" * 4)
+"""Teams of two and three drones, and of the 4, 5 and 16 that no flight had."""
+
+LATERAL_SPREAD_M = 0.12
+"""Standard deviation of x and y between a drone and the one it was placed by: a wake's width."""
+CLIMB_M = (0.2, 0.6)
+"""Vertical distance to that drone, either way: that of drones that swap (Sec. VII-E)."""
+LOWEST_M = (0.3, 0.8)
+"""Height of the lowest drone."""
+SPEED = 0.25
+"""Standard deviation of each component of the velocity, m/s: 99 % of the measured speeds are below
+0.67 m/s."""
+_TRIES = 10_000
+
+
+class Explained(NamedTuple):
+    """How well a model explains a true force in random swarms of one team."""
+
+    team: str
+    drones: int
+    states: int
+    explained: float
+    """Share of the variance of f_a,z, at most 1; below 0 a constant would do better."""
+    rms_error_g: float
+    rms_force_g: float
+    """Of the truth."""
+    mean_neighbours: float
+    """Others in a drone's interaction volume."""
+
+
+def explained_variance(
+    model: InteractionModel,
+    truth: InteractionModel,
+    position: FloatArray,
+    velocity: FloatArray,
+    team: str | Sequence[Vehicle],
+) -> float:
+    """Share of the variance of the true vertical force that a model explains.
+
+    1 - mean((f - f_true)^2) / var(f_true) over every drone of every state, f being f_a,z. A
+    constant error counts: no mean is taken off the residual.
+
+    Args:
+        model: what is judged.
+        truth: the force that blows, such as an environment's own model.
+        position: (E, N, 3) m, world frame.
+        velocity: (E, N, 3) m/s, world frame.
+        team: the N vehicles, the same in every state.
+
+    Raises:
+        ValueError: shapes do not fit, a type is unknown to a model, or the true force is the same
+            everywhere.
+    """
+    true = truth.forces(position, velocity, team)[..., 2]
+    error = model.forces(position, velocity, team)[..., 2] - true
+    variance = float(true.var())
+    if variance == 0.0:
+        raise ValueError(
+            f"the true force of {truth.name!r} is {true.flat[0]:g} N in all {true.size} states, "
+            "but must vary; give states in which drones are near each other"
+        )
+    return 1.0 - float(np.mean(error**2)) / variance
+
+
+def random_states(
+    team: str | Sequence[Vehicle], states: int, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Swarms in close flight: each drone stands over or under one that was placed before it.
+
+    Spheres of no two drones overlap: they keep the sum of their radii.
+
+    Args:
+        team: the N vehicles.
+        states: how many swarms E.
+        rng: source of every draw.
+
+    Returns:
+        Positions (E, N, 3), m, and velocities (E, N, 3), m/s, world frame.
+
+    Raises:
+        RuntimeError: there was no room for a drone.
+    """
+    vehicles = parse_team(team)
+    position = np.zeros((states, len(vehicles), 3))
+    for swarm in position:
+        order = rng.permutation(len(vehicles))
+        for placed in range(1, len(vehicles)):
+            swarm[order[placed]] = _free_place(vehicles, swarm, order, placed, rng)
+        swarm[:, 2] += rng.uniform(*LOWEST_M) - swarm[:, 2].min()
+    return position, rng.normal(0.0, SPEED, position.shape)
+
+
+def _free_place(
+    vehicles: Sequence[Vehicle],
+    swarm: FloatArray,
+    order: IntArray,
+    placed: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    there, own = order[:placed], vehicles[order[placed]]
+    reach = np.array([vehicles[j].radius + own.radius for j in there])
+    for _ in range(_TRIES):
+        climb = rng.uniform(*CLIMB_M) * rng.choice([-1.0, 1.0])
+        offset = np.array([*rng.normal(0.0, LATERAL_SPREAD_M, 2), climb])
+        place: FloatArray = swarm[rng.choice(there)] + offset
+        if (np.linalg.norm(swarm[there] - place, axis=1) > reach).all():
+            return place
+    raise RuntimeError(f"no room for drone {placed + 1} after {_TRIES} tries")
+
+
+def generalisation(
+    model: InteractionModel,
+    truth: InteractionModel,
+    teams: Sequence[str] = TEAMS,
+    seed: int = 0,
+    states: int = 500,
+) -> list[Explained]:
+    """Explained variance of the true vertical force by team, over random states in close flight.
+
+    Args:
+        model: what is judged.
+        truth: the force that blows.
+        teams: team strings of two drones or more.
+        seed: of the states; each team has its own, whatever the other teams are.
+        states: swarms of each team.
+
+    Raises:
+        ValueError: a number or a team is out of range, or a type is unknown to a model.
+    """
+    check_integer("states", states, 1)
+    check_integer("seed", seed, 0)
+    return [_explained(model, truth, team, seed, states) for team in teams]
+
+
+def _explained(
+    model: InteractionModel, truth: InteractionModel, team: str, seed: int, states: int
+) -> Explained:
+    rng = np.random.default_rng([seed, *team.encode()])
+    position, velocity = random_states(team, states, rng)
+    true = truth.forces(position, velocity, team)[..., 2] / GRAM_FORCE
+    error = model.forces(position, velocity, team)[..., 2] / GRAM_FORCE - true
+    apart = np.abs(position[:, :, None] - position[:, None])
+    inside = (apart < [LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH]).all(axis=-1)
+    return Explained(
+        team=team,
+        drones=position.shape[1],
+        states=states,
+        explained=explained_variance(model, truth, position, velocity, team),
+        rms_error_g=float(np.sqrt(np.mean(error**2))),
+        rms_force_g=float(np.sqrt(np.mean(true**2))),
+        mean_neighbours=float(inside.sum(axis=-1).mean() - 1.0),
+    )
