@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
 
@@ -160,13 +160,13 @@ class BatteryModel:
         )
 
 
-@kernel
+@borrowing_kernel
 def current(rotor_thrust_total_n: float, model: BatteryArrays) -> float:
     """Current that a vehicle draws, A, while its rotors give a total thrust, N."""
     return model.idle_current + model.current_per_newton * rotor_thrust_total_n
 
 
-@kernel
+@borrowing_kernel
 def voltage(
     charge: float, rotor_thrust_total_n: float, model: BatteryArrays, vehicle_index: int
 ) -> float:
@@ -186,7 +186,7 @@ def voltage(
     return low + (place - k) * (high - low) - model.resistance[vehicle_index] * load
 
 
-@kernel
+@borrowing_kernel
 def rotor_limit(
     charge: float,
     rotor_thrust_total_n: float,
@@ -217,7 +217,7 @@ def rotor_limit(
     return max(min(limit_g * GRAM_FORCE, max_thrust_n / 4.0), 0.0)
 
 
-@kernel
+@borrowing_kernel
 def battery_step(
     charge: float,
     rotor_thrust_total_n: float,

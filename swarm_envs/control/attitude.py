@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.control.config import ControlGains
 from swarm_envs.control.state import ControllerState
 from swarm_envs.state import FloatArray
@@ -13,7 +13,7 @@ Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 
 
-@kernel
+@borrowing_kernel
 def rotate_back(q: Quaternion, v: Vector) -> Vector:
     """Components, in a frame of attitude q = (x, y, z, w), of a vector given outside it: R^T v."""
     tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
@@ -26,7 +26,7 @@ def rotate_back(q: Quaternion, v: Vector) -> Vector:
     )
 
 
-@kernel
+@borrowing_kernel
 def relative_rotation(a: Quaternion, b: Quaternion) -> Quaternion:
     """Rotation from frame a to frame b, conj(a) b, with its scalar part not negative."""
     x = a[3] * b[0] - a[0] * b[3] - a[1] * b[2] + a[2] * b[1]
@@ -38,7 +38,7 @@ def relative_rotation(a: Quaternion, b: Quaternion) -> Quaternion:
     return x, y, z, w
 
 
-@kernel
+@borrowing_kernel
 def tilt_towards(fx: float, fy: float, fz: float) -> Quaternion:
     """Shortest rotation that turns the world z axis to a force, whose z component is positive."""
     length = math.sqrt(fx * fx + fy * fy + fz * fz)
@@ -47,7 +47,7 @@ def tilt_towards(fx: float, fy: float, fz: float) -> Quaternion:
     return -fy * scale, fx * scale, 0.0, w
 
 
-@kernel
+@borrowing_kernel
 def desired_rate(
     e: int,
     i: int,
@@ -76,7 +76,7 @@ def desired_rate(
     return x, y, z + yaw_rate
 
 
-@kernel
+@borrowing_kernel
 def axis_acceleration(
     error: float,
     last_error: float,
@@ -113,7 +113,7 @@ def axis_acceleration(
     return -proportional - integral_gain * integral, error_rate, integral
 
 
-@kernel
+@borrowing_kernel
 def desired_torque(
     attitude: Quaternion,
     omega: Vector,

@@ -10,13 +10,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import Vehicle
 
 
-@kernel
+@borrowing_kernel
 def mix_row(
     thrust: float,
     torque: FloatArray,
@@ -52,7 +52,7 @@ def mix_row(
     )
 
 
-@kernel
+@borrowing_kernel
 def mix_scalars(
     thrust: float,
     torque_x: float,

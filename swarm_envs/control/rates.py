@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.control.attitude import axis_acceleration, rotate_back
 from swarm_envs.control.config import ControlGains
 from swarm_envs.control.mixer import mix_scalars
@@ -10,7 +10,7 @@ from swarm_envs.control.state import ControllerState
 from swarm_envs.state import FloatArray, Parameters, SwarmState
 
 
-@kernel
+@borrowing_kernel
 def hold_rates(
     e: int,
     state: SwarmState,

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.control.attitude import (
     Vector,
     desired_rate,
@@ -28,7 +28,7 @@ from swarm_envs.state import BoolArray, FloatArray, Parameters, SwarmState, para
 from swarm_envs.vehicles import GRAVITY, Vehicle
 
 
-@kernel
+@borrowing_kernel
 def axis_force(
     position_error: float,
     velocity: float,
@@ -61,7 +61,7 @@ def axis_force(
     return mass * (reference_rate - damping - gains.velocity * gains.integral * integral), integral
 
 
-@kernel
+@borrowing_kernel
 def desired_force(
     position: FloatArray,
     velocity: FloatArray,
@@ -87,7 +87,7 @@ def desired_force(
     return x - feedforward[0], y - feedforward[1], max(z + weight - feedforward[2], floor)
 
 
-@kernel
+@borrowing_kernel
 def lead_thrust(
     e: int, i: int, thrust: float, motor_rate: float, memory: ControllerState, gains: ControlGains
 ) -> float:
@@ -99,7 +99,7 @@ def lead_thrust(
     return thrust + gains.lead * memory.thrust_rate[e, i] / motor_rate
 
 
-@kernel
+@borrowing_kernel
 def track_env(
     e: int,
     state: SwarmState,
@@ -184,7 +184,7 @@ def track_env(
         )
 
 
-@kernel
+@borrowing_kernel
 def extrapolate(setpoint: Setpoint, e: int, dt: float) -> None:
     """Advance the set-points of environment e by dt, in s, with their jerk; in place."""
     for i in range(setpoint.position.shape[1]):
@@ -198,7 +198,7 @@ def extrapolate(setpoint: Setpoint, e: int, dt: float) -> None:
         setpoint.yaw[e, i] += dt * setpoint.yaw_rate[e, i]
 
 
-@kernel
+@borrowing_kernel
 def track_all(
     state: SwarmState,
     parameters: Parameters,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Real
@@ -21,6 +22,10 @@ from swarm_envs.physics.rigid_body import PHYSICS_RATE
 
 ENGINES = ("bullet", "batch")
 """Names of the physics engines."""
+
+
+MANY_DRONES = 1024
+"""From so many drones in all environments together on, more threads than one pay."""
 
 
 def _check_positive(name: str, value: object, unit: str) -> None:
@@ -49,6 +54,9 @@ class EnvConfig:
     """The tracking loop between actions and rotors; None for its default."""
     num_neighbors: int = 3
     """K, how many neighbours a drone observes."""
+    threads: int | None = None
+    """Threads that fly a batch on the compiled engine, with the same result; None for one, or for
+    every core where there are at least 1,024 drones."""
     observation: str = "flat"
     """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
     num_obstacles: int | None = None
@@ -80,6 +88,8 @@ class EnvConfig:
                     "240, 120, 48, 24 or 10"
                 )
         check_integer("num_neighbors", self.num_neighbors, 0)
+        if self.threads is not None:
+            check_integer("threads", self.threads, 1)
         if self.num_obstacles is not None:
             check_integer("num_obstacles", self.num_obstacles, 0)
         if self.horizon_s is not None:
@@ -109,6 +119,12 @@ class EnvConfig:
     def engine(self) -> str:
         """The engine that `physics` stands for here."""
         return self.physics or ("bullet" if bullet_available() else "batch")
+
+    def threads_for(self, drones: int) -> int:
+        """Number of threads for so many drones of all environments together."""
+        if self.threads is not None:
+            return self.threads
+        return len(os.sched_getaffinity(0)) if drones >= MANY_DRONES else 1
 
     def obstacles_observed(self, present: int) -> int:
         """M, for a task that has so many obstacles."""

@@ -67,7 +67,8 @@ class SwarmCore:
         self.mode = ACTIONS[config.action]
         self.physics = make_physics(task, config, num_envs)
         controller = config.controller or ControllerConfig()
-        self.flight = Flight(self.physics, controller, self.mode.level, config.force_bounds_g)
+        bounds, threads = config.force_bounds_g, config.threads_for(num_envs * len(task.team))
+        self.flight = Flight(self.physics, controller, self.mode.level, bounds, threads)
         drones = len(task.team)
         self.motion: Motion = task.motion
         self.mission = new_mission(num_envs, drones, task.num_stages)
@@ -118,6 +119,7 @@ class SwarmCore:
 
     def close(self) -> None:
         """Free what physics holds. May be called more than once."""
+        self.flight.close()
         self.physics.close()
 
     def reset(

@@ -6,12 +6,14 @@ step at a time, with the same controller and the same bookkeeping.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import entry_point, inlined_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel, entry_point, inlined_kernel
 from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
 from swarm_envs.control.rates import hold_rates
 from swarm_envs.control.state import ControllerState, Setpoint
@@ -89,7 +91,7 @@ def decide(e: int, world: World, pilot: Pilot, scratch: Scratch) -> None:
     extrapolate(pilot.setpoint, e, TIME_STEP)
 
 
-@kernel
+@borrowing_kernel
 def forget(e: int, contacts: Contacts) -> None:
     """Forget what environment `e` touched, before the next decision is flown."""
     for i in range(contacts.drone.shape[1]):
@@ -99,7 +101,7 @@ def forget(e: int, contacts: Contacts) -> None:
         contacts.obstacle[e, i], contacts.obstacle_clearance[e, i] = NO_OBSTACLE, np.inf
 
 
-@kernel
+@borrowing_kernel
 def fly_compiled(
     world: World,
     pilot: Pilot,
@@ -109,8 +111,12 @@ def fly_compiled(
     total: FloatArray,
     running: BoolArray,
     steps: int,
+    first: int,
+    last: int,
+    scratch: Scratch,
+    belief_scratch: Scratch,
 ) -> None:
-    """Fly `steps` physics steps of every running environment on the compiled engine.
+    """Fly `steps` physics steps of the running environments first to last - 1, compiled.
 
     Args:
         world: changed in place.
@@ -121,10 +127,12 @@ def fly_compiled(
         total: (E, N, 3) scratch.
         running: (E,) environments to fly.
         steps: number of steps of 1/240 s.
+        first: the first environment to fly.
+        last: one past the last.
+        scratch: working memory for the world's force model.
+        belief_scratch: the same for the controller's.
     """
-    drones = total.shape[1]
-    scratch, belief_scratch = scratch_for(world.field, drones), scratch_for(pilot.belief, drones)
-    for e in range(total.shape[0]):
+    for e in range(first, last):
         if running[e]:
             forget(e, world.contacts)
             for _ in range(steps):
@@ -135,7 +143,7 @@ def fly_compiled(
                 step_environment(e, world, pilot.commands, external, total)
 
 
-@kernel
+@borrowing_kernel
 def prepare_flight(
     e: int,
     first: bool,
@@ -145,6 +153,8 @@ def prepare_flight(
     airframe: Airframe,
     external: FloatArray,
     wrench: FloatArray,
+    scratch: Scratch,
+    belief_scratch: Scratch,
 ) -> None:
     """One step of environment `e` up to the wrench, for Bullet.
 
@@ -157,15 +167,22 @@ def prepare_flight(
         airframe: what the tally knows of the drones.
         external: (E, N, 3) force of gusts, N; zeros without.
         wrench: (N, 6) force (N) and torque (N m) on each body in its own frame, written.
+        scratch: working memory for the world's force model.
+        belief_scratch: the same for the controller's.
     """
     if first:
         forget(e, world.contacts)
-    drones = wrench.shape[0]
-    decide(e, world, pilot, scratch_for(pilot.belief, drones))
-    blow(e, world, scratch_for(world.field, drones))
+    decide(e, world, pilot, belief_scratch)
+    blow(e, world, scratch)
     count(e, world, tally, airframe)
     gust(e, world.age[e], world.gusts, world.parameters.mass, external)
     prepare_wrench(e, world, pilot.commands, external, wrench)
+
+
+def parts(num_envs: int, threads: int) -> list[tuple[int, int]]:
+    """Contiguous ranges (first, last + 1) of environments, one a thread, as equal as can be."""
+    edges = np.linspace(0, num_envs, min(threads, num_envs) + 1).round().astype(int).tolist()
+    return list(itertools.pairwise(edges))
 
 
 class Flight:
@@ -176,6 +193,7 @@ class Flight:
         config: of the tracking loop.
         level: SETPOINTS, RATES or ROTORS: where actions enter.
         bounds_g: as for `airframe_of`.
+        threads: how many fly the environments of a batch, each its part of them.
     """
 
     def __init__(
@@ -184,6 +202,7 @@ class Flight:
         config: ControllerConfig,
         level: int,
         bounds_g: Mapping[str, float],
+        threads: int = 1,
     ) -> None:
         envs, drones = physics.num_envs, len(physics.team)
         belief = load("none" if config.feedforward is None else config.feedforward)
@@ -207,6 +226,12 @@ class Flight:
         airframe = airframe_of(physics.team, bounds_g)
         self._arguments = (physics.world, self.pilot, self.tally, airframe, external)
         self._total = np.zeros((envs, drones, 3))
+        self._parts = parts(envs, threads)
+        self._scratch = [
+            (scratch_for(physics.world.field, drones), scratch_for(self.pilot.belief, drones))
+            for _ in self._parts
+        ]
+        self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None
         self._entry: Callable[..., None] | None = None
 
     def reset(self, state: SwarmState, mask: BoolArray) -> None:
@@ -225,13 +250,29 @@ class Flight:
         if isinstance(self.physics, BulletPhysics):
             self._fly_bullet(self.physics, steps, running)
         else:
-            arguments = (*self._arguments, self._total, running, steps)
-            if self._entry is None:
-                self._entry = entry_point(fly_compiled, *arguments)
-            self._entry(*arguments)
+            self._fly_compiled(steps, running)
+
+    def close(self) -> None:
+        """Let the worker threads end."""
+        if self._workers is not None:
+            self._workers.shutdown()
+
+    def _fly_compiled(self, steps: int, running: BoolArray) -> None:
+        shared = (*self._arguments, self._total, running, steps)
+        calls: list[tuple[Any, ...]] = [
+            (*shared, *part, *own) for part, own in zip(self._parts, self._scratch, strict=True)
+        ]
+        if self._entry is None:
+            self._entry = entry_point(fly_compiled, *calls[0])
+        fly: Callable[..., None] = self._entry
+        workers = self._workers
+        waiting = [] if workers is None else [workers.submit(fly, *call) for call in calls[1:]]
+        fly(*calls[0])
+        for future in waiting:
+            future.result()
 
     def _fly_bullet(self, physics: BulletPhysics, steps: int, running: BoolArray) -> None:
-        arguments = (*self._arguments, physics.wrench)
+        arguments = (*self._arguments, physics.wrench, *self._scratch[0])
         if self._entry is None:
             self._entry = entry_point(prepare_flight, 0, True, *arguments)
         for e in np.flatnonzero(running).tolist():

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import inlined_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel, inlined_kernel
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Situation, Success, TrackingSuccess
@@ -148,7 +148,7 @@ def enter_stage(
         record.arrival[e, i] = time if near else np.inf
 
 
-@kernel
+@borrowing_kernel
 def judge(
     actions: FloatArray,
     time: FloatArray,

@@ -35,6 +35,7 @@ class EnvOptions(TypedDict, total=False):
     decision_rate: int
     force_rate: int
     controller: ControllerConfig | None
+    threads: int | None
     observation: str
     num_neighbors: int
     num_obstacles: int | None

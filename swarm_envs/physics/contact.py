@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.obstacles import distance_to
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
@@ -79,7 +79,7 @@ def no_contacts(num_envs: int, num_drones: int) -> Contacts:
     )
 
 
-@kernel
+@borrowing_kernel
 def find_contacts(
     e: int,
     position: FloatArray,

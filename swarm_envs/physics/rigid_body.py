@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from swarm_envs.compiled import inlined_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel, inlined_kernel
 from swarm_envs.state import FloatArray, Parameters, SwarmState
 from swarm_envs.vehicles import GRAVITY
 
@@ -27,7 +27,7 @@ LARGEST_RATE = 1000.0
 without bound, it keeps numbers finite until the episode is ended."""
 
 
-@kernel
+@borrowing_kernel
 def rotation_entries(
     x: float, y: float, z: float, w: float
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
@@ -45,7 +45,7 @@ def rotation_entries(
     )
 
 
-@kernel
+@borrowing_kernel
 def lag_rotors(
     e: int,
     thrust: FloatArray,
@@ -72,7 +72,7 @@ def lag_rotors(
             thrust[e, i, r] = command + (thrust[e, i, r] - command) * decay
 
 
-@kernel
+@borrowing_kernel
 def rotor_wrench(
     f1: float, f2: float, f3: float, f4: float, offset: float, thrust_to_torque: float
 ) -> tuple[float, float, float, float]:
@@ -104,7 +104,7 @@ def integrate(
         turn_attitude(e, i, state, dt)
 
 
-@kernel
+@borrowing_kernel
 def turn_body(e: int, i: int, state: SwarmState, parameters: Parameters, dt: float) -> None:
     """Advance the angular velocity of drone `i` by Euler's equations in the body frame."""
     q, w, f = state.quaternion, state.angular_velocity, state.rotor_thrust
@@ -134,7 +134,7 @@ def turn_body(e: int, i: int, state: SwarmState, parameters: Parameters, dt: flo
     w[e, i, 2] = r[6] * cx + r[7] * cy + r[8] * cz
 
 
-@kernel
+@borrowing_kernel
 def move_body(
     e: int, i: int, state: SwarmState, parameters: Parameters, force: FloatArray, dt: float
 ) -> None:
@@ -150,7 +150,7 @@ def move_body(
         p[e, i, k] += dt * v[e, i, k]
 
 
-@kernel
+@borrowing_kernel
 def turn_attitude(e: int, i: int, state: SwarmState, dt: float) -> None:
     """Turn the attitude of drone `i` by its angular velocity over `dt`: q <- exp(w dt) q."""
     q, w = state.quaternion, state.angular_velocity

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
-from swarm_envs.compiled import inlined_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel, inlined_kernel, kernel
 from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import outside_measured_range, swarm_forces
@@ -168,7 +166,6 @@ def prepare_wrench(
     """
     spin_rotors(e, world, commands)
     q, f, parameters = world.state.quaternion, world.state.rotor_thrust, world.parameters
-    push = np.empty(3)
     for i in range(out.shape[0]):
         thrust, out[i, 3], out[i, 4], out[i, 5] = rotor_wrench(
             f[e, i, 0],
@@ -179,14 +176,15 @@ def prepare_wrench(
             parameters.thrust_to_torque[e, i],
         )
         r = rotation_entries(q[e, i, 0], q[e, i, 1], q[e, i, 2], q[e, i, 3])
-        for k in range(3):
-            push[k] = world.force[e, i, k] + external[e, i, k]
-        out[i, 0] = r[0] * push[0] + r[3] * push[1] + r[6] * push[2]
-        out[i, 1] = r[1] * push[0] + r[4] * push[1] + r[7] * push[2]
-        out[i, 2] = r[2] * push[0] + r[5] * push[1] + r[8] * push[2] + thrust
+        x = world.force[e, i, 0] + external[e, i, 0]
+        y = world.force[e, i, 1] + external[e, i, 1]
+        z = world.force[e, i, 2] + external[e, i, 2]
+        out[i, 0] = r[0] * x + r[3] * y + r[6] * z
+        out[i, 1] = r[1] * x + r[4] * y + r[7] * z
+        out[i, 2] = r[2] * x + r[5] * y + r[8] * z + thrust
 
 
-@kernel
+@borrowing_kernel
 def take_bodies(e: int, world: World, moved: FloatArray) -> None:
     """Take over where another engine has moved the bodies of environment `e`; what touches?
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.contact import Contacts
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.mission import Mission
@@ -62,7 +62,7 @@ def new_record(num_envs: int, num_drones: int) -> Record:
     return record
 
 
-@kernel
+@borrowing_kernel
 def measure(
     e: int,
     position: FloatArray,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import inlined_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel, inlined_kernel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.mission import Mission
 from swarm_envs.trajectories import Reference
@@ -34,7 +34,7 @@ class Motion(NamedTuple):
     """Seconds that each stage lasts; 0 if there is only one."""
 
 
-@kernel
+@borrowing_kernel
 def stage_at(time: float, stage_s: float, num_stages: int) -> int:
     """The stage that is flown at a time, s."""
     if num_stages == 1 or stage_s <= 0.0:
@@ -42,7 +42,7 @@ def stage_at(time: float, stage_s: float, num_stages: int) -> int:
     return min(int((time + _ROUNDING) / stage_s), num_stages - 1)
 
 
-@kernel
+@borrowing_kernel
 def ramped_time(t: float, ramp: float) -> tuple[float, float, float, float]:
     """Time that stands still before zero and runs at full rate after `ramp`, and its derivatives.
 
@@ -60,7 +60,7 @@ def ramped_time(t: float, ramp: float) -> tuple[float, float, float, float]:
     return value, first, second, third
 
 
-@kernel
+@borrowing_kernel
 def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, float, float]:
     """Share of a straight way that is covered at time t, s, and its derivatives by time.
 
@@ -127,7 +127,7 @@ def _write_orbits(e: int, mission: Mission, ramp: float, time: float, out: Refer
             out.jerk[e, i, k] = tangent * (ddw - w**3) - 3.0 * radial * w * dw
 
 
-@kernel
+@borrowing_kernel
 def write_reference(mission: Mission, motion: Motion, time: FloatArray, out: Reference) -> None:
     """Write where the drones of every environment should be.
 

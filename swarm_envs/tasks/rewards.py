@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import SPEED_LIMIT, Situation
@@ -17,19 +17,19 @@ REWARD_NAMES = ("progress", "at_goal", "tracking", "effort", "proximity", "crash
 """The reward terms of every task; see `write_terms`."""
 
 
-@kernel
+@borrowing_kernel
 def bell(x: float, width: float) -> float:
     """exp(-(x / width)^2): 1 at zero, 0.37 at `width`."""
     return math.exp(-((x / width) ** 2))
 
 
-@kernel
+@borrowing_kernel
 def ramp(x: float, zero_at: float, one_at: float) -> float:
     """Linear from 0 at `zero_at` to 1 at `one_at`, constant beyond both."""
     return min(max((x - zero_at) / (one_at - zero_at), 0.0), 1.0)
 
 
-@kernel
+@borrowing_kernel
 def progress(before: float, now: float, farthest: float) -> float:
     """Decrease of a distance, as a share of the most a drone can cover: within [-1, 1].
 
@@ -41,7 +41,7 @@ def progress(before: float, now: float, farthest: float) -> float:
     return min(max((before - now) / farthest, -1.0), 1.0)
 
 
-@kernel
+@borrowing_kernel
 def proximity(clearance: float) -> float:
     """1 where drones touch, 0 from 2.5 times the sum of their radii on; so with obstacles.
 
@@ -52,7 +52,7 @@ def proximity(clearance: float) -> float:
     return ramp(clearance, 2.5, 1.0)
 
 
-@kernel
+@borrowing_kernel
 def write_terms(situation: Situation, decision_s: float, horizon_s: float, out: FloatArray) -> None:
     """Write the bounded reward terms (T, E, N), in the order of `REWARD_NAMES`.
 
@@ -96,7 +96,7 @@ def check_reward_weights(weights: Mapping[str, float]) -> None:
             raise ValueError(f"the weight of {term!r} is {weight}, but must be finite")
 
 
-@kernel
+@borrowing_kernel
 def weigh(terms: FloatArray, weights: FloatArray, running: BoolArray, rewards: FloatArray) -> None:
     """Sum weighted terms, in their order: compiled, so that no batch changes the last bit.
 
