@@ -1,10 +1,13 @@
-"""Gymnasium's names: `swarm_envs/Swap-v0` and the like, found without an import of ours.
+"""The tasks' names in the registries of Gymnasium and PettingZoo.
 
 `gymnasium.make("swarm_envs/Swap-v0", num_drones=4)` flies a team as one agent,
 `gymnasium.make("swarm_envs/SwapSolo-v0", ...)` one drone of it, and
 `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=1024, ...)` many teams at once.
 
-Gymnasium runs `register` while it is being imported itself: nothing heavy may be imported here.
+Gymnasium finds these without an import of ours: it runs `register` while it is being imported
+itself, so nothing heavy may be imported here. PettingZoo looks for no packages: it knows a task
+once its module has been imported, `from swarm_envs import swap_v0`; then
+`pettingzoo.make("parallel", "swarm_envs/swap_v0", num_drones=4)` makes it.
 """
 
 from __future__ import annotations
@@ -35,3 +38,17 @@ def register() -> None:
             entry_point=f"{makers}:make_solo",
             kwargs={"task": task},
         )
+
+
+def register_with_pettingzoo(task: str) -> None:
+    """Tell PettingZoo a task's name, for its parallel and its AEC interface.
+
+    PettingZoo has a registry from version 1.27 on; before, this does nothing.
+    """
+    import pettingzoo
+
+    add = getattr(pettingzoo, "register", None)
+    if add is None:
+        return
+    add("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
+    add("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")

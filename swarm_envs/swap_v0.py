@@ -53,6 +53,7 @@ from swarm_envs.envs.options import (
     team_of,
 )
 from swarm_envs.errors import check_kind
+from swarm_envs.registration import register_with_pettingzoo
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, CircleLayout, StackedLayout, SwapTask
 from swarm_envs.vehicles import Vehicle
@@ -83,7 +84,8 @@ def blueprint(
         render_mode: `rgb_array` or None.
         **options: those of every task: physics, interactions, action, decision_rate, force_rate,
             controller, observation, num_neighbors, num_obstacles, horizon_s, end_on_success,
-            battery, randomization, force_bounds_g; see `swarm_envs.envs.config.EnvConfig`.
+            battery, randomization, deterministic, force_bounds_g; see
+            `swarm_envs.envs.config.EnvConfig`.
 
     Raises:
         TypeError: an option does not exist (the message names the nearest), or has a wrong type.
@@ -112,3 +114,5 @@ parallel_env = parallel_view(blueprint)
 
 env = aec_view(blueprint)
 """The same one agent at a time, with PettingZoo's AEC interface."""
+
+register_with_pettingzoo("swap_v0")

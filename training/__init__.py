@@ -1,6 +1,19 @@
 """Trainers: interaction models, data collection, reinforcement learning."""
 
+from __future__ import annotations
+
+from typing import Any
+
 if __name__ == "training":
     raise ImportError(
         "import swarm_envs.training instead: a bare 'training' collides with other packages"
     )
+
+
+def __getattr__(name: str) -> Any:
+    """Import `SharedPolicyVecEnv` when it is asked for: it needs Stable-Baselines3 and torch."""
+    if name == "SharedPolicyVecEnv":
+        from swarm_envs.training.shared_policy import SharedPolicyVecEnv
+
+        return SharedPolicyVecEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

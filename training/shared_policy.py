@@ -11,13 +11,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
-from stable_baselines3.common.vec_env import VecEnv
 
 from swarm_envs.envs.blueprints import blueprint_of
 from swarm_envs.envs.core import StepResult, SwarmCore
 from swarm_envs.envs.forms import observation_space, shaper
+from swarm_envs.envs.joint import split_teams
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
+
+try:
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise ImportError(
+        "SharedPolicyVecEnv needs Stable-Baselines3; install it by: pip install 'swarm-envs[sb3]'"
+    ) from error
 
 Infos = list[dict[str, Any]]
 
@@ -29,14 +36,18 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: what
     follows still has a value) and `episode_metrics`, the same for all drones of an environment.
 
+    Its copies and pickles have simulators of their own, and fly on as it would.
+
     Args:
         task: name of the task, such as `swap_v0`.
         num_envs: E.
         seed: of environment 0, counted up for the others.
-        **options: as the task's `parallel_env()` takes them; the batched engine always flies.
+        **options: as the task's `parallel_env()` takes them; the batched engine flies unless
+            `physics` says otherwise.
 
     Raises:
-        ValueError: a task or an option does not exist, or has an impossible value.
+        TypeError: an option does not exist, or has a wrong type.
+        ValueError: there is no such task, or an option has an impossible value.
     """
 
     def __init__(
@@ -56,6 +67,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         )
         self._actions: FloatArray = np.zeros((count, drones, self.core.mode.width))
         self._next_seeds: list[int | None] | None = None
+        self._begun = self._closed = False
         if seed is not None:
             self.seed(seed)
 
@@ -69,18 +81,37 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         return [seed for seed in self._next_seeds for _ in range(self.core.num_drones)]
 
     def reset(self) -> Any:
-        """Begin new episodes everywhere."""
-        self.core.reset(self._next_seeds)
-        self._next_seeds = None
+        """Begin new episodes everywhere, with what `seed()` and `set_options()` were given.
+
+        Raises:
+            RuntimeError: the environment is closed.
+            ValueError: an option is unknown or impossible, or differs within an environment.
+        """
+        self._check_open("reset")
+        self._place()
+        self._next_seeds, self._begun = None, True
+        self._reset_options()
         self.reset_infos: Infos = [{} for _ in range(self.num_envs)]
         return self._observations()
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Keep the actions (E * N, width) for `step_wait`."""
-        self._actions = np.asarray(actions, dtype=np.float64).reshape(self._actions.shape)
+        """Keep the actions (E * N, width) for `step_wait`.
+
+        Raises:
+            RuntimeError: no episode has begun, or the environment is closed.
+            ValueError: they are of another shape, or no numbers.
+        """
+        self._check_open("step")
+        if not self._begun:
+            raise RuntimeError("step() was called, but no episode has begun; call reset() first")
+        self._actions = split_teams(actions, (self.num_envs, self.core.mode.width), self.core)
 
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
-        """Fly to the next decision, and begin new episodes where one has ended."""
+        """Fly to the next decision, and begin new episodes where one has ended.
+
+        Raises:
+            ValueError: an action is not finite or outside its bounds; nothing has changed then.
+        """
         result = self.core.step(self._actions)
         ended = result.terminated | result.truncated
         infos: Infos = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
@@ -106,6 +137,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
     def close(self) -> None:
         """Free what physics holds."""
+        self._closed = True
         self.core.close()
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
@@ -139,5 +171,46 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         """No sub-environment is wrapped: wrap this one, as with `VecMonitor`."""
         return [False] * len(self._indices(indices))
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the function that shapes observations, which cannot be pickled."""
+        self._check_open("pickling")
+        return {name: value for name, value in vars(self).items() if name != "_shape"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take what a pickle holds, and make the rest anew."""
+        vars(self).update(state)
+        self._shape = shaper(*self.core.form)
+
+    def _check_open(self, what: str) -> None:
+        if self._closed:
+            raise RuntimeError(f"{what}() was called on a closed environment; make a new one")
+
+    def _place(self) -> None:
+        envs, drones = self.core.num_envs, self.core.num_drones
+        if len(self._options) != self.num_envs:
+            raise ValueError(
+                f"options has {len(self._options)} entries, but must have {self.num_envs}: one for "
+                "each drone of each environment, or be one dictionary for all"
+            )
+        if not any(self._options):
+            self.core.reset(self._next_seeds)
+            return
+        for e in range(envs):
+            first, *others = self._options[e * drones : (e + 1) * drones]
+            if not all(_equal(first, other) for other in others):
+                raise ValueError(
+                    f"options of environment {e} differ between its drones; give all "
+                    f"{drones} of them the same"
+                )
+        for e in range(envs):
+            self.core.reset(self._next_seeds, np.arange(envs) == e, self._options[e * drones])
+
     def _indices(self, indices: Any) -> list[int]:
         return list(self._get_indices(indices))
+
+
+def _equal(first: dict[str, Any], second: dict[str, Any]) -> bool:
+    """Whether two reset options say the same."""
+    return first.keys() == second.keys() and all(
+        np.array_equal(value, second[name]) for name, value in first.items()
+    )

@@ -41,7 +41,8 @@ class EnvConfig:
     """
 
     physics: str | None = None
-    """`bullet`, `batch`, or None: Bullet where it can be imported, else the compiled twin."""
+    """`bullet`, `batch`, or None: Bullet where it can be imported and `deterministic` is not asked
+    for, else the compiled twin."""
     interactions: str | Path | InteractionModel = "learned"
     """The force model that blows: `none`, `wake`, `learned`, a safetensors path, or a model."""
     action: str = "acceleration"
@@ -70,6 +71,11 @@ class EnvConfig:
     """How batteries empty and weaken the rotors; None for batteries that never do."""
     randomization: Randomization | None = None
     """What differs from episode to episode beside the task; None for nothing."""
+    deterministic: bool = False
+    """Whether every interface must give the same flight to the last bit. On one engine they always
+    do, whatever the number of environments and threads, and whatever the precision of the force
+    model; but where Bullet is installed it flies single environments by default and the compiled
+    twin batches. True makes the twin the default everywhere."""
     force_bounds_g: Mapping[str, float] = field(default_factory=lambda: FORCE_BOUNDS_G)
     """Bounds on the vertical interaction force by vehicle token, gram-force: metrics count how
     often they are broken. Types that are left out have none."""
@@ -102,6 +108,7 @@ class EnvConfig:
         if self.battery is not None:
             check_kind("battery", self.battery, BatteryModel, "BatteryModel()")
         check_kind("end_on_success", self.end_on_success, bool, "True")
+        check_kind("deterministic", self.deterministic, bool, "True")
         self._check_randomization()
 
     def _check_randomization(self) -> None:
@@ -118,7 +125,9 @@ class EnvConfig:
     @property
     def engine(self) -> str:
         """The engine that `physics` stands for here."""
-        return self.physics or ("bullet" if bullet_available() else "batch")
+        if self.physics is not None:
+            return self.physics
+        return "bullet" if bullet_available() and not self.deterministic else "batch"
 
     def threads_for(self, drones: int) -> int:
         """Number of threads for so many drones of all environments together."""

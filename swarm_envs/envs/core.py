@@ -28,7 +28,7 @@ from swarm_envs.envs.observation import (
 )
 from swarm_envs.envs.report import episode_metrics
 from swarm_envs.envs.sensing import sense
-from swarm_envs.envs.snapshot import Snapshot, restore_snapshot, take_snapshot
+from swarm_envs.envs.snapshot import Snapshot, rebuild, restore_snapshot, take_snapshot
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState
 from swarm_envs.tasks.base import Task
@@ -275,6 +275,10 @@ class SwarmCore:
             state, keys = self.physics.state, self.noise_key
             sense(state, ranges.noise, keys, self.decisions, mask, self._sensed)
         return self._sensed
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
+        return rebuild, (type(self), self.task, self.config, self.num_envs, self.get_state())
 
     def get_state(self) -> Snapshot:
         """Everything that changes, copied: see `Snapshot`."""

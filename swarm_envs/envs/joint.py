@@ -33,7 +33,6 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
         given = config or EnvConfig()
         check_flat(given)
         self.parallel = SwarmParallelEnv(task, given, render_mode)
-        self.core = self.parallel.core
         self.render_mode = render_mode
         self.metadata = {
             "render_modes": list(RENDER_MODES),
@@ -44,6 +43,11 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
         self.action_space: spaces.Space[Any] = joint_box(
             (self.core.num_drones, self.core.mode.width), edge
         )
+
+    @property
+    def core(self) -> SwarmCore:
+        """What flies."""
+        return self.parallel.core
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any, NamedTuple, ParamSpec, TypedDict
 
 from pettingzoo import AECEnv
-from pettingzoo.utils.conversions import parallel_to_aec
+from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.randomization import Randomization
+from swarm_envs.envs.turns import SwarmTurnEnv
 from swarm_envs.errors import check_integer, check_kind, unknown_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
@@ -43,6 +44,7 @@ class EnvOptions(TypedDict, total=False):
     end_on_success: bool
     battery: BatteryModel | None
     randomization: Randomization | None
+    deterministic: bool
     force_bounds_g: Mapping[str, float]
 
 
@@ -70,7 +72,8 @@ def aec_view(blueprint: Callable[P, Blueprint]) -> Callable[P, AECEnv[str, Any, 
 
     @functools.wraps(blueprint)
     def env(*args: P.args, **options: P.kwargs) -> AECEnv[str, Any, Any]:
-        return parallel_to_aec(SwarmParallelEnv(*blueprint(*args, **options)))
+        turns = SwarmTurnEnv(SwarmParallelEnv(*blueprint(*args, **options)))
+        return OrderEnforcingWrapper(turns)
 
     env.__name__ = env.__qualname__ = "env"
     return env

@@ -55,8 +55,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self._closed = False
         form = self.core.form
         self._observation_space, self._shape = observation_space(*form), shaper(*form)
-        size = self.core.num_drones * observation_width(0)
-        self.state_space = spaces.Box(-np.inf, np.inf, (size,), np.float32)
+        size = (self.core.num_drones * observation_width(0),)
+        self.state_space = spaces.Box(-np.inf, np.inf, size, np.float32)
         mode = self.core.mode
         edge = 1.0 if mode.bounded else np.inf
         self._action_space = spaces.Box(-edge, edge, (mode.width,), np.float32)
@@ -132,9 +132,9 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
                 its bounds. Nothing has changed then.
         """
         self.check_running("step")
-        result = self.core.step(self._join(actions))
-        agents = self.agents
-        terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
+        result = self.core.step(self.join(actions))
+        agents, terminated = self.agents, bool(result.terminated[0])
+        truncated = bool(result.truncated[0])
         infos = self._infos(result, terminated or truncated)
         if terminated or truncated:
             self.agents = []
@@ -222,7 +222,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         check_name("agent", agent, self.possible_agents)
         return self.possible_agents.index(agent)
 
-    def _join(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
+    def join(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
+        """The agents' actions as the core takes them, (1, N, width), or an error as of `step`."""
         if not isinstance(actions, Mapping):
             raise TypeError(
                 f"actions are {type(actions).__name__}, but must be a dict with an action for each "
@@ -264,9 +265,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         names = self.core.task.reward_names
         columns = result.reward_terms[:, 0].T.tolist()
         contacts = self.core.physics.contacts
-        touched = contacts.drone[0].tolist()
+        touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
         floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
-        obstacle = contacts.obstacle[0].tolist()
         infos: dict[str, dict[str, Any]] = {
             agent: {
                 "reward_terms": dict(zip(names, column, strict=True)),

@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
+    from swarm_envs.envs.config import EnvConfig
     from swarm_envs.envs.core import SwarmCore
+    from swarm_envs.tasks.base import Task
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -92,6 +94,15 @@ def restore_snapshot(core: SwarmCore, snapshot: Snapshot) -> None:
         generator.bit_generator.state = copy.deepcopy(state)
         core.generators[e] = generator
     core.physics.place_bodies(np.ones(core.num_envs, dtype=np.bool_))
+
+
+def rebuild(
+    kind: type[SwarmCore], task: Task, config: EnvConfig, num_envs: int, snapshot: Snapshot
+) -> SwarmCore:
+    """Make a core anew where another stood; what `pickle` and `copy` call."""
+    core = kind(task, config, num_envs)
+    core.set_state(snapshot)
+    return core
 
 
 def _generator_state(generator: np.random.Generator) -> Any:

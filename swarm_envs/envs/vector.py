@@ -14,7 +14,7 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, split_teams
 from swarm_envs.envs.observation import Float32Array
-from swarm_envs.errors import check_name
+from swarm_envs.errors import check_integer, check_kind, check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
 
@@ -44,6 +44,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
+        check_integer("num_envs", num_envs, 1)
         modes = {mode.value: mode for mode in AutoresetMode}
         if not isinstance(autoreset_mode, AutoresetMode):
             check_name("autoreset_mode", autoreset_mode, modes)
@@ -58,7 +59,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ended: BoolArray = np.ones(num_envs, dtype=np.bool_)
-        self._begun = False
+        self._begun: BoolArray = np.zeros(num_envs, dtype=np.bool_)
 
     def reset(
         self,
@@ -74,14 +75,19 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
                 which environments to reset.
 
         Raises:
+            RuntimeError: the environment is closed.
+            TypeError: seeds or options are of a wrong type.
             ValueError: an option is unknown, or a start or goal impossible.
         """
+        if self.closed:
+            raise RuntimeError("reset() was called on a closed environment; make a new one")
+        check_kind("options", options or {}, Mapping, "{'reset_mask': np.array([True, False])}")
         given = dict(options or {})
         mask = given.pop("reset_mask", None)
         self.core.reset(self._seeds(seed), mask, given)
         where = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
         self._ended[where] = False
-        self._begun = self._begun or bool(where.all())
+        self._begun[where] = True
         return self._observations(), {}
 
     def step(
@@ -90,7 +96,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         """Fly every environment until its next decision; see the class for what ends do.
 
         Raises:
-            RuntimeError: an environment has no episode.
+            RuntimeError: an environment has no episode, or is closed.
             ValueError: actions of a wrong shape, or with a number that cannot be.
         """
         self._check_running()
@@ -128,7 +134,9 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         return infos
 
     def _check_running(self) -> None:
-        if not self._begun:
+        if self.closed:
+            raise RuntimeError("step() was called on a closed environment; make a new one")
+        if not self._begun.all():
             raise RuntimeError("step() was called, but no episode has begun; call reset() first")
         if self.mode is AutoresetMode.DISABLED and self._ended.any():
             raise RuntimeError(
@@ -142,6 +150,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             return None
         if isinstance(seed, int | np.integer):
             return [int(seed) + e for e in range(self.num_envs)]
+        check_kind("seed", seed, Sequence, "7, or [7, 8, 9]")
         return list(seed)
 
     def _observations(self) -> Float32Array:

@@ -1,0 +1,191 @@
+"""PettingZoo's AEC interface of every task: its own tests, the same flight, refusals in turn."""
+
+from __future__ import annotations
+
+import copy
+import importlib
+import pickle
+import warnings
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pettingzoo
+import pytest
+from pettingzoo.test import (
+    api_test,
+    max_cycles_test,
+    parallel_api_test,
+    render_test,
+    seed_test,
+    state_test,
+)
+from pettingzoo.utils.conversions import aec_to_parallel
+
+from swarm_envs import TASKS
+from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv
+
+DRONES = 3
+
+
+def task_of(task: str, **options: Any) -> Any:
+    """A task's two functions, with options that the tests of PettingZoo cannot give."""
+    module = importlib.import_module(f"swarm_envs.{task}")
+    given = {"num_drones": DRONES, "physics": "batch", **options}
+
+    def named(make: Any) -> Any:
+        return lambda max_cycles=None, **more: make(
+            **given, **({} if max_cycles is None else {"horizon_s": max_cycles / 48}), **more
+        )
+
+    return SimpleNamespace(env=named(module.env), parallel_env=named(module.parallel_env))
+
+
+def row(*numbers: float) -> np.ndarray:
+    return np.array(numbers, np.float32)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_pettingzoos_own_tests(task):
+    module = task_of(task)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        parallel_api_test(module.parallel_env(), num_cycles=60)
+        seed_test(module.env, num_cycles=30)
+        max_cycles_test(module)
+        warnings.filterwarnings("ignore", "Environment's m.* state space value is")  # no bounds
+        state_test(module.env(), module.parallel_env(), num_cycles=20)
+        warnings.filterwarnings("ignore", "Agent's m.*imum observation space value is")
+        api_test(module.env(), num_cycles=60)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_pettingzoos_render_test(task, monkeypatch):
+    """In pictures alone: a window needs a display."""
+    monkeypatch.setattr("swarm_envs.envs.parallel.RENDER_MODES", ("rgb_array",))
+
+    def make(render_mode: str) -> Any:
+        return task_of(task).env(render_mode="rgb_array")
+
+    assert RENDER_MODES[0] == "rgb_array"
+    render_test(make)
+
+
+@pytest.mark.skipif(not hasattr(pettingzoo, "register"), reason="a PettingZoo without registry")
+@pytest.mark.parametrize("task", TASKS)
+def test_known_to_pettingzoo(task):
+    env = pettingzoo.make("parallel", f"swarm_envs/{task}", num_drones=2, physics="batch")
+    assert isinstance(env, SwarmParallelEnv) and env.metadata["name"] == task
+    turns = pettingzoo.make("aec", f"swarm_envs/{task}", num_drones=2, physics="batch")
+    assert turns.possible_agents == env.possible_agents
+    assert isinstance(turns.unwrapped, SwarmParallelEnv)
+    assert turns.state_space == env.state_space
+
+
+def test_the_same_flight_as_the_parallel_environment(engine):
+    """A whole episode: observations, rewards, ends, infos and states, to the last bit."""
+    module = task_of("swap_v0", physics=engine, horizon_s=0.5)
+    turns, parallel = module.env(), module.parallel_env()
+    turns.reset(seed=4)
+    rows, infos = parallel.reset(seed=4)
+    rewards = dict.fromkeys(rows, 0.0)
+    ends = cuts = dict.fromkeys(rows, False)
+    rng = np.random.default_rng(0)
+    agents = list(parallel.agents)
+    while parallel.agents or turns.agents:
+        actions = {}
+        for agent in agents:
+            assert turns.agent_selection == agent
+            seen, reward, end, cut, info = turns.last()
+            assert np.array_equal(seen, rows[agent]) and info == infos[agent]
+            assert (reward, end, cut) == (rewards[agent], ends[agent], cuts[agent])
+            assert np.array_equal(turns.state(), parallel.state())
+            over = end or cut
+            actions[agent] = None if over else rng.uniform(-0.3, 0.3, 3).astype(np.float32)
+            turns.step(actions[agent])
+        if parallel.agents:
+            rows, rewards, ends, cuts, infos = parallel.step(actions)
+    assert all(cuts.values()) and "episode_metrics" in infos["drone_0"]
+    assert aec_to_parallel(turns) is turns.unwrapped
+    turns.close()
+    parallel.close()
+
+
+@pytest.mark.parametrize("observation", ["flat", "dict"])
+def test_observations_of_either_form(observation):
+    env = task_of("swap_v0", observation=observation).env()
+    env.reset(seed=1)
+    for agent in env.agent_iter(2 * DRONES):
+        assert env.observation_space(agent).contains(env.observe(agent))
+        env.step(row(0.1, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.zeros(2), r"action of 'drone_1' has shape \(2,\), but action 'acceleration' takes 3"),
+        (np.zeros((1, 3)), r"'drone_1' has shape \(1, 3\)"),
+        (np.array(["a"] * 3), "must be numbers"),
+        (row(0, np.nan, 0), "drone_1 has nan at index 1, but every number must be finite"),
+        (row(0, 0, np.inf), "drone_1 has inf at index 2"),
+        (row(1.5, 0, 0), r"drone_1 has 1.5 at index 0, but must lie in \[-1, 1\]"),
+        (None, r"'drone_1' has shape \(\)"),
+    ],
+)
+def test_a_bad_action_is_refused_in_its_turn(action, message):
+    """And nothing has changed: with a good one the flight is as if there had been none."""
+    env, other = task_of("swap_v0").env(), task_of("swap_v0").env()
+    for each in (env, other):
+        each.reset(seed=1)
+        each.step(row(0.1, 0.2, 0.3))
+    with pytest.raises(ValueError, match=message):
+        env.step(action)
+    assert env.agent_selection == "drone_1"
+    for each in (env, other):
+        each.step(row(0.3, 0.2, 0.1))
+        each.step(row(0.0, 0.0, 0.0))
+    assert np.array_equal(env.state(), other.state())
+    assert np.array_equal(env.observe("drone_0"), other.observe("drone_0"))
+
+
+def test_refusals():
+    env = task_of("swap_v0", horizon_s=1 / 48).env()
+    with pytest.raises(AttributeError, match="reset"):
+        env.agents  # noqa: B018
+    with pytest.raises(ValueError, match="unknown reset option 'strat'; did you mean 'start'"):
+        env.reset(options={"strat": []})
+    env.reset(seed=1)
+    for _ in range(DRONES):
+        env.step(row(0, 0, 0))
+    assert all(env.truncations.values())
+    with pytest.raises(ValueError, match="episode of 'drone_0' has ended; its only action is None"):
+        env.step(row(0, 0, 0))
+    env.step(None)
+    env.reset()
+    env.close()
+    with pytest.raises(RuntimeError, match="closed environment"):
+        env.step(row(0, 0, 0))
+    with pytest.raises(TypeError, match="unknown option 'layuot'; did you mean 'layout'"):
+        task_of("swap_v0", layuot="circle").env()
+
+
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
+def test_copies_fly_on_alike_and_apart(engine, way):
+    """Copied amid a round of decisions, of which one has been made."""
+    env = task_of("swap_v0", physics=engine).env()
+    env.reset(seed=2)
+    for _ in range(DRONES * 5 + 1):
+        env.step(row(0.2, -0.1, 0.1))
+    twin = way(env)
+    before = twin.state().copy()
+    for each in (env, twin):
+        assert each.agent_selection == "drone_1"
+        for _ in range(DRONES * 5):
+            each.step(row(-0.2, 0.1, 0.1))
+        if each is env:
+            assert np.array_equal(twin.state(), before)
+            assert not np.array_equal(env.state(), before)
+    assert np.array_equal(env.state(), twin.state())
+    assert np.array_equal(env.observe("drone_2"), twin.observe("drone_2"))
+    env.close()
+    twin.close()
