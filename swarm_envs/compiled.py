@@ -102,8 +102,8 @@ def borrowing_kernel(function: F) -> F:
 
     Elsewhere a call counts a reference to every array that its arguments hold, in and out, each an
     atomic operation: a third of a microsecond where they are sixty. Whatever makes an array is
-    refused when it is compiled. To return one would free it twice. Called from Python, it lets other
-    threads run meanwhile.
+    refused when it is compiled. To return one would free it twice. Called from Python, it lets
+    other threads run meanwhile.
     """
     options = {"_nrt": False, "nogil": True, "no_cfunc_wrapper": True}
     return _cached(numba.njit(error_model="numpy", **options)(function), function)

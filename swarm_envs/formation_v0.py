@@ -47,8 +47,8 @@ from swarm_envs.envs.options import (
     team_of,
 )
 from swarm_envs.errors import check_kind
-from swarm_envs.tasks.formation import FormationTask, shapes_of
 from swarm_envs.registration import register_with_pettingzoo
+from swarm_envs.tasks.formation import FormationTask, shapes_of
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Vehicle

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from swarm_envs.envs.blueprints import blueprint_of
+from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.core import StepResult, SwarmCore
 from swarm_envs.envs.forms import observation_space, shaper
 from swarm_envs.envs.joint import split_teams
@@ -54,8 +54,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         self, task: str, num_envs: int = 1, seed: int | None = None, **options: Any
     ) -> None:
         count = check_integer("num_envs", num_envs, 1)
-        options = {"physics": "batch", **options}
-        blueprint = blueprint_of(task, **options)
+        blueprint = batch_of(task, **options)
         self.core = SwarmCore(blueprint.task, blueprint.config, count)
         drones, edge = self.core.num_drones, 1.0 if self.core.mode.bounded else np.inf
         self._shape = shaper(*self.core.form)
@@ -178,7 +177,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take what a pickle holds, and make the rest anew."""
-        vars(self).update(state)
+        self.__dict__.update(state)
         self._shape = shaper(*self.core.form)
 
     def _check_open(self, what: str) -> None:
@@ -197,7 +196,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             return
         for e in range(envs):
             first, *others = self._options[e * drones : (e + 1) * drones]
-            if not all(_equal(first, other) for other in others):
+            if not all(other is first or _equal(first, other) for other in others):
                 raise ValueError(
                     f"options of environment {e} differ between its drones; give all "
                     f"{drones} of them the same"

@@ -20,3 +20,20 @@ def blueprint_of(task: str, **options: Any) -> Blueprint:
     check_name("task", task, TASKS)
     found: Blueprint = importlib.import_module(f"swarm_envs.{task}").blueprint(**options)
     return found
+
+
+def batch_of(task: str, **options: Any) -> Blueprint:
+    """The same for many environments at once: the batched engine flies unless it is told.
+
+    Raises:
+        TypeError: an option does not exist; the message names the nearest.
+        ValueError: there is no such task, an option has an impossible value, or pictures are
+            asked for.
+    """
+    found = blueprint_of(task, **{"physics": "batch", **options})
+    if found.render_mode is not None:
+        raise ValueError(
+            f"render_mode is {found.render_mode!r}, but environments that fly at once are not "
+            "drawn; render a single one: parallel_env(render_mode='rgb_array')"
+        )
+    return found

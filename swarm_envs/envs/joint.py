@@ -53,8 +53,8 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Float32Array, dict[str, Any]]:
         """Begin an episode; see `SwarmParallelEnv.reset`."""
-        super().reset(seed=seed)
         self.parallel.reset(seed, options)
+        super().reset(seed=None if seed is None else int(seed))
         return self._observation(), {}
 
     def step(self, action: npt.ArrayLike) -> tuple[Float32Array, float, bool, bool, dict[str, Any]]:

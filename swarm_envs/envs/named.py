@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from swarm_envs.envs.blueprints import blueprint_of
+from swarm_envs.envs.blueprints import batch_of, blueprint_of
 from swarm_envs.envs.joint import SwarmJointEnv
 from swarm_envs.envs.solo import Policy, SwarmSoloEnv
 from swarm_envs.envs.vector import SwarmVectorEnv
@@ -30,5 +30,5 @@ def make_vector(
     task: str, num_envs: int = 1, autoreset_mode: Any = "NextStep", **options: Any
 ) -> SwarmVectorEnv:
     """E teams on the batched engine; options as of the task's `parallel_env()`."""
-    blueprint = blueprint_of(task, **{"physics": "batch", **options})
+    blueprint = batch_of(task, **options)
     return SwarmVectorEnv(blueprint.task, blueprint.config, num_envs, autoreset_mode)

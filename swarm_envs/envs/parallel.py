@@ -54,13 +54,13 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self._screen: Any = None
         self._closed = False
         form = self.core.form
-        self._observation_space, self._shape = observation_space(*form), shaper(*form)
+        space, self._shape = observation_space(*form), shaper(*form)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, space)
         size = (self.core.num_drones * observation_width(0),)
         self.state_space = spaces.Box(-np.inf, np.inf, size, np.float32)
         mode = self.core.mode
         edge = 1.0 if mode.bounded else np.inf
-        self._action_space = spaces.Box(-edge, edge, (mode.width,), np.float32)
-        self._action_spaces = {
+        self.action_spaces = {
             agent: spaces.Box(-edge, edge, (mode.width,), np.float32)
             for agent in self.possible_agents
         }
@@ -83,12 +83,12 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """The space of an agent's observation: the same for every agent."""
         self._index(agent)
-        return self._observation_space
+        return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
         """The Box of an agent's action; each agent's samples from a generator of its own."""
         self._index(agent)
-        return self._action_spaces[agent]
+        return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: Mapping[str, Any] | None = None

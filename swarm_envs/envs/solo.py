@@ -35,6 +35,7 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
             with `acceleration` and `velocity` they rest where they start.
 
     Raises:
+        TypeError: `others` cannot be called.
         ValueError: there is no such drone.
     """
 
@@ -50,6 +51,10 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
         agents = self.parallel.possible_agents
         if check_integer("drone", drone, 0) >= len(agents):
             raise ValueError(f"drone is {drone}, but the team has drones 0 to {len(agents) - 1}")
+        if others is not None and not callable(others):
+            raise TypeError(
+                f"others is {others!r:.80}, but must be a function from an observation to an action"
+            )
         self.agent, self.others = agents[drone], others
         self.render_mode = render_mode
         self.metadata = {
@@ -64,8 +69,8 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode; see `SwarmParallelEnv.reset`."""
-        super().reset(seed=seed)
         self._seen, infos = self.parallel.reset(seed, options)
+        super().reset(seed=None if seed is None else int(seed))
         return self._seen[self.agent], infos[self.agent]
 
     def step(self, action: npt.ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -46,7 +46,7 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
     def _check(self, agent: str, action: npt.ArrayLike | None) -> None:
         self.env.check_running("step")
         core = self.env.core
-        others = np.zeros(core.mode.width, dtype=np.float32)
+        others = np.zeros(core.mode.width, dtype=np.bool_)  # the joined type is the action's own
         actions: dict[str, Any] = dict.fromkeys(self.env.agents, others)
         joined = self.env.join(actions | {agent: action})
         check_actions(core.mode, joined, (1, core.num_drones, core.mode.width))

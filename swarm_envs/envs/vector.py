@@ -148,10 +148,10 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
     def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None] | None:
         if seed is None:
             return None
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + e for e in range(self.num_envs)]
-        check_kind("seed", seed, Sequence, "7, or [7, 8, 9]")
-        return list(seed)
+        if isinstance(seed, Sequence | np.ndarray):
+            return list(seed)
+        first = check_integer("seed", seed, 0)
+        return [first + e for e in range(self.num_envs)]
 
     def _observations(self) -> Float32Array:
         return self.core.rows.reshape(self.num_envs, -1).copy()

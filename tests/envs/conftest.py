@@ -1,15 +1,129 @@
-"""Tests that ask for an `engine` run on both; without pybullet, on the compiled one alone."""
+"""What the tests of environments share: `engine`, either engine, and `face`, every interface."""
 
 from __future__ import annotations
 
+import importlib.util
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
 import pytest
 
+from swarm_envs import swap_v0
+from swarm_envs.envs.named import make_joint, make_solo, make_vector
 from swarm_envs.physics import bullet_available
 
 
 @pytest.fixture(params=["batch", "bullet"])
 def engine(request: pytest.FixtureRequest) -> str:
-    """Name of a physics engine."""
+    """Name of a physics engine; without pybullet, of the compiled one alone."""
     if request.param == "bullet" and not bullet_available():
         pytest.skip("pybullet is not installed")
+    return request.param
+
+
+class Face(NamedTuple):
+    """An interface to swaps of three drones."""
+
+    name: str
+    make: Callable[..., Any]
+    """From options; two environments if it makes many."""
+    step: Callable[[Any, list[Any]], object]
+    """Fly with a team's actions, a row for each drone, in every environment."""
+    reset: Callable[..., object] = lambda env, **given: env.reset(**given)
+    """Begin an episode, with a seed or options."""
+    default: str | None = None
+    """The engine that flies by default, where it is not Bullet."""
+    place: str = ""
+    """What it says after a drone's name to tell in which environment."""
+
+    def begin(self, seed: int = 4, **options: Any) -> Any:
+        """An environment in which an episode has begun."""
+        given = {"physics": "batch", "num_drones": 3, "horizon_s": 1.0}
+        env = self.make(**(given | options))
+        self.reset(env, seed=seed)
+        return env
+
+
+def all_at_once(env: Any, rows: list[Any]) -> None:
+    env.step(dict(zip(env.possible_agents, rows, strict=True)))
+
+
+def in_turns(env: Any, rows: list[Any]) -> None:
+    for row in rows:
+        env.step(row)
+
+
+class Pilot:
+    """Flies the other drones of a solo environment; each in turn gets what is next."""
+
+    def __init__(self) -> None:
+        self.rows: list[Any] = []
+
+    def __call__(self, observation: Any) -> Any:
+        return self.rows.pop(0)
+
+
+def solo(**options: Any) -> Any:
+    return make_solo("swap_v0", drone=0, others=Pilot(), **options)
+
+
+def step_solo(env: Any, rows: list[Any]) -> None:
+    env.others.rows = list(rows)  # it is asked for every drone's; the first is then put in
+    env.step(rows[0])
+
+
+def shared_policy(**options: Any) -> Any:
+    from swarm_envs.training import SharedPolicyVecEnv
+
+    return SharedPolicyVecEnv("swap_v0", num_envs=2, **options)
+
+
+def reset_shared(env: Any, seed: Any = None, options: Any = None) -> None:
+    if seed is not None:
+        env.seed(seed)
+    if options is not None:
+        env.set_options(options)
+    try:
+        env.reset()
+    finally:
+        env.set_options()
+
+
+def joined(rows: list[Any]) -> Any:
+    return np.concatenate(rows)
+
+
+FACES = [
+    Face("parallel", swap_v0.parallel_env, all_at_once),
+    Face("turns", swap_v0.env, in_turns),
+    Face(
+        "joint",
+        lambda **options: make_joint("swap_v0", **options),
+        lambda env, rows: env.step(joined(rows)),
+    ),
+    Face("solo", solo, step_solo),
+    Face(
+        "vector",
+        lambda **options: make_vector("swap_v0", 2, **options),
+        lambda env, rows: env.step(np.stack([joined(rows)] * 2)),
+        default="batch",
+        place=" in environment 0",
+    ),
+    Face(
+        "shared policy",
+        shared_policy,
+        lambda env, rows: env.step(np.stack(rows * 2)),
+        reset_shared,
+        default="batch",
+        place=" in environment 0",
+    ),
+]
+
+
+@pytest.fixture(params=FACES, ids=lambda face: face.name)
+def face(request: pytest.FixtureRequest) -> Face:
+    """An interface; that of Stable-Baselines3 where it is installed."""
+    if request.param.name == "shared policy" and not importlib.util.find_spec("stable_baselines3"):
+        pytest.skip("Stable-Baselines3 is not installed")
     return request.param

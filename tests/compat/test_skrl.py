@@ -1,0 +1,71 @@
+"""skrl wraps the parallel, the joint and the vector environment: what it gives is our flight."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs import swap_v0
+from swarm_envs.envs.named import make_joint, make_vector
+
+pytest.importorskip("skrl", reason="run by `make test-compat`")
+
+import torch
+from skrl import config
+from skrl.envs.wrappers.torch import wrap_env
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
+OPTIONS: dict[str, Any] = {"num_drones": 3, "physics": "batch", "horizon_s": 0.5}
+
+
+def test_a_parallel_environment(monkeypatch):
+    monkeypatch.setattr(config.torch, "key", 3)  # seeds what is wrapped
+    env = wrap_env(swap_v0.parallel_env(**OPTIONS), wrapper="pettingzoo")
+    ours = swap_v0.parallel_env(**OPTIONS)
+    assert env.max_num_agents == 3 and env.possible_agents == ours.possible_agents
+    assert env.state_space("drone_0") == ours.state_space
+    seen, _ = env.reset()
+    rows, _ = ours.reset(seed=3)
+    rng = np.random.default_rng(0)
+    while ours.agents:
+        for agent, row in seen.items():
+            assert np.array_equal(row.numpy()[0], rows[agent])
+        for state in env.state().values():
+            assert np.array_equal(state.numpy()[0], ours.state())
+        actions = {agent: rng.uniform(-0.3, 0.3, 3).astype(np.float32) for agent in ours.agents}
+        rows, rewards, ended, cut, _ = ours.step(actions)
+        given = {agent: torch.as_tensor(action)[None] for agent, action in actions.items()}
+        seen, reward, terminated, truncated, _ = env.step(given)
+        for agent in rows:
+            assert reward[agent].item() == np.float32(rewards[agent])
+            assert terminated[agent].item() == ended[agent]
+            assert truncated[agent].item() == cut[agent]
+    env.close()
+
+
+@pytest.mark.parametrize("num_envs", [None, 4])
+def test_gymnasium_environments(num_envs, monkeypatch):
+    """The joint one, or four of them in the batch, into the next episode."""
+    monkeypatch.setattr(config.torch, "key", 3)
+    pair = [
+        make_joint("swap_v0", **OPTIONS)
+        if num_envs is None
+        else make_vector("swap_v0", num_envs, **OPTIONS)
+        for _ in range(2)
+    ]
+    env, ours = wrap_env(pair[0], wrapper="gymnasium"), pair[1]
+    assert env.num_envs == (num_envs or 1)
+    seen, _ = env.reset()
+    rows, _ = ours.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(24 if num_envs is None else 40):
+        assert np.array_equal(seen.numpy(), np.atleast_2d(rows))
+        actions = rng.uniform(-0.3, 0.3, ours.action_space.shape).astype(np.float32)
+        rows, rewards, ended, cut, _ = ours.step(actions)
+        seen, reward, terminated, truncated, _ = env.step(torch.as_tensor(np.atleast_2d(actions)))
+        assert np.array_equal(reward.numpy().reshape(-1), np.float32(np.atleast_1d(rewards)))
+        assert np.array_equal(terminated.numpy().reshape(-1), np.atleast_1d(ended))
+        assert np.array_equal(truncated.numpy().reshape(-1), np.atleast_1d(cut))
+    env.close()

@@ -1,0 +1,258 @@
+"""Stable-Baselines3's VecEnv: the flights of PettingZoo to the last bit, SB3's rules, PPO."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs import TASKS, swap_v0
+from swarm_envs.envs.named import make_joint, make_solo
+
+pytest.importorskip("stable_baselines3")
+
+from stable_baselines3 import PPO
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormalize
+
+from swarm_envs.training import SharedPolicyVecEnv
+
+ENVS, DRONES = 3, 2
+QUICK: dict[str, Any] = {"num_drones": DRONES, "horizon_s": 0.5}
+
+
+def quick(**options: Any) -> SharedPolicyVecEnv:
+    return SharedPolicyVecEnv("swap_v0", num_envs=ENVS, **{**QUICK, "seed": 7, **options})
+
+
+def some_actions(rng: np.random.Generator, step: int) -> np.ndarray:
+    """Gentle ones, but for the last team, which at times leaves the arena."""
+    actions = rng.uniform(-0.3, 0.3, (ENVS * DRONES, 3)).astype(np.float32)
+    if step > 12:
+        actions[-DRONES:] = 1.0
+    return actions
+
+
+def same(ours: Any, theirs: Any, where: int) -> bool:
+    """Whether sub-environment `where` of a batch of observations is one agent's."""
+    if isinstance(theirs, dict):
+        return all(np.array_equal(ours[name][where], part) for name, part in theirs.items())
+    return np.array_equal(ours[where], theirs)
+
+
+@pytest.mark.parametrize("observation", ["flat", "dict"])
+@pytest.mark.parametrize("horizon_s", [0.5, 4.0])
+def test_flights_ends_and_resets_are_those_of_pettingzoo(observation, horizon_s):
+    """Each environment beside a parallel one of the seed it must have, through several episodes."""
+    options = {**QUICK, "horizon_s": horizon_s, "observation": observation}
+    many = quick(**options)
+    ones = [swap_v0.parallel_env(physics="batch", **options) for _ in range(ENVS)]
+    seen = many.reset()
+    rows = [env.reset(seed=7 + e)[0] for e, env in enumerate(ones)]
+    rng, cut_ends, crash_ends = np.random.default_rng(0), 0, 0
+    for step in range(120):
+        for k in range(ENVS * DRONES):
+            e, agent = k // DRONES, f"drone_{k % DRONES}"
+            assert same(seen, rows[e][agent], k)
+        actions = some_actions(rng, step)
+        seen, rewards, dones, infos = many.step(actions)
+        for e, env in enumerate(ones):
+            mine = {f"drone_{i}": actions[e * DRONES + i] for i in range(DRONES)}
+            rows[e], reward, ended, cut, info = env.step(mine)
+            if not env.agents:
+                cut_ends, crash_ends = (
+                    cut_ends + cut["drone_0"],
+                    crash_ends + ended["drone_0"],
+                )
+            for i, agent in enumerate(env.possible_agents):
+                k = e * DRONES + i
+                assert rewards[k] == np.float32(reward[agent])
+                assert dones[k] == (ended[agent] or cut[agent])
+                assert infos[k]["TimeLimit.truncated"] is cut[agent]
+                assert ("terminal_observation" in infos[k]) == dones[k]
+                if dones[k]:
+                    last = infos[k]["terminal_observation"]
+                    assert same(
+                        {n: [p] for n, p in last.items()} if isinstance(last, dict) else [last],
+                        rows[e][agent],
+                        0,
+                    )
+                    assert infos[k]["episode_metrics"] == info[agent]["episode_metrics"]
+            if not env.agents:
+                rows[e] = env.reset()[0]
+    assert crash_ends >= 1 and (cut_ends >= 3 or horizon_s > 1)
+
+
+def test_seeds():
+    env = quick()
+    first = env.reset()
+    assert len(np.unique(first, axis=0)) == ENVS * DRONES  # every one begins elsewhere
+    assert not np.array_equal(env.reset(), first)  # goes on
+    assert env.seed(7) == [7, 7, 8, 8, 9, 9]
+    assert np.array_equal(env.reset(), first)
+    shifted = quick(seed=8).reset()
+    assert np.array_equal(shifted[:-DRONES], first[DRONES:])
+    assert not np.array_equal(quick(seed=None).reset(), quick(seed=None).reset())
+    assert env.seed(None) == [None] * 6
+
+
+def test_options_of_the_next_reset():
+    env = quick()
+    start = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    env.set_options({"start": start})
+    env.reset()
+    assert np.array_equal(env.core.physics.state.position, np.repeat(start[None], ENVS, axis=0))
+    env.reset()  # once only
+    assert not np.array_equal(env.core.physics.state.position[0], start)
+    other = [{"start": start}] * DRONES + [{}] * (2 * DRONES)
+    env.set_options(other)
+    env.seed(7)
+    seeded = env.reset()
+    assert np.array_equal(env.core.physics.state.position[0], start)
+    assert np.array_equal(seeded[DRONES:], quick().reset()[DRONES:])
+    env.set_options([{"start": start}] + [{}] * 5)
+    with pytest.raises(ValueError, match="options of environment 0 differ between its drones"):
+        env.reset()
+    env.set_options([{}])
+    with pytest.raises(ValueError, match="options has 1 entries, but must have 6"):
+        env.reset()
+
+
+@pytest.mark.filterwarnings("ignore:Your observation neighbors has an unconventional shape")
+@pytest.mark.parametrize("task", TASKS)
+def test_sb3s_check_of_gymnasium_environments(task):
+    options = {**QUICK, "physics": "batch"}
+    check_env(make_joint(task, **options), skip_render_check=True)
+    check_env(make_solo(task, **options), skip_render_check=True)
+    check_env(make_solo(task, observation="dict", **options), skip_render_check=True)
+
+
+@pytest.mark.parametrize(
+    ("observation", "policy"), [("flat", "MlpPolicy"), ("dict", "MultiInputPolicy")]
+)
+def test_ppo_learns_a_little(observation, policy, tmp_path):
+    """Through SB3's wrappers, which watch for NaN; the saved policy loads and is evaluated."""
+    bare = quick(observation=observation, seed=None)
+    env = VecNormalize(VecMonitor(VecCheckNan(bare, raise_exception=True)), norm_obs=False)
+    model = PPO(policy, env, n_steps=32, batch_size=64, n_epochs=1, seed=3, device="cpu")
+    before = [p.detach().clone() for p in model.policy.parameters()]
+    model.learn(2 * 32 * ENVS * DRONES)
+    assert model.num_timesteps == 2 * 32 * ENVS * DRONES
+    after = list(model.policy.parameters())
+    assert any(not old.equal(new) for old, new in zip(before, after, strict=True))
+    assert all(p.isfinite().all() for p in after)
+    assert model.ep_info_buffer is not None and model.ep_info_buffer[0]["l"] <= 24
+    model.save(tmp_path / "policy.zip")
+    loaded = PPO.load(tmp_path / "policy.zip", device="cpu")
+    judge = VecMonitor(quick(observation=observation))
+    returns, lengths = evaluate_policy(
+        loaded, judge, n_eval_episodes=4, return_episode_rewards=True
+    )
+    assert np.isfinite(returns).all() and max(lengths) <= 24
+
+
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
+def test_copies_fly_on_alike_and_apart(way):
+    env, rng = quick(), np.random.default_rng(1)
+    env.reset()
+    for step in range(15):
+        env.step(some_actions(rng, step))
+    twin = way(env)
+    actions = [some_actions(rng, step) for step in range(30)]
+    before = twin.core.physics.state.position.copy()
+    ours = [env.step(each) for each in actions]
+    assert np.array_equal(twin.core.physics.state.position, before)
+    for (seen, reward, done, infos), each in zip(ours, actions, strict=True):
+        other = twin.step(each)
+        assert np.array_equal(seen, other[0]) and np.array_equal(reward, other[1])
+        assert np.array_equal(done, other[2]) and repr(infos) == repr(other[3])
+
+
+def bad(k: int, value: float) -> np.ndarray:
+    actions = np.zeros((ENVS * DRONES, 3), np.float32)
+    actions[k, 2] = value
+    return actions
+
+
+@pytest.mark.parametrize(
+    ("actions", "message"),
+    [
+        (bad(3, np.nan), "drone_1 in environment 1 has nan at index 2, but every number must be"),
+        (bad(4, -np.inf), "drone_0 in environment 2 has -inf at index 2"),
+        (bad(0, 1.5), r"drone_0 in environment 0 has 1.5 at index 2, but must lie in \[-1, 1\]"),
+        (np.zeros((3, 3)), r"shape \(3, 3\), but must be numbers of shape \(6, 3\)"),
+        (np.zeros((6, 2)), r"shape \(6, 2\), but must be numbers of shape \(6, 3\)"),
+        (np.zeros(18), r"shape \(18,\), but must be numbers of shape \(6, 3\)"),
+        (np.full((6, 3), "a"), "but must be numbers"),
+        (np.zeros((6, 3), object), "but must be numbers"),
+        (np.zeros((6, 3), bool), "but must be numbers"),
+    ],
+)
+def test_bad_actions(actions, message):
+    env, other = quick(), quick()
+    env.reset()
+    with pytest.raises(ValueError, match=message):
+        env.step(actions)
+    other.reset()
+    good = some_actions(np.random.default_rng(0), 0)
+    assert np.array_equal(env.step(good)[0], other.step(good)[0])  # nothing had changed
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (lambda: SharedPolicyVecEnv("swap_v1"), ValueError, "task 'swap_v1'; .* 'swap_v0'"),
+        (lambda: quick(num_drone=3), TypeError, "'num_drone'; did you mean 'num_drones'"),
+        (lambda: quick(action="rotor"), ValueError, "action 'rotor'; did you mean 'rotors'"),
+        (lambda: quick(seed=-1), ValueError, "seed is -1, but must be an integer of at least 0"),
+        (lambda: quick(seed=1.5), ValueError, "seed is 1.5, but must be an integer"),
+        (lambda: quick(render_mode="rgb_array"), ValueError, "render_mode is 'rgb_array', but env"),
+        (lambda: SharedPolicyVecEnv("swap_v0", num_envs=0), ValueError, "num_envs is 0, but must"),
+    ],
+)
+def test_bad_options(make, error, message):
+    with pytest.raises(error, match=message):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"strat": 1}, "unknown reset option 'strat'; did you mean 'start'"),
+        ({"start": [[0, 0, 1], [0.05, 0, 1]]}, "drones 0 and 1 are 0.050 m apart"),
+    ],
+)
+def test_bad_resets(options, message):
+    env = quick()
+    env.set_options(options)
+    with pytest.raises(ValueError, match=message):
+        env.reset()
+    env.set_options()
+    assert np.array_equal(env.reset(), quick().reset())
+
+
+def test_out_of_turn():
+    env = quick()
+    actions = np.zeros((6, 3))
+    with pytest.raises(RuntimeError, match=r"no episode has begun; call reset\(\) first"):
+        env.step(actions)
+    with pytest.raises(AttributeError, match="cannot set 'time' on single drones"):
+        env.set_attr("time", 3)
+    assert env.get_attr("num_drones", indices=[0, 1]) == [DRONES, DRONES]
+    assert env.env_method("metrics", 0, indices=2)[0]["success"] is False
+    assert env.env_is_wrapped(VecMonitor) == [False] * 6
+    env.reset()
+    env.close()
+    calls: list[Callable[[], object]] = [
+        lambda: env.step(actions),
+        env.reset,
+        lambda: pickle.dumps(env),
+    ]
+    for call in calls:
+        with pytest.raises(RuntimeError, match="closed environment"):
+            call()
