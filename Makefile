@@ -13,12 +13,20 @@ export OPENBLAS_NUM_THREADS := 1
 export MKL_NUM_THREADS := 1
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint format bench clean
+# Libraries that train on the environments; what stands in one line can be installed together.
+COMPAT := $(VENV)-compat
+PEERS_torchrl := torchrl benchmarl skrl
+PEERS_rllib := 'ray[rllib]'
+TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py
+TESTS_rllib := test_rllib.py test_docs.py
+
+.PHONY: help demo test test-all test-compat lint format bench clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
-	@echo 'make test-all  every test'
+	@echo 'make test-all  every test, test-compat among them'
+	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
 	@echo 'make lint      ruff and mypy'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
@@ -44,8 +52,20 @@ demo: $(VENV)/.base
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest
 
-test-all: $(VENV)/.dev
+test-all: $(VENV)/.dev test-compat
 	$(BIN)/python -m pytest -m 'slow or not slow'
+
+test-compat: test-compat-torchrl test-compat-rllib
+
+test-compat-%: $(COMPAT)/%/.installed
+	$(COMPAT)/$*/bin/python -m pytest -m slow $(addprefix tests/compat/,$(TESTS_$*))
+
+.PRECIOUS: $(COMPAT)/%/.installed
+$(COMPAT)/%/.installed: pyproject.toml constraints.txt
+	@echo "Installing $(PEERS_$*) in $(COMPAT)/$*, once; a few minutes, and 2 GB ..."
+	$(PYTHON) -m venv $(COMPAT)/$*
+	$(subst $(BIN),$(COMPAT)/$*/bin,$(INSTALL)) -e . pytest hypothesis $(PEERS_$*)
+	@touch $@
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -61,5 +81,5 @@ bench: $(VENV)/.dev
 	$(BIN)/python tests/benchmarks/throughput.py
 
 clean:
-	rm -rf $(VENV) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(COMPAT) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find swarm_envs agents baselines training tests -name __pycache__ -prune -exec rm -rf {} +

@@ -2,6 +2,8 @@
 
 from swarm_envs import swap_v0
 env = swap_v0.parallel_env(num_drones=4)
+
+Its import tells Gymnasium and PettingZoo the tasks' names; see `swarm_envs.registration`.
 """
 
 from __future__ import annotations
@@ -10,14 +12,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.errors import check_name
+from swarm_envs.registration import TASKS, register
 
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
 __version__ = "0.1.0.dev0"
 
-TASKS = ("swap_v0", "ring_v0", "formation_v0")
-"""Every task by its versioned name: modules with a `parallel_env()`."""
+register()
 
 
 def make(task: str, **options: Any) -> SwarmParallelEnv:

@@ -47,7 +47,6 @@ from swarm_envs.envs.options import (
     team_of,
 )
 from swarm_envs.errors import check_kind
-from swarm_envs.registration import register_with_pettingzoo
 from swarm_envs.tasks.formation import FormationTask, shapes_of
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
@@ -122,5 +121,3 @@ parallel_env = parallel_view(blueprint)
 
 env = aec_view(blueprint)
 """The same one agent at a time, with PettingZoo's AEC interface."""
-
-register_with_pettingzoo("formation_v0")

@@ -1,18 +1,18 @@
-"""The tasks' names in the registries of Gymnasium and PettingZoo.
+"""The tasks, and their names in the registries of Gymnasium and PettingZoo.
 
-`gymnasium.make("swarm_envs/Swap-v0", num_drones=4)` flies a team as one agent,
-`gymnasium.make("swarm_envs/SwapSolo-v0", ...)` one drone of it, and
-`gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=1024, ...)` many teams at once.
-
-Gymnasium finds these without an import of ours: it runs `register` while it is being imported
-itself, so nothing heavy may be imported here. PettingZoo looks for no packages: it knows a task
-once its module has been imported, `from swarm_envs import swap_v0`; then
-`pettingzoo.make("parallel", "swarm_envs/swap_v0", num_drones=4)` makes it.
+With `import swarm_envs`, `gymnasium.make("swarm_envs/Swap-v0", num_drones=4)` flies a team as one
+agent, `gymnasium.make("swarm_envs/SwapSolo-v0", ...)` one drone of it, and
+`gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=1024, ...)` many teams at once;
+`pettingzoo.make("parallel", "swarm_envs/swap_v0", num_drones=4)` is `swap_v0.parallel_env(...)`.
 """
 
 from __future__ import annotations
 
-from swarm_envs import TASKS
+import gymnasium
+import pettingzoo
+
+TASKS = ("swap_v0", "ring_v0", "formation_v0")
+"""Every task by its versioned name: modules with a `parallel_env()`."""
 
 
 def gymnasium_name(task: str, suffix: str = "") -> str:
@@ -22,33 +22,40 @@ def gymnasium_name(task: str, suffix: str = "") -> str:
 
 
 def register() -> None:
-    """Tell Gymnasium every task's names."""
-    from gymnasium.envs import registration  # it is half imported when this module is
+    """Tell Gymnasium and PettingZoo every task's names, unless they know them.
 
-    makers = "swarm_envs.envs.named"
-    for task in TASKS:
-        registration.register(
-            id=gymnasium_name(task),
-            entry_point=f"{makers}:make_joint",
-            vector_entry_point=f"{makers}:make_vector",
-            kwargs={"task": task},
-        )
-        registration.register(
-            id=gymnasium_name(task, "Solo"),
-            entry_point=f"{makers}:make_solo",
-            kwargs={"task": task},
-        )
-
-
-def register_with_pettingzoo(task: str) -> None:
-    """Tell PettingZoo a task's name, for its parallel and its AEC interface.
-
-    PettingZoo has a registry from version 1.27 on; before, this does nothing.
+    PettingZoo has a registry from version 1.27 on.
     """
-    import pettingzoo
+    for task in TASKS:
+        if gymnasium_name(task) not in gymnasium.registry:
+            _register_with_gymnasium(task)
+        if task not in _known_to_pettingzoo():
+            _register_with_pettingzoo(task)
 
-    add = getattr(pettingzoo, "register", None)
-    if add is None:
-        return
-    add("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
-    add("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
+
+def _register_with_gymnasium(task: str) -> None:
+    makers = "swarm_envs.envs.named"
+    gymnasium.register(
+        id=gymnasium_name(task),
+        entry_point=f"{makers}:make_joint",
+        vector_entry_point=f"{makers}:make_vector",
+        kwargs={"task": task},
+    )
+    gymnasium.register(
+        id=gymnasium_name(task, "Solo"),
+        entry_point=f"{makers}:make_solo",
+        kwargs={"task": task},
+    )
+
+
+def _register_with_pettingzoo(task: str) -> None:
+    pettingzoo.register("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
+    pettingzoo.register("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
+
+
+def _known_to_pettingzoo() -> tuple[str, ...]:
+    """Tasks that it need not be told of: those it knows, or all if it has no registry."""
+    if not hasattr(pettingzoo, "register"):
+        return TASKS
+    known = pettingzoo.parallel_registry  # where an id `x_v0` is kept as `x-v0`
+    return tuple(task for task in TASKS if f"swarm_envs/{task.replace('_v', '-v')}" in known)

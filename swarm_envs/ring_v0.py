@@ -45,7 +45,6 @@ from swarm_envs.envs.options import (
     team_of,
 )
 from swarm_envs.errors import check_integer, check_kind
-from swarm_envs.registration import register_with_pettingzoo
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.ring import REWARD_WEIGHTS, RingTask, ring_team
 from swarm_envs.tasks.rings import RingLayout
@@ -98,5 +97,3 @@ parallel_env = parallel_view(blueprint)
 
 env = aec_view(blueprint)
 """The same one agent at a time, with PettingZoo's AEC interface."""
-
-register_with_pettingzoo("ring_v0")

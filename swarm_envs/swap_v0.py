@@ -53,7 +53,6 @@ from swarm_envs.envs.options import (
     team_of,
 )
 from swarm_envs.errors import check_kind
-from swarm_envs.registration import register_with_pettingzoo
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, CircleLayout, StackedLayout, SwapTask
 from swarm_envs.vehicles import Vehicle
@@ -114,5 +113,3 @@ parallel_env = parallel_view(blueprint)
 
 env = aec_view(blueprint)
 """The same one agent at a time, with PettingZoo's AEC interface."""
-
-register_with_pettingzoo("swap_v0")

@@ -26,6 +26,19 @@ for bare in ("agents", "baselines", "training"):
 print(sys.modules["swarm_envs"].__file__)
 """
 
+MAKE_BY_NAME = """
+import sys, gymnasium, pettingzoo
+env = gymnasium.make("swarm_envs:swarm_envs/Ring-v0", num_drones=3, physics="batch")
+assert "swarm_envs" in sys.modules  # Gymnasium has imported it, which made the names known
+assert env.observation_space.shape[0] % 3 == 0 and env.action_space.shape == (9,)
+many = gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=5, num_drones=2)
+assert many.action_space.shape == (5, 6)
+gymnasium.make("swarm_envs/FormationSolo-v0", physics="batch")
+if hasattr(pettingzoo, "make"):
+    assert pettingzoo.make("parallel", "swarm_envs/swap_v0").max_num_agents == 4
+assert sys.modules["swarm_envs"].__file__.startswith(sys.path[1])
+"""
+
 
 def run(*command: str | Path, cwd: Path, **environment: str) -> str:
     done = subprocess.run(
@@ -78,8 +91,12 @@ def modules() -> list[str]:
     """Names of all modules, without those that would run a command or need what is missing."""
     paths = [Path(name) for name in checkout_files() if name.endswith(".py")]
     names = [".".join(p.with_suffix("").parts).removesuffix(".__init__") for p in paths]
-    skipped = () if importlib.util.find_spec("torch") else ("swarm_envs.training.", "networks")
-    return sorted(n for n in names if not any(s in n for s in (*skipped, "__main__")))
+    skipped = ["__main__"]
+    if not importlib.util.find_spec("torch"):
+        skipped += ["swarm_envs.training.", "networks"]
+    if not importlib.util.find_spec("stable_baselines3"):
+        skipped += ["shared_policy"]
+    return sorted(n for n in names if not any(s in n for s in skipped))
 
 
 def test_the_wheel_holds_every_source_and_every_weight(wheel):
@@ -114,3 +131,4 @@ def test_every_module_imports_from_an_installed_wheel(wheel, tmp_path):
     output = run("-c", IMPORT_ALL, *modules(), cwd=tmp_path, PYTHONPATH=str(site))
     assert Path(output.splitlines()[-1]).is_relative_to(site)
     assert (site / "bin" / "swarm-envs").is_file()
+    run("-c", MAKE_BY_NAME, cwd=tmp_path, PYTHONPATH=str(site))

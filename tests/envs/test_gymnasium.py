@@ -14,9 +14,6 @@ from swarm_envs import TASKS, ring_v0, swap_v0
 from swarm_envs.envs.named import make_joint, make_solo, make_vector
 from swarm_envs.registration import gymnasium_name, register
 
-if gymnasium_name("swap_v0") not in gymnasium.registry:  # a checkout that is not installed
-    register()
-
 QUICK: dict[str, Any] = {"num_drones": 2, "physics": "batch", "horizon_s": 0.5}
 
 
@@ -27,13 +24,14 @@ def team_actions(rng: np.random.Generator, env: Any) -> np.ndarray:
 @pytest.mark.filterwarnings("ignore:.*Box observation space m")  # ours are not normalised
 @pytest.mark.parametrize("task", TASKS)
 def test_gymnasiums_own_check(task):
-    env = gymnasium.make(gymnasium_name(task), num_drones=2, physics="batch")
+    env = gymnasium.make(gymnasium_name(task), **QUICK)
     check_env(env.unwrapped, skip_render_check=True)
-    solo = gymnasium.make(gymnasium_name(task, "Solo"), num_drones=2, physics="batch")
+    solo = gymnasium.make(gymnasium_name(task, "Solo"), **QUICK)
     check_env(solo.unwrapped, skip_render_check=True)
 
 
 def test_names_are_found_by_make_and_by_make_vec():
+    register()  # again: nothing is registered twice, which would be a warning
     env = gymnasium.make("swarm_envs/Swap-v0", num_drones=3, physics="batch", layout="circle")
     assert env.unwrapped.core.task.layout == "circle"  # type: ignore[attr-defined]
     many = gymnasium.make_vec("swarm_envs/Ring-v0", num_envs=3, num_drones=5)

@@ -1,0 +1,26 @@
+"""The blocks of docs/interfaces.md that need a library run where it is installed."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[2] / "docs" / "interfaces.md"
+BLOCKS = re.findall(r"^```py\n(.*?)^```", PAGE.read_text(), re.MULTILINE | re.DOTALL)
+LIBRARIES = [re.findall(r"from (\w+)", block)[0] for block in BLOCKS]
+
+
+def test_there_is_a_block_for_each_library():
+    assert LIBRARIES == ["stable_baselines3", "torchrl", "ray", "skrl"]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize(("library", "block"), zip(LIBRARIES, BLOCKS), ids=LIBRARIES)
+def test_block_runs(library: str, block: str) -> None:
+    if importlib.util.find_spec(library) is None:
+        pytest.skip(f"{library} is not installed")
+    exec(compile(block, "block", "exec"), {"__name__": "block"})
