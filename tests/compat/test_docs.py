@@ -19,7 +19,7 @@ def test_there_is_a_block_for_each_library():
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")
-@pytest.mark.parametrize(("library", "block"), zip(LIBRARIES, BLOCKS), ids=LIBRARIES)
+@pytest.mark.parametrize(("library", "block"), [*zip(LIBRARIES, BLOCKS)], ids=LIBRARIES)
 def test_block_runs(library: str, block: str) -> None:
     if importlib.util.find_spec(library) is None:
         pytest.skip(f"{library} is not installed")
