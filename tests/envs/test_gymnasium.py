@@ -159,7 +159,7 @@ def test_bad_actions_of_teams():
             env.step(action)
     with pytest.raises(ValueError, match="unknown autoreset_mode 'Same'"):
         make_vector("swap_v0", num_envs=2, autoreset_mode="Same", **QUICK)
-    with pytest.raises(ValueError, match="render_mode is 'rgb_array', but environments that fly at"):
+    with pytest.raises(ValueError, match="render_mode is 'rgb_array', but environments that"):
         gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=2, render_mode="rgb_array")
     with pytest.raises(ValueError, match="but a team in one Box has 'flat' rows"):
         make_joint("swap_v0", observation="dict", **QUICK)
