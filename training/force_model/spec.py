@@ -14,10 +14,6 @@ NetworkKind = Literal["deep-set", "pairwise"]
 _FIRST_WIDTH = 25  # of phi's first hidden layer
 _WIDTH = 40  # of every other hidden layer
 
-HARD_LATERAL_M = 0.35
-HARD_VERTICAL_M = 1.1
-"""Half edges of the interaction volume, where a network without a window cuts off."""
-
 
 class Window(NamedTuple):
     """Where a pair's contribution fades from 1 to 0: |dx| and |dy|, and |dz|."""
@@ -56,7 +52,7 @@ class DeepSetSpec:
     types: tuple[str, ...]
     """Vehicle types: each has its own phi and rho."""
     window: Window | None = OUTER_FADE
-    """Smooth fade of pairs; None cuts off hard at |dx|, |dy| = 0.35 m and |dz| = 1.1 m."""
+    """Smooth fade of pairs; None cuts off hard at the edges of the interaction volume."""
     input_range: InputRange | None = None
     """Clamp of the inputs; None leaves them."""
     anchor_height_m: float | None = 0.6
