@@ -25,7 +25,7 @@ from swarm_envs.training.force_model.epochs import Examples, batches_per_epoch, 
 from swarm_envs.training.force_model.flat import FlatWeights
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 from swarm_envs.training.force_model.pairwise import build
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.force_model.rows import ROW_ARRAYS, InteractionRows
 from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.force_model.torque_head import targets
@@ -161,10 +161,12 @@ def total_steps(config: TrainConfig, rows: int) -> int:
 
 def _configuration(rows: InteractionRows, spec: DeepSetSpec, config: TrainConfig) -> str:
     settings = {entry.name: getattr(config, entry.name) for entry in fields(TrainConfig)}
-    labels = hashlib.sha256(rows.force_g.tobytes())
+    digest = hashlib.sha256()  # of the split too: held-out rows must stay held out
+    for name in ROW_ARRAYS:
+        digest.update(np.ascontiguousarray(getattr(rows, name)).tobytes())
     if spec.torque and rows.torque is not None:
-        labels.update(rows.torque.tobytes())
-    content = {"labels": labels.hexdigest(), "spec": asdict(spec), "training": settings}
+        digest.update(np.ascontiguousarray(rows.torque).tobytes())
+    content = {"rows": digest.hexdigest(), "spec": asdict(spec), "training": settings}
     return json.dumps(content, sort_keys=True)
 
 
