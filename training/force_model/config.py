@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from swarm_envs.errors import check_integer
 from swarm_envs.training.force_model.log_options import LogOptions
 
 
@@ -67,7 +68,18 @@ class TrainConfig:
         Raises:
             ValueError: naming the value and the rule.
         """
-        for name in ("steps", "batch_size", "checkpoint_every"):
+        check_integer("seed", self.seed, 0)
+        for name in (
+            "slope_limit",
+            "slope_weight",
+            "position_jitter_m",
+            "velocity_jitter",
+            "balance",
+        ):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name} is {value}, but must be finite and not negative")
+        for name in ("steps", "batch_size", "checkpoint_every", "slope_inputs"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name} is {value}, but must be at least 1")
@@ -166,3 +178,8 @@ class FitConfig(TrainConfig):
         super().__post_init__()
         if self.torque and self.model != "deep-set":
             raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")
+        check_integer("lipschitz_samples", self.lipschitz_samples, 0)
+        if not (math.isfinite(self.anchor_height_m) and self.anchor_height_m > 0.0):
+            raise ValueError(
+                f"anchor_height_m is {self.anchor_height_m}, but must be finite and above 0"
+            )

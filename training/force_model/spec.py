@@ -71,7 +71,8 @@ class DeepSetSpec:
 
         Raises:
             ValueError: there would be no hidden state, or phi no hidden layer; a type's name
-                cannot stand in a weights file; or a torque is asked of a sum over pairs.
+                cannot stand in a weights file; a torque is asked of a sum over pairs; or the anchor
+                is not above the ground.
         """
         _check_types(self.types)
         if self.torque and self.kind != "deep-set":
@@ -80,6 +81,11 @@ class DeepSetSpec:
             raise ValueError(f"hidden is {self.hidden}, but must be at least 1")
         if self.layers < 2:
             raise ValueError(f"layers is {self.layers}, but must be at least 2")
+        if self.anchor_height_m is not None and not self.anchor_height_m > 0.0:
+            raise ValueError(
+                f"anchor_height_m is {self.anchor_height_m}, but must be above 0; give None for no "
+                "anchor"
+            )
 
     @property
     def phi_widths(self) -> tuple[int, ...]:
