@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.cli import main
+from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.training.collection.config import FlightBatch
 from swarm_envs.training.collection.log import FlightLog
@@ -24,6 +25,7 @@ from swarm_envs.training.curriculum.config import STAGES, Stage, adds_drones, co
 from swarm_envs.training.curriculum.report import goals_reached, rounds_table, sizes_as_json
 from swarm_envs.training.curriculum.run import command
 from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen, share
+from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.vehicles import SMALL
 
 CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
@@ -185,6 +187,16 @@ def test_what_is_done_is_not_done_again(tiny, monkeypatch):
         monkeypatch.setattr(rounds_module, name, forbidden)
     again = run_curriculum(dataclasses.replace(TINY, out=out))
     assert again.rounds == report.rounds and again.unseen == report.unseen
+
+
+def test_a_round_in_which_nobody_passed_is_read_as_it_was_written(tiny, tmp_path):
+    first = tiny[1].rounds[0]
+    unknown = dataclasses.replace(first.closeness, least_clearance_m=float("nan"))
+    report = dataclasses.replace(first, closeness=unknown)
+    write_json(tmp_path / "round.json", json_ready(report))
+    again = rounds_module.read_report(tmp_path / "round.json")
+    assert np.isnan(again.closeness.least_clearance_m)
+    assert rounds_table([again], []) == rounds_table([report], [])
 
 
 def test_a_folder_of_another_curriculum_is_refused(tiny):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -159,8 +160,9 @@ def unknown_g(rows: InteractionRows, weights: Path | None) -> float:
 
 
 def read_report(path: Path) -> RoundReport:
-    """Read what `fly_round` wrote."""
+    """Read what `fly_round` wrote; JSON holds null for what no flight showed, which was NaN."""
     found = json.loads(path.read_text())
-    found["closeness"] = Closeness(**found["closeness"])
+    closeness = {k: math.nan if v is None else v for k, v in found["closeness"].items()}
+    found["closeness"] = Closeness(**closeness)
     found["teams"] = tuple(found["teams"])
     return RoundReport(**found)
