@@ -80,14 +80,16 @@ def fit(config: FitConfig) -> FitReport:
     rows, logs = read_data(config.data, config.logs, config.progress, wanted)
     check_rows(rows)
     treated = treat(rows, config)
+    words, digest = command(told), data_sha256(config.data)
     provenance: dict[str, object] = {
-        "command": command(told),
-        "data_sha256": data_sha256(config.data),
+        "command": words,
+        "data_sha256": digest,
         "mode": config.mode,
         "seed": config.seed,
     }
     fitted = (_wake if config.model == "wake" else _network)(treated, config, provenance)
-    report = _report(config, command(told), treated, logs, fitted, time.perf_counter() - began)
+    seconds = round(time.perf_counter() - began, 1)
+    report = _report(config, (words, digest), treated, logs, fitted, seconds)
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:
             write_json(path, json_ready(report))
@@ -97,25 +99,25 @@ def fit(config: FitConfig) -> FitReport:
 
 def _report(
     config: FitConfig,
-    words: str,
+    origin: tuple[str, str],
     treated: Treated,
     logs: LogReport,
     fitted: _Fitted,
     seconds: float,
 ) -> FitReport:
-    rows = treated.rows
+    rows, (words, digest) = treated.rows, origin
     return FitReport(
         model=config.model,
         command=words,
         config=json_ready(config),
-        data_sha256=data_sha256(config.data),
+        data_sha256=digest,
         offset_rule=RULE if is_calibrated(config) else "none",
         vehicle_offsets_g={str(vehicle): g for vehicle, g in treated.offsets.vehicle.items()},
         drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
         findings=fitted.findings,
         history=fitted.history,
         chosen=fitted.chosen,
-        wall_time_s=round(seconds, 1),
+        wall_time_s=seconds,
         logs=logs,
         notes=fitted.notes,
         torque_errors=fitted.torque,
