@@ -219,6 +219,14 @@ def test_each_mode_has_its_own_length_unless_it_is_given():
         dataclasses.replace(given, epochs=2.0)
 
 
+def test_a_measured_fit_refuses_what_it_would_leave_out():
+    """Rather than to be told a slope limit and to train without."""
+    with pytest.raises(ValueError, match=r"slope_limit is 100\.0, but a measured fit takes None"):
+        settled(TrainConfig(slope_limit=100.0), "measured")
+    assert settled(TrainConfig(slope_limit=100.0)).slope_limit == 100.0
+    assert settled(TrainConfig(slope_limit=None), "measured").balance == 0.0
+
+
 def test_event_files_are_optional(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
     with scalar_writer(None) as watch:

@@ -116,17 +116,33 @@ _NOT_IN_THE_PAPER: Mapping[str, Any] = {
     "velocity_jitter": 0.0,
     "balance": 0.0,
 }
-"""What a measured fit leaves out of the training, whatever it is told."""
+"""What a measured fit leaves out of the training; told another value than the usual, it refuses."""
 
 Config = TypeVar("Config", bound=TrainConfig)
 
 
 def settled(config: Config, mode: Mode = "anchored") -> Config:
-    """The same options with nothing left to the mode: what is trained, and what reports record."""
+    """The same options with nothing left to the mode: what is trained, and what reports record.
+
+    Raises:
+        ValueError: an option is set that a measured fit leaves out.
+    """
+    if mode == "measured":
+        _check_measured(config)
     own = {name: v for name, v in _OWN[mode].items() if getattr(config, name) is None}
     if config.steps is not None or config.epochs is not None:
         own = {name: v for name, v in own.items() if name not in ("steps", "epochs")}
     return replace(config, **own, **(_NOT_IN_THE_PAPER if mode == "measured" else {}))
+
+
+def _check_measured(config: TrainConfig) -> None:
+    for name, value in _NOT_IN_THE_PAPER.items():
+        told = getattr(config, name)
+        if told not in (value, getattr(TrainConfig, name)):
+            raise ValueError(
+                f"{name} is {told}, but a measured fit takes {value}, as the paper does; leave it "
+                "out, or fit in anchored mode"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
