@@ -199,18 +199,6 @@ def test_checkpoint_of_another_configuration_is_refused(tmp_path):
         train(rows, SPEC, dataclasses.replace(SMALL, seed=1), path, progress=False)
 
 
-@pytest.mark.parametrize("name", ["validation", "neighbor", "flight"])
-def test_checkpoint_of_other_rows_is_refused(name, tmp_path):
-    """The same labels split otherwise would train on rows whose error is then called validation."""
-    rows, path = planted_rows(500), tmp_path / "checkpoint.safetensors"
-    short = dataclasses.replace(SMALL, steps=2)
-    train(rows, SPEC, short, path, progress=False)
-    train(rows, SPEC, short, path, progress=False)
-    other = dataclasses.replace(rows, **{name: getattr(rows, name)[::-1].copy()})
-    with pytest.raises(ValueError, match="which is not this run's"):
-        train(other, SPEC, short, path, progress=False)
-
-
 def test_seed_decides_the_weights():
     rows = planted_rows(500)
     short = dataclasses.replace(SMALL, steps=5)
