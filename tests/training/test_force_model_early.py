@@ -106,7 +106,7 @@ def test_early_validation_gives_its_best_weights_and_never_looks_at_validation()
 @pytest.mark.parametrize("name", ["validation", "neighbor", "flight"])
 def test_checkpoint_of_other_rows_is_refused(name, tmp_path):
     """The same labels split otherwise would train on rows whose error is then called validation."""
-    rows, path = rows_of(400), tmp_path / "checkpoint.safetensors"
+    rows, path = rows_of(), tmp_path / "checkpoint.safetensors"
     short = dataclasses.replace(PLAIN, steps=2)
     train(rows, SPEC, short, path, progress=False)
     train(rows, SPEC, short, path, progress=False)
