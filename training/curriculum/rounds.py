@@ -162,7 +162,8 @@ def unknown_g(rows: InteractionRows, weights: Path | None) -> float:
 def read_report(path: Path) -> RoundReport:
     """Read what `fly_round` wrote; JSON holds null for what no flight showed, which was NaN."""
     found = json.loads(path.read_text())
-    closeness = {k: math.nan if v is None else v for k, v in found["closeness"].items()}
+    closeness: dict[str, Any] = found["closeness"]
+    closeness |= {name: math.nan for name, value in closeness.items() if value is None}
     found["closeness"] = Closeness(**closeness)
     found["teams"] = tuple(found["teams"])
     return RoundReport(**found)
