@@ -34,8 +34,6 @@ class Budget(NamedTuple):
     """Rows of measured force: a file, or a folder of files."""
     steps: int | None = None
     """Optimiser steps; this and the others are the trainer's default where None."""
-    epochs: float | None = None
-    """Passes over the training rows, in place of steps."""
     batch_size: int | None = None
     learning_rate: float | None = None
 
