@@ -23,7 +23,18 @@ class TrainConfig:
     batch_size: int = 1024
     """rows per step; every row comes once in each pass, in random order"""
     learning_rate: float = 3e-3
-    """Adam's rate at the start"""
+    """the optimiser's rate at the start"""
+    optimiser: Literal["adam", "soap"] | None = None
+    """`soap` is Adam in the eigenbasis of the gradients' covariance, which needs a quarter of the
+    passes; None: the mode's own"""
+    teachers: int | None = None
+    """networks of the same size that are trained first, from other seeds; the result then learns
+    the mean of their answers, each turned and mirrored in all eight ways; 0 for labels alone;
+    None: the mode's own"""
+    teacher_epochs: float = 16.0
+    """passes over the training rows of each teacher"""
+    label_share: float = 0.0
+    """share of the measured label in what a network with teachers learns, the rest being theirs"""
     schedule: Literal["cosine", "constant"] | None = None
     """how the rate goes on: a cosine to zero at the last step, or as it is; None: the mode's own"""
     average_share: float | None = None
@@ -88,13 +99,19 @@ class TrainConfig:
                 f"steps is {self.steps} and epochs {self.epochs}, but a run has one length; give "
                 "one of them"
             )
-        for name in ("epochs", "learning_rate", "max_spectral_norm"):
+        if self.teachers is not None and self.teachers < 0:
+            raise ValueError(f"teachers is {self.teachers}, but must be 0 or more")
+        for name in ("epochs", "learning_rate", "max_spectral_norm", "teacher_epochs"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value}, but must be finite and above 0")
         if self.average_share is not None and not 0.0 <= self.average_share <= 1.0:
             raise ValueError(
                 f"average_share is {self.average_share}, but must be from 0 (no average) to 1"
+            )
+        if not 0.0 <= self.label_share <= 1.0:
+            raise ValueError(
+                f"label_share is {self.label_share}, but must be from 0 (teachers alone) to 1"
             )
         if not 0.0 <= self.early_validation <= 0.5:
             raise ValueError(
@@ -106,8 +123,20 @@ class TrainConfig:
 Mode = Literal["anchored", "measured"]
 
 _OWN: Mapping[Mode, Mapping[str, Any]] = {
-    "anchored": {"steps": 6000, "schedule": "cosine", "average_share": 0.0},
-    "measured": {"epochs": 80.0, "schedule": "constant", "average_share": 0.2},
+    "anchored": {
+        "steps": 6000,
+        "schedule": "cosine",
+        "average_share": 0.0,
+        "optimiser": "adam",
+        "teachers": 0,
+    },
+    "measured": {
+        "epochs": 24.0,
+        "schedule": "constant",
+        "average_share": 0.1,
+        "optimiser": "soap",
+        "teachers": 4,
+    },
 }
 
 _NOT_IN_THE_PAPER: Mapping[str, Any] = {

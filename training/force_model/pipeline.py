@@ -14,6 +14,7 @@ from swarm_envs.training.force_model.calibration import RULE
 from swarm_envs.training.force_model.config import FitConfig as FitConfig
 from swarm_envs.training.force_model.config import settled
 from swarm_envs.training.force_model.data import Wanted, data_sha256, read_data
+from swarm_envs.training.force_model.distil import teacher_checkpoint, train_taught
 from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.files import json_ready
@@ -37,7 +38,6 @@ from swarm_envs.training.force_model.spec import (
 )
 from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.force_model.torque_head import TorqueErrors, torque_errors
-from swarm_envs.training.force_model.train import train
 from swarm_envs.training.force_model.unseen import silence_unseen
 from swarm_envs.training.force_model.wake_product import fit_wake_model
 
@@ -93,7 +93,10 @@ def fit(config: FitConfig) -> FitReport:
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:
             write_json(path, json_ready(report))
-    (config.out / CHECKPOINT).unlink(missing_ok=True)
+    checkpoint = config.out / CHECKPOINT
+    for number in range(1, (config.teachers or 0) + 1):
+        teacher_checkpoint(checkpoint, number).unlink(missing_ok=True)
+    checkpoint.unlink(missing_ok=True)
     return report
 
 
@@ -131,7 +134,7 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
     if spec.kind == "pairwise":  # one network stands for phi and rho: as steep as both together
         recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
     with scalar_writer(config.tensorboard) as watch:
-        run = train(treated.target, spec, recipe, checkpoint, config.progress, watch)
+        run = train_taught(treated.target, spec, recipe, checkpoint, config.progress, watch)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
     path = config.out / WEIGHTS[config.model]
