@@ -77,7 +77,7 @@ def test_the_mean_over_symmetries_is_symmetric() -> None:
     network, rows = DeepSet(SPEC), rows_of(50)
     with torch.no_grad():
         for weight in network.parameters():
-            weight *= 3.0  # or it hardly depends on its inputs
+            weight.mul_(3.0)  # or it hardly depends on its inputs
     found = symmetric_mean(network, to_batch(rows))
     assert not torch.allclose(found, predict(network, to_batch(rows)), atol=0.01)
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])

@@ -92,11 +92,11 @@ def test_a_closure_is_refused() -> None:
 
 
 def test_matrices_without_gradient_stay() -> None:
-    network = nn.Sequential(nn.Linear(4, 6), nn.Linear(6, 1))
-    weights, before = FlatWeights(network), network[0].weight.detach().clone()
+    silent, used = nn.Linear(4, 6), nn.Linear(6, 1)
+    weights, before = FlatWeights(nn.Sequential(silent, used)), silent.weight.detach().clone()
     optimiser = Soap(weights, RATE)
     for _ in range(12):
-        network[1](torch.ones(3, 6)).sum().backward()
+        used(torch.ones(3, 6)).sum().backward()
         optimiser.step()
-    assert torch.equal(network[0].weight, before)
+    assert torch.equal(silent.weight, before)
     assert torch.isfinite(weights.values).all()

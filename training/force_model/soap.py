@@ -118,7 +118,7 @@ def _eigenvectors(symmetric: Tensor) -> Tensor:
     found: Tensor
     try:
         found = torch.linalg.eigh(symmetric)[1]
-    except torch.linalg.LinAlgError:  # tiny gradients, whose products are denormal in float32
+    except RuntimeError:  # tiny gradients, whose products are denormal in float32
         found = torch.linalg.eigh(symmetric.double())[1].to(symmetric.dtype)
     return found.flip(-1).contiguous()
 
