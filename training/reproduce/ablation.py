@@ -71,7 +71,7 @@ def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig
     )
     length = {name: value for name, value in budget._asdict().items() if name != "data"}
     shared = {name: value for name, value in length.items() if value is not None}
-    if budget.steps is None and budget.epochs is None:
+    if budget.steps is None:
         shared["epochs"] = _PASSES
     return settled(replace(plain, **{**_RECIPE, **shared, **cell.changes}), "measured")
 
