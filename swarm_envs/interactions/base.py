@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.compiled import entry_point
-from swarm_envs.errors import check_array, unknown_name
+from swarm_envs.errors import unknown_name
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
-from swarm_envs.interactions.forces import all_forces, types_array
+from swarm_envs.interactions.forces import all_forces, check_states, types_array
 from swarm_envs.interactions.wake import load_wake
 from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
@@ -51,11 +51,7 @@ class InteractionModel:
             ValueError: a vehicle's type is unknown to the model.
         """
         names = tuple(vehicle.interaction_type for vehicle in team)
-        for name in names:
-            if name not in self.types:
-                where = f"in interaction model {self.name!r}"
-                raise ValueError(unknown_name("interaction type", name, self.types, where))
-        return types_array(names, self.types)
+        return types_array(names, self.types, f"in interaction model {self.name!r}")
 
     def with_precision(self, precision: str) -> InteractionModel:
         """The same model, its networks evaluated in another precision.
@@ -93,10 +89,8 @@ class InteractionModel:
             ValueError: shapes do not fit the team, or an entry is not finite.
         """
         vehicles = parse_team(team)
-        shape = (*np.shape(position)[:1], len(vehicles), 3)
-        p = check_array("position", position, shape, "(E, N, 3), N drones in the team")
-        v = check_array("velocity", velocity, shape, "the shape of position")
-        types, out = np.empty(shape[:2], np.int64), np.empty(shape)
+        p, v = check_states(position, velocity, len(vehicles))
+        types, out = np.empty(p.shape[:2], np.int64), np.empty(p.shape)
         types[:] = self.type_indices(vehicles)
         compiled = _ENTRIES.get(self)
         if compiled is None:

@@ -13,6 +13,7 @@ from numba.extending import register_jitable
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.lanes import BLOCK_BYTES, Numbers, affine
+from swarm_envs.interactions.window import clamp
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 
@@ -48,6 +49,33 @@ def scratch_for(field: ForceField, drones: int) -> Scratch:
         np.zeros(lanes),
         np.zeros((2, drones), np.bool_),
     )
+
+
+@borrowing_kernel
+def put_pair(
+    measured: FloatArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    i: int,
+    j: int,
+    layers: Numbers,
+    lane: int,
+) -> None:
+    """Put p_j - p_i and v_j - v_i, in the measured range (2, 6), into a lane of `layers[0]`."""
+    for k in range(3):
+        apart, moving = position[j, k] - position[i, k], velocity[j, k] - velocity[i, k]
+        layers[0, k, lane] = clamp(apart, measured[0, k], measured[1, k])
+        layers[0, k + 3, lane] = clamp(moving, measured[0, k + 3], measured[1, k + 3])
+
+
+@borrowing_kernel
+def put_environment(
+    measured: FloatArray, height: float, velocity: FloatArray, i: int, layers: Numbers, lane: int
+) -> None:
+    """Put -z and -v_i, in the measured range (2, 4), into a lane of `layers[0]`."""
+    layers[0, 0, lane] = clamp(-height, measured[0, 0], measured[1, 0])
+    for k in range(1, 4):
+        layers[0, k, lane] = clamp(-velocity[i, k - 1], measured[0, k], measured[1, k])
 
 
 @borrowing_kernel

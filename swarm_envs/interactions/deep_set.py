@@ -15,9 +15,9 @@ of N drones each may be given at once, their M drones one after the other: block
 from __future__ import annotations
 
 from swarm_envs.compiled import borrowing_kernel, inlined_kernel
-from swarm_envs.interactions.blocks import Scratch, network
+from swarm_envs.interactions.blocks import Scratch, network, put_environment, put_pair
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.window import clamp, pair_weight
+from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -59,7 +59,7 @@ def add_neighbours(
     scratch: Scratch,
 ) -> None:
     """Add phi of all pairs inside the interaction volume to the codes, by the neighbour's type."""
-    measured, window, layers = field.pair_range, field.window, scratch.layers
+    window, layers = field.window, scratch.layers
     lanes = layers.shape[2]
     for kind in range(field.layout.shape[0] // 2):
         count = 0
@@ -73,13 +73,7 @@ def add_neighbours(
                 weight = pair_weight(window, dx, dy, dz)
                 if weight > 0.0:
                     lane = count % lanes
-                    for k in range(3):
-                        offset = position[j, k] - position[i, k]
-                        speed = velocity[j, k] - velocity[i, k]
-                        layers[0, k, lane] = clamp(offset, measured[0, k], measured[1, k])
-                        layers[0, k + 3, lane] = clamp(
-                            speed, measured[0, k + 3], measured[1, k + 3]
-                        )
+                    put_pair(field.pair_range, position, velocity, i, j, layers, lane)
                     scratch.place[0, lane], scratch.place[1, lane] = NEAR, i
                     scratch.share[lane] = weight
                     scratch.marks[FELT, i] = True
@@ -95,7 +89,7 @@ def add_environment(
     field: ForceField, position: FloatArray, velocity: FloatArray, scratch: Scratch
 ) -> None:
     """Add phi_env of every drone that feels something: where it flies, and at the anchor height."""
-    measured, anchor, layers = field.environment_range, field.anchor_height, scratch.layers
+    anchor, layers = field.anchor_height, scratch.layers
     codes, marks = scratch.codes, scratch.marks
     n, lanes, count = field.layout.shape[0] // 2, layers.shape[2], 0
     for i in range(position.shape[0]):
@@ -105,9 +99,7 @@ def add_environment(
                 continue
             lane = count % lanes
             height = anchor if part == FREE else position[i, 2]
-            layers[0, 0, lane] = clamp(-height, measured[0, 0], measured[1, 0])
-            for k in range(1, 4):
-                layers[0, k, lane] = clamp(-velocity[i, k - 1], measured[0, k], measured[1, k])
+            put_environment(field.environment_range, height, velocity, i, layers, lane)
             scratch.place[0, lane], scratch.place[1, lane] = part, i
             scratch.share[lane] = 1.0
             count += 1

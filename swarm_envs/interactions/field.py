@@ -19,6 +19,8 @@ LATERAL_REACH = 0.35
 """Half width of the interaction volume in x and y, m (Neural-Swarm2's filter)."""
 VERTICAL_REACH = 1.1
 """Half height of the interaction volume, m."""
+INTERACTION_VOLUME = np.array([LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH])
+"""Half edges of the interaction volume, m."""
 LATERAL_FADE = 0.1
 """The outer part of the lateral reach over which a pair's contribution fades, m."""
 VERTICAL_FADE = 0.3

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.deep_set import deep_set_forces
 from swarm_envs.interactions.field import LEARNED, PAIRWISE, WAKE, ForceField
@@ -123,6 +125,28 @@ def outside_measured_range(
         out[i] = outside
 
 
-def types_array(names: tuple[str, ...], types: tuple[str, ...]) -> IntArray:
-    """Indices (N,) of interaction type names in a model's types; the names must be among them."""
+def types_array(names: tuple[str, ...], types: tuple[str, ...], where: str = "") -> IntArray:
+    """Indices (N,) of interaction type names in a model's types.
+
+    Raises:
+        ValueError: a name is not among them; the message says `where` it was asked for.
+    """
+    for name in names:
+        if name not in types:
+            raise ValueError(unknown_name("interaction type", name, types, where))
     return np.array([types.index(name) for name in names], dtype=np.int64)
+
+
+def check_states(
+    position: npt.ArrayLike, velocity: npt.ArrayLike, drones: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return positions and velocities of environments with N drones as (E, N, 3) arrays.
+
+    Raises:
+        ValueError: the shapes are others, or an entry is not finite.
+    """
+    shape = (*np.shape(position)[:1], drones, 3)
+    return (
+        check_array("position", position, shape, "(E, N, 3), N drones in the team"),
+        check_array("velocity", velocity, shape, "the shape of position"),
+    )

@@ -128,9 +128,9 @@ class _Layer:
             for total, weight in zip(sums, self._weights(self.matrix, row, tile)):
                 builder.store(builder.call(self.fused, [weight, x, builder.load(total)]), total)
         for k, total in enumerate(map(builder.load, sums)):
-            above = builder.fcmp_ordered(">", total, floor)
+            below = builder.fcmp_ordered("<", total, floor)  # not so of NaN, which stays
             place = builder.gep(self.target, [builder.add(first, ir.Constant(first.type, k))])
-            builder.store(builder.select(above, total, floor), place, align=self.bytes)
+            builder.store(builder.select(below, floor, total), place, align=self.bytes)
 
     def _weights(self, array: Any, first: Any, count: int) -> list[Any]:
         """So many numbers of an array, each in every lane."""

@@ -11,9 +11,9 @@ set's. What it cannot say is that two wakes push less than their sum (Neural-Swa
 from __future__ import annotations
 
 from swarm_envs.compiled import borrowing_kernel
-from swarm_envs.interactions.blocks import Scratch, network
+from swarm_envs.interactions.blocks import Scratch, network, put_environment, put_pair
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.window import clamp, pair_weight
+from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -40,7 +40,7 @@ def add_pairs(
     out: FloatArray,
 ) -> None:
     """Add the forces of neighbours of the first of two types on drones of the second."""
-    measured, window, layers = field.pair_range, field.window, scratch.layers
+    window, layers = field.window, scratch.layers
     neighbour, own = kinds
     n, lane = neighbour * field.drag.shape[0] + own, 0
     for i in range(position.shape[0]):
@@ -54,11 +54,7 @@ def add_pairs(
             dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
             weight = pair_weight(window, dx, dy, dz)
             if weight > 0.0:
-                for k in range(3):
-                    apart = position[j, k] - position[i, k]
-                    moving = velocity[j, k] - velocity[i, k]
-                    layers[0, k, lane] = clamp(apart, measured[0, k], measured[1, k])
-                    layers[0, k + 3, lane] = clamp(moving, measured[0, k + 3], measured[1, k + 3])
+                put_pair(field.pair_range, position, velocity, i, j, layers, lane)
                 scratch.place[0, lane], scratch.share[lane] = i, weight
                 lane += 1
                 if lane == layers.shape[2]:
@@ -79,7 +75,7 @@ def add_ground(
     out: FloatArray,
 ) -> None:
     """Add the environment's forces on drones of a type; an anchored model's below its anchor."""
-    measured, anchor, layers = field.environment_range, field.anchor_height, scratch.layers
+    anchor, layers = field.anchor_height, scratch.layers
     count = field.drag.shape[0]
     n, lane = count * count + own, 0
     for i in range(position.shape[0]):
@@ -87,9 +83,7 @@ def add_ground(
             continue
         for part in range(2 if anchor > 0.0 else 1):
             height = position[i, 2] if part == 0 else anchor
-            layers[0, 0, lane] = clamp(-height, measured[0, 0], measured[1, 0])
-            for k in range(1, 4):
-                layers[0, k, lane] = clamp(-velocity[i, k - 1], measured[0, k], measured[1, k])
+            put_environment(field.environment_range, height, velocity, i, layers, lane)
             scratch.place[0, lane], scratch.share[lane] = i, 1.0 - 2.0 * part
             lane += 1
             if lane == layers.shape[2]:

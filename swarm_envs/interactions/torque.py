@@ -14,16 +14,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.weights_file import load_weights, read_tensors
+from swarm_envs.interactions.forces import check_states, types_array
+from swarm_envs.interactions.weights_file import Layers, load_weights, network_layers, read_tensors
+from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
 
 GRAM_CENTIMETRE = GRAM_FORCE * 0.01
 """N m of a gram-force centimetre, the unit of the head."""
-
-Layers = list[tuple[FloatArray, FloatArray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +53,12 @@ class TorqueModel:
             ValueError: shapes do not fit the team, an entry is not finite, or a type is unknown.
         """
         vehicles = parse_team(team)
-        shape = (*np.shape(position)[:1], len(vehicles), 3)
-        p = check_array("position", position, shape, "(E, N, 3), N drones in the team")
-        v = check_array("velocity", velocity, shape, "the shape of position")
-        kinds = [vehicle.interaction_type for vehicle in vehicles]
-        for kind in kinds:
-            if kind not in self.types:
-                raise ValueError(unknown_name("interaction type", kind, self.types))
+        p, v = check_states(position, velocity, len(vehicles))
+        kinds = tuple(vehicle.interaction_type for vehicle in vehicles)
+        types_array(kinds, self.types, f"in interaction model {self.name!r}")  # refuses others
         return np.stack([self._torque(p, v, kinds, i) for i in range(len(kinds))], axis=1)
 
-    def _torque(self, p: FloatArray, v: FloatArray, kinds: list[str], i: int) -> FloatArray:
+    def _torque(self, p: FloatArray, v: FloatArray, kinds: tuple[str, ...], i: int) -> FloatArray:
         anchor, rho = self.field.anchor_height, self.networks[f"rho.{kinds[i]}"]
         height = np.minimum(p[:, i, 2], anchor) if anchor > 0.0 else p[:, i, 2]
         code = self._environment(height, v[:, i])
@@ -71,9 +66,8 @@ class TorqueModel:
             if j != i:
                 pair = np.concatenate([p[:, j] - p[:, i], v[:, j] - v[:, i]], axis=1)
                 inputs = np.clip(pair, *self.field.pair_range)
-                code += _weight(self.field.window, pair)[:, None] * _apply(
-                    self.networks[f"phi.{kind}"], inputs
-                )
+                weight = [pair_weight(self.field.window, *offset) for offset in pair[:, :3]]
+                code += np.array(weight)[:, None] * _apply(self.networks[f"phi.{kind}"], inputs)
         torque = _apply(rho, code)
         if anchor > 0.0:
             torque -= _apply(rho, self._environment(np.full_like(height, anchor), v[:, i]))
@@ -99,11 +93,13 @@ def load_torque(path: str | Path) -> TorqueModel:
         raise ValueError(
             f"weights file {str(path)!r} has no torque of type {missing[0]!r}; fit it with --torque"
         )
-    networks = {f"phi.{name}": _layers(tensors, f"phi.{name}") for name in (*types, "environment")}
+    networks = {
+        f"phi.{name}": network_layers(f"phi.{name}", tensors) for name in (*types, "environment")
+    }
     for name in types:
-        rho = _layers(tensors, f"rho.{name}")[:-1]
+        *rho, last = network_layers(f"rho.{name}", tensors)
         head = (tensors[f"torque.{name}.weight"], tensors[f"torque.{name}.bias"])
-        if head[0].shape != (3, rho[-1][0].shape[0]) or head[1].shape != (3,):
+        if head[0].shape != (3, last[0].shape[1]) or head[1].shape != (3,):
             raise ValueError(
                 f"the torque of type {name!r} has a weight of shape {head[0].shape} and a bias of "
                 f"shape {head[1].shape}, which do not fit rho; fit the file again"
@@ -112,26 +108,8 @@ def load_torque(path: str | Path) -> TorqueModel:
     return TorqueModel(str(path), types, field, networks)
 
 
-def _layers(tensors: dict[str, FloatArray], name: str) -> Layers:
-    found: Layers = []
-    while f"{name}.{len(found)}.weight" in tensors:
-        prefix = f"{name}.{len(found)}"
-        found.append((tensors[f"{prefix}.weight"], tensors[f"{prefix}.bias"]))
-    return found
-
-
 def _apply(layers: Layers, x: FloatArray) -> FloatArray:
     for weight, bias in layers[:-1]:
         x = np.maximum(x @ weight.T + bias, 0.0)
     weight, bias = layers[-1]
     return np.asarray(x @ weight.T + bias)
-
-
-def _weight(window: FloatArray, pair: FloatArray) -> FloatArray:
-    """Weight of pairs (E, 6): quintic steps in |x|, |y| and |z|, as `window.pair_weight`."""
-    weight = np.ones(len(pair))
-    for axis, (full, end) in enumerate((window[:2], window[:2], window[2:])):
-        distance = np.abs(pair[:, axis])
-        u = np.clip((distance - full) / max(end - full, 1e-12), 0.0, 1.0)
-        weight *= 1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0))
-    return weight

@@ -29,6 +29,9 @@ from swarm_envs.interactions.field import (
 from swarm_envs.interactions.pairwise import pairwise_names
 from swarm_envs.state import FloatArray
 
+Layers = list[tuple[FloatArray, FloatArray]]
+"""Weights and biases of a network."""
+
 KINDS = {"deep-set-1": LEARNED, "pairwise-1": PAIRWISE}
 """Formats, and which kernels read them."""
 _FORMATS = " or ".join(map(repr, KINDS))
@@ -103,7 +106,7 @@ def _assemble(
 ) -> ForceField:
     kind = KINDS[notes["format"]]
     names = pairwise_names(types) if kind == PAIRWISE else _deep_set_names(types)
-    networks = [_layers(name, tensors) for name in names]
+    networks = [network_layers(name, tensors) for name in names]
     _check_all_read(tensors, networks)
     _check_widths(names, networks)
     deepest = max(len(layers) for layers in networks)
@@ -135,8 +138,14 @@ def _deep_set_names(types: tuple[str, ...]) -> list[str]:
     return [*(f"phi.{t}" for t in types), f"phi.{ENVIRONMENT}", *(f"rho.{t}" for t in types)]
 
 
-def _layers(name: str, tensors: dict[str, FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
-    layers: list[tuple[FloatArray, FloatArray]] = []
+def network_layers(name: str, tensors: dict[str, FloatArray]) -> Layers:
+    """Weight (outputs, inputs) and bias (outputs,) of each layer of a network, in order.
+
+    Raises:
+        KeyError: there is no such network.
+        ValueError: its shapes do not fit each other.
+    """
+    layers: Layers = []
     while f"{name}.{len(layers)}.weight" in tensors:
         prefix = f"{name}.{len(layers)}"
         weight, bias = tensors[f"{prefix}.weight"], tensors[f"{prefix}.bias"]
@@ -154,9 +163,7 @@ def _layers(name: str, tensors: dict[str, FloatArray]) -> list[tuple[FloatArray,
     return layers
 
 
-def _check_all_read(
-    tensors: dict[str, FloatArray], networks: list[list[tuple[FloatArray, FloatArray]]]
-) -> None:
+def _check_all_read(tensors: dict[str, FloatArray], networks: list[Layers]) -> None:
     """Refuse layers that nothing reads: one before them is missing, or a type is not named."""
     found = sum(name.startswith(_PREFIXES) for name in tensors)
     read = 2 * sum(map(len, networks))
@@ -164,7 +171,7 @@ def _check_all_read(
         raise ValueError(f"it holds {found} weights and biases, but its networks have {read}")
 
 
-def _check_widths(names: list[str], networks: list[list[tuple[FloatArray, FloatArray]]]) -> None:
+def _check_widths(names: list[str], networks: list[Layers]) -> None:
     hidden = networks[0][-1][0].shape[0]
     for name, layers in zip(names, networks, strict=True):
         inputs, outputs = layers[0][0].shape[1], layers[-1][0].shape[0]

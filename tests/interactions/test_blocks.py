@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numba import njit
 
 from swarm_envs.interactions import load
-from swarm_envs.interactions.lanes import affine
+from swarm_envs.interactions.lanes import BLOCK_BYTES, affine
 from swarm_envs.vehicles import GRAM_FORCE
 
 
@@ -44,13 +46,33 @@ def test_what_is_computed_together_never_shows(precision: str) -> None:
     np.testing.assert_array_equal(more[:, 1:], together)
 
 
-def test_the_layer_without_compilation_is_the_compiled_one() -> None:
-    rng = np.random.default_rng(10)
-    field, outputs = load("learned").field, 25
-    x = rng.normal(size=(40, 8))
-    plain, compiled = np.zeros((40, 8)), np.zeros((40, 8))
-    affine(field.weights, 0, 6, outputs, x, plain, 0.0)
-    njit(lambda w, a, b: affine(w, 0, 6, 25, a, b, 0.0))(field.weights, x, compiled)
-    np.testing.assert_allclose(compiled, plain, rtol=0, atol=1e-14)
-    assert plain[:outputs].any()
-    assert not plain[outputs:].any()
+def compiled_affine(number: Any) -> Any:
+    return njit(
+        lambda w, inputs, outputs, a, b, low: affine(w, 3, inputs, outputs, a, b, number(low))
+    )
+
+
+@pytest.mark.parametrize(("number", "tolerance"), [(np.float64, 1e-13), (np.float32, 1e-5)])
+def test_a_layer_of_any_size_is_the_matrix_product(number: Any, tolerance: float) -> None:
+    """Outputs that fill no whole tile, one input, a layer that begins anywhere; nothing beside."""
+    rng, lanes = np.random.default_rng(10), BLOCK_BYTES // number(0).itemsize
+    run = compiled_affine(number)
+    for inputs, outputs in ((1, 1), (6, 25), (3, 7), (40, 12), (20, 40), (5, 13)):
+        matrix, bias = rng.normal(size=(inputs, outputs)), rng.normal(size=outputs)
+        weights = np.concatenate([[9.0] * 3, matrix.ravel(), bias, [9.0]]).astype(number)
+        x = rng.normal(size=(41, lanes)).astype(number)
+        for low in (0.0, -np.inf):
+            expected = np.maximum(matrix.T @ x[:inputs] + bias[:, None], low)
+            for function in (run, run.py_func):
+                y = np.full((42, lanes), 7.0, number)
+                function(weights, inputs, outputs, x, y, low)
+                np.testing.assert_allclose(y[:outputs], expected, rtol=0, atol=tolerance)
+                assert (y[outputs:] == 7.0).all()
+
+
+def test_nan_goes_through_a_layer() -> None:
+    """As numpy's maximum has it: a ReLU must not make a force out of a broken state."""
+    weights, x, y = np.ones(6 * 9 + 12), np.ones((6, 8)), np.zeros((9, 8))
+    x[2, 3] = np.nan
+    compiled_affine(np.float64)(weights, 6, 9, x, y, 0.0)
+    assert np.isnan(y[:, 3]).all() and np.isfinite(np.delete(y, 3, axis=1)).all()

@@ -74,6 +74,14 @@ def test_derivative_and_smoothing_of_polynomials():
     assert np.isnan(calm[:6]).all() and np.isnan(calm[-6:]).all()
 
 
+def test_a_flight_shorter_than_the_window_has_no_known_label():
+    for count in range(20):
+        log = FlightLog(*(np.ones((count, 1, width)) for width in (3, 3, 4, 3, 3, 4)))
+        force = interaction_force(log, (SMALL,))
+        assert force.shape == (count, 1, 3)
+        assert np.isfinite(force[:, 0, 2]).sum() == max(0, count - 4 - 12)
+
+
 def test_thrust_follows_a_step_of_the_command_with_the_motors_rate():
     count = 120
     commands = np.full((count, 1, 4), 0.15)

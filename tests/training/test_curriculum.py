@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.cli import main
+from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.training.collection.config import FlightBatch
 from swarm_envs.training.collection.log import FlightLog
@@ -24,6 +25,7 @@ from swarm_envs.training.curriculum.config import STAGES, Stage, adds_drones, co
 from swarm_envs.training.curriculum.report import goals_reached, rounds_table, sizes_as_json
 from swarm_envs.training.curriculum.run import command
 from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen, share
+from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.vehicles import SMALL
 
 CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
@@ -187,6 +189,16 @@ def test_what_is_done_is_not_done_again(tiny, monkeypatch):
     assert again.rounds == report.rounds and again.unseen == report.unseen
 
 
+def test_a_round_in_which_nobody_passed_is_read_as_it_was_written(tiny, tmp_path):
+    first = tiny[1].rounds[0]
+    unknown = dataclasses.replace(first.closeness, least_clearance_m=float("nan"))
+    report = dataclasses.replace(first, closeness=unknown)
+    write_json(tmp_path / "round.json", json_ready(report))
+    again = rounds_module.read_report(tmp_path / "round.json")
+    assert np.isnan(again.closeness.least_clearance_m)
+    assert rounds_table([again], []) == rounds_table([report], [])
+
+
 def test_a_folder_of_another_curriculum_is_refused(tiny):
     out, _ = tiny
     with pytest.raises(ValueError, match="choose another folder"):
@@ -255,11 +267,11 @@ def test_bad_options_are_refused_with_exit_code_2(words, said, tmp_path, capsys,
 def test_the_curriculum_explains_the_true_force(tmp_path):
     """A third of the flights and less than half of the steps of the command's defaults."""
     config = CurriculumConfig(
-        out=tmp_path, flights=2, duration_s=8.0, steps=600, last_steps=1600, episodes=4
+        out=tmp_path, flights=2, duration_s=8.0, steps=800, last_steps=2000, episodes=4
     )
     report = run_curriculum(config)
     for size, least in (("2", 0.85), ("3", 0.85), ("5", 0.70)):
         assert report.explained[size]["mean"] > least, size
     first, second, *_, last = report.rounds
-    assert second.closeness.gap_error_m < 0.5 * first.closeness.gap_error_m
-    assert last.clearance_m < 0.5 * first.clearance_m
+    assert second.closeness.gap_error_m < 0.8 * first.closeness.gap_error_m
+    assert last.clearance_m < 0.6 * first.clearance_m

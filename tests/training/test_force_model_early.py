@@ -101,3 +101,15 @@ def test_early_validation_gives_its_best_weights_and_never_looks_at_validation()
     same = train(spoiled, SPEC, config, progress=False)
     for a, b in zip(run.network.parameters(), same.network.parameters(), strict=True):
         assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("name", ["validation", "neighbor", "flight"])
+def test_checkpoint_of_other_rows_is_refused(name, tmp_path):
+    """The same labels split otherwise would train on rows whose error is then called validation."""
+    rows, path = rows_of(), tmp_path / "checkpoint.safetensors"
+    short = dataclasses.replace(PLAIN, steps=2)
+    train(rows, SPEC, short, path, progress=False)
+    train(rows, SPEC, short, path, progress=False)
+    other = dataclasses.replace(rows, **{name: getattr(rows, name)[::-1].copy()})
+    with pytest.raises(ValueError, match="which is not this run's"):
+        train(other, SPEC, short, path, progress=False)

@@ -177,11 +177,33 @@ def test_zero_matrix_cannot_be_normalised_exactly():
         ("average_share", -1.0),
         ("early_validation", 0.6),
         ("max_spectral_norm", 0.0),
+        ("slope_limit", -1.0),
+        ("slope_weight", float("inf")),
+        ("slope_inputs", 0),
+        ("position_jitter_m", -0.1),
+        ("velocity_jitter", float("nan")),
+        ("balance", -1.0),
+        ("seed", -1),
     ],
 )
 def test_bad_numbers_are_refused(name, value):
     with pytest.raises(ValueError, match=rf"{name} (is )?{value}"):
         dataclasses.replace(PLAIN, **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("anchor_height_m", 0.0), ("anchor_height_m", float("nan")), ("lipschitz_samples", -1)],
+)
+def test_bad_numbers_of_a_fit_are_refused(name, value, tmp_path):
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        FitConfig(data=tmp_path, out=tmp_path, **{name: value})
+
+
+def test_an_anchor_on_the_ground_is_none():
+    """Compiled models take 0 for no anchor, so torch must not take it for one."""
+    with pytest.raises(ValueError, match=r"anchor_height_m is 0\.0, but must be above 0"):
+        DeepSetSpec(("S",), anchor_height_m=0.0)
 
 
 def test_each_mode_has_its_own_length_unless_it_is_given():
@@ -195,6 +217,14 @@ def test_each_mode_has_its_own_length_unless_it_is_given():
     assert settled(kept, "measured") == kept
     with pytest.raises(ValueError, match=r"steps is 70 and epochs 2\.0"):
         dataclasses.replace(given, epochs=2.0)
+
+
+def test_a_measured_fit_refuses_what_it_would_leave_out():
+    """Rather than to be told a slope limit and to train without."""
+    with pytest.raises(ValueError, match=r"slope_limit is 100\.0, but a measured fit takes None"):
+        settled(TrainConfig(slope_limit=100.0), "measured")
+    assert settled(TrainConfig(slope_limit=100.0)).slope_limit == 100.0
+    assert settled(TrainConfig(slope_limit=None), "measured").balance == 0.0
 
 
 def test_event_files_are_optional(tmp_path, monkeypatch):

@@ -209,5 +209,7 @@ def test_the_command_puts_the_paper_beside_ours(capsys, tmp_path):
     assert "calibration" not in summary
     assert main([*command, "--out", str(out), "--bins", str(tmp_path / "none.csv")]) == 1
     assert "no table of measured bins" in capsys.readouterr().err
+    assert main([*command, "--out", str(out), "--truth", "wake"]) == 0
+    assert "SSSLL: 100.0 % of the true force explained" in capsys.readouterr().out
     assert main([*command[:-1], "wak", "--out", str(out)]) == 1
     assert "did you mean 'wake'" in capsys.readouterr().err

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from swarm_envs.interactions import load
-from swarm_envs.interactions.torque import load_torque
+from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
 from swarm_envs.state import FloatArray
 from swarm_envs.training.force_model.data import Wanted, read_data
 from swarm_envs.training.force_model.epochs import changed_label, transform, turn
@@ -20,7 +20,6 @@ from swarm_envs.training.force_model.network import Batch, DeepSet, DeepSetSpec,
 from swarm_envs.training.force_model.pipeline import FitConfig, fit
 from swarm_envs.training.force_model.rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.force_model.spec import OUTER_FADE, InputRange
-from swarm_envs.training.force_model.torque_head import GRAM_CENTIMETRE
 from swarm_envs.vehicles import GRAM_FORCE
 
 RANGE = InputRange(

@@ -104,7 +104,7 @@ def summarise(
     found = {name for name, entry in scenarios.items() if entry.rows}
     return CollectSummary(
         flights=len(flights),
-        cut_short=[flight.name for flight in flights if was_cut_short(flight, config)],
+        cut_short=[flight.name for flight in flights if was_cut_short(flight, config.duration_s)],
         seconds=round(sum(flight.seconds for flight in flights), 1),
         rows=len(rows),
         table=table,

@@ -74,7 +74,7 @@ def collect(
             "name": flight.name,
             "team": flight.team,
             "seconds": round(flight.seconds, 3),
-            "cut_short": was_cut_short(flight, config),
+            "cut_short": was_cut_short(flight, config.duration_s),
             "validation": flight.validation,
         }
         for flight in flights
@@ -85,9 +85,9 @@ def collect(
     return flights
 
 
-def was_cut_short(flight: Flight, config: CollectionConfig) -> bool:
+def was_cut_short(flight: Flight, duration_s: float) -> bool:
     """Whether a flight ended before its time: its team touched something or tumbled."""
-    return flight.seconds < config.duration_s - 0.05
+    return flight.seconds < duration_s - 0.05
 
 
 def begin_manifest(path: Path, origin: dict[str, object]) -> None:

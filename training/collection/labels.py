@@ -61,8 +61,8 @@ def smooth(values: FloatArray, width: int) -> FloatArray:
     window = np.hanning(width + 2)[1:-1]
     window /= window.sum()
     result = np.full(values.shape, np.nan)
-    half, count = width // 2, len(values) - width + 1
-    total = np.zeros((max(count, 0), *values.shape[1:]))
+    half, count = width // 2, max(len(values) - width + 1, 0)
+    total = np.zeros((count, *values.shape[1:]))
     for offset, weight in enumerate(window):
         total += weight * values[offset : offset + count]
     result[half : half + count] = total

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.fleet import vehicle_ids
 from swarm_envs.training.collection.labels import Label, interaction_force
@@ -16,8 +17,6 @@ from swarm_envs.vehicles import parse_team
 
 TYPES = ("S", "L")
 """Interaction types of the vehicles that are flown."""
-VOLUME_M = np.array([0.35, 0.35, 1.1])
-"""Half edges of the interaction volume: rows stay if any neighbour is inside."""
 ROW_RATE = 30
 """Rows per second and drone, about: neighbouring log entries are near copies."""
 
@@ -83,7 +82,7 @@ def scenario_counts(flights: Sequence[Flight]) -> dict[str, ScenarioCount]:
 def near_any(position: FloatArray) -> BoolArray:
     """Which of the drones (T, N, 3) have a neighbour in their interaction volume, (T, N)."""
     apart = np.abs(position[:, :, None] - position[:, None])
-    inside = (apart <= VOLUME_M).all(axis=-1)
+    inside = (apart <= INTERACTION_VOLUME).all(axis=-1)
     return np.asarray(inside.sum(axis=-1) > 1)  # each is in its own
 
 

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.training.collection.collect import was_cut_short
 from swarm_envs.training.collection.table import Flight
 from swarm_envs.vehicles import parse_team
 
@@ -70,7 +71,7 @@ def measure(flights: Sequence[Flight], duration_s: float) -> Closeness:
         if len(flight.log.position)
         for p in _pairs(flight)
     ]
-    cut = [flight.name for flight in flights if flight.seconds < duration_s - 0.05]
+    cut = [flight.name for flight in flights if was_cut_short(flight, duration_s)]
     cut_swaps = sum("swap" in name for name in cut)
     return Closeness(
         gap_error_m=round(float(np.quantile(errors, QUANTILE)), 4) if errors else 0.0,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -159,8 +160,10 @@ def unknown_g(rows: InteractionRows, weights: Path | None) -> float:
 
 
 def read_report(path: Path) -> RoundReport:
-    """Read what `fly_round` wrote."""
+    """Read what `fly_round` wrote; JSON holds null for what no flight showed, which was NaN."""
     found = json.loads(path.read_text())
-    found["closeness"] = Closeness(**found["closeness"])
+    closeness: dict[str, Any] = found["closeness"]
+    closeness |= {name: math.nan for name, value in closeness.items() if value is None}
+    found["closeness"] = Closeness(**closeness)
     found["teams"] = tuple(found["teams"])
     return RoundReport(**found)

@@ -32,8 +32,9 @@ UNSEEN = "unseen.json"
 def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
     """Run what is not yet done and report on everything.
 
-    Writes `round_1` ... `round_4`, `unseen.json`, `learned.safetensors` (the last round's model),
-    `curriculum.json` and `curriculum.png` into `config.out`; each stage whole or not at all.
+    Writes a folder for each round (`round_1` ...), `unseen.json`, `learned.safetensors` (the last
+    round's model), `curriculum.json` and `curriculum.png` into `config.out`; each stage whole or
+    not at all.
 
     Raises:
         ValueError: the folder holds a curriculum of other options or another force model.

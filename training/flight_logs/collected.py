@@ -14,7 +14,7 @@ from swarm_envs.training.collection.table import Flight, interaction_rows
 from swarm_envs.training.flight_logs.report import FileReport, LogReport, ScenarioReport
 from swarm_envs.training.force_model.rows import InteractionRows
 
-__all__ = ["is_collection", "read_collected"]
+__all__ = ["MANIFEST", "is_collection", "read_collected"]
 
 
 def is_collection(path: Path) -> bool:

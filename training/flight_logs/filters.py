@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.training.collection.table import TYPES, VOLUME_M, scenario_name
+from swarm_envs.training.collection.table import TYPES, scenario_name
 from swarm_envs.training.flight_logs.clock import ClockedFlight
 from swarm_envs.training.force_model.rows import NO_NEIGHBOR
 
@@ -79,7 +80,7 @@ def filtered(rows: DroneRows, lowest_m: float) -> DroneRows:
     """Apply the authors' filter; see the numbers of this module."""
     rows = rows.select(_all(np.isfinite(rows.force_g)), "force unknown")
     if rows.neighbor.shape[1]:
-        near = ~_all(~_all(np.abs(rows.neighbor[..., :3]) <= VOLUME_M))
+        near = ~_all(~_all(np.abs(rows.neighbor[..., :3]) <= INTERACTION_VOLUME))
         rows = rows.select(near, "no neighbour in the volume")
     rows = rows.select(rows.position[:, 2] > lowest_m, "too low")
     rows = rows.select(np.abs(rows.force_g[:, 2]) <= LARGEST_G, "force over 50 g")

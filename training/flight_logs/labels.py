@@ -52,6 +52,6 @@ def _piece(flight: ClockedFlight, piece: slice, smoothing_s: float) -> FloatArra
     mass = np.array([vehicle.mass for vehicle in flight.team])[:, None]
     force = mass * acceleration - thrust * thrust_direction(flight.quaternion[piece])
     width = 2 * round(0.5 * smoothing_s * flight.rate_hz) + 1
-    if flight.acceleration is None and 1 < width <= len(force):
+    if flight.acceleration is None and width > 1:
         force = smooth(force, width)
     return np.asarray(force / GRAM_FORCE)

@@ -220,7 +220,7 @@ def _uncalibrated(
     found = calibrate(_rows(flights, blocks, vehicles, scenarios, options), vehicles)
     reason = (
         f"fewer than {options.min_quiet_rows} training rows are aloft, slow and away from wakes; "
-        "add lone flight, or set min_quiet_rows to 0 if the labels are exact"
+        "add lone flight, or fit with --offsets none if the labels are exact"
     )
     few = {name: c for name, c in found.items() if c.quiet_rows < options.min_quiet_rows}
     return {name: dataclasses.replace(c, refused=reason) for name, c in few.items()}

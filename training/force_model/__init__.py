@@ -1,11 +1,13 @@
 """Trainer of the interaction-force models: from rows of measured force to weights that ship.
 
-Order of reading: `rows` (the data), `calibration` and `drag` (what is taken out of the labels),
-`network` (the heterogeneous deep set, Neural-Swarm2 eq. 10), `train`, `export`, `evaluate`,
-`pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows; `card` writes the
-model card of both.
+Order of reading: `rows` (the data), `data` (files of them, and of flights), `labels` with
+`calibration` and `drag` (what is taken out of the labels), `spec` and `network` (the heterogeneous
+deep set, Neural-Swarm2 eq. 10), `pairwise` (a sum over pairs), `train`, `export`, `evaluate`,
+`lipschitz`, `pipeline` (all of it: `fit`). `wake_product` fits the closed form to the same rows;
+`wake_fit` and `card` make the parameters and the model card that ship.
 
-Command: `python -m swarm_envs.training.force_model --data FILE --out DIR --seed 0`.
+Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the pages are docs/fit.md and
+docs/training.md.
 """
 
 from importlib import import_module

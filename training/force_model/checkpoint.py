@@ -1,4 +1,4 @@
-"""Checkpoints of a training run as safetensors: weights, Adam's state, averages, history."""
+"""Checkpoints of a training run as safetensors: weights, optimiser, averages, history."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from swarm_envs.files import written_whole
 if TYPE_CHECKING:
     from swarm_envs.training.force_model.train import Training
 
-_ADAM = ("step", "exp_avg", "exp_avg_sq")
+_OPTIMISER = "optimiser."
 
 
 def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
@@ -36,7 +36,7 @@ def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
     weights = run.weights
     tensors = {"weights": weights.values.detach()}
     tensors |= {"averaged": run.averaged, "best": run.best}
-    tensors |= {f"adam.{key}": run.optimiser.state[weights.values][key] for key in _ADAM}
+    tensors |= {_OPTIMISER + k: v for k, v in run.optimiser.state[weights.values].items()}
     metadata = {
         "step": str(run.step),
         "best_step": str(run.best_step),
@@ -63,6 +63,7 @@ def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
         )
     run.weights.set(tensors["weights"])
     run.averaged, run.best = tensors["averaged"], tensors["best"]
-    run.optimiser.state[run.weights.values] = {key: tensors[f"adam.{key}"] for key in _ADAM}
+    state = {k.removeprefix(_OPTIMISER): v for k, v in tensors.items() if k.startswith(_OPTIMISER)}
+    run.optimiser.state[run.weights.values] = state
     run.step, run.best_step = int(metadata["step"]), int(metadata["best_step"])
     run.history = json.loads(metadata["history"])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from swarm_envs.errors import check_integer
 from swarm_envs.training.force_model.log_options import LogOptions
 
 
@@ -22,7 +23,18 @@ class TrainConfig:
     batch_size: int = 1024
     """rows per step; every row comes once in each pass, in random order"""
     learning_rate: float = 3e-3
-    """Adam's rate at the start"""
+    """the optimiser's rate at the start"""
+    optimiser: Literal["adam", "soap"] | None = None
+    """`soap` is Adam in the eigenbasis of the gradients' covariance, which needs a quarter of the
+    passes; None: the mode's own"""
+    teachers: int | None = None
+    """networks of the same size that are trained first, from other seeds; the result then learns
+    the mean of their answers, each turned and mirrored in all eight ways; 0 for labels alone;
+    None: the mode's own"""
+    teacher_epochs: float = 16.0
+    """passes over the training rows of each teacher"""
+    label_share: float = 0.0
+    """share of the measured label in what a network with teachers learns, the rest being theirs"""
     schedule: Literal["cosine", "constant"] | None = None
     """how the rate goes on: a cosine to zero at the last step, or as it is; None: the mode's own"""
     average_share: float | None = None
@@ -67,7 +79,18 @@ class TrainConfig:
         Raises:
             ValueError: naming the value and the rule.
         """
-        for name in ("steps", "batch_size", "checkpoint_every"):
+        check_integer("seed", self.seed, 0)
+        for name in (
+            "slope_limit",
+            "slope_weight",
+            "position_jitter_m",
+            "velocity_jitter",
+            "balance",
+        ):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value >= 0.0):
+                raise ValueError(f"{name} is {value}, but must be finite and not negative")
+        for name in ("steps", "batch_size", "checkpoint_every", "slope_inputs"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name} is {value}, but must be at least 1")
@@ -76,13 +99,19 @@ class TrainConfig:
                 f"steps is {self.steps} and epochs {self.epochs}, but a run has one length; give "
                 "one of them"
             )
-        for name in ("epochs", "learning_rate", "max_spectral_norm"):
+        if self.teachers is not None and self.teachers < 0:
+            raise ValueError(f"teachers is {self.teachers}, but must be 0 or more")
+        for name in ("epochs", "learning_rate", "max_spectral_norm", "teacher_epochs"):
             value = getattr(self, name)
             if value is not None and not (math.isfinite(value) and value > 0.0):
                 raise ValueError(f"{name} is {value}, but must be finite and above 0")
         if self.average_share is not None and not 0.0 <= self.average_share <= 1.0:
             raise ValueError(
                 f"average_share is {self.average_share}, but must be from 0 (no average) to 1"
+            )
+        if not 0.0 <= self.label_share <= 1.0:
+            raise ValueError(
+                f"label_share is {self.label_share}, but must be from 0 (teachers alone) to 1"
             )
         if not 0.0 <= self.early_validation <= 0.5:
             raise ValueError(
@@ -94,8 +123,20 @@ class TrainConfig:
 Mode = Literal["anchored", "measured"]
 
 _OWN: Mapping[Mode, Mapping[str, Any]] = {
-    "anchored": {"steps": 6000, "schedule": "cosine", "average_share": 0.0},
-    "measured": {"epochs": 80.0, "schedule": "constant", "average_share": 0.2},
+    "anchored": {
+        "steps": 6000,
+        "schedule": "cosine",
+        "average_share": 0.0,
+        "optimiser": "adam",
+        "teachers": 0,
+    },
+    "measured": {
+        "epochs": 24.0,
+        "schedule": "constant",
+        "average_share": 0.1,
+        "optimiser": "soap",
+        "teachers": 4,
+    },
 }
 
 _NOT_IN_THE_PAPER: Mapping[str, Any] = {
@@ -104,17 +145,33 @@ _NOT_IN_THE_PAPER: Mapping[str, Any] = {
     "velocity_jitter": 0.0,
     "balance": 0.0,
 }
-"""What a measured fit leaves out of the training, whatever it is told."""
+"""What a measured fit leaves out of the training; told another value than the usual, it refuses."""
 
 Config = TypeVar("Config", bound=TrainConfig)
 
 
 def settled(config: Config, mode: Mode = "anchored") -> Config:
-    """The same options with nothing left to the mode: what is trained, and what reports record."""
+    """The same options with nothing left to the mode: what is trained, and what reports record.
+
+    Raises:
+        ValueError: an option is set that a measured fit leaves out.
+    """
+    if mode == "measured":
+        _check_measured(config)
     own = {name: v for name, v in _OWN[mode].items() if getattr(config, name) is None}
     if config.steps is not None or config.epochs is not None:
         own = {name: v for name, v in own.items() if name not in ("steps", "epochs")}
     return replace(config, **own, **(_NOT_IN_THE_PAPER if mode == "measured" else {}))
+
+
+def _check_measured(config: TrainConfig) -> None:
+    for name, value in _NOT_IN_THE_PAPER.items():
+        told = getattr(config, name)
+        if told not in (value, getattr(TrainConfig, name)):
+            raise ValueError(
+                f"{name} is {told}, but a measured fit takes {value}, as the paper does; leave it "
+                "out, or fit in anchored mode"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,3 +223,8 @@ class FitConfig(TrainConfig):
         super().__post_init__()
         if self.torque and self.model != "deep-set":
             raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")
+        check_integer("lipschitz_samples", self.lipschitz_samples, 0)
+        if not (math.isfinite(self.anchor_height_m) and self.anchor_height_m > 0.0):
+            raise ValueError(
+                f"anchor_height_m is {self.anchor_height_m}, but must be finite and above 0"
+            )

@@ -15,6 +15,7 @@ from swarm_envs.training.collection.collect import MANIFEST
 from swarm_envs.training.flight_logs.read import log_files, read_flights, read_logs
 from swarm_envs.training.flight_logs.report import FileReport, LogReport
 from swarm_envs.training.flight_logs.table import SUFFIXES
+from swarm_envs.training.force_model.files import file_sha256
 from swarm_envs.training.force_model.finish import Joined, finish
 from swarm_envs.training.force_model.join import join_rows
 from swarm_envs.training.force_model.log_options import LogOptions
@@ -52,14 +53,13 @@ def read_data(
         ValueError: no file is sound, or what is left is no row; the message says why.
     """
     wanted = wanted or Wanted()
-    if (path / MANIFEST).is_file():
-        return read_logs(path, options, progress)
-    tables, logs = data_files(path)
+    if not wanted.offsets:
+        options = dataclasses.replace(options, min_quiet_rows=0)
+    tables, logs = ([], [path]) if (path / MANIFEST).is_file() else data_files(path)
     if not tables:
-        rows, report = read_logs(path, options, progress)
         if wanted.torque:
-            raise ValueError(_no_torque(path.name, "flight logs"))
-        return rows, report
+            raise ValueError(_no_torque(path.name, "a flight log"))
+        return read_logs(path, options, progress)
     parts, refused = _read_tables(tables, options, wanted)
     if logs and not wanted.torque:
         found = _read_logs(logs, options, progress)
@@ -68,7 +68,7 @@ def read_data(
         refused += [FileReport(file.name, _no_torque(file.name, "a log")) for file in logs]
     if not parts:
         raise ValueError(_nothing(path, refused))
-    return finish(_joined(parts), refused, options, wanted.offsets)
+    return finish(_joined(parts), refused, options)
 
 
 def data_files(path: Path) -> tuple[list[Path], list[Path]]:
@@ -160,7 +160,7 @@ def _nothing(path: Path, refused: Sequence[FileReport]) -> str:
 def data_sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file, or of the names and contents of a folder's files."""
     if not path.is_dir():
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return file_sha256(path)
     digest = hashlib.sha256()
     for file in sorted(path.iterdir()):
         if file.is_file() and not file.name.startswith("."):

@@ -14,7 +14,7 @@ import numpy as np
 
 from swarm_envs.errors import check_integer
 from swarm_envs.interactions import InteractionModel
-from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
+from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
 
@@ -160,7 +160,7 @@ def _explained(
     true = truth.forces(position, velocity, team)[..., 2] / GRAM_FORCE
     error = model.forces(position, velocity, team)[..., 2] / GRAM_FORCE - true
     apart = np.abs(position[:, :, None] - position[:, None])
-    inside = (apart < [LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH]).all(axis=-1)
+    inside = (apart < INTERACTION_VOLUME).all(axis=-1)
     return Explained(
         team=team,
         drones=position.shape[1],

@@ -125,7 +125,7 @@ def _spec(description: dict[str, object], tensors: dict[str, Tensor]) -> DeepSet
         types=tuple(types),
         window=_window(window) if isinstance(window, dict) else None,
         input_range=_input_range(limits) if isinstance(limits, dict) else None,
-        anchor_height_m=anchor,
+        anchor_height_m=anchor or None,  # a file may say 0 for none
         layers=depth,
         kind=kind,
         torque=f"torque.{types[0]}.weight" in tensors,

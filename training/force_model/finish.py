@@ -47,7 +47,7 @@ class Joined(NamedTuple):
 
 
 def finish(
-    joined: Joined, refused: Sequence[FileReport], options: LogOptions, offsets: bool
+    joined: Joined, refused: Sequence[FileReport], options: LogOptions
 ) -> tuple[InteractionRows, LogReport]:
     """Hold out blocks where none are marked; leave out what is too little; report.
 
@@ -55,13 +55,12 @@ def finish(
         joined: rows of the sound files.
         refused: files that are not among them.
         options: block length, share, guard gap, seed; how many rows are enough.
-        offsets: whether vehicles need quiet rows.
 
     Raises:
         ValueError: no row is left.
     """
     joined = _split(joined, options)
-    left_out = _uncalibrated(joined.rows, options) if offsets else {}
+    left_out = _uncalibrated(joined.rows, options)
     names = _vehicle_names(joined.rows)
     unknown = [number for name, number in names.items() if name in left_out]
     joined = joined.select(~np.isin(joined.rows.vehicle, unknown), "vehicle not calibrated")

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.training.force_model.calibration import (
     NO_OFFSETS,
     Offsets,
@@ -15,11 +16,8 @@ from swarm_envs.training.force_model.calibration import (
 from swarm_envs.training.force_model.config import FitConfig
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.rows import FloatArray, InteractionRows
-from swarm_envs.training.force_model.spec import HARD_LATERAL_M, HARD_VERTICAL_M, InputRange
+from swarm_envs.training.force_model.spec import InputRange
 from swarm_envs.vehicles import GRAM_FORCE
-
-VOLUME_M = np.array([HARD_LATERAL_M, HARD_LATERAL_M, HARD_VERTICAL_M])
-"""Half edges of the interaction volume."""
 
 
 class Treated(NamedTuple):
@@ -79,14 +77,14 @@ def measured_range(rows: InteractionRows) -> InputRange:
     distance the 99.9 % quantile of its magnitude inside the interaction volume, one number for x
     and y; laterally the edge of the volume, since the window ends there.
     """
-    inside = (np.abs(rows.neighbor[..., :3]) <= VOLUME_M).all(axis=-1) & rows.has_neighbor
+    inside = (np.abs(rows.neighbor[..., :3]) <= INTERACTION_VOLUME).all(axis=-1) & rows.has_neighbor
     own = np.quantile(np.abs(rows.velocity), 0.999, axis=0)
     own[:2] = own[:2].max()
     pair = np.zeros(6)
     if inside.any():
         pair = np.quantile(np.abs(rows.neighbor[inside]), 0.999, axis=0)
     pair[3:5] = pair[3:5].max()
-    pair[:2] = VOLUME_M[:2]
+    pair[:2] = INTERACTION_VOLUME[:2]
     own, pair = np.round(own, 2), np.round(pair, 2)
     height = rows.position[:, 2]
     low, high = round(float(height.min()), 2), round(float(height.max()), 2)

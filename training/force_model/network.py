@@ -17,10 +17,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
 from swarm_envs.training.force_model.spec import (
     EVERYWHERE,
-    HARD_LATERAL_M,
-    HARD_VERTICAL_M,
     OUTER_FADE,
     UNLIMITED,
     DeepSetSpec,
@@ -32,8 +31,6 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = [
     "EVERYWHERE",
-    "HARD_LATERAL_M",
-    "HARD_VERTICAL_M",
     "OUTER_FADE",
     "TORQUES",
     "Batch",
@@ -134,7 +131,7 @@ class ForceNetwork(nn.Module):
         x, y, z = pair[..., 0].abs(), pair[..., 1].abs(), pair[..., 2].abs()
         window = self.spec.window
         if window is None:
-            inside = (x <= HARD_LATERAL_M) & (y <= HARD_LATERAL_M) & (z <= HARD_VERTICAL_M)
+            inside = (torch.maximum(x, y) <= LATERAL_REACH) & (z <= VERTICAL_REACH)
             return inside.to(pair.dtype)
         lateral = fade(x, *window.lateral_m) * fade(y, *window.lateral_m)
         return lateral * fade(z, *window.vertical_m)

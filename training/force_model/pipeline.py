@@ -14,6 +14,7 @@ from swarm_envs.training.force_model.calibration import RULE
 from swarm_envs.training.force_model.config import FitConfig as FitConfig
 from swarm_envs.training.force_model.config import settled
 from swarm_envs.training.force_model.data import Wanted, data_sha256, read_data
+from swarm_envs.training.force_model.distil import teacher_checkpoint, train_taught
 from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.files import json_ready
@@ -37,7 +38,6 @@ from swarm_envs.training.force_model.spec import (
 )
 from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.force_model.torque_head import TorqueErrors, torque_errors
-from swarm_envs.training.force_model.train import train
 from swarm_envs.training.force_model.unseen import silence_unseen
 from swarm_envs.training.force_model.wake_product import fit_wake_model
 
@@ -80,42 +80,47 @@ def fit(config: FitConfig) -> FitReport:
     rows, logs = read_data(config.data, config.logs, config.progress, wanted)
     check_rows(rows)
     treated = treat(rows, config)
+    words, digest = command(told), data_sha256(config.data)
     provenance: dict[str, object] = {
-        "command": command(told),
-        "data_sha256": data_sha256(config.data),
+        "command": words,
+        "data_sha256": digest,
         "mode": config.mode,
         "seed": config.seed,
     }
     fitted = (_wake if config.model == "wake" else _network)(treated, config, provenance)
-    report = _report(config, command(told), treated, logs, fitted, time.perf_counter() - began)
+    seconds = round(time.perf_counter() - began, 1)
+    report = _report(config, (words, digest), treated, logs, fitted, seconds)
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:
             write_json(path, json_ready(report))
-    (config.out / CHECKPOINT).unlink(missing_ok=True)
+    checkpoint = config.out / CHECKPOINT
+    for number in range(1, (config.teachers or 0) + 1):
+        teacher_checkpoint(checkpoint, number).unlink(missing_ok=True)
+    checkpoint.unlink(missing_ok=True)
     return report
 
 
 def _report(
     config: FitConfig,
-    words: str,
+    origin: tuple[str, str],
     treated: Treated,
     logs: LogReport,
     fitted: _Fitted,
     seconds: float,
 ) -> FitReport:
-    rows = treated.rows
+    rows, (words, digest) = treated.rows, origin
     return FitReport(
         model=config.model,
         command=words,
         config=json_ready(config),
-        data_sha256=data_sha256(config.data),
+        data_sha256=digest,
         offset_rule=RULE if is_calibrated(config) else "none",
         vehicle_offsets_g={str(vehicle): g for vehicle, g in treated.offsets.vehicle.items()},
         drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
         findings=fitted.findings,
         history=fitted.history,
         chosen=fitted.chosen,
-        wall_time_s=round(seconds, 1),
+        wall_time_s=seconds,
         logs=logs,
         notes=fitted.notes,
         torque_errors=fitted.torque,
@@ -129,7 +134,7 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
     if spec.kind == "pairwise":  # one network stands for phi and rho: as steep as both together
         recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
     with scalar_writer(config.tensorboard) as watch:
-        run = train(treated.target, spec, recipe, checkpoint, config.progress, watch)
+        run = train_taught(treated.target, spec, recipe, checkpoint, config.progress, watch)
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
     path = config.out / WEIGHTS[config.model]

@@ -14,10 +14,6 @@ NetworkKind = Literal["deep-set", "pairwise"]
 _FIRST_WIDTH = 25  # of phi's first hidden layer
 _WIDTH = 40  # of every other hidden layer
 
-HARD_LATERAL_M = 0.35
-HARD_VERTICAL_M = 1.1
-"""Half edges of the interaction volume, where a network without a window cuts off."""
-
 
 class Window(NamedTuple):
     """Where a pair's contribution fades from 1 to 0: |dx| and |dy|, and |dz|."""
@@ -56,7 +52,7 @@ class DeepSetSpec:
     types: tuple[str, ...]
     """Vehicle types: each has its own phi and rho."""
     window: Window | None = OUTER_FADE
-    """Smooth fade of pairs; None cuts off hard at |dx|, |dy| = 0.35 m and |dz| = 1.1 m."""
+    """Smooth fade of pairs; None cuts off hard at the edges of the interaction volume."""
     input_range: InputRange | None = None
     """Clamp of the inputs; None leaves them."""
     anchor_height_m: float | None = 0.6
@@ -75,7 +71,8 @@ class DeepSetSpec:
 
         Raises:
             ValueError: there would be no hidden state, or phi no hidden layer; a type's name
-                cannot stand in a weights file; or a torque is asked of a sum over pairs.
+                cannot stand in a weights file; a torque is asked of a sum over pairs; or the anchor
+                is not above the ground.
         """
         _check_types(self.types)
         if self.torque and self.kind != "deep-set":
@@ -84,6 +81,11 @@ class DeepSetSpec:
             raise ValueError(f"hidden is {self.hidden}, but must be at least 1")
         if self.layers < 2:
             raise ValueError(f"layers is {self.layers}, but must be at least 2")
+        if self.anchor_height_m is not None and not self.anchor_height_m > 0.0:
+            raise ValueError(
+                f"anchor_height_m is {self.anchor_height_m}, but must be above 0; give None for no "
+                "anchor"
+            )
 
     @property
     def phi_widths(self) -> tuple[int, ...]:

@@ -15,12 +15,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.training.force_model.network import DeepSet
 from swarm_envs.training.force_model.rows import FloatArray, InteractionRows
-from swarm_envs.vehicles import GRAM_FORCE
-
-GRAM_CENTIMETRE = GRAM_FORCE * 0.01
-"""N m of a gram-force centimetre."""
 
 
 @dataclass(frozen=True)

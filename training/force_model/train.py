@@ -1,4 +1,4 @@
-"""Training of a deep set on rows: Adam, spectral norms held after every step.
+"""Training of a network on rows, spectral norms held after every step of the optimiser.
 
 A run that is killed continues from its checkpoint and ends with the same weights.
 """
@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -25,13 +26,24 @@ from swarm_envs.training.force_model.epochs import Examples, batches_per_epoch, 
 from swarm_envs.training.force_model.flat import FlatWeights
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 from swarm_envs.training.force_model.pairwise import build
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.force_model.rows import ROW_ARRAYS, FloatArray, InteractionRows
 from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
+from swarm_envs.training.force_model.soap import Soap
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.force_model.torque_head import targets
 
 Entry = dict[str, float]
 """Of the history: step, mean training loss since the last entry, validation MSE, g^2."""
+
+
+class Lesson(NamedTuple):
+    """What teachers give to the network that learns from them."""
+
+    taught: FloatArray
+    """(R,) vertical force, gram-force, to learn in place of the labels; errors are of the labels
+    all the same."""
+    first: Tensor
+    """(P,) weights to start from."""
 
 
 @dataclass
@@ -40,7 +52,7 @@ class Training:
 
     network: ForceNetwork
     weights: FlatWeights
-    optimiser: torch.optim.Adam
+    optimiser: torch.optim.Optimizer
     averaged: Tensor
     """(P,) running average of the weights."""
     best: Tensor
@@ -86,7 +98,10 @@ def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
         network = build(spec)
     weights = FlatWeights(network)
     hold_spectral_norms(weights.matrices(), config.max_spectral_norm, config.spectral)
-    optimiser = torch.optim.Adam([weights.values], lr=config.learning_rate)
+    rate = config.learning_rate
+    optimiser: torch.optim.Optimizer = torch.optim.Adam([weights.values], lr=rate)
+    if config.optimiser == "soap":
+        optimiser = Soap(weights, rate)
     first = weights.values.detach()
     return Training(network, weights, optimiser, first.clone(), first.clone())
 
@@ -98,13 +113,15 @@ def train(
     checkpoint: Path | None = None,
     progress: bool = True,
     watch: Callable[[Entry], None] | None = None,
+    lesson: Lesson | None = None,
+    name: str | None = None,
 ) -> Training:
-    """Fit the network to the rows' vertical labels by least squares.
+    """Fit one network to the rows' vertical labels by least squares.
 
     The rows' validation blocks are held out; their error is recorded at every checkpoint and
     chooses nothing. The result has the weights of the last step, or their running average
     (`average_share`), or of these the ones with the least error on pieces of the training rows
-    (`early_validation`).
+    (`early_validation`). Teachers are trained by `distil.train_taught`, not here.
 
     Args:
         rows: labels in `force_g[:, 2]`, already free of whatever should not be learned.
@@ -113,6 +130,8 @@ def train(
         checkpoint: file to continue from if it exists, and to write; None keeps none.
         progress: show a progress bar.
         watch: called with every new entry of the history.
+        lesson: what to learn in place of the labels, and where to start.
+        name: of the network, for the progress bar.
 
     Raises:
         ValueError: the checkpoint belongs to another configuration, or the rows cannot be split.
@@ -120,14 +139,19 @@ def train(
     torch.set_num_threads(1)
     config = settled(config)
     run = start(spec, config)
-    configuration = _configuration(rows, spec, config)
+    taught = None
+    if lesson is not None:
+        taught = lesson.taught
+        run.weights.set(lesson.first)
+        run.averaged, run.best = lesson.first.clone(), lesson.first.clone()
+    configuration = _configuration(rows, spec, config, taught)
     if checkpoint is not None and checkpoint.exists():
         load_checkpoint(checkpoint, run, configuration)
-    examples, checks = _split(rows, config, spec.torque)
+    examples, checks = _split(rows, config, spec.torque, taught)
     total = total_steps(config, len(examples.label))
     batches = batches_per_epoch(len(examples.label), config.batch_size)
     loss_sum, order = 0.0, None
-    bar = tqdm(total=total, initial=run.step, disable=not progress, unit="step")
+    bar = tqdm(total=total, initial=run.step, disable=not progress, unit="step", desc=name)
     while run.step < total:
         place = run.step % batches
         if order is None or place == 0:
@@ -159,17 +183,23 @@ def total_steps(config: TrainConfig, rows: int) -> int:
     return max(1, round(config.epochs * batches_per_epoch(rows, config.batch_size)))
 
 
-def _configuration(rows: InteractionRows, spec: DeepSetSpec, config: TrainConfig) -> str:
+def _configuration(
+    rows: InteractionRows, spec: DeepSetSpec, config: TrainConfig, taught: FloatArray | None
+) -> str:
     settings = {entry.name: getattr(config, entry.name) for entry in fields(TrainConfig)}
-    labels = hashlib.sha256(rows.force_g.tobytes())
+    digest = hashlib.sha256()  # of the split too: held-out rows must stay held out
+    for name in ROW_ARRAYS:
+        digest.update(np.ascontiguousarray(getattr(rows, name)).tobytes())
     if spec.torque and rows.torque is not None:
-        labels.update(rows.torque.tobytes())
-    content = {"labels": labels.hexdigest(), "spec": asdict(spec), "training": settings}
+        digest.update(np.ascontiguousarray(rows.torque).tobytes())
+    if taught is not None:
+        digest.update(taught.tobytes())
+    content = {"rows": digest.hexdigest(), "spec": asdict(spec), "training": settings}
     return json.dumps(content, sort_keys=True)
 
 
 def _split(
-    rows: InteractionRows, config: TrainConfig, torque: bool
+    rows: InteractionRows, config: TrainConfig, torque: bool, taught: FloatArray | None
 ) -> tuple[Examples, dict[str, tuple[Batch, Tensor]]]:
     """What is trained on, and what is held out: the validation blocks, and early validation."""
     chosen, held_out = ~rows.validation, {"validation": rows.validation}
@@ -178,6 +208,8 @@ def _split(
         held_out["early_validation"] = early
     training = rows.select(chosen)
     weight = type_weights(training, config.balance)
+    if taught is not None:
+        training = training.with_vertical_force(taught[chosen])
     examples = Examples(to_batch(training), targets(training, torque), weight)
     parts = {name: rows.select(mask) for name, mask in held_out.items()}
     return examples, {name: (to_batch(part), targets(part)) for name, part in parts.items()}
@@ -194,7 +226,7 @@ def type_weights(rows: InteractionRows, balance: float) -> Tensor:
 
 
 def _step(run: Training, chosen: Examples, config: TrainConfig, total: int) -> float:
-    """Take one step of Adam on a batch; returns the batch's MSE, g^2."""
+    """Take one step of the optimiser on a batch; returns the batch's MSE, g^2."""
     run.optimiser.param_groups[0]["lr"] = _rate(config, run.step / total)
     squared = (run.network.heads(chosen.batch) - chosen.label.reshape(len(chosen.label), -1)) ** 2
     loss = torch.mean(chosen.weight * squared.sum(dim=1))
@@ -217,7 +249,7 @@ def _step(run: Training, chosen: Examples, config: TrainConfig, total: int) -> f
 
 
 def _rate(config: TrainConfig, done: float) -> float:
-    """Adam's rate after a share of the steps."""
+    """The optimiser's rate after a share of the steps."""
     if config.schedule == "constant":
         return config.learning_rate
     return 0.5 * config.learning_rate * (1.0 + math.cos(math.pi * done))
@@ -252,6 +284,8 @@ def _judge(
 def _chosen(run: Training, config: TrainConfig) -> str:
     """Say which weights of a finished run are its result."""
     what = "running average of the weights" if config.average_share else "weights"
+    if config.teachers:
+        what = f"taught by {config.teachers} networks, {what}"
     if config.early_validation:
         return f"{what} at step {run.best_step}, the best on held-out {config.early_held}"
     return f"{what} at the last step; validation chose nothing"

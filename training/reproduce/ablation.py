@@ -24,6 +24,21 @@ from swarm_envs.training.force_model.pipeline import REPORTS, fit
 from swarm_envs.training.reproduce.cells import CELLS, Cell
 from swarm_envs.training.reproduce.table_plot import is_three_drones, plot_table
 
+_RECIPE: Mapping[str, Any] = {
+    "optimiser": "adam",
+    "teachers": 0,
+    "schedule": "constant",
+    "average_share": 0.2,
+}
+"""How the table's networks are trained: each by itself on the labels, as the paper's are."""
+_PASSES = 80.0
+_BEFORE: Mapping[str, Any] = {
+    "optimiser": "adam",
+    "teachers": 0,
+    "teacher_epochs": 16.0,
+    "label_share": 0.0,
+}
+"""What reports that do not know these options stand for."""
 _TRAINING = tuple(entry.name for entry in fields(TrainConfig) if entry.name != "seed")
 
 
@@ -34,8 +49,6 @@ class Budget(NamedTuple):
     """Rows of measured force: a file, or a folder of files."""
     steps: int | None = None
     """Optimiser steps; this and the others are the trainer's default where None."""
-    epochs: float | None = None
-    """Passes over the training rows, in place of steps."""
     batch_size: int | None = None
     learning_rate: float | None = None
 
@@ -58,7 +71,9 @@ def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig
     )
     length = {name: value for name, value in budget._asdict().items() if name != "data"}
     shared = {name: value for name, value in length.items() if value is not None}
-    return settled(replace(plain, **{**shared, **cell.changes}), "measured")
+    if budget.steps is None:
+        shared["epochs"] = _PASSES
+    return settled(replace(plain, **{**_RECIPE, **shared, **cell.changes}), "measured")
 
 
 def run_folder(out: Path, cell: Cell, seed: int) -> Path:
@@ -127,7 +142,7 @@ def _finished(config: FitConfig, digest: str) -> Mapping[str, Any] | None:
         return None
     report = _read(config)
     wanted = json.loads(json.dumps(json_ready(replace(config, progress=True))))
-    made = {**report["config"], "progress": True}
+    made = {**_BEFORE, **report["config"], "progress": True}
     differing = sorted(k for k in wanted.keys() | made.keys() if wanted.get(k) != made.get(k))
     if report["data_sha256"] != digest:
         differing.append("the data")

@@ -37,10 +37,13 @@ class ReproduceOptions:
     """figure: `learned`, `wake`, or the path of a weights file"""
     bins: Path | None = None
     """figure: CSV of measured force bins to hold the model against"""
+    truth: str | None = None
+    """figure: the force that blew where the model was learned, such as `learned` for one of
+    `swarm-envs curriculum`: how much of it is explained for 2 to 16 drones"""
     data: Path | None = None
     """table: rows of measured force, a file or a folder, as `swarm-envs fit` reads them"""
     seed: int = 0
-    """table: seed of the first run of each cell; the figure draws nothing at random"""
+    """table: seed of the first run of each cell; figure: of the swarms that `--truth` asks about"""
     seeds: int = 3
     """table: runs of each cell"""
     cells: tuple[str, ...] = CELL_NAMES
@@ -79,7 +82,9 @@ def run(options: ReproduceOptions) -> str:
 
 
 def _figure(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
-    summary = reproduce_figure(options.out, options.model, options.bins)
+    summary = reproduce_figure(
+        options.out, options.model, options.bins, options.truth, options.seed
+    )
     files = [options.out / name for name in ("figure_5.json", *summary["files"].values())]
     return summary, f"{format_summary(summary)}\nwrote {', '.join(map(str, files))}"
 

@@ -77,7 +77,7 @@ def _scenarios(axis: Axes, both: Sequence[Mapping[str, Any]]) -> None:
                   transform=axis.get_yaxis_transform())  # fmt: skip
     axis.set_xlabel("Mean squared error (g²)")
     _legend(axis)
-    axis.set_title("Deep set and sum over pairs by scenario")
+    axis.set_title("By scenario")
     axis.grid(True, axis="x")
 
 

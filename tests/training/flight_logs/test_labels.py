@@ -9,6 +9,8 @@ import pytest
 
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
+from swarm_envs.training.flight_logs.clock import ClockedFlight
+from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.table import from_columns
 from swarm_envs.training.force_model.calibration import estimate_offsets
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL
@@ -124,6 +126,19 @@ def test_gaps_and_standing_motors_give_no_rows(flown, as_table, tmp_path):
     assert flown_at.min() >= 0.3 and flown_at.max() <= 6.01
     assert (rows.force_g[:, 2] ** 2).mean() < 1.0
     assert any("s in gaps are left out" in line for line in report.lines())
+
+
+def test_a_piece_shorter_than_the_window_has_no_known_label():
+    count, hover = 60, np.full((60, 1, 4), 40_000.0)
+    still = np.zeros((count, 1, 3))
+    flight = ClockedFlight(
+        names=("cf7",), team=(SMALL,), rate_hz=100.0, time=np.arange(count) / 100.0,
+        known=np.ones(count, np.bool_), running=np.ones(count, np.bool_), position=still,
+        velocity=still, quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (count, 1, 1)),
+        acceleration=None, pwm=hover, voltage=np.full((count, 1), 3.8),
+    )  # fmt: skip
+    assert np.isfinite(interaction_force_g(flight, 0.1)).any()
+    assert np.isnan(interaction_force_g(flight, 1.0)).all()
 
 
 def test_only_common_time_counts(flown, as_table, tmp_path):

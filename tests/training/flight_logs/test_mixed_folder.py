@@ -14,7 +14,7 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import FlightTable, LogOptions, read_logs, write_table
-from swarm_envs.training.force_model.data import read_data
+from swarm_envs.training.force_model.data import Wanted, read_data
 from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
 from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
@@ -96,6 +96,25 @@ def test_logs_and_tables_are_joined(folder: Path, rows: InteractionRows) -> None
     for file in report.files:
         if file.refused is None:
             assert file.rows + sum(file.dropped.values()) == file.entries, file.file
+
+
+def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
+    sound: FlightTable, tmp_path: Path
+) -> None:
+    """Logs alone and logs among tables alike."""
+    write_table(tmp_path / "flight.csv", sound)
+    options = dataclasses.replace(OPTIONS, min_quiet_rows=10_000)
+    with pytest.raises(ValueError, match="vehicle not calibrated"):
+        read_data(tmp_path, options)
+    found, report = read_data(tmp_path, options, wanted=Wanted(offsets=False))
+    assert len(found) == report.rows > 100
+    assert {vehicle.refused for vehicle in report.vehicles.values()} == {None}
+
+
+def test_logs_alone_give_no_torque(sound: FlightTable, tmp_path: Path) -> None:
+    write_table(tmp_path / "flight.csv", sound)
+    with pytest.raises(ValueError, match="a flight log carries no torque"):
+        read_data(tmp_path, OPTIONS, wanted=Wanted(torque=True))
 
 
 def test_every_refusal_is_said_with_its_reason(folder: Path) -> None:

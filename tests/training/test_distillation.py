@@ -1,0 +1,168 @@
+"""Distillation: what teachers may see, what they teach, and that a killed run goes on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from swarm_envs.training.force_model import train as module
+from swarm_envs.training.force_model.config import FitConfig, TrainConfig
+from swarm_envs.training.force_model.distil import (
+    symmetric_mean,
+    teacher_checkpoint,
+    teacher_config,
+    train_taught,
+)
+from swarm_envs.training.force_model.early import inner_split
+from swarm_envs.training.force_model.network import EVERYWHERE, DeepSet, DeepSetSpec
+from swarm_envs.training.force_model.pipeline import fit
+from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.force_model.train import Training, predict, to_batch, train
+
+SPEC = DeepSetSpec(("S",), EVERYWHERE, None, None)
+TAUGHT = TrainConfig(
+    epochs=2.0,
+    teachers=2,
+    teacher_epochs=2.0,
+    optimiser="soap",
+    schedule="constant",
+    average_share=0.2,
+    batch_size=64,
+    checkpoint_every=10,
+    slope_limit=None,
+    position_jitter_m=0.0,
+    velocity_jitter=0.0,
+    balance=0.0,
+)
+
+
+def rows_of(count: int = 1000, noise: float = 0.0) -> InteractionRows:
+    """Rows of one drone, pushed down by whoever is above it."""
+    rng = np.random.default_rng(0)
+    neighbor = rng.uniform(-0.4, 0.4, (count, 1, 6))
+    force = np.zeros((count, 3))
+    force[:, 2] = -8.0 * np.maximum(neighbor[:, 0, 2], 0.0) + noise * rng.normal(size=count)
+    return InteractionRows(
+        types=("S",),
+        ego_type=np.zeros(count, dtype=np.int64),
+        position=rng.uniform(0.5, 1.0, (count, 3)),
+        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
+        neighbor=neighbor,
+        neighbor_type=np.zeros((count, 1), dtype=np.int64),
+        force_g=force,
+        flight=np.zeros(count, dtype=np.int64),
+        step=3 * np.arange(count),
+        vehicle=np.full(count, 50),
+        scenario=np.zeros(count, dtype=np.int64),
+        validation=np.arange(count) // 100 % 5 == 4,
+        scenario_names=("S2S",),
+    )
+
+
+def vector(run: Training) -> torch.Tensor:
+    return torch.nn.utils.parameters_to_vector(run.network.parameters()).detach()
+
+
+def other_labels(rows: InteractionRows, changed: np.ndarray) -> InteractionRows:
+    return rows.with_vertical_force(np.where(changed, 30.0, rows.force_g[:, 2]))
+
+
+def test_the_mean_over_symmetries_is_symmetric() -> None:
+    torch.manual_seed(0)
+    network, rows = DeepSet(SPEC), rows_of(50)
+    with torch.no_grad():
+        for weight in network.parameters():
+            weight.mul_(3.0)  # or it hardly depends on its inputs
+    found = symmetric_mean(network, to_batch(rows))
+    assert not torch.allclose(found, predict(network, to_batch(rows)), atol=0.01)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    both = np.kron(np.eye(2), quarter)
+    turned = dataclasses.replace(
+        rows, velocity=rows.velocity @ quarter.T, neighbor=rows.neighbor @ both.T
+    )
+    assert torch.allclose(found, symmetric_mean(network, to_batch(turned)), rtol=1e-4)
+
+
+def test_the_network_learns_what_teachers_say() -> None:
+    rows = rows_of()
+    config = dataclasses.replace(TAUGHT, teachers=1, epochs=60.0, teacher_epochs=3.0)
+    teacher = train(rows, SPEC, teacher_config(config, 1), progress=False)
+    taught = train_taught(rows, SPEC, config, progress=False)
+    told = symmetric_mean(teacher.network, to_batch(rows)).numpy()
+    training = ~rows.validation
+    answer = predict(taught.network, to_batch(rows)).numpy()
+    own = predict(teacher.network, to_batch(rows)).numpy()
+    from_lesson = np.mean((answer - told)[training] ** 2)
+    assert from_lesson < 0.5 * np.mean((own - told)[training] ** 2)
+    assert from_lesson < 0.5 * np.mean((answer - rows.force_g[:, 2])[training] ** 2)
+    error = np.mean((answer - rows.force_g[:, 2])[rows.validation] ** 2)
+    assert taught.history[-1]["validation"] == pytest.approx(error, rel=1e-3)
+    assert "taught by 1 network" in taught.chosen
+
+
+def test_labels_alone_are_learned_where_their_share_is_one() -> None:
+    rows = rows_of()
+    config = dataclasses.replace(TAUGHT, epochs=60.0, label_share=1.0)
+    answer = predict(train_taught(rows, SPEC, config, progress=False).network, to_batch(rows))
+    assert np.mean((answer.numpy() - rows.force_g[:, 2]) ** 2) < 0.1
+
+
+def test_held_out_rows_teach_nobody() -> None:
+    rows = rows_of()
+    first = train_taught(rows, SPEC, TAUGHT, progress=False)
+    again = train_taught(other_labels(rows, rows.validation), SPEC, TAUGHT, progress=False)
+    assert torch.equal(vector(first), vector(again))
+    early = dataclasses.replace(TAUGHT, early_validation=0.2, checkpoint_every=1000)
+    training, _ = inner_split(rows, 0.2, early.seed)
+    one = train_taught(rows, SPEC, early, progress=False)
+    two = train_taught(other_labels(rows, ~training), SPEC, early, progress=False)
+    assert torch.equal(vector(one), vector(two))
+
+
+@pytest.mark.parametrize(("killed_at", "left"), [(5, 78), (40, 42), (65, 16)])
+def test_killed_run_goes_on_with_the_network_it_was_at(
+    killed_at: int, left: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, path = rows_of(), tmp_path / "checkpoint.safetensors"
+    whole = train_taught(rows, SPEC, TAUGHT, progress=False)
+    step, calls = module._step, []
+
+    def dying_step(*arguments: object) -> float:
+        calls.append(1)
+        if len(calls) == killed_at:
+            raise KeyboardInterrupt
+        return step(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(module, "_step", dying_step)
+    with pytest.raises(KeyboardInterrupt):
+        train_taught(rows, SPEC, TAUGHT, path, progress=False)
+    resumed = train_taught(rows, SPEC, TAUGHT, path, progress=False)
+    assert torch.equal(vector(whole), vector(resumed))
+    assert resumed.history == whole.history
+    assert len(calls) == killed_at + left  # of 26 steps for each of three networks
+    assert teacher_checkpoint(path, 1).exists()
+
+
+def test_fit_records_its_teachers_and_removes_their_checkpoints(tmp_path: Path) -> None:
+    save_rows(tmp_path / "rows.npz", rows_of())
+    config = FitConfig(data=tmp_path / "rows.npz", out=tmp_path / "out", mode="measured",
+                       epochs=1.0, teachers=1, teacher_epochs=1.0, lipschitz_samples=0,
+                       progress=False)  # fmt: skip
+    fit(config)
+    assert sorted(p.name for p in config.out.iterdir()) == ["learned.json", "learned.safetensors"]
+    written = json.loads((config.out / "learned.json").read_text())
+    assert (written["config"]["optimiser"], written["config"]["teachers"]) == ("soap", 1)
+    assert "taught by 1 network" in written["chosen"]
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("teachers", -1), ("teacher_epochs", 0.0), ("label_share", 1.5)]
+)
+def test_impossible_options_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=f"{name} is {value}"):
+        TrainConfig(**{name: value})  # type: ignore[arg-type]

@@ -1,0 +1,102 @@
+"""SOAP, against Adam where they are the same, and by the symmetry that only SOAP has."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from swarm_envs.training.force_model.flat import FlatWeights
+from swarm_envs.training.force_model.soap import Soap
+
+RATE = 1e-2
+
+
+def moved(matrix_gradients: list[torch.Tensor]) -> torch.Tensor:
+    """How far the matrix of a layer goes under given gradients, but for the first step."""
+    rows, columns = matrix_gradients[0].shape
+    network = nn.Sequential(nn.Linear(columns, rows, bias=False), nn.Linear(2, 7, bias=False))
+    weights = FlatWeights(network)
+    optimiser, after_first = Soap(weights, RATE), torch.zeros(0)
+    for gradient in matrix_gradients:
+        assert weights.values.grad is not None
+        weights.clear_gradient()
+        weights.values.grad[: gradient.numel()] = gradient.reshape(-1)
+        optimiser.step()
+        if not len(after_first):
+            after_first = weights.matrices()[0].clone()
+    return weights.matrices()[0] - after_first
+
+
+def test_turned_gradients_turn_the_move() -> None:
+    rng = np.random.default_rng(0)
+    gradients = [torch.from_numpy(rng.normal(size=(5, 5))).float() for _ in range(8)]
+    turn_left, turn_right = (
+        torch.from_numpy(np.linalg.qr(rng.normal(size=(5, 5)))[0]).float() for _ in range(2)
+    )
+    plain = moved(gradients)
+    turned = moved([turn_left @ g @ turn_right for g in gradients])
+    assert plain.norm() > RATE
+    assert torch.allclose(turn_left @ plain @ turn_right, turned, atol=1e-3 * float(plain.norm()))
+
+
+def test_biases_get_plain_adam() -> None:
+    network = nn.Linear(3, 4)
+    weights = FlatWeights(network)
+    alone = nn.Parameter(network.bias.detach().clone())
+    optimiser, adam = Soap(weights, RATE), torch.optim.Adam([alone], lr=RATE)
+    rng = np.random.default_rng(1)
+    for _ in range(25):
+        gradient = torch.from_numpy(rng.normal(size=16)).float()
+        assert weights.values.grad is not None
+        weights.values.grad.copy_(gradient)
+        alone.grad = gradient[12:].clone()
+        optimiser.step()
+        adam.step()
+    assert torch.allclose(network.bias, alone, atol=1e-6)
+
+
+def published_moves(gradients: list[np.ndarray]) -> list[np.ndarray]:
+    """Algorithm 3 of the paper for one matrix, in float64 and without padding."""
+    left, right = gradients[0] @ gradients[0].T, gradients[0].T @ gradients[0]
+    turn_left, turn_right = (np.linalg.eigh(s)[1][:, ::-1] for s in (left, right))
+    mean, square, moves = np.zeros_like(left), np.zeros_like(left), []
+    for step, gradient in enumerate(gradients, start=1):
+        if step > 1:
+            left = 0.98 * left + 0.02 * gradient @ gradient.T
+            right = 0.98 * right + 0.02 * gradient.T @ gradient
+        if step % 10 == 0:
+            turn_left = np.linalg.qr(left @ turn_left)[0]
+            turn_right = np.linalg.qr(right @ turn_right)[0]
+        mean = 0.9 * mean + 0.1 * gradient
+        square = 0.999 * square + 0.001 * (turn_left.T @ gradient @ turn_right) ** 2
+        turned = turn_left.T @ (mean / (1 - 0.9**step)) @ turn_right
+        scaled = turned / (np.sqrt(square / (1 - 0.999**step)) + 1e-8)
+        moves.append(-RATE * turn_left @ scaled @ turn_right.T)
+    return moves
+
+
+def test_matrices_move_as_published() -> None:
+    rng = np.random.default_rng(2)
+    gradients = [rng.normal(size=(5, 5)) for _ in range(25)]
+    found = moved([torch.from_numpy(g).float() for g in gradients])
+    wanted = np.sum(published_moves(gradients)[1:], axis=0)
+    assert found.numpy() == pytest.approx(wanted, abs=1e-3 * float(np.linalg.norm(wanted)))
+
+
+def test_a_closure_is_refused() -> None:
+    optimiser = Soap(FlatWeights(nn.Linear(2, 2)), RATE)
+    with pytest.raises(ValueError, match="without a closure"):
+        optimiser.step(lambda: 0.0)
+
+
+def test_matrices_without_gradient_stay() -> None:
+    silent, used = nn.Linear(4, 6), nn.Linear(6, 1)
+    weights, before = FlatWeights(nn.Sequential(silent, used)), silent.weight.detach().clone()
+    optimiser = Soap(weights, RATE)
+    for _ in range(12):
+        used(torch.ones(3, 6)).sum().backward()
+        optimiser.step()
+    assert torch.equal(silent.weight, before)
+    assert torch.isfinite(weights.values).all()
