@@ -16,7 +16,7 @@ export MKL_NUM_THREADS := 1
 # Libraries that train on the environments; what stands in one line can be installed together.
 COMPAT := $(VENV)-compat
 PEERS_torchrl := torchrl benchmarl skrl
-PEERS_rllib := 'ray[rllib]'
+PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py
 TESTS_rllib := test_rllib.py test_docs.py
 
