@@ -35,12 +35,9 @@ def test_two_agents_of_one_kind_may_share_an_environment() -> None:
 
 
 @pytest.mark.parametrize("clone", [copy.deepcopy, pickle.dumps])
-def test_copies_that_would_come_apart_are_refused(clone) -> None:
-    env = swap_v0.parallel_env(num_drones=1, physics="batch")
-    env.reset(seed=0)
-    for thing in (env.core, BatchPhysics("S")):  # an environment goes by a snapshot
-        with pytest.raises(TypeError, match="cannot be copied or pickled"):
-            clone(thing)
+def test_an_engine_refuses_copies_that_would_come_apart(clone) -> None:
+    with pytest.raises(TypeError, match="cannot be copied or pickled"):
+        clone(BatchPhysics("S"))
 
 
 @pytest.mark.parametrize("name", SHIPPED)
