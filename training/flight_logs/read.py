@@ -16,6 +16,7 @@ from swarm_envs.training.collection.table import TYPES
 from swarm_envs.training.flight_logs.checks import DroneLog, check_table
 from swarm_envs.training.flight_logs.clock import ClockedFlight, common_clock
 from swarm_envs.training.flight_logs.collected import is_collection, read_collected
+from swarm_envs.training.flight_logs.copies import flight_key, refuse_copy
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
 from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.report import (
@@ -79,10 +80,10 @@ def read_flights(
         ImportError: a log is Parquet, and pyarrow is not installed.
         ValueError: the sound files give no row.
     """
-    flights, refused, kinds = [], [], dict[str, str]()
+    flights, refused, kinds, known = [], [], dict[str, str](), dict[str, str]()
     for file in tqdm(files, disable=not progress, unit="flight"):
         try:
-            flight = _read_flight(file, kinds, options)
+            flight = _read_flight(file, kinds, known, options)
         except ValueError as error:
             refused.append(FileReport(file.name, str(error)))
         else:
@@ -118,7 +119,9 @@ def log_files(path: Path) -> list[Path]:
     return files
 
 
-def _read_flight(file: Path, kinds: dict[str, str], options: LogOptions) -> _Flight:
+def _read_flight(
+    file: Path, kinds: dict[str, str], known: dict[str, str], options: LogOptions
+) -> _Flight:
     table = read_table(file)
     drones = check_table(table)
     for drone in drones:
@@ -128,6 +131,7 @@ def _read_flight(file: Path, kinds: dict[str, str], options: LogOptions) -> _Fli
                 f"drone {drone.name!r} has the type {token!r} here, but {kinds[drone.name]!r} in "
                 "an earlier file; name vehicles apart"
             )
+    refuse_copy(known, flight_key(drones), file.name)
     clocked = common_clock(drones, options)
     force = interaction_force_g(clocked, options.smoothing_s)
     rows = [drone_rows(clocked, force, i, options.keep_every) for i in range(len(drones))]

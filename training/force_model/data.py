@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.training.collection.collect import MANIFEST
+from swarm_envs.training.flight_logs.copies import refuse_copy, table_key
 from swarm_envs.training.flight_logs.read import log_files, read_flights, read_logs
 from swarm_envs.training.flight_logs.report import FileReport, LogReport
 from swarm_envs.training.flight_logs.table import SUFFIXES
@@ -99,13 +100,14 @@ def data_files(path: Path) -> tuple[list[Path], list[Path]]:
 def _read_tables(
     files: Sequence[Path], options: LogOptions, wanted: Wanted
 ) -> tuple[list[_Part], list[FileReport]]:
-    parts, refused = [], []
+    parts, refused, known = [], [], dict[str, str]()
     for file in files:
         try:
             rows = read_rows(file)
             check_table(rows, options.check_units)
             if wanted.torque and rows.torque is None:
                 raise ValueError(_no_torque(file.name, "the table"))
+            refuse_copy(known, table_key(rows), file.name)
         except ValueError as error:
             refused.append(FileReport(file.name, str(error), kind="table"))
         else:
