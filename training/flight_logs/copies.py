@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.training.flight_logs.checks import DroneLog
+from swarm_envs.training.flight_logs.drone import DroneLog
 from swarm_envs.training.force_model.rows import InteractionRows
 
 

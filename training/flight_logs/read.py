@@ -13,10 +13,11 @@ from tqdm import tqdm
 
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.table import TYPES
-from swarm_envs.training.flight_logs.checks import DroneLog, check_table
+from swarm_envs.training.flight_logs.checks import check_table
 from swarm_envs.training.flight_logs.clock import ClockedFlight, common_clock
 from swarm_envs.training.flight_logs.collected import is_collection, read_collected
 from swarm_envs.training.flight_logs.copies import flight_key, refuse_copy
+from swarm_envs.training.flight_logs.drone import DroneLog
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
 from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.report import (

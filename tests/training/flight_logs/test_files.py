@@ -138,6 +138,22 @@ def rotor_forces(unit):
     return edit
 
 
+def forces(unit, kind="SL"):
+    """Mass times acceleration, in newtons times `unit`, of the drones of a kind."""
+    mass = {"S": SMALL.mass, "L": LARGE.mass}
+
+    def edit(columns):
+        factor = np.array([mass[t] * unit if t in kind else 1.0 for t in columns["type"]])
+        return columns | {name: columns[name] * factor for name in ACCELERATION}
+
+    return edit
+
+
+def mirrored(columns):
+    """Heights from a ceiling down, though the accelerometer keeps z up."""
+    return columns | {"z": 2.5 - columns["z"], "vz": -columns["vz"]}
+
+
 PWM = [f"pwm{k}" for k in range(1, 5)]
 ACCELERATION = ["ax", "ay", "az"]
 
@@ -165,6 +181,13 @@ ACCELERATION = ["ax", "ay", "az"]
         (scaled(["vx", "vy", "vz"], -1.0), "moves -1 times as its velocity says"),
         (scaled(ACCELERATION, 1 / 9.80665), "looks like multiples of g: multiply by 9.80665"),
         (scaled(ACCELERATION, 1000 / 9.80665), "looks like thousandths of g"),
+        (forces(1.0), r"of drone 'cf0' .*a force in newtons: divide by the mass, 0\.0"),
+        (forces(1.0, "L"), r"of drone 'cf1' .*a force in newtons: divide by the mass, 0\.0"),
+        (forces(1 / GRAM_FORCE), "looks like a force in gram-force"),
+        (scaled(ACCELERATION, 0.4), r"gravity included; give m/s\^2 in the world frame, z up$"),
+        (mirrored, r"az - 9\.81 of drone 'cf\d' opposes the change of vz .*z must point up"),
+        (scaled(["z", "vz"], -1.0), r"z of drone 'cf0' is usually -.*: z must point up; turn"),
+        (scaled(["ax"], -1.0), r"ax of drone 'cf\d' opposes .*same world frame"),
         (scaled(ACCELERATION, -1.0), "sign is turned round"),
         (changed("az", lambda a: a - 9.80665), "gravity seems to be missing: add 9.80665"),
         (scaled(PWM, 1 / 65535), "looks like 0 to 1: multiply by 65535"),
