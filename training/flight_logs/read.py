@@ -19,6 +19,7 @@ from swarm_envs.training.flight_logs.collected import is_collection, read_collec
 from swarm_envs.training.flight_logs.copies import flight_key, refuse_copy
 from swarm_envs.training.flight_logs.drone import DroneLog
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
+from swarm_envs.training.flight_logs.folder import find_data
 from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.report import (
     Calibration,
@@ -33,7 +34,7 @@ from swarm_envs.training.flight_logs.split import (
     is_guarded,
     is_held_out,
 )
-from swarm_envs.training.flight_logs.table import SUFFIXES, read_table
+from swarm_envs.training.flight_logs.table import read_table
 from swarm_envs.training.force_model.join import with_present_types
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.rows import InteractionRows
@@ -62,7 +63,16 @@ def read_logs(
     """
     if is_collection(path):
         return read_collected(path)
-    rows, report = read_flights(log_files(path), options, progress)
+    found = find_data(path)
+    not_read = tuple(sorted([*(file.name for file in found.tables), *found.not_read]))
+    if not found.logs and not found.twice:
+        raise FileNotFoundError(
+            f"{str(path)!r} has no flight log, only {', '.join(not_read[:5]) or 'nothing'}; put "
+            "one .csv or .parquet file per flight there"
+        )
+    rows, report = read_flights(found.logs, options, progress)
+    files = sorted([*report.files, *found.twice], key=lambda file: file.file)
+    report = dataclasses.replace(report, files=files, not_read=not_read)
     if rows is None:
         reasons = "; ".join(f"{file.file}: {file.refused}" for file in report.files)
         raise ValueError(f"no flight of {str(path)!r} is sound: {reasons}")
@@ -93,31 +103,6 @@ def read_flights(
     if not flights:
         return None, LogReport(refused, {}, {}, 0, 0)
     return _assemble(flights, refused, sorted(kinds), options)
-
-
-def log_files(path: Path) -> list[Path]:
-    """Return the logs at a path, sorted: itself, or those of the folder.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: a flight is there both as CSV and as Parquet.
-    """
-    if not path.is_dir():
-        if not path.exists():
-            raise FileNotFoundError(f"no flight log at {str(path)!r}; give a file or a folder")
-        return [path]
-    visible = [file for file in path.iterdir() if not file.name.startswith(".")]
-    files = sorted(file for file in visible if file.suffix in SUFFIXES)
-    if not files:
-        there = ", ".join(sorted(file.name for file in visible)[:5]) or "nothing"
-        raise FileNotFoundError(
-            f"folder {str(path)!r} has no flight log, only {there}; put one .csv or .parquet file "
-            "per flight there"
-        )
-    twice = [stem for stem, count in Counter(file.stem for file in files).items() if count > 1]
-    if twice:
-        raise ValueError(f"flight {twice[0]!r} is there as CSV and as Parquet; keep one of them")
-    return files
 
 
 def _read_flight(

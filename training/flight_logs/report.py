@@ -78,6 +78,8 @@ class LogReport:
     vehicles: dict[str, Calibration]
     rows: int
     validation_rows: int
+    not_read: tuple[str, ...] = ()
+    """What else lies in the folder."""
 
     def lines(self) -> list[str]:
         """Return the report as lines of text."""
@@ -85,11 +87,18 @@ class LogReport:
         seconds = sum(file.seconds for file in self.files)
         what = "files" if any(file.kind == "table" for file in self.files) else "flights"
         time = f"{seconds:.0f} s, " if seconds else ""
+        barren = sum(file.refused is None and not file.rows for file in self.files)
+        idle = f", {barren} of them {'gives' if barren == 1 else 'give'} no row" if barren else ""
         said = [
-            f"{len(self.files) - len(bad)} of {len(self.files)} {what} are sound: "
+            f"{len(self.files) - len(bad)} of {len(self.files)} {what} are sound{idle}: "
             f"{time}{self.rows} rows, {self.validation_rows} of them held out"
         ]
         said += [f"refused {file.file}: {file.refused}" for file in bad]
+        if self.not_read:
+            said.append(
+                f"not read: {', '.join(self.not_read)}; data is .csv, .parquet and .npz right in "
+                "the folder"
+            )
         for file in self.files:
             said += [f"{file.file}: {note}" for note in _notes(file)]
         for name, scenario in self.scenarios.items():

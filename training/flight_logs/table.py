@@ -137,11 +137,15 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
         ValueError: it is no such table; the message says what is wrong where.
     """
     file = Path(path)
-    if file.suffix not in SUFFIXES:
-        raise ValueError(f"{file.name} ends in {file.suffix!r}, but must in .csv or .parquet")
+    ending = file.suffix.lower()
+    if ending not in SUFFIXES:
+        raise ValueError(
+            f"{file.name} ends in {file.suffix!r}, but must in .csv or .parquet (logs), or .npz "
+            "(rows)"
+        )
     if not file.is_file():
         raise FileNotFoundError(f"no flight log at {os.fspath(path)!r}; give its path")
-    return from_columns(_read_csv(file) if file.suffix == ".csv" else _read_parquet(file))
+    return from_columns(_read_csv(file) if ending == ".csv" else _read_parquet(file))
 
 
 def _read_csv(path: Path) -> Columns:

@@ -56,3 +56,52 @@ def test_a_copy_of_a_table_is_refused_whatever_its_labels(
     assert "b.npz is a copy of a.npz" in str(report.files[1].refused)
     assert [file.refused is None for file in report.files] == [True, False, True]
     assert len(found) == len(rows) + len(rows) // 2
+
+
+def test_what_is_not_read_is_said(
+    table: FlightTable, rows: InteractionRows, tmp_path: Path
+) -> None:
+    write_table(tmp_path / "a.csv", table)
+    (tmp_path / "a.csv").rename(tmp_path / "UP.CSV")
+    (tmp_path / "sub").mkdir()
+    for name in ("b.tsv", "c.csv.gz", "notes.txt", ".hidden"):
+        (tmp_path / name).write_text("1")
+    others = ("b.tsv", "c.csv.gz", "notes.txt", "sub/")
+    _, report = read_data(tmp_path, OPTIONS)
+    assert [file.file for file in report.files] == ["UP.CSV"]
+    assert report.not_read == others
+    said = "not read: b.tsv, c.csv.gz, notes.txt, sub/; data is .csv, .parquet and .npz right in"
+    assert f"{said} the folder" in report.lines()
+    save_rows(tmp_path / "d.npz", rows)
+    _, report = read_data(tmp_path, OPTIONS)
+    assert {file.file for file in report.files} == {"UP.CSV", "d.npz"}
+    assert report.not_read == others
+    assert read_logs(tmp_path, OPTIONS)[1].not_read == ("b.tsv", "c.csv.gz", "d.npz", *others[2:])
+
+
+@pytest.mark.parametrize("with_rows", [False, True])
+def test_a_flight_in_two_files_is_refused_alone(
+    with_rows: bool, table: FlightTable, rows: InteractionRows, tmp_path: Path
+) -> None:
+    write_table(tmp_path / "a.csv", table)
+    for name in ("b.csv", "b.parquet"):
+        (tmp_path / name).write_text("1")
+    if with_rows:
+        save_rows(tmp_path / "c.npz", rows)
+    _, report = read_data(tmp_path, OPTIONS)
+    refused = {file.file: file.refused for file in report.files if file.refused}
+    reason = "flight 'b' is there as b.csv and as b.parquet; keep one of them"
+    assert refused == {"b.csv": reason, "b.parquet": reason}
+
+
+def test_sound_files_without_rows_are_counted(
+    table: FlightTable, flown: Any, as_table: Any, tmp_path: Path
+) -> None:
+    write_table(tmp_path / "a.csv", table)
+    low = as_table(flown("S"), "S", ["cf0"])
+    low.position[:, 2] *= 0.0
+    low.velocity[:, 2] *= 0.0
+    low = dataclasses.replace(low, acceleration=None)
+    write_table(tmp_path / "b.csv", low)
+    said = read_logs(tmp_path, OPTIONS)[1].lines()
+    assert said[0].startswith("2 of 2 flights are sound, 1 of them gives no row: ")
