@@ -9,6 +9,10 @@ import numpy as np
 
 from swarm_envs.training.force_model.calibration import quiet_rows
 from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.vehicles import VEHICLES
+
+PLAUSIBLE_SHARE = 0.15
+"""Calibration offset over weight above which the mass or the thrust curve can hardly be right."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,7 @@ class LogReport:
                 said.append(f"left out scenario {name}: {scenario.refused}")
         for name, vehicle in self.vehicles.items():
             said.append(f"{vehicle.type} {name}: calibration offset {_offset(vehicle)}")
+            said += _implausible(name, vehicle)
         return said
 
 
@@ -132,6 +137,19 @@ def _offset(vehicle: Calibration) -> str:
     if vehicle.offset_g is None:
         return "unknown: no row is aloft, slow and away from wakes; add lone flight"
     return f"{vehicle.offset_g:+.2f} g from {vehicle.quiet_rows} rows aloft, slow, away from wakes"
+
+
+def _implausible(name: str, vehicle: Calibration) -> list[str]:
+    kinds = [v for v in VEHICLES.values() if v.interaction_type == vehicle.type]
+    if vehicle.offset_g is None or not kinds:
+        return []
+    share = abs(vehicle.offset_g) / (kinds[0].mass * 1000.0)
+    if share <= PLAUSIBLE_SHARE:
+        return []
+    return [
+        f"warning: the calibration offset of {vehicle.type} {name} is {100 * share:.0f} % of its "
+        f"weight, but {100 * PLAUSIBLE_SHARE:.0f} % is usual at most; check mass, voltage, rotors"
+    ]
 
 
 def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibration]:
