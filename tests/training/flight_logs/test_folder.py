@@ -9,9 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs.training.flight_logs import FlightTable, LogOptions, read_logs, write_table
+from swarm_envs.training.flight_logs import (
+    FlightTable,
+    LogOptions,
+    LogReport,
+    read_logs,
+    read_table,
+    write_table,
+)
+from swarm_envs.training.flight_logs.report import Calibration
 from swarm_envs.training.force_model.data import read_data
 from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.vehicles import SMALL
 
 OPTIONS = LogOptions(min_scenario_rows=1, min_quiet_rows=0, block_s=1.0, guard_s=0.1)
 
@@ -99,9 +108,52 @@ def test_sound_files_without_rows_are_counted(
 ) -> None:
     write_table(tmp_path / "a.csv", table)
     low = as_table(flown("S"), "S", ["cf0"])
-    low.position[:, 2] *= 0.0
-    low.velocity[:, 2] *= 0.0
-    low = dataclasses.replace(low, acceleration=None)
+    level = np.array([1.0, 1.0, 0.0])
+    low = dataclasses.replace(
+        low, position=low.position * level, velocity=low.velocity * level, acceleration=None
+    )
     write_table(tmp_path / "b.csv", low)
     said = read_logs(tmp_path, OPTIONS)[1].lines()
     assert said[0].startswith("2 of 2 flights are sound, 1 of them gives no row: ")
+
+
+def test_blank_lines_are_skipped(table: FlightTable, tmp_path: Path) -> None:
+    write_table(tmp_path / "a.csv", table)
+    header, *lines = (tmp_path / "a.csv").read_text().splitlines()
+    (tmp_path / "b.csv").write_text("\n".join(["", header, "", " ", *lines[:9], "", *lines[9:]]))
+    read = read_table(tmp_path / "b.csv").columns()
+    assert all(np.array_equal(values, read[name]) for name, values in table.columns().items())
+
+
+def test_damaged_files_are_refused_alone(
+    table: FlightTable, rows: InteractionRows, tmp_path: Path
+) -> None:
+    pytest.importorskip("pyarrow")
+    write_table(tmp_path / "a.csv", table)
+    (tmp_path / "broken.parquet").write_bytes(b"PAR1 and no more")
+    (tmp_path / "empty.csv").touch()
+    (tmp_path / "void.parquet").touch()
+    save_rows(tmp_path / "whole.npz", rows)
+    whole = (tmp_path / "whole.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[:900])
+    middle = len(whole) // 2
+    (tmp_path / "bent.npz").write_bytes(whole[:middle] + bytes(64) + whole[middle + 64 :])
+    refused = {file.file: str(file.refused) for file in read_data(tmp_path, OPTIONS)[1].files}
+    for name in ("broken.parquet", "cut.npz", "bent.npz"):
+        assert "cannot be read" in refused[name] and "copy it again or delete it" in refused[name]
+    assert refused["empty.csv"] == refused["void.parquet"]
+    assert refused["empty.csv"] == "the file is empty; copy it again or delete it"
+
+
+def test_an_implausible_calibration_offset_is_a_warning() -> None:
+    def lines(offset: float | None) -> list[str]:
+        vehicles = {"cf7": Calibration(0, "S", 100, 50, offset, 0.1)}
+        return LogReport([], {}, vehicles, 100, 0).lines()
+
+    weight = 1000.0 * SMALL.mass
+    for sound in (None, 0.14 * weight, -0.14 * weight):
+        assert not any(line.startswith("warning") for line in lines(sound))
+    for odd in (0.16 * weight, -0.16 * weight):
+        said = lines(odd)[-1]
+        assert said.startswith("warning: the calibration offset of S cf7 is 16 % of its weight")
+        assert said.endswith("check mass, voltage, rotors")
