@@ -1,0 +1,71 @@
+"""What a fit leaves behind: it is not overwritten by another, and says what it cannot know."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from swarm_envs.training.force_model.files import differing
+from swarm_envs.training.force_model.log_options import LogOptions
+from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+
+
+def planted_rows(count, seed=0):
+    """A neighbour above pushes down by at most 6 g; types are drawn."""
+    rng = np.random.default_rng(seed)
+    neighbor = rng.uniform(-1, 1, (count, 1, 6)) * [0.2, 0.2, 0.9, 0.5, 0.5, 0.5]
+    lateral = np.sum(neighbor[:, 0, :2] ** 2, axis=1)
+    force = np.zeros((count, 3))
+    force[:, 2] = -6.0 * np.exp(-lateral / 0.01) * (neighbor[:, 0, 2] > 0)
+    return InteractionRows(
+        types=("S", "L"),
+        ego_type=rng.integers(0, 2, count),
+        position=rng.uniform(0.5, 1.5, (count, 3)),
+        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
+        neighbor=neighbor,
+        neighbor_type=rng.integers(0, 2, (count, 1)),
+        force_g=force,
+        flight=np.zeros(count, dtype=np.int64),
+        step=np.arange(count) * 3,
+        vehicle=np.full(count, 50),
+        scenario=np.zeros(count, dtype=np.int64),
+        validation=np.arange(count) // 50 % 5 == 0,
+        scenario_names=("pair",),
+    )
+
+
+def config_of(rows, folder, **options):
+    save_rows(folder / "rows.npz", rows)
+    usual = {"steps": 5, "offsets": "none", "lipschitz_samples": 0, "progress": False}
+    return FitConfig(data=folder / "rows.npz", out=folder / "out", **{**usual, **options})
+
+
+def test_a_finished_fit_of_other_options_or_data_is_not_overwritten(tmp_path):
+    config = config_of(planted_rows(800), tmp_path)
+    fit(config)
+    path = config.out / "learned.safetensors"
+    made = path.read_bytes()
+    fit(dataclasses.replace(config, json=tmp_path / "said.json"))
+    assert path.read_bytes() == made
+    said = r"seed is 0 there, 1 here; logs.guard_s is 0.5 there, 0.6 here; choose another folder"
+    with pytest.raises(ValueError, match=said):
+        fit(dataclasses.replace(config, seed=1, logs=LogOptions(guard_s=0.6)))
+    save_rows(tmp_path / "rows.npz", planted_rows(800, seed=1))
+    with pytest.raises(ValueError, match=r"options: data_sha256 is \w{64} there, \w{64} here; c"):
+        fit(config)
+    (config.out / "learned.json").write_text("[]")
+    with pytest.raises(ValueError, match="not the report of a fit"):
+        fit(config)
+    assert path.read_bytes() == made
+
+
+def test_configurations_differ_in_what_is_said():
+    there = {"seed": 0, "noise": {"velocity": 0.1, "bias": 0}, "new": None, "long": "x" * 200}
+    here = {"seed": 1, "noise": {"velocity": 0.2, "bias": 0}, "long": "y"}
+    first, second, third = differing(there, here).split("; ")
+    assert (first, second) == ("seed is 0 there, 1 here", "noise.velocity is 0.1 there, 0.2 here")
+    assert third == f"long is {'x' * 77}... there, y here"
+    assert differing(there, there) == ""
