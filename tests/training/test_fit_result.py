@@ -7,9 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from swarm_envs.interactions import load
 from swarm_envs.training.force_model.files import differing
 from swarm_envs.training.force_model.log_options import LogOptions
-from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.force_model.pipeline import WEIGHTS, FitConfig, fit
 from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 
 
@@ -69,3 +70,27 @@ def test_configurations_differ_in_what_is_said():
     assert (first, second) == ("seed is 0 there, 1 here", "noise.velocity is 0.1 there, 0.2 here")
     assert third == f"long is {'x' * 77}... there, y here"
     assert differing(there, there) == ""
+
+
+@pytest.mark.parametrize("model", ["deep-set", "pairwise", "wake"])
+def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
+    rows = planted_rows(1500)
+    met = (rows.neighbor_type[:, 0] == 0) | (rows.ego_type == 1)  # L is never over S
+    report = fit(config_of(rows.select(met), tmp_path, model=model, steps=20))
+    (note,) = [n for n in report.notes if "in no training row" in n]
+    assert note.startswith("type 'L' is a neighbour of type 'S' in no training row: ")
+    found = load(str(tmp_path / "out" / WEIGHTS[model]))
+    stack, still = [[[0.0, 0.0, 0.8], [0.0, 0.0, 1.2]]], np.zeros((1, 2, 3))
+    assert found.forces(stack, still, "SS")[0, 0, 2] != 0.0
+    pushed = found.forces(stack, still, "SL")[0, 0, 2]
+    if model == "deep-set":
+        assert pushed != 0.0 and "guessed" in note
+    else:
+        assert abs(pushed) < 1e-12 and "does not push" in note
+
+
+def test_the_ground_under_a_type_that_never_flew_is_not_invented(tmp_path):
+    rows = planted_rows(1000)
+    fit(config_of(rows.select(rows.ego_type == 0), tmp_path, model="wake"))
+    found = load(str(tmp_path / "out" / "wake.json"))
+    assert found.forces([[[0.0, 0.0, 0.08]]], np.zeros((1, 1, 3)), "L")[0, 0, 2] == 0.0
