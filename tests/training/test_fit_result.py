@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from swarm_envs.interactions import load
+from swarm_envs.training.flight_logs.report import Calibration
+from swarm_envs.training.force_model.evaluate import Errors
 from swarm_envs.training.force_model.files import differing
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.pipeline import WEIGHTS, FitConfig, fit
+from swarm_envs.training.force_model.report import worth
 from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 
 
@@ -49,11 +52,11 @@ def test_a_finished_fit_of_other_options_or_data_is_not_overwritten(tmp_path):
     fit(config)
     path = config.out / "learned.safetensors"
     made = path.read_bytes()
-    fit(dataclasses.replace(config, json=tmp_path / "said.json"))
+    fit(replace(config, json=tmp_path / "said.json"))
     assert path.read_bytes() == made
     said = r"seed is 0 there, 1 here; logs.guard_s is 0.5 there, 0.6 here; choose another folder"
     with pytest.raises(ValueError, match=said):
-        fit(dataclasses.replace(config, seed=1, logs=LogOptions(guard_s=0.6)))
+        fit(replace(config, seed=1, logs=LogOptions(guard_s=0.6)))
     save_rows(tmp_path / "rows.npz", planted_rows(800, seed=1))
     with pytest.raises(ValueError, match=r"options: data_sha256 is \w{64} there, \w{64} here; c"):
         fit(config)
@@ -94,3 +97,25 @@ def test_the_ground_under_a_type_that_never_flew_is_not_invented(tmp_path):
     fit(config_of(rows.select(rows.ego_type == 0), tmp_path, model="wake"))
     found = load(str(tmp_path / "out" / "wake.json"))
     assert found.forces([[[0.0, 0.0, 0.08]]], np.zeros((1, 1, 3)), "L")[0, 0, 2] == 0.0
+
+
+def test_a_model_that_is_no_better_than_nothing_says_so(tmp_path):
+    rows = planted_rows(1500)
+    noise = rows.with_vertical_force(np.random.default_rng(1).normal(0, 1, 1500))
+    report = fit(config_of(noise, tmp_path, model="wake"))
+    (note,) = report.notes
+    assert note.startswith("the model explains nothing: its validation MSE ")
+    assert f"note: {note}" in report.lines()
+    good = Errors(1.0, 3.0, 2.0, {}, {}, {})
+    assert worth(good) == []
+    assert "that of the scenario mean (2.00); fly more" in worth(replace(good, overall=2.0))[0]
+    assert "nothing (3.00) nor that of" in worth(replace(good, overall=4.0))[0]
+
+
+def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
+    report = fit(config_of(planted_rows(800), tmp_path, mode="measured", offsets="estimated"))
+    calibration = Calibration(50, "S", 9, 9, 0.1, 0.1)
+    logs = replace(report.logs, vehicles={"S1": calibration})
+    said = "calibration offsets are not subtracted: labels are fitted as measured"
+    assert said in replace(report, logs=logs).lines()
+    assert said not in replace(report, logs=logs, offset_rule="median").lines()

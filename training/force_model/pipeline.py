@@ -27,7 +27,7 @@ from swarm_envs.training.force_model.labels import (
 )
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import DeepSet
-from swarm_envs.training.force_model.report import Findings, FitReport, examine
+from swarm_envs.training.force_model.report import Findings, FitReport, examine, worth
 from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.spec import (
     EVERYWHERE,
@@ -122,7 +122,7 @@ def _report(
         chosen=fitted.chosen,
         wall_time_s=seconds,
         logs=logs,
-        notes=fitted.notes,
+        notes=[*fitted.notes, *worth(fitted.findings.errors)],
         torque_errors=fitted.torque,
     )
 
