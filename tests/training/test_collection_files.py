@@ -156,6 +156,22 @@ def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
     assert "of Table II no row of S2S, SS2S" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--teams",
+        "--walks 0 --low-walks 0 --swaps 0 --low-swaps 0",
+        "--teams S L --walks 0 --low-walks 0",
+    ],
+)
+def test_a_collection_of_no_flight_is_refused_with_exit_code_2(words, tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["collect", "--out", str(tmp_path / "out"), *words.split()])
+    assert end.value.code == 2
+    assert "no flight" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("words", ["--log-rate 90", "--label truth", "--format csv", "--walks -1"])
 def test_bad_options_are_refused_with_exit_code_2(words, tmp_path, capsys):
     with pytest.raises(SystemExit) as end:

@@ -201,7 +201,7 @@ def test_a_round_in_which_nobody_passed_is_read_as_it_was_written(tiny, tmp_path
 
 def test_a_folder_of_another_curriculum_is_refused(tiny):
     out, _ = tiny
-    with pytest.raises(ValueError, match="choose another folder"):
+    with pytest.raises(ValueError, match=r"options: config.seed is 0 there, 1 here; choose"):
         run_curriculum(dataclasses.replace(TINY, out=out, seed=1))
 
 
@@ -252,6 +252,8 @@ def test_the_command_names_what_differs_from_the_default():
         ("--flights 1", "flights is 1"),
         ("--first-clearance-m 0.001", "first_clearance_m is 0.001"),
         ("--seed -1", "seed is -1"),
+        ("--interactions none", "there is no force to learn"),
+        ("--quick --flights 3 --steps 50", "quick sets flights, steps itself"),
     ],
 )
 def test_bad_options_are_refused_with_exit_code_2(words, said, tmp_path, capsys, monkeypatch):
@@ -261,6 +263,12 @@ def test_bad_options_are_refused_with_exit_code_2(words, said, tmp_path, capsys,
     assert end.value.code == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_the_small_curriculum_is_of_a_set_size(tmp_path):
+    small = CurriculumConfig(out=tmp_path, seed=2, quick=True).sized()
+    assert (small.flights, small.duration_s, small.steps, small.last_steps) == (2, 6.0, 300, 800)
+    assert (small.seed, small.episodes) == (2, 4) and small.sized() == small
 
 
 @pytest.mark.slow

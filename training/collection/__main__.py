@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 
 from swarm_envs.files import write_json
-from swarm_envs.training.collection.collect import collect, was_cut_short
+from swarm_envs.training.collection.collect import MANIFEST, collect, was_cut_short
 from swarm_envs.training.collection.config import CollectionConfig
 from swarm_envs.training.collection.table import (
     SCENARIOS,
@@ -80,7 +80,8 @@ class CollectSummary:
         else:
             said.append("all twelve scenarios of Table II have rows")
         if self.cut_short:
-            said.append(f"{len(self.cut_short)} flights were cut at a contact")
+            cut = len(self.cut_short)
+            said.append(f"{cut} flight{' was' if cut == 1 else 's were'} cut at a contact")
         said.append(f"{self.flights} flights, {self.seconds:.0f} s, {self.rows} rows")
         return said
 
@@ -142,7 +143,9 @@ def run(options: CollectOptions) -> CollectSummary:
     rows = interaction_rows(flights, options.config.label)
     save_rows(table, rows)
     summary = summarise(flights, rows, options.config, table.name)
-    print(*summary.lines(), f"wrote flights and {table}", sep="\n")
+    print(
+        *summary.lines(), f"wrote flights, {MANIFEST} and {table.name} into {options.out}", sep="\n"
+    )
     if options.json is not None:
         write_json(options.json, asdict(summary))
     return summary

@@ -19,7 +19,7 @@ from swarm_envs.training.collection.motion import Motion, RandomWalk, StackedSwa
 from swarm_envs.training.collection.sensors import with_noise
 from swarm_envs.training.collection.storage import flight_file, read_log, save_log
 from swarm_envs.training.collection.table import Flight, scenario_counts
-from swarm_envs.training.force_model.files import json_ready
+from swarm_envs.training.force_model.files import differing, json_ready
 from swarm_envs.vehicles import parse_team
 
 MANIFEST = "manifest.json"
@@ -98,12 +98,13 @@ def begin_manifest(path: Path, origin: dict[str, object]) -> None:
     """
     if path.exists():
         found = json.loads(path.read_text())
-        for name, value in origin.items():
-            if found.get(name) != json.loads(json.dumps(value)):
-                raise ValueError(
-                    f"{str(path)!r} has the {name} {found.get(name)}, but this run has {value}; "
-                    "choose another folder or delete that one"
-                )
+        there = {name: found.get(name) for name in origin}
+        differences = differing(there, json.loads(json.dumps(origin)))
+        if differences:
+            raise ValueError(
+                f"{str(path)!r} was made with other options: {differences}; "
+                "choose another folder or delete that one"
+            )
     else:
         write_json(path, origin)
 

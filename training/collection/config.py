@@ -86,6 +86,12 @@ class CollectionConfig:
         check_name("pilot", self.pilot, PILOTS)
         check_name("label", self.label, ("differentiated", "imu"))
         check_name("format", self.format, ("npz", "parquet"))
+        if not self.batches():
+            raise ValueError(
+                f"teams {self.teams} and the counts walks {self.walks}, low_walks "
+                f"{self.low_walks}, swaps {self.swaps}, low_swaps {self.low_swaps} give no flight "
+                "(a lone drone does not swap); name a team, and at least one flight of it"
+            )
 
     def batches(self) -> list[FlightBatch]:
         """Flights in the order in which they are flown: those of a batch fly at the same time."""

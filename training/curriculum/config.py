@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 
@@ -60,6 +62,16 @@ UNSEEN_TEAMS = (
 """Teams of two, three and five drones, the first on top; nobody flies five while it is learned."""
 
 
+_QUICK: Mapping[str, Any] = {
+    "flights": 2,
+    "duration_s": 6.0,
+    "steps": 300,
+    "last_steps": 800,
+    "episodes": 4,
+}
+"""What the small version is run with."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Learn the interaction force in rounds, each closer together with what the last one learned.
@@ -105,7 +117,8 @@ class CurriculumConfig:
     errors: CalibrationErrors = CalibrationErrors()
     """by how much vehicles differ from their type; the fits then estimate offsets"""
     quick: bool = False
-    """a small curriculum of about a minute that shows the way: few flights, few steps"""
+    """a small curriculum of about a minute that shows the way: flights 2, duration_s 6, steps 300,
+    last_steps 800, episodes 4, none of which may then be another"""
     json: Path | None = None
     """write `curriculum.json` to this file too"""
     progress: bool = True
@@ -120,6 +133,13 @@ class CurriculumConfig:
         for name, least in (("seed", 0), ("flights", 2), ("episodes", 1), ("steps", 1)):
             check_integer(name, getattr(self, name), least)
         check_integer("last_steps", self.last_steps, 1)
+        if self.interactions == "none":
+            raise ValueError("interactions is 'none': there is no force to learn; name another")
+        told = [n for n, v in _QUICK.items() if getattr(self, n) not in (v, _usual(n))]
+        if self.quick and told:
+            raise ValueError(
+                f"quick sets {', '.join(told)} itself, so leave them out, or leave out quick"
+            )
         for name, low, high in (
             ("least_clearance_m", 0.005, 0.2),
             ("first_clearance_m", self.least_clearance_m, 0.5),
@@ -134,13 +154,17 @@ class CurriculumConfig:
         """Return the configuration that is run: itself, or its small version if `quick`."""
         if not self.quick:
             return self
-        small = {"flights": 2, "duration_s": 6.0, "steps": 300, "last_steps": 800, "episodes": 4}
-        return dataclasses.replace(self, **small)  # type: ignore[arg-type]
+        return dataclasses.replace(self, quick=False, **_QUICK)
 
     def what_is_learned(self) -> dict[str, object]:
         """The options that decide on the result: all but where it goes and what is shown."""
         values = dataclasses.asdict(self.sized())
         return {k: v for k, v in values.items() if k not in ("out", "json", "progress", "quick")}
+
+
+def _usual(name: str) -> object:
+    """Default of an option."""
+    return CurriculumConfig.__dataclass_fields__[name].default
 
 
 def collection_config(

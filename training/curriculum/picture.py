@@ -69,8 +69,17 @@ def _explained(axis: Axes, report: CurriculumReport) -> None:
         axis.fill_between(number, low, high, color=color, alpha=0.15, linewidth=0)
     for goal in sorted(set(GOALS.values())):
         axis.axhline(100 * goal, color=GREY, linewidth=0.9, linestyle="--")
-        place = (number[-1], 100 * goal + 0.8)
-        axis.annotate(f"goal {100 * goal:.0f}", place, ha="right", fontsize=8, color=GREY)
+        axis.annotate(
+            f"goal {100 * goal:.0f}",
+            (0.99, 100 * goal),
+            xycoords=axis.get_yaxis_transform(),  # right margin
+            ha="right",
+            va="center",
+            fontsize=8,
+            color=INK,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"},
+            zorder=5,
+        )
     axis.set_ylim(bottom=max(0.0, axis.get_ylim()[0]), top=101)
     axis.set_ylabel("% of the variance of the true $f_{a,z}$")
     axis.set_title("Unseen swaps (band: all teams)")

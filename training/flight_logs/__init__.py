@@ -39,14 +39,16 @@ the vehicle's calibration (`force_model.calibration`), which a fit estimates fro
 All drones of a flight are resampled to one clock. Rows stay if some neighbour is within 0.35 m
 laterally in x and y and 1.1 m vertically (of a drone that flies alone: all), z > 0.07 m (S) or
 0.085 m (L), |f_z| <= 50 g, and f_z <= 35 g unless z <= 0.25 m: the filter of the authors. One in
-five blocks of 5 s is held out. A file that breaks a rule of the format is refused as a whole; the
-report (`LogReport`) says why, and how many entries each step left out.
+five blocks of 5 s is held out. A file that breaks a rule of the format, or copies another, is
+refused as a whole; the report (`LogReport`) says why, how many entries each step left out, and what
+else lies in the folder.
 
 Commands: `swarm-envs fit --data logs/ --out runs/fit`; to look at logs without a fit,
 `python -m swarm_envs.training.flight_logs logs/`.
 
-Order of reading: `table` (the file), `checks` (its rules), `clock` (one clock for all drones),
-`labels` (the force), `filters` (which entries stay), `split` (what is held out), `read` (all).
+Order of reading: `folder` (which files), `table` (the file), `checks` and `motion_checks` (its
+rules), `copies`, `clock` (one clock for all drones), `labels` (the force), `filters` (which entries
+stay), `split` (what is held out), `read` (all).
 """
 
 from swarm_envs.training.flight_logs.read import read_logs

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from swarm_envs.errors import unknown_name
-from swarm_envs.motors import FULL_VOLTAGE, rotor_force_g
-from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.labels import thrust_direction
 from swarm_envs.training.collection.signals import PWM_SPAN
+from swarm_envs.training.flight_logs.drone import DroneLog
+from swarm_envs.training.flight_logs.motion_checks import check_acceleration, check_height
 from swarm_envs.training.flight_logs.table import GROUPS, FlightTable
-from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES, Vehicle
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
 RUNNING = 0.2
 """Mean signal above which motors run: psi1 has no meaning below."""
@@ -21,37 +19,10 @@ STEP_S = (1 / 2000, 1 / 20)
 """Usual time between two lines of a drone, shortest and longest."""
 UNIT_TOLERANCE = 0.01
 VOLTAGE_V = (2.5, 4.5)
-ACCELERATION = (0.6 * GRAVITY, 1.6 * GRAVITY)
-"""Median size with gravity, m/s^2."""
 THRUST_SHARE = (0.6, 1.6)
 """Median thrust by psi1 over what the drone carried."""
 PACE = (0.7, 1.4)
 """Movement of the position over that by the velocity."""
-
-
-class DroneLog(NamedTuple):
-    """Lines of one drone, T of them, in order of time; units as in `FlightTable`."""
-
-    name: str
-    vehicle: Vehicle
-    time: FloatArray
-    position: FloatArray
-    velocity: FloatArray
-    quaternion: FloatArray
-    acceleration: FloatArray | None
-    pwm: FloatArray
-    voltage: FloatArray
-
-    @property
-    def step_s(self) -> float:
-        """Usual time between two lines, s."""
-        return float(np.median(np.diff(self.time)))
-
-    def thrust_g(self) -> FloatArray:
-        """Thrust (T,) that psi1 gives at the logged signals, gram-force."""
-        volts = self.voltage[:, None] / FULL_VOLTAGE
-        force = rotor_force_g(self.vehicle, self.pwm / PWM_SPAN, volts)
-        return np.asarray(force).sum(axis=-1)
 
 
 def check_table(table: FlightTable) -> tuple[DroneLog, ...]:
@@ -66,7 +37,7 @@ def check_table(table: FlightTable) -> tuple[DroneLog, ...]:
         raise ValueError("column 'drone' is empty in some line; name the vehicle in every line")
     drones = tuple(_drone(table, str(name)) for name in names)
     for drone in drones:
-        for check in (_check_time, _check_motors, _check_attitude, _check_motion, _check_carried):
+        for check in _CHECKS:
             check(drone)
     return tuple(
         d._replace(quaternion=d.quaternion / np.linalg.norm(d.quaternion, axis=1, keepdims=True))
@@ -189,24 +160,6 @@ def _check_motion(drone: DroneLog) -> None:
                 f"position of drone {drone.name!r} moves {pace:.3g} times as its velocity says, "
                 f"but must {PACE[0]} to {PACE[1]} times; give m and m/s, both in the world frame"
             )
-    if drone.acceleration is None:
-        return
-    size = float(np.median(np.linalg.norm(drone.acceleration, axis=1)))
-    upwards = float(np.median(drone.acceleration[:, 2]))
-    if not ACCELERATION[0] <= size <= ACCELERATION[1] or upwards < 0.0:
-        fix = "give m/s^2 in the world frame, z up"
-        if 0.6 < size < 1.6:
-            fix = f"it looks like multiples of g: multiply by {GRAVITY}"
-        elif size < ACCELERATION[0]:
-            fix = f"gravity seems to be missing: add {GRAVITY} to az"
-        elif 600.0 < size < 1600.0:
-            fix = f"it looks like thousandths of g: multiply by {GRAVITY / 1000}"
-        elif upwards < 0.0:
-            fix = "the sign is turned round: in hover an accelerometer measures +g upwards"
-        raise ValueError(
-            f"acceleration of drone {drone.name!r} is usually {size:.3g} m/s^2, az {upwards:+.3g}, "
-            f"but must be about {GRAVITY:.2f} upwards, gravity included; {fix}"
-        )
 
 
 def _check_carried(drone: DroneLog) -> None:
@@ -227,3 +180,7 @@ def _check_carried(drone: DroneLog) -> None:
             f"its type {drone.vehicle.token!r} carries {carried:.1f} g; the two must agree within "
             f"{THRUST_SHARE[0]} to {THRUST_SHARE[1]}: check the type, the PWM and the voltage"
         )
+
+
+_CHECKS = (_check_time, _check_motors, _check_attitude, check_height, _check_motion,
+           check_acceleration, _check_carried)  # fmt: skip

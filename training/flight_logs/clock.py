@@ -10,7 +10,8 @@ from scipy.interpolate import CubicSpline
 
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.signals import PWM_SPAN
-from swarm_envs.training.flight_logs.checks import RUNNING, DroneLog
+from swarm_envs.training.flight_logs.checks import RUNNING
+from swarm_envs.training.flight_logs.drone import DroneLog
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.vehicles import Team
 

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.training.collection.collect import MANIFEST
+from swarm_envs.training.collection.fleet import vehicle_names
 from swarm_envs.training.collection.storage import flight_file, read_log
-from swarm_envs.training.collection.table import Flight, interaction_rows
+from swarm_envs.training.collection.table import ROW_RATE, Flight, interaction_rows
 from swarm_envs.training.flight_logs.report import FileReport, LogReport, ScenarioReport
 from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.vehicles import parse_team
 
 __all__ = ["MANIFEST", "is_collection", "read_collected"]
 
@@ -56,7 +58,7 @@ def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
             seconds=entry["seconds"],
             rate_hz=manifest["log_rate"],
             acceleration="logged" if label == "imu" else label,
-            rows=int((rows.flight == index).sum()),
+            **_counts(flights[index], int((rows.flight == index).sum())),
         )
         for index, entry in enumerate(manifest["flights"])
     ]
@@ -65,6 +67,21 @@ def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
         held_out = rows.validation[rows.scenario == index]
         scenarios[name] = ScenarioReport(int((~held_out).sum()), int(held_out.sum()))
     return rows, LogReport(files, scenarios, {}, len(rows), int(np.sum(rows.validation)))
+
+
+def _counts(flight: Flight, rows: int) -> dict[str, Any]:
+    """Who flew, the entries of all drones, and why some are no rows."""
+    team, every = parse_team(flight.team), round(flight.rate_hz / ROW_RATE)
+    entries = len(flight.log.position) * len(team)
+    kept = len(flight.log.position[::every]) * len(team)
+    reason = "no neighbour in the volume, or force unknown" if len(team) > 1 else "force unknown"
+    names = (vehicle.token for vehicle in team)
+    return {
+        "drones": dict(zip(vehicle_names(team), names, strict=True)),
+        "entries": entries,
+        "rows": rows,
+        "dropped": {"between kept entries": entries - kept, reason: kept - rows},
+    }
 
 
 def _config(manifest: dict[str, Any]) -> dict[str, Any]:

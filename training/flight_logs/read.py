@@ -13,10 +13,13 @@ from tqdm import tqdm
 
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.table import TYPES
-from swarm_envs.training.flight_logs.checks import DroneLog, check_table
+from swarm_envs.training.flight_logs.checks import check_table
 from swarm_envs.training.flight_logs.clock import ClockedFlight, common_clock
 from swarm_envs.training.flight_logs.collected import is_collection, read_collected
+from swarm_envs.training.flight_logs.copies import flight_key, refuse_copy
+from swarm_envs.training.flight_logs.drone import DroneLog
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
+from swarm_envs.training.flight_logs.folder import find_data
 from swarm_envs.training.flight_logs.labels import interaction_force_g
 from swarm_envs.training.flight_logs.report import (
     Calibration,
@@ -31,7 +34,7 @@ from swarm_envs.training.flight_logs.split import (
     is_guarded,
     is_held_out,
 )
-from swarm_envs.training.flight_logs.table import SUFFIXES, read_table
+from swarm_envs.training.flight_logs.table import read_table
 from swarm_envs.training.force_model.join import with_present_types
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.rows import InteractionRows
@@ -60,7 +63,16 @@ def read_logs(
     """
     if is_collection(path):
         return read_collected(path)
-    rows, report = read_flights(log_files(path), options, progress)
+    found = find_data(path)
+    not_read = tuple(sorted([*(file.name for file in found.tables), *found.not_read]))
+    if not found.logs and not found.twice:
+        raise FileNotFoundError(
+            f"{str(path)!r} has no flight log, only {', '.join(not_read[:5]) or 'nothing'}; put "
+            "one .csv or .parquet file per flight there"
+        )
+    rows, report = read_flights(found.logs, options, progress)
+    files = sorted([*report.files, *found.twice], key=lambda file: file.file)
+    report = dataclasses.replace(report, files=files, not_read=not_read)
     if rows is None:
         reasons = "; ".join(f"{file.file}: {file.refused}" for file in report.files)
         raise ValueError(f"no flight of {str(path)!r} is sound: {reasons}")
@@ -79,10 +91,10 @@ def read_flights(
         ImportError: a log is Parquet, and pyarrow is not installed.
         ValueError: the sound files give no row.
     """
-    flights, refused, kinds = [], [], dict[str, str]()
+    flights, refused, kinds, known = [], [], dict[str, str](), dict[str, str]()
     for file in tqdm(files, disable=not progress, unit="flight"):
         try:
-            flight = _read_flight(file, kinds, options)
+            flight = _read_flight(file, kinds, known, options)
         except ValueError as error:
             refused.append(FileReport(file.name, str(error)))
         else:
@@ -93,32 +105,9 @@ def read_flights(
     return _assemble(flights, refused, sorted(kinds), options)
 
 
-def log_files(path: Path) -> list[Path]:
-    """Return the logs at a path, sorted: itself, or those of the folder.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: a flight is there both as CSV and as Parquet.
-    """
-    if not path.is_dir():
-        if not path.exists():
-            raise FileNotFoundError(f"no flight log at {str(path)!r}; give a file or a folder")
-        return [path]
-    visible = [file for file in path.iterdir() if not file.name.startswith(".")]
-    files = sorted(file for file in visible if file.suffix in SUFFIXES)
-    if not files:
-        there = ", ".join(sorted(file.name for file in visible)[:5]) or "nothing"
-        raise FileNotFoundError(
-            f"folder {str(path)!r} has no flight log, only {there}; put one .csv or .parquet file "
-            "per flight there"
-        )
-    twice = [stem for stem, count in Counter(file.stem for file in files).items() if count > 1]
-    if twice:
-        raise ValueError(f"flight {twice[0]!r} is there as CSV and as Parquet; keep one of them")
-    return files
-
-
-def _read_flight(file: Path, kinds: dict[str, str], options: LogOptions) -> _Flight:
+def _read_flight(
+    file: Path, kinds: dict[str, str], known: dict[str, str], options: LogOptions
+) -> _Flight:
     table = read_table(file)
     drones = check_table(table)
     for drone in drones:
@@ -128,6 +117,7 @@ def _read_flight(file: Path, kinds: dict[str, str], options: LogOptions) -> _Fli
                 f"drone {drone.name!r} has the type {token!r} here, but {kinds[drone.name]!r} in "
                 "an earlier file; name vehicles apart"
             )
+    refuse_copy(known, flight_key(drones), file.name)
     clocked = common_clock(drones, options)
     force = interaction_force_g(clocked, options.smoothing_s)
     rows = [drone_rows(clocked, force, i, options.keep_every) for i in range(len(drones))]

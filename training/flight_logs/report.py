@@ -9,6 +9,10 @@ import numpy as np
 
 from swarm_envs.training.force_model.calibration import quiet_rows
 from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.vehicles import VEHICLES
+
+PLAUSIBLE_SHARE = 0.15
+"""Calibration offset over weight above which the mass or the thrust curve can hardly be right."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,8 @@ class LogReport:
     vehicles: dict[str, Calibration]
     rows: int
     validation_rows: int
+    not_read: tuple[str, ...] = ()
+    """What else lies in the folder."""
 
     def lines(self) -> list[str]:
         """Return the report as lines of text."""
@@ -85,11 +91,18 @@ class LogReport:
         seconds = sum(file.seconds for file in self.files)
         what = "files" if any(file.kind == "table" for file in self.files) else "flights"
         time = f"{seconds:.0f} s, " if seconds else ""
+        barren = sum(file.refused is None and not file.rows for file in self.files)
+        idle = f", {barren} of them {'gives' if barren == 1 else 'give'} no row" if barren else ""
         said = [
-            f"{len(self.files) - len(bad)} of {len(self.files)} {what} are sound: "
+            f"{len(self.files) - len(bad)} of {len(self.files)} {what} are sound{idle}: "
             f"{time}{self.rows} rows, {self.validation_rows} of them held out"
         ]
         said += [f"refused {file.file}: {file.refused}" for file in bad]
+        if self.not_read:
+            said.append(
+                f"not read: {', '.join(self.not_read)}; data is .csv, .parquet and .npz right in "
+                "the folder"
+            )
         for file in self.files:
             said += [f"{file.file}: {note}" for note in _notes(file)]
         for name, scenario in self.scenarios.items():
@@ -97,6 +110,7 @@ class LogReport:
                 said.append(f"left out scenario {name}: {scenario.refused}")
         for name, vehicle in self.vehicles.items():
             said.append(f"{vehicle.type} {name}: calibration offset {_offset(vehicle)}")
+            said += _implausible(name, vehicle)
         return said
 
 
@@ -123,6 +137,19 @@ def _offset(vehicle: Calibration) -> str:
     if vehicle.offset_g is None:
         return "unknown: no row is aloft, slow and away from wakes; add lone flight"
     return f"{vehicle.offset_g:+.2f} g from {vehicle.quiet_rows} rows aloft, slow, away from wakes"
+
+
+def _implausible(name: str, vehicle: Calibration) -> list[str]:
+    kinds = [v for v in VEHICLES.values() if v.interaction_type == vehicle.type]
+    if vehicle.offset_g is None or not kinds:
+        return []
+    share = abs(vehicle.offset_g) / (kinds[0].mass * 1000.0)
+    if share <= PLAUSIBLE_SHARE:
+        return []
+    return [
+        f"warning: the calibration offset of {vehicle.type} {name} is {100 * share:.0f} % of its "
+        f"weight, but {100 * PLAUSIBLE_SHARE:.0f} % is usual at most; check mass, voltage, rotors"
+    ]
 
 
 def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibration]:

@@ -7,8 +7,9 @@ import difflib
 import itertools
 import os
 import re
+from array import array
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
@@ -40,6 +41,7 @@ _NEED_PYARROW = (
     "Parquet files need pyarrow; install it by: pip install 'swarm-envs[parquet]', or write the "
     "table as CSV"
 )
+_EMPTY = "the file is empty; copy it again or delete it"
 _BAD_CELL = re.compile(r"could not convert string (?P<value>'.*') to .* row (\d+), column (\d+)")
 
 Columns = Mapping[str, npt.NDArray[Any]]
@@ -137,25 +139,33 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
         ValueError: it is no such table; the message says what is wrong where.
     """
     file = Path(path)
-    if file.suffix not in SUFFIXES:
-        raise ValueError(f"{file.name} ends in {file.suffix!r}, but must in .csv or .parquet")
+    ending = file.suffix.lower()
+    if ending not in SUFFIXES:
+        raise ValueError(
+            f"{file.name} ends in {file.suffix!r}, but must in .csv or .parquet (logs), or .npz "
+            "(rows)"
+        )
     if not file.is_file():
         raise FileNotFoundError(f"no flight log at {os.fspath(path)!r}; give its path")
-    return from_columns(_read_csv(file) if file.suffix == ".csv" else _read_parquet(file))
+    return from_columns(_read_csv(file) if ending == ".csv" else _read_parquet(file))
 
 
 def _read_csv(path: Path) -> Columns:
     with path.open(encoding="utf-8-sig", newline="") as file:
-        names = [name.strip() for name in next(csv.reader(file), [])]
+        numbers = array("q")
+        lines = _filled(file, numbers)
+        names = [name.strip() for name in next(csv.reader(lines), [])]
+        if not names:
+            raise ValueError(_EMPTY)
         check_columns(names)
         known = [i for i, name in enumerate(names) if name in COLUMNS]
         kinds = np.dtype(
             [(names[i], f"U{_LONGEST_NAME + 1}" if names[i] in TEXT else "f8") for i in known]
         )
-        first = file.readline()
-        if not first.strip():
+        first = next(lines, None)
+        if first is None:
             raise ValueError("no line follows the header; log at least a second of flight")
-        table = _parse(itertools.chain([first], file), names, known, kinds)
+        table = _parse(itertools.chain([first], lines), names, known, kinds, numbers)
     found: dict[str, npt.NDArray[Any]] = {names[i]: table[names[i]] for i in known}
     for name in TEXT:
         found[name] = np.char.strip(found[name])
@@ -169,8 +179,20 @@ def _read_csv(path: Path) -> Columns:
     return {**found, **empty}
 
 
+def _filled(file: TextIO, numbers: array[int]) -> Iterator[str]:
+    """Lines that are not blank; their numbers in the file, from 1, are appended to `numbers`."""
+    for number, line in enumerate(file, start=1):
+        if line.strip():
+            numbers.append(number)
+            yield line
+
+
 def _parse(
-    lines: Iterable[str] | TextIO, names: Sequence[str], known: Sequence[int], kinds: np.dtype[Any]
+    lines: Iterable[str],
+    names: Sequence[str],
+    known: Sequence[int],
+    kinds: np.dtype[Any],
+    numbers: Sequence[int],
 ) -> npt.NDArray[Any]:
     try:
         return np.loadtxt(
@@ -182,7 +204,7 @@ def _parse(
             raise ValueError(
                 f"{error}; write one value for each of the {len(names)} columns"
             ) from None
-        line, column = int(bad[2]) + 2, names[int(bad[3]) - 1]
+        line, column = numbers[int(bad[2]) + 1], names[int(bad[3]) - 1]
         raise ValueError(
             f"column {column!r} holds {bad['value']} in line {line}, but must hold finite numbers; "
             "mend or remove the line"
@@ -194,7 +216,14 @@ def _read_parquet(path: Path) -> Columns:
         import pyarrow.parquet as parquet
     except ImportError as error:
         raise ImportError(f"{path.name}: {_NEED_PYARROW}") from error
-    table = parquet.read_table(path)
+    if path.stat().st_size == 0:
+        raise ValueError(_EMPTY)
+    try:
+        table = parquet.read_table(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"{path.name} cannot be read ({error}); copy it again or delete it"
+        ) from error
     check_columns(table.column_names)
     if table.num_rows == 0:
         raise ValueError("no row; log at least a second of flight")

@@ -11,6 +11,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from swarm_envs.files import written_whole
+from swarm_envs.training.force_model.files import differing
 
 if TYPE_CHECKING:
     from swarm_envs.training.force_model.train import Training
@@ -55,10 +56,10 @@ def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    if metadata["configuration"] != configuration:
+    differences = differing(json.loads(metadata["configuration"]), json.loads(configuration))
+    if differences:
         raise ValueError(
-            f"checkpoint {str(path)!r} was written with the configuration "
-            f"{metadata['configuration']}, which is not this run's {configuration}; "
+            f"checkpoint {str(path)!r} was written with other options: {differences}; "
             "delete the file or choose another output folder"
         )
     run.weights.set(tensors["weights"])

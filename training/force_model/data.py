@@ -12,17 +12,16 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.training.collection.collect import MANIFEST
-from swarm_envs.training.flight_logs.read import log_files, read_flights, read_logs
+from swarm_envs.training.flight_logs.copies import refuse_copy, table_key
+from swarm_envs.training.flight_logs.folder import Found, find_data
+from swarm_envs.training.flight_logs.read import read_flights, read_logs
 from swarm_envs.training.flight_logs.report import FileReport, LogReport
-from swarm_envs.training.flight_logs.table import SUFFIXES
 from swarm_envs.training.force_model.files import file_sha256
 from swarm_envs.training.force_model.finish import Joined, finish
 from swarm_envs.training.force_model.join import join_rows
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.row_checks import check_table, notes_of
 from swarm_envs.training.force_model.rows import InteractionRows, read_rows
-
-TABLE_SUFFIX = ".npz"
 
 
 class Wanted(NamedTuple):
@@ -55,12 +54,14 @@ def read_data(
     wanted = wanted or Wanted()
     if not wanted.offsets:
         options = dataclasses.replace(options, min_quiet_rows=0)
-    tables, logs = ([], [path]) if (path / MANIFEST).is_file() else data_files(path)
+    there = Found([], [path], []) if (path / MANIFEST).is_file() else find_data(path)
+    tables, logs = there.tables, there.logs
     if not tables:
         if wanted.torque:
             raise ValueError(_no_torque(path.name, "a flight log"))
         return read_logs(path, options, progress)
     parts, refused = _read_tables(tables, options, wanted)
+    refused += there.twice
     if logs and not wanted.torque:
         found = _read_logs(logs, options, progress)
         parts, refused = [*found[0], *parts], [*found[1], *refused]
@@ -68,44 +69,21 @@ def read_data(
         refused += [FileReport(file.name, _no_torque(file.name, "a log")) for file in logs]
     if not parts:
         raise ValueError(_nothing(path, refused))
-    return finish(_joined(parts), refused, options)
-
-
-def data_files(path: Path) -> tuple[list[Path], list[Path]]:
-    """Return the tables and the logs at a path, sorted: itself, or those of the folder.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: the file is neither, or a flight is there both as CSV and as Parquet.
-    """
-    if not path.exists():
-        raise FileNotFoundError(
-            f"no data at {str(path)!r}; give a file of rows or logs, or a folder"
-        )
-    if not path.is_dir():
-        if path.suffix not in (TABLE_SUFFIX, *SUFFIXES):
-            raise ValueError(
-                f"{path.name} ends in {path.suffix!r}, but must in .npz (rows), .csv or .parquet "
-                "(logs)"
-            )
-        return ([path], []) if path.suffix == TABLE_SUFFIX else ([], [path])
-    visible = sorted(file for file in path.iterdir() if not file.name.startswith("."))
-    tables = [file for file in visible if file.suffix == TABLE_SUFFIX]
-    if tables and not any(file.suffix in SUFFIXES for file in visible):
-        return tables, []
-    return tables, log_files(path)
+    rows, report = finish(_joined(parts), refused, options)
+    return rows, dataclasses.replace(report, not_read=there.not_read)
 
 
 def _read_tables(
     files: Sequence[Path], options: LogOptions, wanted: Wanted
 ) -> tuple[list[_Part], list[FileReport]]:
-    parts, refused = [], []
+    parts, refused, known = [], [], dict[str, str]()
     for file in files:
         try:
             rows = read_rows(file)
             check_table(rows, options.check_units)
             if wanted.torque and rows.torque is None:
                 raise ValueError(_no_torque(file.name, "the table"))
+            refuse_copy(known, table_key(rows), file.name)
         except ValueError as error:
             refused.append(FileReport(file.name, str(error), kind="table"))
         else:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 
@@ -22,6 +23,36 @@ def json_ready(value: object) -> object:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value.name if isinstance(value, Path) else value
+
+
+def differing(there: Mapping[str, object], here: Mapping[str, object]) -> str:
+    """Entries in which two configurations differ, in words: `seed is 0 there, 1 here`.
+
+    Args:
+        there: as JSON holds it; nested ones are named after their place, `noise.velocity`.
+        here: the other, likewise; an entry that one lacks is taken for null.
+
+    Returns:
+        The differences, joined; empty if there are none.
+    """
+    old, new = _flat(there), _flat(here)
+    names = [name for name in {**old, **new} if old.get(name) != new.get(name)]
+    return "; ".join(f"{n} is {_short(old, n)} there, {_short(new, n)} here" for n in names)
+
+
+def _flat(content: Mapping[str, object], prefix: str = "") -> dict[str, object]:
+    found: dict[str, object] = {}
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            found |= _flat(value, f"{prefix}{name}.")
+        else:
+            found[prefix + name] = value
+    return found
+
+
+def _short(content: Mapping[str, object], name: str) -> str:
+    text = str(content.get(name))
+    return text if len(text) <= 80 else f"{text[:77]}..."
 
 
 def file_sha256(path: Path) -> str:

@@ -18,6 +18,7 @@ from swarm_envs.training.force_model.distil import teacher_checkpoint, train_tau
 from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.files import json_ready
+from swarm_envs.training.force_model.finished import check_finished
 from swarm_envs.training.force_model.labels import (
     Treated,
     check_rows,
@@ -27,7 +28,7 @@ from swarm_envs.training.force_model.labels import (
 )
 from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import DeepSet
-from swarm_envs.training.force_model.report import Findings, FitReport, examine
+from swarm_envs.training.force_model.report import Findings, FitReport, examine, worth
 from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.spec import (
     EVERYWHERE,
@@ -72,7 +73,8 @@ def fit(config: FitConfig) -> FitReport:
 
     Raises:
         FileNotFoundError: there is no data.
-        ValueError: the rows cannot be fitted; the message says which rule they break.
+        ValueError: the rows cannot be fitted; the message says which rule they break. Or
+            `config.out` holds a finished fit of other data or options.
     """
     began = time.perf_counter()
     told, config = config, settled(config, config.mode)
@@ -81,6 +83,7 @@ def fit(config: FitConfig) -> FitReport:
     check_rows(rows)
     treated = treat(rows, config)
     words, digest = command(told), data_sha256(config.data)
+    check_finished(config.out / REPORTS[config.model], config, digest)
     provenance: dict[str, object] = {
         "command": words,
         "data_sha256": digest,
@@ -122,7 +125,7 @@ def _report(
         chosen=fitted.chosen,
         wall_time_s=seconds,
         logs=logs,
-        notes=fitted.notes,
+        notes=[*fitted.notes, *worth(fitted.findings.errors)],
         torque_errors=fitted.torque,
     )
 

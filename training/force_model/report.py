@@ -87,12 +87,30 @@ class FitReport:
     def lines(self) -> list[str]:
         """What a command prints of it."""
         errors = self.findings.errors
+        kept = self.logs.vehicles and self.offset_rule == "none"
         return [
             *self.logs.lines(),
+            *(
+                ["calibration offsets are not subtracted: labels are fitted as measured"]
+                if kept
+                else []
+            ),
             *(f"note: {note}" for note in self.notes),
             f"{self.model}: validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, "
             f"scenario mean {errors.scenario_mean:.2f})",
         ]
+
+
+def worth(errors: Errors) -> list[str]:
+    """A note if a model is no better than one of the trivial ones."""
+    trivial = {"of predicting nothing": errors.zero, "of the scenario mean": errors.scenario_mean}
+    better = [f"that {name} ({e:.2f})" for name, e in trivial.items() if errors.overall >= e]
+    if not better:
+        return []
+    return [
+        f"the model explains nothing: its validation MSE {errors.overall:.2f} g^2 is not below "
+        f"{' nor '.join(better)}; fly more, nearer to each other, or train for more steps"
+    ]
 
 
 def examine(

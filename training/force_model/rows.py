@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,6 +31,8 @@ FORMAT = "interaction-rows-1"
 _LARGE_VEHICLES = 100  # vehicle ids from here on are large in the logs of the published flights
 _PUBLISHED = ("x", "fa", "names", "cf", "flight", "step", "scenario")
 _INTEGERS = ("ego_type", "neighbor_type", "flight", "step", "vehicle", "scenario")
+
+_DAMAGED = (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError)
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
@@ -178,8 +181,11 @@ def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     try:
         with Path(path).open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, AttributeError) as error:
-        raise ValueError(f"{name!r} is no npz file without pickle ({error})") from error
+    except _DAMAGED as error:
+        raise ValueError(
+            f"{name!r} cannot be read as an npz file without pickle ({error}); copy it again or "
+            "delete it"
+        ) from error
     if "format" in arrays and str(arrays["format"]) == FORMAT:
         return _saved_rows(arrays)
     if set(_PUBLISHED) <= set(arrays):

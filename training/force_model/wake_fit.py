@@ -23,6 +23,7 @@ from swarm_envs.training.force_model.files import file_sha256, json_ready
 from swarm_envs.training.force_model.labels import measured_range
 from swarm_envs.training.force_model.network import OUTER_FADE
 from swarm_envs.training.force_model.rows import FloatArray, InteractionRows, read_rows
+from swarm_envs.training.force_model.unseen import shown_pairs
 from swarm_envs.training.force_model.wake_model import (
     WakeParameters,
     WakeRows,
@@ -98,7 +99,11 @@ def unpack(vector: FloatArray, types: int) -> WakeParameters:
 
 
 def fit_wake(rows: InteractionRows, velocity: WakeVelocity) -> WakeParameters:
-    """Fit every parameter to the rows' vertical labels, in two passes."""
+    """Fit every parameter to the rows' vertical labels, in two passes.
+
+    What no row shows has no force: a pair of types that never meets, the ground under a type that
+    is the drone of no row.
+    """
     types = len(rows.types)
     table, label = wake_rows(rows, velocity), rows.force_g[:, 2]
     start, low, high = bounds(types)
@@ -110,7 +115,11 @@ def fit_wake(rows: InteractionRows, velocity: WakeVelocity) -> WakeParameters:
             own = rows.ego_type == index
             if own.any():
                 weight[own] = 1.0 / max(float(left[own].std()), 1e-6)
-    return unpack(start, types)
+    found, felt = unpack(start, types), np.isin(np.arange(types), rows.ego_type)
+    return found._replace(
+        amplitude_g=np.where(shown_pairs(rows), found.amplitude_g, 0.0),
+        ground_g=np.where(felt, found.ground_g, 0.0),
+    )
 
 
 def _least_squares(

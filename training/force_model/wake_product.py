@@ -21,7 +21,8 @@ from swarm_envs.training.force_model.config import FitConfig
 from swarm_envs.training.force_model.evaluate import mean_squared_errors
 from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.labels import Treated, measured_range
-from swarm_envs.training.force_model.rows import FloatArray
+from swarm_envs.training.force_model.rows import FloatArray, InteractionRows
+from swarm_envs.training.force_model.unseen import never_together, shown_pairs
 from swarm_envs.training.force_model.wake_fit import WakeFit, description, fit_wake
 from swarm_envs.training.force_model.wake_model import wake_force_g, wake_rows
 from swarm_envs.vehicles import GRAM_FORCE
@@ -78,17 +79,12 @@ def fit_wake_model(
     content["provenance"] = provenance | {"training_rows": count}
     write_json(path, json_ready(content))
     drag_g = treated.drag[target.ego_type, 2] * target.velocity[:, 2] / GRAM_FORCE
-    return CompiledForce(load(str(path))), predicted - drag_g, _unknown(treated)
+    return CompiledForce(load(str(path))), predicted - drag_g, _unknown(chosen)
 
 
-def _unknown(treated: Treated) -> list[str]:
-    """Pairs of types that no training row shows: their parameters are where the search began."""
-    rows = treated.rows.select(~treated.rows.validation)
-    ego = np.repeat(rows.ego_type[:, None], rows.neighbor_type.shape[1], axis=1)
+def _unknown(rows: InteractionRows) -> list[str]:
+    """Pairs of types that no fitted row shows."""
     return [
-        f"type {above!r} is a neighbour of type {below!r} in no training row: the parameters of "
-        "this pair were not fitted"
-        for a, above in enumerate(rows.types)
-        for b, below in enumerate(rows.types)
-        if not ((rows.neighbor_type == a) & (ego == b)).any()
+        never_together(rows.types[above], rows.types[below]) + "it does not push it"
+        for above, below in np.argwhere(~shown_pairs(rows))
     ]

@@ -49,7 +49,7 @@ def test_csv_and_parquet_give_the_same_rows(flown, as_table, tmp_path):
         )
     for entry in dataclasses.fields(rows[0]):
         assert np.array_equal(*(getattr(table, entry.name) for table in rows)), entry.name
-    with pytest.raises(ValueError, match="'flight' is there as CSV and as Parquet"):
+    with pytest.raises(ValueError, match=r"is there as flight\.csv and as flight\.parquet"):
         read_logs(tmp_path)
 
 
@@ -89,7 +89,9 @@ def test_columns_in_any_order_quoted_spaced_and_strange_ones_named(table, tmp_pa
         (lambda t: t.replace(",vx,", ",x,", 1), r"column 'x' is there more than once"),
         (lambda t: t.replace(",", ";"), "separate columns by commas"),
         (lambda t: t.splitlines()[0], "no line follows the header"),
-        (lambda t: "", "column 'drone' is missing"),
+        (lambda t: "", "^the file is empty; copy it again or delete it$"),
+        (lambda t: "\n\n", "the file is empty"),
+        (lambda t: "\n" + t.replace("cf1,L,", "\n \ncf1,L,oops", 1), "oops.* in line 6"),
         (lambda t: t.replace("cf1,L,", "cf1,L,oops", 1), r"'time' holds 'oops.*' in line 3"),
         (lambda t: t.replace("cf1,L,", "cf1,L,,", 1), r"line 3|row 2"),
         (lambda t: t.replace("cf1", "c" * 40), "name of more than 31 letters"),
@@ -138,6 +140,22 @@ def rotor_forces(unit):
     return edit
 
 
+def forces(unit, kind="SL"):
+    """Mass times acceleration, in newtons times `unit`, of the drones of a kind."""
+    mass = {"S": SMALL.mass, "L": LARGE.mass}
+
+    def edit(columns):
+        factor = np.array([mass[t] * unit if t in kind else 1.0 for t in columns["type"]])
+        return columns | {name: columns[name] * factor for name in ACCELERATION}
+
+    return edit
+
+
+def mirrored(columns):
+    """Heights from a ceiling down, though the accelerometer keeps z up."""
+    return columns | {"z": 2.5 - columns["z"], "vz": -columns["vz"]}
+
+
 PWM = [f"pwm{k}" for k in range(1, 5)]
 ACCELERATION = ["ax", "ay", "az"]
 
@@ -165,6 +183,13 @@ ACCELERATION = ["ax", "ay", "az"]
         (scaled(["vx", "vy", "vz"], -1.0), "moves -1 times as its velocity says"),
         (scaled(ACCELERATION, 1 / 9.80665), "looks like multiples of g: multiply by 9.80665"),
         (scaled(ACCELERATION, 1000 / 9.80665), "looks like thousandths of g"),
+        (forces(1.0), r"of drone 'cf0' .*a force in newtons: divide by the mass, 0\.0"),
+        (forces(1.0, "L"), r"of drone 'cf1' .*a force in newtons: divide by the mass, 0\.0"),
+        (forces(1 / GRAM_FORCE), "looks like a force in gram-force"),
+        (scaled(ACCELERATION, 0.4), r"gravity included; give m/s\^2 in the world frame, z up$"),
+        (mirrored, r"az - 9\.81 of drone 'cf\d' opposes the change of vz .*z must point up"),
+        (scaled(["z", "vz"], -1.0), r"z of drone 'cf0' is usually -.*: z must point up; turn"),
+        (scaled(["ax"], -1.0), r"ax of drone 'cf\d' opposes .*same world frame"),
         (scaled(ACCELERATION, -1.0), "sign is turned round"),
         (changed("az", lambda a: a - 9.80665), "gravity seems to be missing: add 9.80665"),
         (scaled(PWM, 1 / 65535), "looks like 0 to 1: multiply by 65535"),
@@ -194,7 +219,8 @@ def test_a_folder_goes_on_without_what_is_refused(flown, as_table, tmp_path):
     assert [file.file for file in report.files] == ["a.csv", "b.csv", "c.csv"]
     assert [file.rows for file in report.files] == [len(rows), 0, 0]
     said = "\n".join(report.lines())
-    assert "1 of 3 flights are sound" in said
+    assert "1 of 3 flights are sound: " in said
+    assert "not read: notes.txt; data is .csv" in said
     assert "refused b.csv: voltage of drone 'cf0'" in said
     assert "refused c.csv: drone 'cf0' has the type 'L' here, but 'S' in an earlier file" in said
 
@@ -207,7 +233,7 @@ def test_what_gives_no_row_says_why(flown, as_table, tmp_path):
     write_table(tmp_path / "bad.csv", table)
     with pytest.raises(ValueError, match=r"1 flights give no row .*scenario too small"):
         read_logs(tmp_path, LogOptions(min_scenario_rows=100_000, min_quiet_rows=0))
-    with pytest.raises(FileNotFoundError, match="no flight log at"):
+    with pytest.raises(FileNotFoundError, match="no data at"):
         read_logs(tmp_path / "none")
     (tmp_path / "empty").mkdir()
     with pytest.raises(FileNotFoundError, match="has no flight log, only nothing"):

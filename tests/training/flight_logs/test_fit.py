@@ -78,6 +78,11 @@ def test_a_folder_that_collect_wrote_is_read(tmp_path):
     rows, report = read_logs(tmp_path)
     assert np.array_equal(rows.force_g, interaction_rows(flights).force_g)
     assert sum(file.rows for file in report.files) == report.rows == len(rows)
+    first, pair = report.files[0], report.files[-1]
+    assert (first.drones, pair.drones) == ({"S1": "S"}, {"S1": "S", "L1": "L"})
+    for file in report.files:
+        assert file.entries == round(file.seconds * 120) * len(file.drones)
+        assert file.entries == file.rows + sum(file.dropped.values())
     (tmp_path / "manifest.json").write_text("{}")
     with pytest.raises(ValueError, match="collection was not finished"):
         read_logs(tmp_path)

@@ -178,6 +178,7 @@ def test_the_command_fits_every_model_and_reports_alike(
     assert report["model"] == model
     assert set(report["findings"]) >= {"errors", "errors_raw", "lipschitz_bound", "axis_bins"}
     assert len(report["logs"]["files"]) == 11
+    assert report["logs"]["not_read"] == ["notes.txt"]
     assert (report["findings"]["lipschitz_bound"] is None) == (model == "wake")
     found = load(str(out / WEIGHTS[model]))
     force = found.forces([[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]], np.zeros((1, 2, 3)), "SL")
