@@ -33,6 +33,8 @@ def test_velocities_and_joint_wakes_count_on_measured_flights(
             steps=6000,
             schedule="cosine",
             average_share=0.0,
+            optimiser="adam",
+            teachers=0,
             lipschitz_samples=0,
             progress=False,
         )
