@@ -111,5 +111,5 @@ def test_checkpoint_of_other_rows_is_refused(name, tmp_path):
     train(rows, SPEC, short, path, progress=False)
     train(rows, SPEC, short, path, progress=False)
     other = dataclasses.replace(rows, **{name: getattr(rows, name)[::-1].copy()})
-    with pytest.raises(ValueError, match="which is not this run's"):
+    with pytest.raises(ValueError, match="was written with other options: rows is"):
         train(other, SPEC, short, path, progress=False)

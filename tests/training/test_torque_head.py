@@ -141,7 +141,9 @@ def test_tables_without_torque_are_refused_where_it_is_wanted(tmp_path: Path) ->
     rows = planted_rows(1000)
     save_rows(tmp_path / "with.npz", rows)
     assert np.array_equal(read_rows(tmp_path / "with.npz").torque, rows.torque)  # type: ignore[arg-type]
-    save_rows(tmp_path / "without.npz", dataclasses.replace(rows, torque=None))
+    elsewhere = rows.position + np.array([0.5, 0.0, 0.0])  # the same rows would be a copy
+    bare = dataclasses.replace(rows, torque=None, position=elsewhere)
+    save_rows(tmp_path / "without.npz", bare)
     wanted = Wanted(offsets=False, torque=True)
     found, report = read_data(tmp_path, LogOptions(), wanted=wanted)
     assert found.torque is not None and len(found) == 1000
