@@ -12,6 +12,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from numba.core.caching import NullCache
 
 from swarm_envs.compiled import borrowing_kernel, kernel
 
@@ -158,9 +159,10 @@ def test_a_borrowing_kernel_counts_no_references():
         for k in range(row.shape[0]):
             row[k] = k
 
+    dispatcher: Any = fill
+    dispatcher._cache = NullCache()  # code that was read from the disk cannot be looked at
     array = np.zeros((2, 3))
     fill(array)
     assert array.tolist() == [[0, 0, 0], [0, 1, 2]]
-    dispatcher: Any = fill
     code = dispatcher.inspect_llvm(dispatcher.signatures[0])
     assert "NRT_incref" not in code.split("define", 2)[1]
