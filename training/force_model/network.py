@@ -11,6 +11,7 @@ anchor that makes a lone drone aloft feel exactly nothing.
 from __future__ import annotations
 
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -77,7 +78,7 @@ def fade(distance: Tensor, inner: float, outer: float) -> Tensor:
     return 1.0 - u * u * u * (u * (6.0 * u - 15.0) + 10.0)
 
 
-class ForceNetwork(nn.Module):
+class ForceNetwork(nn.Module, ABC):
     """What networks of the interaction force share: window, clamp, anchor, drag."""
 
     pair_low: Tensor
@@ -111,16 +112,16 @@ class ForceNetwork(nn.Module):
         """Vehicle types that it knows."""
         return self.spec.types
 
+    @abstractmethod
     def named_networks(self) -> dict[str, nn.Module]:
         """Return its perceptrons by the names that they have in a weights file."""
-        raise NotImplementedError
 
+    @abstractmethod
     def heads(self, batch: Batch) -> Tensor:
         """Outputs for every row, (R, 1) the vertical force in gram-force.
 
         With a torque head (R, 4): the force, and the torque in the world frame, gram-force cm.
         """
-        raise NotImplementedError
 
     def forward(self, batch: Batch) -> Tensor:
         """Vertical interaction force from the network alone, (R,) in gram-force."""
