@@ -90,7 +90,7 @@ def max_rotor_force_g(
 
 
 class BatteryArrays(NamedTuple):
-    """The batteries of a team as compiled kernels take them; one row a drone."""
+    """The batteries of drones as compiled kernels take them; one row a drone."""
 
     open_circuit: FloatArray
     """(K,) voltage without load over 4.2 V, at K evenly spaced charges from 0 to 1."""
@@ -106,6 +106,10 @@ class BatteryArrays(NamedTuple):
     """(N, 5) psi2."""
     pwm_to_max_force: FloatArray
     """(N, 3) psi3."""
+
+
+BATTERY_ROWS = ("capacity", "resistance", "force_to_pwm", "pwm_to_max_force")
+"""Fields of `BatteryArrays` that have a row for each drone."""
 
 
 @dataclass(frozen=True)

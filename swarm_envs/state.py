@@ -94,6 +94,12 @@ def parameters(team: Sequence[Vehicle], num_envs: int = 1) -> Parameters:
     )
 
 
+def replace_rows(arrays: NamedTuple, e: int, single: NamedTuple) -> None:
+    """Write the only environment of `single` over environment `e` of arrays of the same class."""
+    for mine, other in zip(arrays, single, strict=True):
+        mine[e] = other[0]
+
+
 def hover_state(team: Team, position: npt.ArrayLike) -> SwarmState:
     """State of a team at rest, level, its rotors at hover thrust, with full batteries.
 

@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import kernel
 from swarm_envs.control.state import Setpoint
-from swarm_envs.envs.flight import RATES, ROTORS, SETPOINTS, Pilot
+from swarm_envs.envs.pilot import RATES, ROTORS, SETPOINTS, Pilot
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarm_envs.errors import check_array, check_kind, check_name
 from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.vehicles import Team, parse_team
 
-_PLACEMENT_OPTIONS = ("start", "goal")
+_RESET_OPTIONS = ("start", "goal", "team")
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
 
 
@@ -41,15 +42,28 @@ def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
         raise ValueError(f"seeds has {len(seeds)} entries, but must have {num_envs}")
 
 
-def check_placement_options(options: Mapping[str, Any], num_drones: int) -> dict[str, FloatArray]:
-    """Reset options that fix starts or goals, as arrays (N, 3).
+class ResetOptions(NamedTuple):
+    """What a reset was told, checked."""
+
+    team: Team | None
+    """Who flies; None for the constructor's team."""
+    placement: dict[str, FloatArray]
+    """What of `start` and `goal`, (N, 3) m, was given."""
+
+
+def check_reset_options(options: Mapping[str, Any], num_drones: int) -> ResetOptions:
+    """Reset options in the form that environments take.
 
     Raises:
         TypeError: the options are no mapping.
-        ValueError: an option is unknown, or an array of wrong shape or not finite.
+        ValueError: an option is unknown, an array of wrong shape or not finite, or a team unknown.
     """
     check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
     for name in given:
-        check_name("reset option", name, _PLACEMENT_OPTIONS)
-    return {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()}
+        check_name("reset option", name, _RESET_OPTIONS)
+    team = given.pop("team", None)
+    return ResetOptions(
+        None if team is None else parse_team(team),
+        {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()},
+    )

@@ -14,23 +14,19 @@ import numpy.typing as npt
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_actions
-from swarm_envs.envs.checks import check_mask, check_placement_options, check_seeds
+from swarm_envs.envs.checks import check_mask, check_reset_options, check_seeds
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.engine import make_physics
-from swarm_envs.envs.episodes import draw_placements, first_state, randomize
-from swarm_envs.envs.flight import SETPOINTS, Flight
+from swarm_envs.envs.episodes import draw_placements, randomize
+from swarm_envs.envs.flight import Flight
 from swarm_envs.envs.judge import Rules, judge, new_verdict, success_rules
-from swarm_envs.envs.observation import (
-    Float32Array,
-    observation_width,
-    type_codes,
-    write_observations,
-)
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.observer import Observer
 from swarm_envs.envs.report import episode_metrics
-from swarm_envs.envs.sensing import sense
 from swarm_envs.envs.snapshot import Snapshot, rebuild, restore_snapshot, take_snapshot
+from swarm_envs.envs.teams import fly_task, task_for
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.metrics import new_record
 from swarm_envs.tasks.mission import new_mission
@@ -64,6 +60,7 @@ class SwarmCore:
 
     def __init__(self, task: Task, config: EnvConfig, num_envs: int = 1) -> None:
         self.task, self.config, self.num_envs = task, config, num_envs
+        self.tasks = [task] * num_envs
         self.mode = ACTIONS[config.action]
         self.physics = make_physics(task, config, num_envs)
         controller = config.controller or ControllerConfig()
@@ -78,17 +75,9 @@ class SwarmCore:
         self.running: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self.verdict = new_verdict(num_envs, drones)
         self.generators = [np.random.default_rng() for _ in range(num_envs)]
-        self.noise_key: npt.NDArray[np.uint64] = np.zeros(num_envs, dtype=np.uint64)
-        self._sensed = self.physics.state
-        if config.randomization is not None and config.randomization.noisy:
-            self._sensed = self.physics.state.copy()
+        self.observer = Observer(self.flight, config)
+        self.rows = self.observer.rows
         self._substeps = PHYSICS_RATE // config.decision_rate
-        self._types = type_codes(task.team)
-        self.num_obstacles = config.obstacles_observed(len(task.obstacles))
-        width = observation_width(config.num_neighbors, self.num_obstacles)
-        self.rows: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
-        width = observation_width(0)
-        self._states: Float32Array = np.zeros((num_envs, drones, width), dtype=np.float32)
         clock = task.episode_s if config.horizon_s is None else config.horizon_s
         self._rules = Rules(
             *success_rules(task.success),
@@ -105,12 +94,16 @@ class SwarmCore:
         self._judge: Callable[..., None] | None = None
         self._write_terms: Callable[..., None] | None = None
         self._weigh: Callable[..., None] = weigh
-        self._write: Callable[..., None] | None = None
 
     @property
     def form(self) -> tuple[str, int, int]:
         """Form of observations, K neighbours, M obstacles: what their shape follows from."""
         return self.config.observation, self.config.num_neighbors, self.num_obstacles
+
+    @property
+    def num_obstacles(self) -> int:
+        """M, how many obstacles a drone observes."""
+        return self.observer.num_obstacles
 
     @property
     def num_drones(self) -> int:
@@ -133,22 +126,25 @@ class SwarmCore:
         Args:
             seeds: one per environment; None goes on with that environment's generator.
             mask: (E,) which to reset; None for all.
-            options: what the task allows of `start` and `goal`, (N, 3) m, fixes what would be
-                drawn.
+            options: for these episodes alone. What the task allows of `start` and `goal`, (N, 3)
+                m, fixes what would be drawn; `team`, N vehicles or their string, flies in place of
+                the constructor's.
 
         Returns:
             (E, N, width) observations.
 
         Raises:
-            ValueError: an option is unknown, or a start or goal impossible.
+            ValueError: an option is unknown, or a start, goal or team impossible; nothing has
+                changed then.
         """
         where = check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
-        given = check_placement_options(options or {}, self.num_drones)
-        environments = np.flatnonzero(where).tolist()
-        for e, placement in draw_placements(self, environments, seeds, given).items():
+        team, given = check_reset_options(options or {}, self.num_drones)
+        task, environments = task_for(self, team), np.flatnonzero(where).tolist()
+        for e, placement in draw_placements(self, task, environments, seeds, given).items():
+            fly_task(self, e, task)
             self.mission.place(e, placement)
-        state = first_state(self)
+        state = self.physics.hover(self.mission.start)
         if self.config.randomization is not None:
             randomize(self, self.config.randomization, environments, state)
         self.flight.reset(state, where)
@@ -230,51 +226,15 @@ class SwarmCore:
         return rewards, terms
 
     def _observe(self, mask: BoolArray) -> Float32Array:
-        arguments = (
-            self._measure(mask),
-            self.physics.parameters,
-            self.flight.pilot.setpoint,
-            self.mode.level != SETPOINTS,
-            self.mission.goal,
-            self._reference,
-            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
-            self._types,
-            self.config.num_neighbors,
-            self.physics.obstacles,
-            self.num_obstacles,
-            mask,
-            self.rows,
-        )
-        self._write = self._write or entry_point(write_observations, *arguments)
-        self._write(*arguments)
-        return self.rows
+        goal, reference = self.mission.goal, self._reference
+        return self.observer.observe(mask, self.decisions, goal, reference, self._time_left())
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        everywhere = np.ones(self.num_envs, dtype=np.bool_)
-        write_observations(
-            self.physics.state,
-            self.physics.parameters,
-            self.flight.pilot.setpoint,
-            self.mode.level != SETPOINTS,
-            self.mission.goal,
-            self._reference,
-            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
-            self._types,
-            0,
-            self.physics.obstacles,
-            0,
-            everywhere,
-            self._states,
-        )
-        return self._states
+        return self.observer.team_state(self.mission.goal, self._reference, self._time_left())
 
-    def _measure(self, mask: BoolArray) -> SwarmState:
-        ranges = self.config.randomization
-        if ranges is not None and ranges.noisy:
-            state, keys = self.physics.state, self.noise_key
-            sense(state, ranges.noise, keys, self.decisions, mask, self._sensed)
-        return self._sensed
+    def _time_left(self) -> FloatArray:
+        return np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""

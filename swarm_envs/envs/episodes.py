@@ -9,7 +9,8 @@ import numpy as np
 
 from swarm_envs.envs.randomization import Randomization, draw_parameters
 from swarm_envs.errors import check_integer
-from swarm_envs.state import FloatArray, SwarmState, hover_state
+from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.mission import Placement
 
 if TYPE_CHECKING:
@@ -18,11 +19,20 @@ if TYPE_CHECKING:
 
 def draw_placements(
     core: SwarmCore,
+    task: Task,
     environments: Sequence[int],
     seeds: Sequence[int | None] | None,
     given: Mapping[str, FloatArray],
 ) -> dict[int, Placement]:
-    """Draw placements; if one is refused, every generator goes back to where it was."""
+    """Draw placements; if one is refused, every generator goes back to where it was.
+
+    Args:
+        core: its generators are drawn from.
+        task: what draws.
+        environments: those that begin an episode.
+        seeds: of every environment; None goes on with its generator.
+        given: starts or goals (N, 3), m, that are kept.
+    """
     generators, placements = list(core.generators), {}
     before = {e: generators[e].bit_generator.state for e in environments}
     try:
@@ -30,18 +40,13 @@ def draw_placements(
             seed = None if seeds is None else seeds[e]
             if seed is not None:
                 generators[e] = np.random.default_rng(check_integer("seed", seed, 0))
-            placements[e] = core.task.place(generators[e], **given)
+            placements[e] = task.place(generators[e], **given)
     except Exception:
         for e, state in before.items():
             core.generators[e].bit_generator.state = state
         raise
     core.generators = generators
     return placements
-
-
-def first_state(core: SwarmCore) -> SwarmState:
-    """State at rest on the starts of the mission, batteries full."""
-    return hover_state(core.task.team, core.mission.start)
 
 
 def randomize(
@@ -61,4 +66,4 @@ def randomize(
         draw_parameters(rng, ranges, nominal, e, world.parameters)
         world.force_scale[e] = rng.uniform(*ranges.force_scale)
         state.battery[e] = rng.uniform(*ranges.battery, state.battery.shape[1])
-        world.gusts.key[e], core.noise_key[e] = rng.integers(2**63, size=2)
+        world.gusts.key[e], core.observer.noise_key[e] = rng.integers(2**63, size=2)

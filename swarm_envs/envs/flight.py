@@ -9,86 +9,23 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, entry_point, inlined_kernel
-from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
-from swarm_envs.control.rates import hold_rates
-from swarm_envs.control.state import ControllerState, Setpoint
-from swarm_envs.control.tracking import extrapolate, track_env
+from swarm_envs.compiled import borrowing_kernel, entry_point
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.control.state import Setpoint
+from swarm_envs.envs.pilot import Pilot, decide, new_pilot
 from swarm_envs.envs.tally import Airframe, Tally, airframe_of, count, new_tally
 from swarm_envs.interactions import load
 from swarm_envs.interactions.blocks import Scratch, scratch_for
-from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.physics import BulletPhysics, Physics
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.physics.gusts import gust
-from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment
-from swarm_envs.state import (
-    BoolArray,
-    FloatArray,
-    IntArray,
-    Parameters,
-    SwarmState,
-    parameters,
-)
-
-SETPOINTS, RATES, ROTORS = 0, 1, 2
-"""What an agent commands: set-points of the tracking loop, thrust and body rates, or the rotors."""
-
-
-class Pilot(NamedTuple):
-    """Who commands the rotors: the tracking loop, its inner part, or the agent itself."""
-
-    level: int
-    """SETPOINTS, RATES or ROTORS: where actions enter. At ROTORS the agent writes `commands`."""
-    setpoint: Setpoint
-    asked: FloatArray
-    """(E, N, 4) at RATES: total thrust, N, and body rates, rad/s."""
-    memory: ControllerState
-    gains: ControlGains
-    nominal: Parameters
-    """What the controller takes the drones to be."""
-    believes: bool
-    """Whether the controller compensates a force."""
-    belief: ForceField
-    """The force model in which it believes."""
-    belief_types: IntArray
-    """(E, N) interaction types of that model."""
-    belief_force: FloatArray
-    """(E, N, 3) the force it compensates now, N."""
-    commands: FloatArray
-    """(E, N, 4) commanded rotor thrusts, N."""
-
-
-@inlined_kernel
-def decide(e: int, world: World, pilot: Pilot, scratch: Scratch) -> None:
-    """One controller step of environment `e`: set-points, belief and state to rotor commands."""
-    if pilot.level == ROTORS:
-        return
-    if pilot.level == RATES:
-        world_state, memory = world.state, pilot.memory
-        hold_rates(e, world_state, pilot.nominal, memory, pilot.asked, pilot.gains, pilot.commands)
-        return
-    if pilot.believes:
-        position, velocity = world.state.position[e], world.state.velocity[e]
-        types, force = pilot.belief_types[e], pilot.belief_force[e]
-        swarm_forces(pilot.belief, len(types), types, position, velocity, scratch, force)
-    track_env(
-        e,
-        world.state,
-        pilot.nominal,
-        pilot.memory,
-        pilot.setpoint,
-        pilot.belief_force[e],
-        pilot.gains,
-        pilot.commands,
-    )
-    extrapolate(pilot.setpoint, e, TIME_STEP)
+from swarm_envs.state import BoolArray, FloatArray, SwarmState, parameters, replace_rows
+from swarm_envs.vehicles import Team
 
 
 @borrowing_kernel
@@ -206,25 +143,14 @@ class Flight:
     ) -> None:
         envs, drones = physics.num_envs, len(physics.team)
         belief = load("none" if config.feedforward is None else config.feedforward)
-        self.physics = physics
-        self.pilot = Pilot(
-            level=level,
-            setpoint=Setpoint.zeros(envs, drones),
-            asked=np.zeros((envs, drones, 4)),
-            memory=ControllerState.zeros(envs, drones),
-            gains=compile_gains(config),
-            nominal=parameters(physics.team, envs),
-            believes=config.feedforward is not None,
-            belief=belief.field,
-            belief_types=np.repeat(belief.type_indices(physics.team)[None], envs, axis=0),
-            belief_force=np.zeros((envs, drones, 3)),
-            commands=np.zeros((envs, drones, 4)),
-        )
+        self.physics, self.belief = physics, belief
+        self.pilot = new_pilot(physics.team, envs, config, belief, level)
         shape = (envs, drones)
         self.tally = new_tally(*shape)
         external = np.zeros((envs, drones, 3))
-        airframe = airframe_of(physics.team, bounds_g)
-        self._arguments = (physics.world, self.pilot, self.tally, airframe, external)
+        self._bounds_g = bounds_g
+        self._airframe = airframe_of(physics.team, bounds_g, envs)
+        self._arguments = (physics.world, self.pilot, self.tally, self._airframe, external)
         self._total = np.zeros((envs, drones, 3))
         self._parts = parts(envs, threads)
         self._scratch = [
@@ -233,6 +159,18 @@ class Flight:
         ]
         self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None
         self._entry: Callable[..., None] | None = None
+
+    def set_team(self, e: int, team: Team) -> None:
+        """Let environment `e` be flown by another team of as many drones, from its next reset on.
+
+        Raises:
+            ValueError: as of `Physics.set_team`; or the belief does not know a vehicle's type.
+        """
+        types = self.belief.type_indices(team)
+        self.physics.set_team(e, team)
+        self.pilot.belief_types[e] = types
+        replace_rows(self.pilot.nominal, e, parameters(team))
+        replace_rows(self._airframe, e, airframe_of(team, self._bounds_g))
 
     def reset(self, state: SwarmState, mask: BoolArray) -> None:
         """Place the drones, at rest on their set-points, in the environments of the mask."""

@@ -10,8 +10,9 @@ import numpy.typing as npt
 from gymnasium import spaces
 from pettingzoo import ParallelEnv
 
+from swarm_envs.envs.by_agent import infos_by_agent, join_actions
 from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.forms import Observation, observation_space, shaper
 from swarm_envs.envs.observation import (
     Field,
@@ -21,8 +22,7 @@ from swarm_envs.envs.observation import (
 )
 from swarm_envs.envs.snapshot import Snapshot
 from swarm_envs.envs.view import View
-from swarm_envs.errors import check_name, unknown_name
-from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
+from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
 
 RENDER_MODES = ("rgb_array", "human")
@@ -97,10 +97,13 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
         Args:
             seed: seeds the environment's one generator; None goes on with it.
-            options: `start`, `goal`: (N, 3) positions, m; which of them, the task says.
+            options: for this episode alone. `start`, `goal`: (N, 3) positions, m; which of them,
+                the task says. `team`: N vehicles or their string, in place of those that the
+                environment was made with; spaces and agents stay.
 
         Raises:
-            ValueError: an option is unknown, or a start or goal impossible.
+            ValueError: an option is unknown, or a start, goal or team impossible. Nothing has
+                changed then.
         """
         self._check_open("reset")
         rows = self.core.reset([seed], options=options)
@@ -135,7 +138,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         result = self.core.step(self.join(actions))
         agents, terminated = self.agents, bool(result.terminated[0])
         truncated = bool(result.truncated[0])
-        infos = self._infos(result, terminated or truncated)
+        infos = infos_by_agent(self.core, self.possible_agents, result, terminated or truncated)
         if terminated or truncated:
             self.agents = []
         if self.render_mode == "human":
@@ -224,67 +227,11 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
     def join(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
         """The agents' actions as the core takes them, (1, N, width), or an error as of `step`."""
-        if not isinstance(actions, Mapping):
-            raise TypeError(
-                f"actions are {type(actions).__name__}, but must be a dict with an action for each "
-                "of env.agents"
-            )
-        if len(actions) != len(self.agents) or any(a not in actions for a in self.agents):
-            self._refuse_agents(actions)
-        width = self.core.mode.width
-        rows = [actions[agent] for agent in self.agents]
-        try:
-            joined = np.array(rows)
-        except (ValueError, TypeError):
-            joined = np.empty(0)
-        if joined.shape != (len(rows), width):
-            for agent, row in zip(self.agents, rows, strict=True):
-                if np.shape(row) != (width,):
-                    raise ValueError(
-                        f"action of {agent!r} has shape {np.shape(row)}, but action "
-                        f"{self.core.mode.name!r} takes {width} numbers: shape ({width},)"
-                    )
-        if joined.dtype.kind not in "fiu":
-            raise ValueError(
-                f"actions are of type {joined.dtype}, but must be numbers, such as float32"
-            )
-        return joined[None].astype(np.float64)
-
-    def _refuse_agents(self, actions: Mapping[str, npt.ArrayLike]) -> None:
-        for agent in actions:
-            if agent not in self.agents:
-                raise ValueError(unknown_name("agent", agent, self.agents, "in actions"))
-        missing = [agent for agent in self.agents if agent not in actions]
-        raise ValueError(f"actions lack {missing}; give one for each of env.agents")
+        return join_actions(self.core.mode, self.agents, actions)
 
     def _split(self, rows: Float32Array) -> dict[str, Observation]:
         own = map(self._shape, rows[0].copy())
         return dict(zip(self.possible_agents, own, strict=True))
-
-    def _infos(self, result: StepResult, ended: bool) -> dict[str, dict[str, Any]]:
-        names = self.core.task.reward_names
-        columns = result.reward_terms[:, 0].T.tolist()
-        contacts = self.core.physics.contacts
-        touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
-        floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
-        infos: dict[str, dict[str, Any]] = {
-            agent: {
-                "reward_terms": dict(zip(names, column, strict=True)),
-                "contact": {
-                    "drone": None if other == NO_DRONE else self.possible_agents[other],
-                    "floor": on_floor,
-                    "wall": at_wall,
-                    "obstacle": None if hit == NO_OBSTACLE else hit,
-                },
-            }
-            for agent, column, other, on_floor, at_wall, hit in zip(
-                self.possible_agents, columns, touched, floor, wall, obstacle, strict=True
-            )
-        }
-        if ended:
-            for info in infos.values():
-                info["episode_metrics"] = self.core.metrics()
-        return infos
 
 
 def _rebuilt(

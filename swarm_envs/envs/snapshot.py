@@ -9,6 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.envs.teams import fly_task, task_for
+from swarm_envs.vehicles import Team
+
 if TYPE_CHECKING:
     from swarm_envs.envs.config import EnvConfig
     from swarm_envs.envs.core import SwarmCore
@@ -31,6 +34,8 @@ class Snapshot:
     """Every array that changes over time, by name, such as `state.position`: (E, ...)."""
     generators: tuple[Any, ...]
     """State of each environment's random generator."""
+    teams: tuple[Team, ...]
+    """Who flies in each environment: the team, or another that its reset named."""
 
 
 def living_arrays(core: SwarmCore) -> Arrays:
@@ -57,7 +62,7 @@ def living_arrays(core: SwarmCore) -> Arrays:
     arrays |= {name: getattr(core, name) for name in ("decisions", "time", "running")}
     arrays |= {"gusts.acceleration": world.gusts.acceleration, "gusts.key": world.gusts.key}
     arrays |= {"asked": flight.pilot.asked, "force_scale": world.force_scale}
-    return arrays | {"noise_key": core.noise_key, "observations": core.rows}
+    return arrays | {"noise_key": core.observer.noise_key, "observations": core.rows}
 
 
 def take_snapshot(core: SwarmCore) -> Snapshot:
@@ -66,6 +71,7 @@ def take_snapshot(core: SwarmCore) -> Snapshot:
         kind=_kind(core),
         arrays={name: array.copy() for name, array in living_arrays(core).items()},
         generators=tuple(_generator_state(g) for g in core.generators),
+        teams=tuple(task.team for task in core.tasks),
     )
 
 
@@ -87,6 +93,9 @@ def restore_snapshot(core: SwarmCore, snapshot: Snapshot) -> None:
                 f"the state was taken of an environment whose {name} is {snapshot.kind[name]!r}, "
                 f"but here it is {value!r}; make an environment with the same options"
             )
+    tasks = {team: task_for(core, team) for team in set(snapshot.teams)}
+    for e, team in enumerate(snapshot.teams):
+        fly_task(core, e, tasks[team])
     for name, array in living_arrays(core).items():
         array[...] = snapshot.arrays[name]
     for e, state in enumerate(snapshot.generators):

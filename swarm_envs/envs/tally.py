@@ -52,23 +52,23 @@ class Airframe(NamedTuple):
     """What the tally knows of the drones."""
 
     disc_area: FloatArray
-    """(N,) swept area of one rotor, m^2."""
+    """(E, N) swept area of one rotor, m^2."""
     force_bound: FloatArray
-    """(N,) bound on the vertical interaction force, N."""
+    """(E, N) bound on the vertical interaction force, N."""
 
 
-def airframe_of(team: Team, bounds_g: Mapping[str, float]) -> Airframe:
+def airframe_of(team: Team, bounds_g: Mapping[str, float], num_envs: int = 1) -> Airframe:
     """What the tally knows of a team.
 
     Args:
         team: the vehicles.
         bounds_g: bound on the vertical interaction force by vehicle token, gram-force; types that
             are left out have none.
+        num_envs: how many environments it flies.
     """
-    return Airframe(
-        disc_area=np.array([math.pi * vehicle.rotor_radius**2 for vehicle in team]),
-        force_bound=np.array([bounds_g.get(v.token, np.inf) * GRAM_FORCE for v in team]),
-    )
+    area = [math.pi * vehicle.rotor_radius**2 for vehicle in team]
+    bound = [bounds_g.get(vehicle.token, np.inf) * GRAM_FORCE for vehicle in team]
+    return Airframe(*(np.repeat(np.array([row]), num_envs, axis=0) for row in (area, bound)))
 
 
 @inlined_kernel
@@ -82,7 +82,7 @@ def count(e: int, world: World, tally: Tally, airframe: Airframe) -> None:
         airframe: what the tally knows of the drones.
     """
     force, thrust = world.force, world.state.rotor_thrust
-    for i in range(airframe.disc_area.shape[0]):
+    for i in range(airframe.disc_area.shape[1]):
         size = 0.0
         for k in range(3):
             size += force[e, i, k] * force[e, i, k]
@@ -90,8 +90,8 @@ def count(e: int, world: World, tally: Tally, airframe: Airframe) -> None:
         power = 0.0
         for r in range(4):
             power += thrust[e, i, r] * math.sqrt(max(thrust[e, i, r], 0.0))
-        scale = TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * airframe.disc_area[i])
+        scale = TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * airframe.disc_area[e, i])
         tally.energy[e, i] += power * scale
         tally.outside[e, i] += world.outside[e, i]
         tally.steps[e, i] += 1
-        tally.over_bound[e, i] += abs(force[e, i, 2]) > airframe.force_bound[i]
+        tally.over_bound[e, i] += abs(force[e, i, 2]) > airframe.force_bound[e, i]

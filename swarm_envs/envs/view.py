@@ -34,8 +34,8 @@ class View:
 
     @property
     def team(self) -> Team:
-        """The N vehicles."""
-        return self._core.task.team
+        """The N vehicles that fly this episode."""
+        return self._core.tasks[self._e].team
 
     @property
     def time(self) -> float:

@@ -1,6 +1,7 @@
 """What both engines share: the arrays, the checks at the door, the reset.
 
-A physics object holds E environments of the same team. `step` takes rotor commands and advances
+A physics object holds E environments of N drones: of one team, unless `set_team` was told
+otherwise. `step` takes rotor commands and advances
 everything by 1/240 s; the interaction force is part of it.
 """
 
@@ -15,7 +16,7 @@ import numpy.typing as npt
 
 from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.motors import BatteryModel, rotor_limit
+from swarm_envs.motors import BATTERY_ROWS, BatteryModel, rotor_limit
 from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
 from swarm_envs.physics.gusts import new_gusts
 from swarm_envs.physics.obstacles import ROW, no_obstacles
@@ -28,6 +29,7 @@ from swarm_envs.state import (
     SwarmState,
     hover_state,
     parameters,
+    replace_rows,
 )
 from swarm_envs.vehicles import Vehicle, parse_team
 
@@ -36,7 +38,7 @@ class Physics(ABC):
     """Rigid bodies, rotors and the air between them, for E environments of one team.
 
     Args:
-        team: the N vehicles, or a string such as `"SSL"`.
+        team: the N vehicles of every environment, or a string such as `"SSL"`.
         num_envs: E.
         interactions: the force model that blows: a name, a path or a model.
         arena: (2, 3) corners of the walls for the collision test, m; None for no walls.
@@ -67,6 +69,7 @@ class Physics(ABC):
         obstacles: npt.ArrayLike | None = None,
     ) -> None:
         self.team = parse_team(team)
+        self.teams = [self.team] * num_envs
         if num_envs < 1:
             raise ValueError(f"num_envs is {num_envs}, but must be at least 1")
         if force_rate < 1 or PHYSICS_RATE % force_rate:
@@ -86,6 +89,7 @@ class Physics(ABC):
         self.force: FloatArray = np.zeros((*shape, 3))
         self._total: FloatArray = np.zeros((*shape, 3))
         self._no_force: FloatArray = np.zeros((*shape, 3))
+        self._battery = BatteryModel() if battery is None else battery
         self._state = hover_state(self.team, self._default_positions())
         self.state: SwarmState = self._state.read_only()
         self.world = World(
@@ -101,7 +105,7 @@ class Physics(ABC):
             hold=PHYSICS_RATE // force_rate,
             rotor_limit=self.parameters.max_rotor_thrust.copy(),
             drains=battery is not None,
-            battery=(BatteryModel() if battery is None else battery).compile(self.team),
+            battery=self._battery.compile(self.team * num_envs),
             contacts=self.contacts,
             arena=self.arena,
             obstacles=self.obstacles,
@@ -111,6 +115,35 @@ class Physics(ABC):
     def contact(self) -> BoolArray:
         """(E, N) whether each drone touched a drone, floor, wall or obstacle in the last step."""
         return self.contacts.any()
+
+    def hover(self, position: FloatArray) -> SwarmState:
+        """State at rest at positions (E, N, 3), m: rotors at hover, batteries full."""
+        state = hover_state(self.team, position)
+        for e, team in enumerate(self.teams):
+            if team != self.team:
+                state.rotor_thrust[e] = hover_state(team, position[e]).rotor_thrust[0]
+        return state
+
+    def set_team(self, e: int, team: str | Sequence[Vehicle]) -> None:
+        """Let other vehicles fly in environment `e`, as many as before, from its next reset on.
+
+        Parameters, interaction types, batteries and bodies become theirs.
+
+        Raises:
+            ValueError: their number is another, or the force model does not know their type;
+                nothing is changed.
+        """
+        vehicles = parse_team(team)
+        if len(vehicles) != len(self.team):
+            raise ValueError(
+                f"the team has {len(vehicles)} vehicles, but must have {len(self.team)}, as before"
+            )
+        self.types[e] = self.interactions.type_indices(vehicles)
+        replace_rows(self.parameters, e, parameters(vehicles))
+        rows, first = self._battery.compile(vehicles), e * len(vehicles)
+        for name in BATTERY_ROWS:
+            getattr(self.world.battery, name)[first : first + len(vehicles)] = getattr(rows, name)
+        self.teams[e] = vehicles
 
     def reset(self, state: SwarmState | None = None, mask: BoolArray | None = None) -> SwarmState:
         """Set the state of every environment, or of those in the mask.
@@ -125,7 +158,7 @@ class Physics(ABC):
         Raises:
             ValueError: the state does not fit, or holds an impossible value; nothing is changed.
         """
-        new = hover_state(self.team, self._default_positions()) if state is None else state
+        new = self.hover(self._default_positions()) if state is None else state
         check_state(new, self._state)
         where: BoolArray = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
         self._state.assign(new, where)
@@ -197,8 +230,8 @@ class Physics(ABC):
         if world.drains:
             for e, i in np.argwhere(mask[:, None] & (self._state.battery < 1.0)).tolist():
                 charge, total = self._state.battery[e, i], self._state.rotor_thrust[e, i].sum()
-                most = 4.0 * limit[e, i]
-                world.rotor_limit[e, i] = rotor_limit(charge, total, most, world.battery, i)
+                most, row = 4.0 * limit[e, i], e * len(self.team) + i
+                world.rotor_limit[e, i] = rotor_limit(charge, total, most, world.battery, row)
 
     def _default_positions(self) -> FloatArray:
         row = np.zeros((self.num_envs, len(self.team), 3))

@@ -57,7 +57,7 @@ def import_bullet() -> Any:
 
 
 class BulletPhysics(Physics):
-    """Rigid bodies in Bullet. Bodies are built once; a reset sets poses and velocities.
+    """Rigid bodies in Bullet, built once for a team; a reset sets poses and velocities.
 
     Bullet's contacts give the response after a collision; collisions themselves are decided by
     `find_contacts`, as on the compiled engine. Call `close()` when done, or use it in `with`.
@@ -96,16 +96,12 @@ class BulletPhysics(Physics):
         self._finalizer = weakref.finalize(self, _disconnect, self._bullet, self.clients)
         for e in range(num_envs):
             self.clients.append(self._connect())
-            self.bodies.append(
-                [
-                    build_body(self._bullet, self.clients[e], vehicle, *self._inertia(e, i))
-                    for i, vehicle in enumerate(self.team)
-                ]
-            )
+            self.bodies.append(self._populate(e))
         self.wrench: FloatArray = np.zeros((len(self.team), 6))
         self._moved: FloatArray = np.zeros((len(self.team), 13))
         self._take: Callable[..., None] | None = None
         self._built = self._body_numbers()
+        self._built_teams = list(self.teams)
         self.place_bodies(np.ones(num_envs, dtype=np.bool_))
 
     def __enter__(self) -> BulletPhysics:
@@ -127,12 +123,21 @@ class BulletPhysics(Physics):
             raise RuntimeError(
                 "Bullet gave no client: too many are open; close() environments that are done"
             )
+        return client
+
+    def _populate(self, e: int) -> list[int]:
+        """Empty the world of environment `e` and build floor, obstacles and drones; their ids."""
+        bullet, client = self._bullet, self._client(e)
+        bullet.resetSimulation(physicsClientId=client)
         bullet.setTimeStep(TIME_STEP, physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
         build_floor(bullet, client)
         for row in self.obstacles.tolist():
             build_obstacle(bullet, client, row)
-        return client
+        return [
+            build_body(bullet, client, vehicle, *self._inertia(e, i))
+            for i, vehicle in enumerate(self.teams[e])
+        ]
 
     def _inertia(self, e: int, i: int) -> tuple[float, list[float]]:
         return float(self.parameters.mass[e, i]), self.parameters.inertia[e, i].tolist()
@@ -150,12 +155,18 @@ class BulletPhysics(Physics):
         )
 
     def place_bodies(self, mask: BoolArray) -> None:
-        """Move the bodies of the environments in the mask to their states, masses included."""
+        """Move the bodies of the environments in the mask to their states, masses included.
+
+        Where other vehicles fly, all bodies are built anew: Bullet cannot change a body's shape.
+        """
         wanted = self._body_numbers()
         changed = (wanted != self._built).any(axis=-1)
         for e in np.flatnonzero(mask).tolist():
-            for i in np.flatnonzero(changed[e]).tolist():
-                self._rebuild(e, i, self.bodies[e][i])
+            if self.teams[e] != self._built_teams[e]:
+                self.bodies[e], self._built_teams[e] = self._populate(e), self.teams[e]
+            else:
+                for i in np.flatnonzero(changed[e]).tolist():
+                    self._rebuild(e, i, self.bodies[e][i])
             self._built[e] = wanted[e]
             self.settle(e)
 

@@ -47,6 +47,7 @@ class World(NamedTuple):
     drains: bool
     """Whether batteries empty."""
     battery: BatteryArrays
+    """Its rows are all drones of the first environment, then those of the second, and so on."""
     contacts: Contacts
     arena: FloatArray
     """(2, 3) corners of the walls, m."""
@@ -72,8 +73,8 @@ def blow(e: int, world: World, scratch: Scratch) -> None:
 @inlined_kernel
 def drain(e: int, world: World) -> None:
     """Take one step's charge from the batteries of environment `e`; their rotors' limits follow."""
-    state, parameters = world.state, world.parameters
-    for i in range(world.force.shape[1]):
+    state, parameters, drones = world.state, world.parameters, world.force.shape[1]
+    for i in range(drones):
         total = 0.0
         for r in range(4):
             total += state.rotor_thrust[e, i, r]
@@ -82,7 +83,7 @@ def drain(e: int, world: World) -> None:
             total,
             4.0 * parameters.max_rotor_thrust[e, i],
             world.battery,
-            i,
+            e * drones + i,
             TIME_STEP,
         )
 

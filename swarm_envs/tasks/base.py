@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -87,6 +87,15 @@ class Task(ABC):
         write_reference
     )
     """The kernel that writes the reference of every environment."""
+
+    def with_team(self, team: Team) -> Self:
+        """The same task for another team.
+
+        Raises:
+            ValueError: the team cannot fly it; the message says why.
+        """
+        same: Self = replace(self, team=team)  # type: ignore[type-var]  # every task is a dataclass
+        return same
 
     @property
     def arena(self) -> FloatArray:

@@ -43,7 +43,7 @@ class FrameMaker:
 
     def __init__(self, task: Task) -> None:
         self._camera = Camera(task.team, WIDTH, HEIGHT)
-        self._colors, self._arena = drone_colors(task.team), task.arena
+        self._arena = task.arena
         self._solids = solids(getattr(task, "obstacles", ()), float(task.arena[1, 2]))
         self._goals: FloatArray = np.empty(0)
         self._past: deque[tuple[float, FloatArray]] = deque()
@@ -60,7 +60,7 @@ class FrameMaker:
         reference = view.reference(time).position
         moving = not np.array_equal(reference, view.goals)
         overlay = Overlay(
-            colors=self._colors,
+            colors=drone_colors(view.team),
             arena=self._arena,
             solids=self._solids,
             goals=np.array(view.goals),
@@ -74,12 +74,15 @@ class FrameMaker:
         self._camera.close()
 
     def _is_new(self, view: View) -> bool:
-        """Whether another episode has begun although the clock did not go back."""
+        """Whether another episode is on although the clock did not go back."""
         begun = view.time == 0.0 and not np.array_equal(self._past[-1][1], view.state.position)
-        return bool(begun)
+        return bool(begun) or view.team != self._camera.team
 
     def _begin(self, view: View) -> None:
         self._past.clear()
+        if view.team != self._camera.team:  # a reset may name another
+            self._camera.close()
+            self._camera = Camera(view.team, WIDTH, HEIGHT)
         times = np.linspace(0.0, view.horizon_s, _PATH_POINTS)
         paths = [view.reference(float(t)).position for t in times]
         self._camera.aim(np.concatenate([view.state.position, view.goals, *paths]))

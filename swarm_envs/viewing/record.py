@@ -135,7 +135,7 @@ class Recorder:
             infos: by agent, of that step.
         """
         task, agents = env.core.task, env.possible_agents
-        self._team, self._names = task.team, task.reward_names
+        self._team, self._names = env.view.team, task.reward_names
         told = [(infos or {}).get(agent, {}) for agent in agents]
         self._about = About(
             task=task.name,

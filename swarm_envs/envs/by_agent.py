@@ -1,0 +1,93 @@
+"""Between a dictionary with an entry for each drone and the arrays of the core."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.envs.actions import ActionMode
+from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.errors import unknown_name
+from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
+
+
+def join_actions(
+    mode: ActionMode, agents: Sequence[str], actions: Mapping[str, npt.ArrayLike]
+) -> npt.NDArray[np.float64]:
+    """Agents' actions as the core takes them: (1, N, width).
+
+    Raises:
+        TypeError: they are no mapping.
+        ValueError: one is missing, superfluous, of wrong shape or no numbers.
+    """
+    if not isinstance(actions, Mapping):
+        raise TypeError(
+            f"actions are {type(actions).__name__}, but must be a dict with an action for each of "
+            "env.agents"
+        )
+    if len(actions) != len(agents) or any(a not in actions for a in agents):
+        _refuse_agents(agents, actions)
+    rows = [actions[agent] for agent in agents]
+    try:
+        joined = np.array(rows)
+    except (ValueError, TypeError):
+        joined = np.empty(0)
+    if joined.shape != (len(rows), mode.width):
+        for agent, row in zip(agents, rows, strict=True):
+            if np.shape(row) != (mode.width,):
+                raise ValueError(
+                    f"action of {agent!r} has shape {np.shape(row)}, but action {mode.name!r} "
+                    f"takes {mode.width} numbers: shape ({mode.width},)"
+                )
+    if joined.dtype.kind not in "fiu":
+        raise ValueError(
+            f"actions are of type {joined.dtype}, but must be numbers, such as float32"
+        )
+    return joined[None].astype(np.float64)
+
+
+def _refuse_agents(agents: Sequence[str], actions: Mapping[str, npt.ArrayLike]) -> None:
+    for agent in actions:
+        if agent not in agents:
+            raise ValueError(unknown_name("agent", agent, agents, "in actions"))
+    missing = [agent for agent in agents if agent not in actions]
+    raise ValueError(f"actions lack {missing}; give one for each of env.agents")
+
+
+def infos_by_agent(
+    core: SwarmCore, agents: Sequence[str], result: StepResult, ended: bool
+) -> dict[str, dict[str, Any]]:
+    """What a step of the only environment of a core tells each of all its agents.
+
+    Args:
+        core: has just stepped.
+        agents: names, in the order of the team.
+        result: of the step.
+        ended: whether the episode did: then metrics are told.
+    """
+    names = core.task.reward_names
+    columns = result.reward_terms[:, 0].T.tolist()
+    contacts = core.physics.contacts
+    touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
+    floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
+    infos: dict[str, dict[str, Any]] = {
+        agent: {
+            "reward_terms": dict(zip(names, column, strict=True)),
+            "contact": {
+                "drone": None if other == NO_DRONE else agents[other],
+                "floor": on_floor,
+                "wall": at_wall,
+                "obstacle": None if hit == NO_OBSTACLE else hit,
+            },
+        }
+        for agent, column, other, on_floor, at_wall, hit in zip(
+            agents, columns, touched, floor, wall, obstacle, strict=True
+        )
+    }
+    if ended:
+        for info in infos.values():
+            info["episode_metrics"] = core.metrics()
+    return infos

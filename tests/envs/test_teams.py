@@ -1,0 +1,299 @@
+"""`reset(options={"team": ...})`: as if the environment had been made with that team."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import swarm_envs
+from swarm_envs import swap_v0
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.named import make_joint, make_solo, make_vector
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.interactions import load
+from swarm_envs.motors import BatteryModel
+from swarm_envs.physics import BatchPhysics
+from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.vehicles import LARGE, SMALL, Vehicle, parse_team
+
+PLAIN: dict[str, Any] = {"end_on_success": False}
+EVERYTHING: dict[str, Any] = PLAIN | {
+    "randomization": Randomization(
+        mass=(0.95, 1.05),
+        inertia=(0.8, 1.2),
+        thrust=(0.97, 1.05),
+        battery=(0.5, 1.0),
+        gust_acceleration=1.0,
+        position_noise_m=0.01,
+    ),
+    "battery": BatteryModel(),
+    "controller": ControllerConfig(feedforward=load("wake")),
+    "force_bounds_g": {"S": 1.0, "L": 2.0},
+}
+FLOWN: list[tuple[str, dict[str, Any], str, str]] = [
+    ("swap_v0", {"layout": "random"}, "SLSS*", "LSS*L"),
+    ("swap_v0", {"layout": "stacked"}, "SSS", "LSL"),
+    ("swap_v0", {"layout": "circle", "action": "ctbr"}, "SSS", "LS*L"),
+    ("swap_v0", {"layout": "random", "action": "rotors"}, "SSS", "LS*L"),
+    ("ring_v0", {}, "S*S*S*LL", "LLS*S*S*"),
+    ("formation_v0", {"shape_s": 0.5, "travel_s": 0.4}, "SSSS", "LSLS*"),
+]
+"""Task, its options, the team that an environment is made with, and another."""
+
+
+def flight(env: SwarmParallelEnv, steps: int = 40) -> list[object]:
+    """What an environment that was just reset gives, in bytes and numbers, until it ends."""
+    rng, out = np.random.default_rng(0), []
+    hover = {"ctbr": [-0.1, 0, 0, 0], "rotors": [0.1] * 4}.get(env.core.mode.name, [0.0] * 3)
+    for _ in range(steps):
+        if not env.agents:
+            break
+        shape = env.core.mode.width
+        actions = {a: hover + 0.3 * rng.uniform(-1.0, 1.0, shape) for a in env.agents}
+        observations, *rest = env.step(actions)
+        out += [row.tobytes() for row in observations.values()] + [repr(rest)]
+    return [*out, env.state().tobytes(), env.core.metrics()]
+
+
+@pytest.mark.parametrize("extra", [PLAIN, EVERYTHING], ids=["plain", "everything"])
+@pytest.mark.parametrize(("task", "options", "first", "other"), FLOWN)
+def test_equals_an_environment_made_with_that_team(engine, task, options, first, other, extra):
+    """To the last bit; then the constructor's team is back, as if it had never been away."""
+
+    def make(team: str) -> SwarmParallelEnv:
+        return swarm_envs.make(task, team=team, physics=engine, **options, **extra)
+
+    env, like, made = make(first), make(other), make(first)
+    env.reset(seed=1)
+    flight(env, 5)
+    rows, _ = env.reset(seed=7, options={"team": other})
+    wanted, _ = like.reset(seed=7)
+    assert [row.tobytes() for row in rows.values()] == [row.tobytes() for row in wanted.values()]
+    assert env.view.team == like.view.team == parse_team(other)
+    assert flight(env) == flight(like)
+    for again in (8, None):  # seeded, then going on with the generator
+        rows, _ = env.reset(seed=again)
+        made.reset(seed=again)
+        assert env.view.team == parse_team(first)
+        assert flight(env) == flight(made)
+    for each in (env, like, made):
+        each.close()
+
+
+def test_differs_from_the_constructor_s_team():
+    env = swap_v0.parallel_env(team="SSS", physics="batch")
+    out = []
+    for team in ("SSS", "LSS", "SSL"):
+        env.reset(seed=3, options={"team": team})
+        out.append(flight(env))
+    assert out[0] != out[1] != out[2] != out[0]
+
+
+WAYS = {
+    "set_state": lambda env: env,
+    "deepcopy": copy.deepcopy,
+    "pickle": lambda env: pickle.loads(pickle.dumps(env)),  # noqa: S301
+}
+
+
+@pytest.mark.parametrize("way", list(WAYS))
+def test_snapshots_know_who_flies(engine, way):
+    """Restored into an environment that flies another team, or where it was taken."""
+    env = swap_v0.parallel_env(team="SSS", physics=engine, **EVERYTHING)
+    env.reset(seed=3, options={"team": "LS*S"})
+    flight(env, 10)
+    twin = WAYS[way](env)
+    snapshot = env.get_state()
+    if way == "set_state":
+        twin = swap_v0.parallel_env(team="SSS", physics=engine, **EVERYTHING)
+        twin.reset(seed=1)
+        twin.set_state(snapshot)
+    assert twin.view.team == env.view.team == parse_team("LS*S")
+    assert flight(twin) == (expected := flight(env))
+    env.reset()
+    env.set_state(snapshot)
+    assert flight(env) == expected
+    twin.reset()
+    env.reset()
+    assert flight(twin) == flight(env)
+    assert twin.view.team == parse_team("SSS")
+    twin.close()
+    env.close()
+
+
+@pytest.mark.parametrize("randomization", [None, EVERYTHING["randomization"]])
+def test_teams_differ_between_environments_of_a_batch(randomization):
+    """Each environment flies as a single one of that team does, whatever flies beside it."""
+    teams = ("SSS", "LSL", "S*LS", "SSS")
+    config = EnvConfig(physics="batch", randomization=randomization, battery=BatteryModel())
+    many = SwarmCore(SwapTask(parse_team("SSS")), config, 4)
+    many.reset([1, 2, 3, 4])
+    for e in (1, 2):
+        mask = np.arange(4) == e
+        many.reset([None] * e + [10 + e] + [None] * (3 - e), mask, {"team": teams[e]})
+    assert [task.team for task in many.tasks] == [parse_team(team) for team in teams]
+    seeds = (1, 11, 12, 4)
+    ones = [SwarmCore(SwapTask(parse_team(team)), config) for team in teams]
+    for one, seed in zip(ones, seeds, strict=True):
+        one.reset([seed])
+    rng = np.random.default_rng(0)
+    for _ in range(30):
+        actions = rng.uniform(-0.5, 0.5, (4, 3, 3))
+        result = many.step(actions)
+        for e, one in enumerate(ones):
+            single = one.step(actions[e : e + 1])
+            np.testing.assert_array_equal(single.observations[0], result.observations[e])
+            np.testing.assert_array_equal(single.rewards[0], result.rewards[e])
+    for e, one in enumerate(ones):
+        assert one.metrics() == many.metrics(e)
+
+
+def test_every_interface_passes_it_on(face):
+    """In its first environment, as the parallel one; another reset brings the first team back."""
+    env = face.begin()
+    reference = swap_v0.parallel_env(physics="batch", num_drones=3, horizon_s=1.0)
+    reference.reset(seed=4, options={"team": "LSL"})
+    face.reset(env, seed=4, options={"team": "LSL"})
+    core = getattr(env, "core", None) or getattr(env.unwrapped, "core", None) or env.parallel.core
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        rows = list(rng.uniform(-0.3, 0.3, (3, 3)).astype(np.float32))
+        face.step(env, rows)
+        reference.step(dict(zip(reference.agents, rows, strict=True)))
+        np.testing.assert_array_equal(core.rows[0], reference.core.rows[0])
+    assert all(task.team == parse_team("LSL") for task in core.tasks)
+    face.reset(env, seed=4)
+    assert all(task.team == parse_team("SSS") for task in core.tasks)
+
+
+def test_begins_again_with_the_constructor_s_team():
+    """Where an end resets by itself, in a vector."""
+    env = make_vector("swap_v0", 2, num_drones=3, horizon_s=0.1)
+    env.reset(seed=0, options={"team": "LLL"})
+    for _ in range(8):
+        env.step(np.zeros((2, 9), np.float32))
+    assert [task.team for task in env.core.tasks] == [parse_team("SSS")] * 2
+
+
+def test_one_environment_of_a_vector():
+    env = make_vector("swap_v0", 2, num_drones=3)
+    env.reset(seed=0)
+    mask = np.array([False, True])
+    env.reset(seed=5, options={"reset_mask": mask, "team": (LARGE, SMALL, LARGE)})
+    assert [task.team for task in env.core.tasks] == [parse_team("SSS"), parse_team("LSL")]
+    single = make_joint("swap_v0", physics="batch", team="LSL")
+    first = single.reset(seed=6)[0]
+    np.testing.assert_array_equal(env.core.rows[1].reshape(-1), first)
+    solo = make_solo("swap_v0", physics="batch", num_drones=3, drone=2)
+    seen, _ = solo.reset(seed=6, options={"team": "LSL"})
+    np.testing.assert_array_equal(seen, env.core.rows[1, 2])
+
+
+STRANGE = replace(SMALL, token="X", interaction_type="X")
+
+
+@pytest.mark.parametrize(
+    ("team", "message"),
+    [
+        ("LS", r"reset option 'team' has 2 vehicles, but this environment has 3 drones; make"),
+        ("LSQ", r"unknown vehicle token 'Q' in team 'LSQ'"),
+        ("", r"team '' has no drones"),
+        (3, r"team is 3, but must be a string such as 'SSL' or Vehicles"),
+        ((SMALL, SMALL, "L"), r"team holds 'L', but must be"),
+        ((SMALL, SMALL, STRANGE), r"unknown interaction type 'X'.*; .*valid: 'L', 'S'"),
+    ],
+)
+def test_bad_teams(engine, team, message):
+    """Refused, and nothing has changed."""
+    refused(engine, {"layout": "random"}, {"team": team}, message)
+
+
+WEAK = replace(SMALL, token="W", max_thrust=1.15 * SMALL.mass * 9.80665)
+ONLY_SMALL = replace(load("none"), name="small", types=("S",))
+
+
+@pytest.mark.parametrize(
+    ("options", "team", "message"),
+    [
+        (
+            {"layout": "stacked"},
+            (replace(LARGE, diameter=0.5),) * 3,
+            r"gap_m begins at 0.2 m, but these drones touch at 0.500 m",
+        ),
+        (
+            {"randomization": Randomization(mass=(0.9, 1.2))},
+            (SMALL, SMALL, WEAK),
+            r"can leave 'W' with a thrust-to-weight ratio of 0.96",
+        ),
+        (
+            {"controller": ControllerConfig(feedforward=ONLY_SMALL)},
+            "SSL",
+            r"unknown interaction type 'L' in interaction model 'small'",
+        ),
+    ],
+)
+def test_teams_that_cannot_fly_the_task(engine, options, team, message):
+    refused(engine, options, {"team": team}, message)
+
+
+def test_a_team_with_an_impossible_start(engine):
+    """Starts are checked with the radii of those that fly: large ones touch where small do not."""
+    start = [[0.0, 0.0, 1.0], [0.15, 0.0, 1.0], [1.0, 1.0, 1.0]]
+    refused(engine, {}, {"team": "LLS", "start": start}, r"drones 0 and 1 are 0.150 m apart")
+    swap_v0.parallel_env(physics=engine, team="LLL").reset(
+        seed=1, options={"team": "SSS", "start": start}
+    )
+
+
+def refused(engine: str, options: dict[str, Any], reset: dict[str, Any], message: str) -> None:
+    """A reset is refused; everything goes on as if it had not been tried."""
+    envs = [swap_v0.parallel_env(physics=engine, team="SSS", **options) for _ in range(2)]
+    for env in envs:
+        env.reset(seed=2)
+        env.step({agent: np.full(3, 0.1) for agent in env.agents})
+    with pytest.raises(ValueError, match=message):
+        envs[0].reset(seed=9, options=reset)
+    ends = [flight(env, 5) for env in envs]
+    for env in envs:
+        env.reset()  # the generators, too, are where they were
+        ends.append(flight(env, 5))
+        env.close()
+    assert ends[0] == ends[1]
+    assert ends[2] == ends[3]
+
+
+def test_a_vehicle_of_one_s_own():
+    """Any Vehicle flies whose airframe the air knows; bounds go by its token."""
+    mine: Vehicle = replace(LARGE, token="M", mass=0.05)
+    env = swap_v0.parallel_env(num_drones=2, physics="batch", force_bounds_g={"M": 1e-9})
+    env.reset(seed=1, options={"team": (mine, SMALL)})
+    flight(env, 10)
+    assert env.view.team == (mine, SMALL)
+    over = env.core.flight.tally.over_bound[0]
+    assert over[0] > 40 and over[1] == 0
+    assert env.core.physics.parameters.mass[0].tolist() == [0.05, SMALL.mass]
+
+
+def test_physics_by_itself():
+    """After `set_team` and a reset, the engine flies as one made with that team."""
+    changed, made = BatchPhysics("SS", 2), BatchPhysics("LS", 1)
+    changed.set_team(1, "LS")
+    changed.reset()
+    made.reset()
+    assert changed.teams == [parse_team("SS"), parse_team("LS")]
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        commands = rng.uniform(0.05, 0.3, (1, 2, 4))
+        state, like = changed.step(np.repeat(commands, 2, axis=0)), made.step(commands)
+        np.testing.assert_array_equal(state.position[1], like.position[0])
+        np.testing.assert_array_equal(state.quaternion[1], like.quaternion[0])
+    with pytest.raises(ValueError, match="the team has 3 vehicles, but must have 2, as before"):
+        changed.set_team(0, "SSS")
