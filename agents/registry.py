@@ -22,6 +22,8 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
         ),
+        "detour": "swarm_envs.agents.detour:DetourAgent",
+        "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
     }
 )
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is
@@ -34,8 +36,8 @@ def load(name: str) -> Agent:
     """Make an agent.
 
     Args:
-        name: one that ships (`hover`, `random`, `tracking`, `tracking-compensated`), or a class in
-            a file, `path/to/file.py:Class`, which is called without arguments.
+        name: one that ships (a key of `SHIPPED`), or a class in a file, `path/to/file.py:Class`,
+            which is called without arguments.
 
     Raises:
         ValueError: no agent has this name, or what the file holds is no agent; the message says

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.agents import Actions, Observations
+from swarm_envs.agents.detour import DetourAgent
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
@@ -76,3 +77,8 @@ class TrackingAgent:
         yaw = np.zeros((len(self._agents), 2))
         rows = np.concatenate([*reference, yaw], axis=1)
         return dict(zip(self._agents, rows, strict=True))
+
+
+def compensated_detour() -> DetourAgent:
+    """`DetourAgent` with the paper's controller beneath it, which feeds `load_belief()` forward."""
+    return DetourAgent(ControllerConfig(feedforward=load_belief()))

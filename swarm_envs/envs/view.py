@@ -11,6 +11,7 @@ import numpy.typing as npt
 from swarm_envs.control.state import Setpoint
 from swarm_envs.physics.contact import Contacts
 from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.tasks.motion import REST
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
@@ -48,6 +49,11 @@ class View:
         return self._core._rules.horizon_s
 
     @property
+    def stage_s(self) -> float:
+        """For how long goals stay where they are, s: the clock, where there is one set of them."""
+        return self._core.motion.stage_s or self.horizon_s
+
+    @property
     def state(self) -> SwarmState:
         """State whose arrays lead with N alone."""
         return SwarmState(*(array[self._e] for array in self._core.physics.state))
@@ -79,6 +85,11 @@ class View:
         For plots and oracles: a controller that reads it knows what no real one could.
         """
         return _frozen(self._core.physics.force[self._e])
+
+    @property
+    def reference_moves(self) -> bool:
+        """Whether the task says how to get there; else its reference rests at the goals."""
+        return self._core.motion.kind != REST
 
     def reference(self, time: float) -> Reference:
         """Where the drones should be at `time`, s: arrays (N, 3)."""
