@@ -2,9 +2,9 @@
 
 Every drone flies from rest to rest, all in the same time, along its straight way plus a bump: one
 vector that says how far from the straight way it is half way. Bumps are taken from a fixed family,
-one drone after another and again, each the cheapest given the others', until nobody changes (a
-best response in a game whose potential is the sum of all costs, so this ends). What costs: to come
-close to another, more so below or above it, where downwash is; to come close to an obstacle; length.
+one drone after another and again, each the cheapest given the others', until nobody changes: best
+responses in a game whose potential is the sum of all costs, so this ends. What costs: to come close
+to another, farther off below or above it, where downwash is; to come close to an obstacle; length.
 """
 
 from __future__ import annotations

@@ -86,7 +86,7 @@ def blueprint(
             letters are not turned.
         obstacles: what stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`.
         reward_weights: weight of each reward term; terms left out keep their default.
-        render_mode: `rgb_array` or None.
+        render_mode: `rgb_array` (pictures), `human` (a window) or None.
         **options: those of every task; see `swarm_envs.envs.config.EnvConfig`.
 
     Raises:

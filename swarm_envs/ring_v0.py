@@ -69,7 +69,7 @@ def blueprint(
         rings: sizes, speed and phases of the rings.
         obstacles: what stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`.
         reward_weights: weight of each reward term; terms left out keep their default.
-        render_mode: `rgb_array` or None.
+        render_mode: `rgb_array` (pictures), `human` (a window) or None.
         **options: those of every task; see `swarm_envs.envs.config.EnvConfig`.
 
     Raises:

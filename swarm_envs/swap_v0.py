@@ -80,7 +80,7 @@ def blueprint(
         circle: size of the circle layout.
         obstacles: what stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`.
         reward_weights: weight of each reward term; terms left out keep their default.
-        render_mode: `rgb_array` or None.
+        render_mode: `rgb_array` (pictures), `human` (a window) or None.
         **options: those of every task: physics, interactions, action, decision_rate, force_rate,
             controller, observation, num_neighbors, num_obstacles, horizon_s, end_on_success,
             battery, randomization, deterministic, force_bounds_g; see

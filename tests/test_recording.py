@@ -14,7 +14,7 @@ from swarm_envs.agents import load, record_episode
 from swarm_envs.vehicles import parse_team
 from swarm_envs.viewing.record import About, Recorder, Recording
 from swarm_envs.viewing.solids import Solid, solids
-from swarm_envs.viewing.summary import events, metric_rows, outcome, team_label
+from swarm_envs.viewing.summary import events, metric_rows, near_misses, outcome, team_label
 from swarm_envs.viewing.trajectory import COLUMNS, read_trajectory, write_trajectory
 
 
@@ -263,3 +263,45 @@ def test_obstacles_become_solids_below_the_ceiling():
     ring = post.rings()[1]
     np.testing.assert_allclose(np.linalg.norm(ring[:, :2] - Post.center, axis=1), 0.25)
     assert (ring[:, 2] == 1.5).all()
+
+
+def passing(closest: float, contact: bool = False) -> Recording:
+    """Three drones; the first two pass each other at a distance, m, in sample 2 of 6."""
+    flown = still(6, drones=3)
+    place = flown.position.copy()
+    place[:, 1, 0] = closest + 0.06 * np.array([2, 1, 0, 1, 2, 3])
+    touched = flown.contact_drone.copy()
+    if contact:
+        touched[3, 0], touched[3, 1] = 1, 0
+    return replace(flown, position=place, contact_drone=touched)
+
+
+def test_near_misses_are_marked_where_drones_are_closest():
+    """Small ones touch at 0.12 m; up to 0.18 m apart they had a near miss."""
+    (event,) = near_misses(passing(0.13))
+    assert (event.frame, event.kind, event.drones) == (2, "near miss", (0, 1))
+    assert event.position.tolist() == pytest.approx([0.065, 0.0, 1.0])
+    assert event.text == "0.04 s: drone_0 and drone_1 come within 0.13 m"
+    assert near_misses(passing(0.181)) == []
+    assert near_misses(passing(0.119)) == []  # that is a collision
+    assert near_misses(passing(0.13, contact=True)) == []  # it became one
+    twice = np.concatenate([passing(0.13).position, passing(0.15).position])
+    again = still(12, drones=3)
+    assert [e.frame for e in near_misses(replace(again, position=twice))] == [2, 8]
+
+
+def test_near_misses_agree_with_the_metric():
+    """Where every physics step is a decision, both see the same."""
+    agent = load("tracking")
+    seen = 0
+    requires = dict(agent.requires) | {"decision_rate": 240}
+    env = swap_v0.parallel_env(num_drones=6, physics="batch", horizon_s=2.0, **requires)
+    agent.requires = requires
+    for seed in range(6):
+        flown = record_episode(env, agent, seed)
+        drones = {i for event in near_misses(flown) for i in event.drones}
+        assert len(drones - {*np.flatnonzero(flown.contact_drone[-1] >= 0)}) == (
+            flown.about.metrics["near_misses"]
+        )
+        seen += len(drones)
+    assert seen > 0

@@ -21,7 +21,7 @@ from swarm_envs.viewing.palette import drone_colors
 from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.replay import page_data, replay_page, write_replay
 from swarm_envs.viewing.solids import Solid
-from swarm_envs.viewing.summary import events
+from swarm_envs.viewing.summary import events, near_misses
 
 MEGABYTE = 1_000_000
 
@@ -201,7 +201,11 @@ def test_the_page_plays_in_a_browser(browser, crash, tmp_path):
     assert page.locator("#clock").inner_text().startswith(f"{crash.time[-1]:.2f} / ")
     assert "collide" in page.locator("#outcome").inner_text()
     assert count_color(scene.screenshot(), "#c62828") > 30  # the cross of the collision
-    assert page.locator("#marks i").count() == len(events(crash))
+    happened = [*events(crash), *near_misses(crash)]
+    assert page.locator("#marks i").count() == len(happened)
+    near = page.locator("#events button.near")
+    assert near.count() == len(near_misses(crash)) > 0
+    assert "come within" in near.first.inner_text()
 
     # A plot is a handle on time: its middle is the middle of the flight.
     chart = page.locator("#height")
@@ -215,7 +219,7 @@ def test_the_page_plays_in_a_browser(browser, crash, tmp_path):
     assert abs(cursor["x"] - size["x"] - middle) < 12
 
     page.locator("#events button").first.click()
-    assert page.evaluate(FRAME) == events(crash)[0].frame
+    assert page.evaluate(FRAME) == min(event.frame for event in happened)
 
     # On a telephone, in the dark.
     page.click("#theme")

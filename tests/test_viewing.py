@@ -150,7 +150,8 @@ def test_the_camera_refuses_what_it_cannot_draw(camera):
 
 def test_without_pybullet_the_camera_says_how_to_get_it(monkeypatch):
     monkeypatch.setitem(sys.modules, "pybullet", None)
-    with pytest.raises(ImportError, match="pip install pybullet"):
+    message = r"pip install pybullet.* look at the replay page, .* `swarm-envs fly --replay"
+    with pytest.raises(ImportError, match=message):
         Camera(LS)
 
 

@@ -201,8 +201,13 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                     f"options of environment {e} differ between its drones; give all "
                     f"{drones} of them the same"
                 )
-        for e in range(envs):
-            self.core.reset(self._next_seeds, np.arange(envs) == e, self._options[e * drones])
+        before = self.core.get_state()
+        try:
+            for e in range(envs):
+                self.core.reset(self._next_seeds, np.arange(envs) == e, self._options[e * drones])
+        except Exception:  # one is refused: none has begun
+            self.core.set_state(before)
+            raise
 
     def _indices(self, indices: Any) -> list[int]:
         return list(self._get_indices(indices))

@@ -171,7 +171,8 @@ def _import_renderer() -> Any:
         raise ImportError(
             f"drawing needs pybullet, which cannot be imported here ({error}). It has wheels for "
             "Linux x86-64 and CPython up to 3.11: `pip install pybullet`. Without it fly with "
-            "render_mode=None."
+            "render_mode=None and look at the replay page, which needs none: `swarm-envs fly "
+            "--replay out.html`, or swarm_envs.viewing.replay.write_replay(path, recording)."
         ) from error
 
 

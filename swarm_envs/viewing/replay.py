@@ -23,7 +23,14 @@ from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 from swarm_envs.viewing.palette import drone_colors, type_color
 from swarm_envs.viewing.record import Recording
-from swarm_envs.viewing.summary import Event, events, metric_rows, outcome, team_label
+from swarm_envs.viewing.summary import (
+    Event,
+    events,
+    metric_rows,
+    near_misses,
+    outcome,
+    team_label,
+)
 
 _UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quaternion": 1e-4}
 """What one in the page's integers is: mm, hundredths of a gram."""
@@ -73,7 +80,8 @@ def replay_page(recording: Recording) -> str:
         ImportError: plotly is missing.
     """
     about, happened = recording.about, events(recording)
-    data = json.dumps(page_data(recording, happened), separators=(",", ":"), allow_nan=False)
+    marked = sorted([*happened, *near_misses(recording)], key=lambda event: event.frame)
+    data = json.dumps(page_data(recording, marked), separators=(",", ":"), allow_nan=False)
     seed = "" if about.seed is None else f", seed {about.seed}"
     good = bool(about.metrics) and bool(about.metrics["success"])
     flown = f"{about.physics} engine, {about.decision_rate} decisions a second"
@@ -83,7 +91,7 @@ def replay_page(recording: Recording) -> str:
         "outcome": escape(outcome(recording)),
         "outcome_class": "good" if good else "bad" if happened else "",
         "error_name": "Tracking error" if _moves(recording.reference) else "Distance to goal",
-        "legend": _legend(recording),
+        "legend": _legend(recording, marked),
         "metrics": "".join(
             f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>"
             for label, value in metric_rows(about.metrics)
@@ -102,7 +110,7 @@ def page_data(recording: Recording, happened: Sequence[Event]) -> dict[str, Any]
 
     Args:
         recording: the episode.
-        happened: its events.
+        happened: its events, near misses among them.
     """
     frames = _frames(recording, happened)
     place = {int(frame): k for k, frame in enumerate(frames)}
@@ -138,6 +146,7 @@ def page_data(recording: Recording, happened: Sequence[Event]) -> dict[str, Any]
                 "frame": place[event.frame],
                 "at": np.round(event.position, 3).tolist(),
                 "text": event.text,
+                "near": event.kind == "near miss",
             }
             for event in happened
         ],
@@ -194,7 +203,7 @@ def _arrow_scale(recording: Recording) -> float:
     return fitting[0] if fitting else _SCALES[-1]
 
 
-def _legend(recording: Recording) -> str:
+def _legend(recording: Recording, marked: Sequence[Event]) -> str:
     counts = Counter(vehicle.token for vehicle in recording.team)
     entries = [
         f'<span><i style="background:{type_color(token)}"></i>{count} × {escape(token)}</span>'
@@ -208,6 +217,8 @@ def _legend(recording: Recording) -> str:
         f'<span><b style="color:#b0149b">→</b>interaction force: {10 * scale:.3g} m is 10 g</span>'
     )
     entries.append('<span><b class="bad">×</b>collision</span>')
+    if any(event.kind == "near miss" for event in marked):
+        entries.append('<span><b class="near">|</b>near miss</span>')
     return "".join(entries)
 
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarm_envs.state import FloatArray
+from swarm_envs.tasks.metrics import NEAR_MISS
 from swarm_envs.vehicles import Vehicle, team_string
 from swarm_envs.viewing.record import Recording
 
@@ -17,16 +18,16 @@ _UNITS = {"_m": "m", "_s": "s", "_g": "g", "_j": "J"}
 
 
 class Event(NamedTuple):
-    """Something that goes wrong, at its first sample."""
+    """Something that goes wrong, at its first sample; or nearly, at the closest one."""
 
     frame: int
     """Index of the sample."""
     time: float
     """s."""
     kind: str
-    """`drone`, `floor`, `wall`, `obstacle` or `tumbling`."""
+    """`drone`, `floor`, `wall`, `obstacle`, `tumbling` or `near miss`."""
     drones: tuple[int, ...]
-    """One, or the two that touch."""
+    """One, or the two that touch, or nearly."""
     position: FloatArray
     """(3,) where, m."""
     text: str
@@ -53,6 +54,41 @@ def team_label(team: Sequence[Vehicle]) -> str:
 def events(recording: Recording) -> list[Event]:
     """Collisions and tumbles of an episode in order of time, each once, when it begins."""
     return sorted([*_pairs(recording), *_alone(recording)], key=lambda event: event.frame)
+
+
+def near_misses(recording: Recording) -> list[Event]:
+    """Encounters of two drones within 1.5 times the sum of their radii that did not end in contact.
+
+    Each once, in order of time, at the sample where they are closest. Only samples are looked at,
+    one a decision: the metric of that name also knows what happens between.
+    """
+    found = [event for pair in _close_pairs(recording) for event in _encounters(recording, *pair)]
+    return sorted(found, key=lambda event: event.frame)
+
+
+def _close_pairs(recording: Recording) -> list[tuple[int, int]]:
+    """Pairs that come within 1.5 times the sum of their radii at some sample."""
+    radius = np.array([vehicle.radius for vehicle in recording.team])
+    limit = NEAR_MISS * (radius[:, None] + radius)
+    close = np.zeros(limit.shape, dtype=np.bool_)
+    for p in recording.position:
+        close |= np.linalg.norm(p[:, None] - p, axis=-1) < limit
+    return [(i, j) for i, j in np.argwhere(np.triu(close, 1)).tolist()]
+
+
+def _encounters(recording: Recording, i: int, j: int) -> Iterator[Event]:
+    distance = np.linalg.norm(recording.position[:, i] - recording.position[:, j], axis=-1)
+    touching = recording.team[i].radius + recording.team[j].radius
+    hit = (recording.contact_drone[:, i] == j) | (recording.contact_drone[:, j] == i)
+    close = np.concatenate([[False], (distance < NEAR_MISS * touching) | hit, [False]])
+    edges = np.flatnonzero(np.diff(close.astype(np.int8))).reshape(-1, 2)
+    for first, end in edges.tolist():
+        frame = first + int(distance[first:end].argmin())
+        if hit[first:end].any() or distance[frame] < touching:
+            continue
+        middle = recording.position[frame, [i, j]].mean(axis=0)
+        text = f"drone_{i} and drone_{j} come within {distance[frame]:.2f} m"
+        yield _event(recording, frame, "near miss", (i, j), middle, text)
 
 
 def _pairs(recording: Recording) -> Iterator[Event]:

@@ -83,7 +83,7 @@ def check_refused(face: Any, rows: list[np.ndarray], message: str) -> None:
 )
 def test_bad_options(face, options, error, message):
     with pytest.raises(error, match=message):
-        face.make(**options)
+        face.make("swap_v0", **options)
 
 
 @pytest.mark.parametrize("make", [swarm_envs.make, make_joint, make_solo, make_vector])

@@ -118,8 +118,9 @@
   };
   const repeat = (count) => drones.flatMap((d) => Array(count + 1).fill(d.color));
   const trails = (f) => state.trail > 0 ? paths("position", 0, f, trailCount()) : paths("position", f, f, 2);
+  const collisions = data.events.filter((e) => !e.near);
   const crashes = (f) => {
-    const seen = data.events.filter((e) => e.frame <= f);
+    const seen = collisions.filter((e) => e.frame <= f);
     return { x: seen.map((e) => e.at[0]), y: seen.map((e) => e.at[1]), z: seen.map((e) => e.at[2]) };
   };
 
@@ -159,8 +160,8 @@
                text: drones.map((d) => "goal of " + d.name), hovertemplate: "%{text}<extra></extra>" },
       shadows: { type: "scatter3d", mode: "markers", ...shadows(f), marker: { size: 3, color: quiet, opacity: 0.3 }, hoverinfo: "skip" },
       // A letter, since Plotly's own cross is a glyph that many fonts lack.
-      crashes: { type: "scatter3d", mode: "text", ...crashes(f), text: data.events.map(() => "\u00D7"), textfont: { size: 40, color: css("--bad") },
-                 hovertext: data.events.map((e) => e.text), hoverinfo: "text" },
+      crashes: { type: "scatter3d", mode: "text", ...crashes(f), text: collisions.map(() => "\u00D7"), textfont: { size: 40, color: css("--bad") },
+                 hovertext: collisions.map((e) => e.text), hoverinfo: "text" },
     };
     const still = [
       { ...line(quiet, 2), ...box(arena[0], arena[1]), opacity: 0.7 },
@@ -207,7 +208,7 @@
   }
   function chartLayout() {
     const axis = { color: css("--quiet"), gridcolor: css("--line"), zeroline: false, fixedrange: true, tickfont: { size: 11 } };
-    const marks = data.events.map((e) => ({ type: "line", xref: "x", yref: "paper", x0: time[e.frame], x1: time[e.frame], y0: 0, y1: 1, line: { color: css("--bad"), width: 1, dash: "dot" } }));
+    const marks = data.events.map((e) => ({ type: "line", xref: "x", yref: "paper", x0: time[e.frame], x1: time[e.frame], y0: 0, y1: 1, line: { color: css(e.near ? "--near" : "--bad"), width: 1, dash: "dot" } }));
     return { margin: MARGIN, showlegend: false, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)", hovermode: "closest", dragmode: false,
       font: { family: getComputedStyle(document.body).fontFamily }, shapes: marks,
       xaxis: { ...axis, range: [0, end], ticksuffix: " s" }, yaxis: { ...axis, rangemode: "tozero", automargin: false, nticks: 5 } };
@@ -280,6 +281,7 @@
       const mark = document.createElement("i"), button = document.createElement("button");
       mark.style.left = `${100 * event.frame / Math.max(last, 1)}%`;
       button.textContent = event.text;
+      mark.className = button.className = event.near ? "near" : "";
       button.onclick = () => { play(false); seek(time[event.frame]); };
       get("marks").appendChild(mark);
       get("events").appendChild(button);
