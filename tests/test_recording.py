@@ -300,8 +300,9 @@ def test_near_misses_agree_with_the_metric():
     for seed in range(6):
         flown = record_episode(env, agent, seed)
         drones = {i for event in near_misses(flown) for i in event.drones}
-        assert len(drones - {*np.flatnonzero(flown.contact_drone[-1] >= 0)}) == (
-            flown.about.metrics["near_misses"]
+        assert (
+            len(drones - {*np.flatnonzero(flown.contact_drone[-1] >= 0)})
+            == (flown.about.metrics["near_misses"])
         )
         seen += len(drones)
     assert seen > 0

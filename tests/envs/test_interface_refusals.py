@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from faces import everything
 
 import swarm_envs
 from swarm_envs.envs.named import make_joint, make_solo, make_vector
@@ -15,13 +16,6 @@ from swarm_envs.tasks.obstacles import Column
 def good(step: int) -> list[np.ndarray]:
     rng = np.random.default_rng(step)
     return list(rng.uniform(-0.3, 0.3, (3, 3)).astype(np.float32))
-
-
-def everything(env: Any) -> bytes:
-    """All that changes in its first environment."""
-    core = getattr(env, "core", None) or getattr(env.unwrapped, "core", None) or env.parallel.core
-    arrays = core.get_state().arrays
-    return b"".join(arrays[name][0].tobytes() for name in sorted(arrays))
 
 
 @pytest.mark.parametrize(

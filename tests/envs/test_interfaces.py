@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from faces import everything
 
 from swarm_envs import swap_v0
 from swarm_envs.envs.named import make_vector
@@ -24,13 +25,6 @@ def good(step: int) -> list[np.ndarray]:
 
 def by_name(rows: list[np.ndarray]) -> dict[str, np.ndarray]:
     return {f"drone_{i}": row for i, row in enumerate(rows)}
-
-
-def everything(env: Any) -> bytes:
-    """All that changes in its first environment."""
-    core = getattr(env, "core", None) or getattr(env.unwrapped, "core", None) or env.parallel.core
-    arrays = core.get_state().arrays
-    return b"".join(arrays[name][0].tobytes() for name in sorted(arrays))
 
 
 def test_deterministic_flights_are_the_same_to_the_last_bit(face):

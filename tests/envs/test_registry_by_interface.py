@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import runpy
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from faces import FACES, core_of
 
 from swarm_envs import TASKS
 
@@ -25,10 +25,6 @@ def begun(face: Any, task: str, seed: int = 4, **options: Any) -> Any:
 
 def rows(rng: np.random.Generator) -> list[np.ndarray]:
     return list(rng.uniform(-0.3, 0.3, (3, 3)).astype(np.float32))
-
-
-def core_of(env: Any) -> Any:
-    return getattr(env, "core", None) or getattr(env.unwrapped, "core", None) or env.parallel.core
 
 
 def arrays(value: Any) -> Iterator[np.ndarray]:
@@ -148,7 +144,7 @@ def test_what_is_returned_is_the_caller_s(face, task):
 def test_rewards_are_those_of_the_core(face, task):
     """Bounded by the weights, and summed from the terms where an interface tells them."""
     env, rng = begun(face, task), np.random.default_rng(0)
-    twin = begun(PARALLEL, task)
+    twin = begun(FACES[0], task)
     weights = twin.core.task.reward_weights
     highest = sum(abs(weight) for weight in weights.values())
     for _ in range(10):
@@ -184,13 +180,11 @@ def digests() -> list[str]:
     return out
 
 
-FACES = runpy.run_path(str(Path(__file__).with_name("conftest.py")))["FACES"]
-PARALLEL = FACES[0]
-
-
 def test_same_bytes_in_another_process():
+    helpers = str(Path(__file__).parents[1] / "helpers")
     script = (
-        f"import runpy; here = runpy.run_path({__file__!r}); print(*here['digests'](), sep='\\n')"
+        f"import runpy, sys; sys.path.insert(0, {helpers!r}); "
+        f"here = runpy.run_path({__file__!r}); print(*here['digests'](), sep='\\n')"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

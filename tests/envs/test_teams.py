@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from faces import core_of
 
 import swarm_envs
 from swarm_envs import swap_v0
@@ -162,7 +163,7 @@ def test_every_interface_passes_it_on(face):
     reference = swap_v0.parallel_env(physics="batch", num_drones=3, horizon_s=1.0)
     reference.reset(seed=4, options={"team": "LSL"})
     face.reset(env, seed=4, options={"team": "LSL"})
-    core = getattr(env, "core", None) or getattr(env.unwrapped, "core", None) or env.parallel.core
+    core = core_of(env)
     rng = np.random.default_rng(0)
     for _ in range(5):
         rows = list(rng.uniform(-0.3, 0.3, (3, 3)).astype(np.float32))

@@ -7,48 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from tiny_fits import PLAIN, SPEC, rows_of
 
-from swarm_envs.training.force_model.config import TrainConfig
 from swarm_envs.training.force_model.early import GUARD_ENTRIES, PIECE_ENTRIES, inner_split
-from swarm_envs.training.force_model.network import EVERYWHERE, DeepSetSpec
-from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.train import predict, to_batch, train
-
-PLAIN = TrainConfig(
-    steps=40,
-    batch_size=64,
-    slope_limit=None,
-    position_jitter_m=0.0,
-    velocity_jitter=0.0,
-    balance=0.0,
-    checkpoint_every=10,
-)
-SPEC = DeepSetSpec(("S", "L"), EVERYWHERE, None, None)
-
-
-def rows_of(count=1200, flights=2, noise=0.0, seed=0):
-    """Rows in which a neighbour's height decides the force; three steps of the log a row."""
-    rng = np.random.default_rng(seed)
-    kind = rng.integers(2, size=(2, count))
-    neighbor = rng.uniform(-0.4, 0.4, (count, 1, 6))
-    force = np.zeros((count, 3))
-    force[:, 2] = -8.0 * np.maximum(neighbor[:, 0, 2], 0.0) + noise * rng.normal(size=count)
-    step = 3 * (np.arange(count) // flights)
-    return InteractionRows(
-        types=("S", "L"),
-        ego_type=kind[0],
-        position=rng.uniform(0.5, 1.0, (count, 3)),
-        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
-        neighbor=neighbor,
-        neighbor_type=kind[1][:, None],
-        force_g=force,
-        flight=np.arange(count) % flights,
-        step=step,
-        vehicle=np.where(kind[0], 101, 50),
-        scenario=kind[0],
-        validation=step // 300 % 5 == 4,
-        scenario_names=("S", "L"),
-    )
 
 
 def test_pieces_of_early_validation_are_apart_in_time():

@@ -118,6 +118,15 @@ def test_options_of_the_next_reset():
     env.set_options([{"start": start}] + [{}] * 5)
     with pytest.raises(ValueError, match="options of environment 0 differ between its drones"):
         env.reset()
+    core, before = env.core, env.core.get_state()
+    env.set_options([{"start": start}] * DRONES + [{"team": "SX"}] * (2 * DRONES))
+    with pytest.raises(ValueError, match="unknown vehicle token 'X'"):
+        env.reset()
+    for name, array in core.get_state().arrays.items():
+        assert array.tobytes() == before.arrays[name].tobytes()  # none of them has begun
+    env.set_options([{}] * DRONES + [{"team": "LS"}] * DRONES + [{}] * DRONES)
+    env.reset()
+    assert ["".join(v.token for v in task.team) for task in core.tasks] == ["SS", "LS", "SS"]
     env.set_options([{}])
     with pytest.raises(ValueError, match="options has 1 entries, but must have 6"):
         env.reset()

@@ -27,6 +27,8 @@ from swarm_envs.training.flight_logs.report import (
     LogReport,
     ScenarioReport,
     calibrate,
+    scenario_report,
+    uncalibrated,
 )
 from swarm_envs.training.flight_logs.split import (
     block_count,
@@ -207,13 +209,7 @@ def _uncalibrated(
     scenarios = sorted({rows.scenario for flight in flights for rows in flight.rows})
     if not any(len(rows.step) for flight in flights for rows in flight.rows):
         return {}
-    found = calibrate(_rows(flights, blocks, vehicles, scenarios, options), vehicles)
-    reason = (
-        f"fewer than {options.min_quiet_rows} training rows are aloft, slow and away from wakes; "
-        "add lone flight, or fit with --offsets none if the labels are exact"
-    )
-    few = {name: c for name, c in found.items() if c.quiet_rows < options.min_quiet_rows}
-    return {name: dataclasses.replace(c, refused=reason) for name, c in few.items()}
+    return uncalibrated(_rows(flights, blocks, vehicles, scenarios, options), vehicles, options)
 
 
 def _scenarios(
@@ -225,15 +221,10 @@ def _scenarios(
             held_out = is_held_out(_seconds(flight, rows), own, options)
             training[rows.scenario] += int((~held_out).sum())
             validation[rows.scenario] += int(held_out.sum())
-    found = {}
-    for name in sorted(training):
-        few = training[name] < options.min_scenario_rows
-        reason = (
-            f"it has {training[name]} training rows, but must have "
-            f"{options.min_scenario_rows}; fly it longer, or set min_scenario_rows lower"
-        )
-        found[name] = ScenarioReport(training[name], validation[name], reason if few else None)
-    return found
+    return {
+        name: scenario_report(training[name], validation[name], options)
+        for name in sorted(training)
+    }
 
 
 def _filled(flight: _Flight) -> FileReport:

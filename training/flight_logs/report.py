@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from swarm_envs.training.force_model.calibration import quiet_rows
+from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.vehicles import VEHICLES
 
@@ -168,3 +169,27 @@ def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibra
         kind = rows.types[int(rows.ego_type[own][0])]
         found[name] = Calibration(vehicle, kind, int(own.sum()), len(labels), offset, spread)
     return found
+
+
+def uncalibrated(
+    rows: InteractionRows, names: dict[str, int], options: LogOptions
+) -> dict[str, Calibration]:
+    """Vehicles with too few quiet rows, by name, and why none of theirs can be used."""
+    reason = (
+        f"fewer than {options.min_quiet_rows} training rows are aloft, slow and away from wakes; "
+        "add lone flight, or fit with --offsets none if the labels are exact"
+    )
+    found = calibrate(rows, names)
+    few = {name: c for name, c in found.items() if c.quiet_rows < options.min_quiet_rows}
+    return {name: replace(c, refused=reason) for name, c in few.items()}
+
+
+def scenario_report(training: int, held_out: int, options: LogOptions) -> ScenarioReport:
+    """What becomes of a scenario with so many rows: refused if it has too few to learn from."""
+    if training >= options.min_scenario_rows:
+        return ScenarioReport(training, held_out)
+    reason = (
+        f"it has {training} training rows, but must have {options.min_scenario_rows}; fly it "
+        "longer, or set min_scenario_rows lower"
+    )
+    return ScenarioReport(training, held_out, reason)

@@ -9,11 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.training.flight_logs.report import (
-    Calibration,
     FileReport,
     LogReport,
     ScenarioReport,
     calibrate,
+    scenario_report,
+    uncalibrated,
 )
 from swarm_envs.training.flight_logs.split import (
     block_count,
@@ -60,8 +61,8 @@ def finish(
         ValueError: no row is left.
     """
     joined = _split(joined, options)
-    left_out = _uncalibrated(joined.rows, options)
     names = _vehicle_names(joined.rows)
+    left_out = uncalibrated(joined.rows, names, options)
     unknown = [number for name, number in names.items() if name in left_out]
     joined = joined.select(~np.isin(joined.rows.vehicle, unknown), "vehicle not calibrated")
     scenarios = _scenarios(joined.rows, options)
@@ -117,28 +118,12 @@ def _vehicle_names(rows: InteractionRows) -> dict[str, int]:
     return {vehicle_name(rows, int(v)): int(v) for v in np.unique(rows.vehicle)}
 
 
-def _uncalibrated(rows: InteractionRows, options: LogOptions) -> dict[str, Calibration]:
-    found = calibrate(rows, _vehicle_names(rows))
-    reason = (
-        f"fewer than {options.min_quiet_rows} training rows are aloft, slow and away from wakes; "
-        "add lone flight, or fit with --offsets none if the labels are exact"
-    )
-    few = {name: c for name, c in found.items() if c.quiet_rows < options.min_quiet_rows}
-    return {name: dataclasses.replace(c, refused=reason) for name, c in few.items()}
-
-
 def _scenarios(rows: InteractionRows, options: LogOptions) -> dict[str, ScenarioReport]:
     found = {}
     for index, name in enumerate(rows.scenario_names):
         own = rows.scenario == index
         training = int((own & ~rows.validation).sum())
-        reason = (
-            f"it has {training} training rows, but must have {options.min_scenario_rows}; fly it "
-            "longer, or set min_scenario_rows lower"
-        )
-        few = training < options.min_scenario_rows
-        held_out = int((own & rows.validation).sum())
-        found[name] = ScenarioReport(training, held_out, reason if few else None)
+        found[name] = scenario_report(training, int(own.sum()) - training, options)
     return found
 
 
