@@ -13,7 +13,7 @@ from swarm_envs.interactions.field import default_window
 from swarm_envs.interactions.window import find_pairs, pair_weight
 from swarm_envs.neighbors import FEW, nearest, sort_along_x
 from swarm_envs.physics import BatchPhysics
-from swarm_envs.state import hover_state
+from swarm_envs.state import IntArray, hover_state
 from swarm_envs.vehicles import parse_team
 
 Array = npt.NDArray[np.float64]
@@ -33,7 +33,7 @@ swarms = st.builds(
 )
 
 
-def pairs_of(position: Array, drones: int) -> tuple[Array, Array]:
+def pairs_of(position: Array, drones: int) -> tuple[IntArray, Array]:
     total = len(position)
     order = np.random.default_rng(1).permuted(
         np.tile(np.arange(drones), (total // drones, 1)), axis=1
@@ -55,10 +55,10 @@ def test_order_is_that_of_x_whatever_it_was(position: Array, seed: int) -> None:
 def test_pairs_are_all_with_a_weight_and_grouped(position: Array) -> None:
     n, window = len(position), default_window()
     expected = {
-        (i, j): weight
+        (i, j): left
         for i in range(n)
         for j in range(n)
-        if i != j and (weight := pair_weight(window, *(position[j] - position[i]))) > 0.0
+        if i != j and (left := pair_weight(window, *(position[j] - position[i]))) > 0.0
     }
     pairs, weight = pairs_of(position, n)
     found = list(zip(*pairs.tolist(), strict=True))
