@@ -76,9 +76,12 @@ format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
+# `make bench PEERS=/path/to/python`: an environment with gym-pybullet-drones and crazyflow.
+PEERS ?= $(BIN)/python
 bench: $(VENV)/.dev
-	$(BIN)/python tests/benchmarks/forces.py
-	$(BIN)/python tests/benchmarks/throughput.py
+	$(BIN)/python -m tests.benchmarks.forces
+	$(BIN)/python -m tests.benchmarks.throughput --peers $(PEERS)
+	$(BIN)/python -m tests.benchmarks.batched --peers $(PEERS)
 
 clean:
 	rm -rf $(VENV) $(COMPAT) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

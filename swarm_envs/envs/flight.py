@@ -154,7 +154,7 @@ class Flight:
         self._total = np.zeros((envs, drones, 3))
         self._parts = parts(envs, threads)
         self._scratch = [
-            (scratch_for(physics.world.field, drones), scratch_for(self.pilot.belief, drones))
+            tuple(scratch_for(f, drones, drones) for f in (physics.world.field, belief.field))
             for _ in self._parts
         ]
         self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None

@@ -7,40 +7,12 @@ import numpy as np
 from swarm_envs.compiled import kernel
 from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.observation import RATE_SCALE, Float32Array
+from swarm_envs.neighbors import FEW, nearest, sort_along_x
 from swarm_envs.physics.obstacles import nearest_point
 from swarm_envs.physics.rigid_body import rotation_entries
-from swarm_envs.state import BoolArray, FloatArray, IntArray, Parameters, SwarmState
+from swarm_envs.state import BoolArray, FloatArray, Parameters, SwarmState
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.trajectories import Reference
-
-
-@kernel
-def nearest(e: int, i: int, position: FloatArray, order: IntArray, distance: FloatArray) -> int:
-    """List the nearest other drones of drone `i`, nearest first; return how many there are.
-
-    Args:
-        e: the environment.
-        i: the drone.
-        position: (E, N, 3) m.
-        order: (K,) indices, written.
-        distance: (K,) squared distances, m^2, written.
-    """
-    found = 0
-    for j in range(position.shape[1]):
-        if j == i:
-            continue
-        d = 0.0
-        for k in range(3):
-            d += (position[e, j, k] - position[e, i, k]) ** 2
-        place = found
-        while place > 0 and distance[place - 1] > d:
-            place -= 1
-        if place < order.shape[0]:
-            found = min(found + 1, order.shape[0])
-            for k in range(found - 1, place, -1):
-                order[k], distance[k] = order[k - 1], distance[k - 1]
-            order[place], distance[place] = j, d
-    return found
 
 
 @kernel
@@ -174,19 +146,23 @@ def write_observations(
         mask: (E,) environments to write.
         out: (E, N, width) rows.
     """
-    order, distance = np.empty(num_neighbors, np.int64), np.empty(num_neighbors)
+    others, square = np.empty(num_neighbors, np.int64), np.empty(num_neighbors)
+    order, many = np.arange(out.shape[1]), out.shape[1] > FEW
     width = 10 + code.shape[2]
     for e in range(out.shape[0]):
         if not mask[e]:
             continue
-        types = code[e]
-        for i in range(out.shape[1]):
+        types, position = code[e], state.position[e]
+        if many:
+            sort_along_x(position, order)
+        for place in range(out.shape[1]):
+            i = order[place]
             row = out[e, i]
             start = write_self(e, i, state, parameters, setpoint, direct, types, row)
-            found = nearest(e, i, state.position, order, distance)
+            found = nearest(i, place if many else -1, position, order, others, square)
             for k in range(num_neighbors):
                 if k < found:
-                    write_neighbor(e, i, order[k], state, goal, types, row[start:])
+                    write_neighbor(e, i, others[k], state, goal, types, row[start:])
                 else:
                     row[start : start + width] = 0.0
                 start += width

@@ -30,11 +30,25 @@ class Scratch(NamedTuple):
     """(lanes,): the factor with which the result in each lane counts."""
     marks: BoolArray
     """(2, M): what is known of each drone."""
+    order: IntArray
+    """(M,): the drones of each environment, by their index there, as last sorted along x."""
+    pairs: IntArray
+    """(2, P): drones `i` and `j` inside each other's interaction volume; see `find_pairs`."""
+    weight: FloatArray
+    """(P,): how much of the pair is left by the window."""
+    found: IntArray
+    """(1,): how many pairs there are."""
 
 
 @register_jitable  # type: ignore[untyped-decorator]
-def scratch_for(field: ForceField, drones: int) -> Scratch:
-    """Working memory for a model and this many drones, in the precision of its weights."""
+def scratch_for(field: ForceField, total: int, drones: int) -> Scratch:
+    """Working memory for a model, in the precision of its weights.
+
+    Args:
+        field: the model.
+        total: M, the number of drones of all environments together.
+        drones: N, the number in each.
+    """
     layout = field.layout
     columns, widest = layout.shape[1] // 2, 1
     hidden = max(1, layout[0, 1 + layout[0, 0]])
@@ -44,10 +58,14 @@ def scratch_for(field: ForceField, drones: int) -> Scratch:
     lanes = BLOCK_BYTES // field.weights.itemsize
     return Scratch(
         np.zeros((2, widest, lanes), field.weights.dtype),
-        np.zeros((2, drones, hidden), field.weights.dtype),
+        np.zeros((2, total, hidden), field.weights.dtype),
         np.zeros((2, lanes), np.int64),
         np.zeros(lanes),
-        np.zeros((2, drones), np.bool_),
+        np.zeros((2, total), np.bool_),
+        np.arange(total) % drones,
+        np.zeros((2, total * (drones - 1)), np.int64),
+        np.zeros(total * (drones - 1)),
+        np.zeros(1, np.int64),
     )
 
 

@@ -9,7 +9,7 @@ subtracts rho_I(i)(phi_env) of a lone drone at the anchor height with the same v
 height a lone drone feels nothing, whatever it flies. Inputs are clamped to the measured range.
 
 Each network is applied to all drones or pairs that need it, a block at a time. Several environments
-of N drones each may be given at once, their M drones one after the other: blocks are then fuller.
+may be given at once, their M drones one after the other: blocks are then fuller.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from __future__ import annotations
 from swarm_envs.compiled import borrowing_kernel, inlined_kernel
 from swarm_envs.interactions.blocks import Scratch, network, put_environment, put_pair
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -52,34 +51,28 @@ def add_block(field: ForceField, n: int, count: int, scratch: Scratch) -> None:
 @inlined_kernel
 def add_neighbours(
     field: ForceField,
-    drones: int,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
     scratch: Scratch,
 ) -> None:
-    """Add phi of all pairs inside the interaction volume to the codes, by the neighbour's type."""
-    window, layers = field.window, scratch.layers
+    """Add phi of all pairs that were found to the codes, by the neighbour's type."""
+    pairs, layers = scratch.pairs, scratch.layers
     lanes = layers.shape[2]
     for kind in range(field.layout.shape[0] // 2):
         count = 0
-        for i in range(position.shape[0]):
-            first = i // drones * drones
-            for j in range(first, first + drones):
-                dx = position[j, 0] - position[i, 0]
-                if j == i or types[j] != kind or abs(dx) >= window[1]:
-                    continue
-                dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
-                weight = pair_weight(window, dx, dy, dz)
-                if weight > 0.0:
-                    lane = count % lanes
-                    put_pair(field.pair_range, position, velocity, i, j, layers, lane)
-                    scratch.place[0, lane], scratch.place[1, lane] = NEAR, i
-                    scratch.share[lane] = weight
-                    scratch.marks[FELT, i] = True
-                    count += 1
-                    if count % lanes == 0:
-                        add_block(field, kind, lanes, scratch)
+        for pair in range(scratch.found[0]):
+            i, j = pairs[0, pair], pairs[1, pair]
+            if types[j] != kind:
+                continue
+            lane = count % lanes
+            put_pair(field.pair_range, position, velocity, i, j, layers, lane)
+            scratch.place[0, lane], scratch.place[1, lane] = NEAR, i
+            scratch.share[lane] = scratch.weight[pair]
+            scratch.marks[FELT, i] = True
+            count += 1
+            if count % lanes == 0:
+                add_block(field, kind, lanes, scratch)
         if count % lanes:
             add_block(field, kind, count % lanes, scratch)
 
@@ -150,25 +143,23 @@ def add_outputs(field: ForceField, types: IntArray, scratch: Scratch, out: Float
 @inlined_kernel
 def deep_set_forces(
     field: ForceField,
-    drones: int,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
     scratch: Scratch,
     out: FloatArray,
 ) -> None:
-    """Add the network's vertical forces on M drones, in environments of `drones` each, to `out`.
+    """Add the network's vertical forces on M drones to `out`.
 
     Args:
         field: the model.
-        drones: number of drones in each environment, N.
         types: (M,) interaction types.
         position: (M, 3) m.
         velocity: (M, 3) m/s.
-        scratch: working memory for M drones.
+        scratch: working memory for M drones, which knows their pairs.
         out: (M, 3) forces, N, world frame.
     """
     begin(field, position, scratch)
-    add_neighbours(field, drones, types, position, velocity, scratch)
+    add_neighbours(field, types, position, velocity, scratch)
     add_environment(field, position, velocity, scratch)
     add_outputs(field, types, scratch, out)

@@ -12,7 +12,7 @@ from swarm_envs.interactions.deep_set import deep_set_forces
 from swarm_envs.interactions.field import LEARNED, PAIRWISE, WAKE, ForceField
 from swarm_envs.interactions.pairwise import pairwise_forces
 from swarm_envs.interactions.wake import wake_forces
-from swarm_envs.interactions.window import pair_weight
+from swarm_envs.interactions.window import find_pairs, pair_weight
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 CHUNK = 128
@@ -37,21 +37,22 @@ def swarm_forces(
         types: (M,) interaction types, indices into the model's types.
         position: (M, 3) m, world frame.
         velocity: (M, 3) m/s, world frame.
-        scratch: working memory for M drones, from `scratch_for`.
+        scratch: working memory for M drones, from `scratch_for`; knows their pairs afterwards.
         out: (M, 3) forces f_a, N, world frame; overwritten.
     """
-    drag = field.drag
+    drag, order = field.drag, scratch.order
+    scratch.found[0] = find_pairs(
+        field.window, drones, position, order, scratch.pairs, scratch.weight
+    )
     for i in range(position.shape[0]):
         for k in range(3):
             out[i, k] = -drag[types[i], k] * velocity[i, k]
     if field.kind == LEARNED:
-        deep_set_forces(field, drones, types, position, velocity, scratch, out)
+        deep_set_forces(field, types, position, velocity, scratch, out)
     elif field.kind == WAKE:
-        for a in range(0, position.shape[0], drones):
-            b = a + drones
-            wake_forces(field, types[a:b], position[a:b], velocity[a:b], out[a:b])
+        wake_forces(field, types, position, velocity, scratch, out)
     elif field.kind == PAIRWISE:
-        pairwise_forces(field, drones, types, position, velocity, scratch, out)
+        pairwise_forces(field, types, position, velocity, scratch, out)
 
 
 @kernel
@@ -65,7 +66,7 @@ def all_forces(
     """`swarm_forces` for arrays that lead with (E, N)."""
     drones = position.shape[1]
     total, chunk = types.size, max(1, CHUNK // drones) * drones
-    scratch = scratch_for(field, min(chunk, total))
+    scratch = scratch_for(field, min(chunk, total), drones)
     kinds, places = types.reshape(total), position.reshape(total, 3)
     speeds, forces = velocity.reshape(total, 3), out.reshape(total, 3)
     for a in range(0, total, chunk):
@@ -92,9 +93,13 @@ def active_pairs(window: FloatArray, position: FloatArray) -> int:
     return count
 
 
-@kernel
+@borrowing_kernel
 def outside_measured_range(
-    field: ForceField, position: FloatArray, velocity: FloatArray, out: BoolArray
+    field: ForceField,
+    position: FloatArray,
+    velocity: FloatArray,
+    scratch: Scratch,
+    out: BoolArray,
 ) -> None:
     """Mark the drones of one environment whose force is an extrapolation.
 
@@ -105,23 +110,22 @@ def outside_measured_range(
         field: the model.
         position: (N, 3) m.
         velocity: (N, 3) m/s.
+        scratch: with which their forces have just been evaluated.
         out: (N,) marks, overwritten.
     """
-    own, pair, window = field.environment_range, field.pair_range, field.window
+    own, measured, pairs = field.environment_range, field.pair_range, scratch.pairs
     for i in range(position.shape[0]):
         outside = -position[i, 2] > own[1, 0]
         for k in range(3):
             outside |= not own[0, k + 1] <= -velocity[i, k] <= own[1, k + 1]
-        for j in range(position.shape[0]):
-            dx = position[j, 0] - position[i, 0]
-            dy = position[j, 1] - position[i, 1]
-            dz = position[j, 2] - position[i, 2]
-            if j != i and pair_weight(window, dx, dy, dz) > 0.0:
-                for k in range(3):
-                    offset = position[j, k] - position[i, k]
-                    speed = velocity[j, k] - velocity[i, k]
-                    outside |= not pair[0, k] <= offset <= pair[1, k]
-                    outside |= not pair[0, k + 3] <= speed <= pair[1, k + 3]
+        out[i] = outside
+    for pair in range(scratch.found[0]):
+        i, j = pairs[0, pair], pairs[1, pair]
+        outside = out[i]
+        for k in range(3):
+            offset, speed = position[j, k] - position[i, k], velocity[j, k] - velocity[i, k]
+            outside |= not measured[0, k] <= offset <= measured[1, k]
+            outside |= not measured[0, k + 3] <= speed <= measured[1, k + 3]
         out[i] = outside
 
 

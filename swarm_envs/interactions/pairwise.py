@@ -13,7 +13,6 @@ from __future__ import annotations
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.interactions.blocks import Scratch, network, put_environment, put_pair
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -31,7 +30,6 @@ def add_forces(field: ForceField, n: int, count: int, scratch: Scratch, out: Flo
 @borrowing_kernel
 def add_pairs(
     field: ForceField,
-    drones: int,
     kinds: tuple[int, int],
     types: IntArray,
     position: FloatArray,
@@ -40,26 +38,19 @@ def add_pairs(
     out: FloatArray,
 ) -> None:
     """Add the forces of neighbours of the first of two types on drones of the second."""
-    window, layers = field.window, scratch.layers
+    pairs, layers = scratch.pairs, scratch.layers
     neighbour, own = kinds
     n, lane = neighbour * field.drag.shape[0] + own, 0
-    for i in range(position.shape[0]):
-        if types[i] != own:
+    for pair in range(scratch.found[0]):
+        i, j = pairs[0, pair], pairs[1, pair]
+        if types[i] != own or types[j] != neighbour:
             continue
-        first = i // drones * drones
-        for j in range(first, first + drones):
-            dx = position[j, 0] - position[i, 0]
-            if j == i or types[j] != neighbour or abs(dx) >= window[1]:
-                continue
-            dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
-            weight = pair_weight(window, dx, dy, dz)
-            if weight > 0.0:
-                put_pair(field.pair_range, position, velocity, i, j, layers, lane)
-                scratch.place[0, lane], scratch.share[lane] = i, weight
-                lane += 1
-                if lane == layers.shape[2]:
-                    add_forces(field, n, lane, scratch, out)
-                    lane = 0
+        put_pair(field.pair_range, position, velocity, i, j, layers, lane)
+        scratch.place[0, lane], scratch.share[lane] = i, scratch.weight[pair]
+        lane += 1
+        if lane == layers.shape[2]:
+            add_forces(field, n, lane, scratch, out)
+            lane = 0
     if lane > 0:
         add_forces(field, n, lane, scratch, out)
 
@@ -96,30 +87,28 @@ def add_ground(
 @borrowing_kernel
 def pairwise_forces(
     field: ForceField,
-    drones: int,
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
     scratch: Scratch,
     out: FloatArray,
 ) -> None:
-    """Add the networks' vertical forces on M drones, in environments of `drones` each, to `out`.
+    """Add the networks' vertical forces on M drones to `out`.
 
     Args:
         field: the model; its networks are those of the pairs, `[neighbour, drone]` in rows, then
             those of the types' environment.
-        drones: number of drones in each environment, N.
         types: (M,) interaction types.
         position: (M, 3) m.
         velocity: (M, 3) m/s.
-        scratch: working memory.
+        scratch: working memory, which knows their pairs.
         out: (M, 3) forces, N, world frame.
     """
     for own in range(field.drag.shape[0]):
         add_ground(field, own, types, position, velocity, scratch, out)
         for neighbour in range(field.drag.shape[0]):
             kinds = (neighbour, own)
-            add_pairs(field, drones, kinds, types, position, velocity, scratch, out)
+            add_pairs(field, kinds, types, position, velocity, scratch, out)
 
 
 def pairwise_names(types: tuple[str, ...]) -> list[str]:

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.interactions.blocks import Scratch
 from swarm_envs.interactions.field import WAKE, ForceField, empty_field
-from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -110,33 +110,33 @@ def wake_forces(
     types: IntArray,
     position: FloatArray,
     velocity: FloatArray,
+    scratch: Scratch,
     out: FloatArray,
 ) -> None:
-    """Add the vertical wake and ground forces on N drones of one environment to `out`.
+    """Add the vertical wake and ground forces on M drones to `out`.
 
     Args:
         field: the model.
-        types: (N,) interaction types.
-        position: (N, 3) m.
-        velocity: (N, 3) m/s.
-        out: (N, 3) forces, N, world frame.
+        types: (M,) interaction types.
+        position: (M, 3) m.
+        velocity: (M, 3) m/s.
+        scratch: working memory for M drones, which knows their pairs.
+        out: (M, 3) forces, N, world frame.
     """
-    q, window, delays = field.wake_combine, field.window, field.wake_delay
+    q, delays, pairs, pushed = field.wake_combine, field.wake_delay, scratch.pairs, scratch.codes[0]
     ground, mitigation = field.wake_ground, field.wake_mitigation
     for i in range(position.shape[0]):
-        total = 0.0
-        for j in range(position.shape[0]):
-            dx = position[j, 0] - position[i, 0]
-            dy = position[j, 1] - position[i, 1]
-            dz = position[j, 2] - position[i, 2]
-            weight = pair_weight(window, dx, dy, dz) if j != i else 0.0
-            if weight > 0.0:
-                delay = max(dz, 0.0) * delays[types[j]]
-                x = dx - velocity[j, 0] * delay
-                y = dy - velocity[j, 1] * delay
-                lateral = math.sqrt(x * x + y * y)
-                total += (weight * jet_force(field, types[j], types[i], lateral, dz)) ** q
+        pushed[i, 0] = 0.0
+    for pair in range(scratch.found[0]):
+        i, j = pairs[0, pair], pairs[1, pair]
+        dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
+        dz = position[j, 2] - position[i, 2]
+        delay = max(dz, 0.0) * delays[types[j]]
+        x, y = dx - velocity[j, 0] * delay, dy - velocity[j, 1] * delay
+        force = jet_force(field, types[j], types[i], math.sqrt(x * x + y * y), dz)
+        pushed[i, 0] += (scratch.weight[pair] * force) ** q
+    for i in range(position.shape[0]):
         height = max(position[i, 2], _LOWEST_MEASURED)
         lost = mitigation[0] * math.exp(-height / mitigation[1])
         lift = ground[types[i], 0] * math.exp((_LOWEST_MEASURED - height) / ground[types[i], 1])
-        out[i, 2] += lift - (1.0 - lost) * total ** (1.0 / q)
+        out[i, 2] += lift - (1.0 - lost) * pushed[i, 0] ** (1.0 / q)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from swarm_envs.compiled import kernel
-from swarm_envs.state import FloatArray
+from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.neighbors import FEW, sort_along_x, within_x
+from swarm_envs.state import FloatArray, IntArray
 
 
 @kernel
@@ -37,3 +38,48 @@ def pair_weight(window: FloatArray, dx: float, dy: float, dz: float) -> float:
 def clamp(value: float, low: float, high: float) -> float:
     """The value, moved into [low, high]."""
     return min(max(value, low), high)
+
+
+@borrowing_kernel
+def find_pairs(
+    window: FloatArray,
+    drones: int,
+    position: FloatArray,
+    order: IntArray,
+    pairs: IntArray,
+    weight: FloatArray,
+) -> int:
+    """List all ordered pairs inside the interaction volume; return how many there are.
+
+    Args:
+        window: (4,) as in `pair_weight`.
+        drones: number of drones in each environment, N.
+        position: (M, 3) m, M a multiple of N.
+        order: (M,) of each environment any permutation of 0 to N - 1; sorted along x if N is large.
+        pairs: (2, M (N - 1)) drones `i` and `j`, written: those of an `i` together, `j` ascending.
+        weight: (M (N - 1),) their weights, written.
+    """
+    count = 0
+    for first in range(0, position.shape[0], drones):
+        end = first + drones
+        here, sorted_here = position[first:end], order[first:end]
+        if drones > FEW:
+            sort_along_x(here, sorted_here)
+        for place in range(drones):
+            if drones > FEW:
+                i = sorted_here[place]
+                close = within_x(here, sorted_here, place, window[1], pairs[1], count)
+            else:
+                i, close = place, drones - 1
+            begin = count
+            for c in range(close):
+                j = pairs[1, begin + c] if drones > FEW else c + (c >= i)
+                dx = here[j, 0] - here[i, 0]
+                if abs(dx) < window[1]:
+                    dy, dz = here[j, 1] - here[i, 1], here[j, 2] - here[i, 2]
+                    left = pair_weight(window, dx, dy, dz)
+                    if left > 0.0:
+                        pairs[0, count], pairs[1, count] = first + i, first + j
+                        weight[count] = left
+                        count += 1
+    return count

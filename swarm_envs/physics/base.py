@@ -109,6 +109,7 @@ class Physics(ABC):
             contacts=self.contacts,
             arena=self.arena,
             obstacles=self.obstacles,
+            order=np.repeat(np.arange(len(self.team))[None], num_envs, axis=0),
         )
 
     @property

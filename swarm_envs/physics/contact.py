@@ -7,12 +7,12 @@ obstacle when that is nearer to its centre than its radius.
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.neighbors import FEW, distance_between, sort_along_x
 from swarm_envs.physics.obstacles import distance_to
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
@@ -87,6 +87,7 @@ def find_contacts(
     radius: FloatArray,
     arena: FloatArray,
     obstacles: FloatArray,
+    order: IntArray,
     tumbling_rate: float,
     seen: Contacts,
 ) -> None:
@@ -99,12 +100,11 @@ def find_contacts(
         radius: (E, N) of the collision spheres, m.
         arena: (2, 3) lower and upper corner, m; its floor is the ground at z = 0.
         obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
+        order: (N,) any permutation of the drones; sorted along x if there are many.
         tumbling_rate: rad/s.
         seen: contacts, updated: flags stay set, distances keep their smallest value.
     """
-    drone, separation, clearance = seen.drone, seen.separation, seen.clearance
-    drones = position.shape[1]
-    for i in range(drones):
+    for i in range(position.shape[1]):
         r = radius[e, i]
         if position[e, i, 2] < r:
             seen.floor[e, i] = True
@@ -122,18 +122,62 @@ def find_contacts(
                 seen.obstacle_clearance[e, i] = ratio
                 if ratio < 1.0:
                     seen.obstacle[e, i] = k
+    if position.shape[1] > FEW:
+        sweep_pairs(position[e], radius[e], order, e, seen)
+        return
+    for i in range(position.shape[1]):
         for j in range(i):
-            dx = position[e, i, 0] - position[e, j, 0]
-            dy = position[e, i, 1] - position[e, j, 1]
-            dz = position[e, i, 2] - position[e, j, 2]
-            distance = math.sqrt(dx * dx + dy * dy + dz * dz)
-            ratio = distance / (r + radius[e, j])
-            separation[e, i] = min(separation[e, i], distance)
-            separation[e, j] = min(separation[e, j], distance)
-            if ratio < 1.0:
-                if ratio < clearance[e, i]:
-                    drone[e, i] = j
-                if ratio < clearance[e, j]:
-                    drone[e, j] = i
-            clearance[e, i] = min(clearance[e, i], ratio)
-            clearance[e, j] = min(clearance[e, j], ratio)
+            distance = distance_between(position[e], i, j)
+            ratio = distance / (radius[e, i] + radius[e, j])
+            approach(e, i, j, distance, ratio, seen)
+            approach(e, j, i, distance, ratio, seen)
+
+
+@borrowing_kernel
+def approach(e: int, i: int, j: int, distance: float, ratio: float, seen: Contacts) -> None:
+    """Note how near drone `j` is to drone `i` of environment `e`.
+
+    Args:
+        e: the environment.
+        i: the drone whose contacts are updated.
+        j: the other.
+        distance: between their centres, m.
+        ratio: that distance over the sum of their radii.
+        seen: contacts, updated; of equally near drones that touch, the first is kept.
+    """
+    seen.separation[e, i] = min(seen.separation[e, i], distance)
+    nearest = seen.clearance[e, i]
+    if ratio < 1.0 and (ratio < nearest or (ratio == nearest and j < seen.drone[e, i])):
+        seen.drone[e, i] = j
+    seen.clearance[e, i] = min(nearest, ratio)
+
+
+@borrowing_kernel
+def sweep_pairs(
+    position: FloatArray, radius: FloatArray, order: IntArray, e: int, seen: Contacts
+) -> None:
+    """Note how near all drones of environment `e` are, looking along x only as far as it matters.
+
+    Args:
+        position: (N, 3) m.
+        radius: (N,) m.
+        order: (N,) any permutation of the drones; sorted along x.
+        e: the environment.
+        seen: contacts, updated.
+    """
+    sort_along_x(position, order)
+    largest = 0.0
+    for i in range(radius.shape[0]):
+        largest = max(largest, radius[i])
+    for place in range(order.shape[0]):
+        i = order[place]
+        for step in (-1, 1):
+            b = place + step
+            while 0 <= b < order.shape[0]:
+                j = order[b]
+                matters = max(seen.separation[e, i], seen.clearance[e, i] * (radius[i] + largest))
+                if abs(position[j, 0] - position[i, 0]) > matters:
+                    break
+                distance = distance_between(position, i, j)
+                approach(e, i, j, distance, distance / (radius[i] + radius[j]), seen)
+                b += step

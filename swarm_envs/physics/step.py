@@ -53,6 +53,8 @@ class World(NamedTuple):
     """(2, 3) corners of the walls, m."""
     obstacles: FloatArray
     """(M, 7) rows of `swarm_envs.physics.obstacles`."""
+    order: IntArray
+    """(E, N) drones of each environment, as last sorted along x."""
 
 
 @inlined_kernel
@@ -66,7 +68,7 @@ def blow(e: int, world: World, scratch: Scratch) -> None:
         for i in range(len(types)):
             for k in range(3):
                 force[i, k] *= scale
-        outside_measured_range(world.field, position, velocity, world.outside[e])
+        outside_measured_range(world.field, position, velocity, scratch, world.outside[e])
     world.age[e] += 1
 
 
@@ -108,6 +110,7 @@ def touch(e: int, world: World) -> None:
         world.parameters.radius,
         world.arena,
         world.obstacles,
+        world.order[e],
         TUMBLING_RATE,
         world.contacts,
     )
@@ -137,7 +140,7 @@ def step_environment(
 @kernel
 def step_all(world: World, commands: FloatArray, external: FloatArray, total: FloatArray) -> None:
     """One physics step of every environment on the compiled engine."""
-    scratch = scratch_for(world.field, total.shape[1])
+    scratch = scratch_for(world.field, total.shape[1], total.shape[1])
     for e in range(total.shape[0]):
         blow(e, world, scratch)
         step_environment(e, world, commands, external, total)
@@ -148,7 +151,7 @@ def blow_and_prepare(
     e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
 ) -> None:
     """`blow`, then `prepare_wrench`."""
-    blow(e, world, scratch_for(world.field, out.shape[0]))
+    blow(e, world, scratch_for(world.field, out.shape[0], out.shape[0]))
     prepare_wrench(e, world, commands, external, out)
 
 

@@ -1,7 +1,7 @@
 """Speed of the interaction forces, and of the same networks in torch and in plain numpy.
 
     make bench
-    python tests/benchmarks/forces.py --json forces.json
+    python -m tests.benchmarks.forces --json forces.json
 
 CPU time of one thread, median of repetitions, shipped `learned` weights, small and large drones
 in turn, every pair inside the interaction volume, all above the anchor height. `kernel` is the
@@ -12,26 +12,21 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-import platform
-import statistics
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib import resources
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from tqdm import tqdm
 
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import active_pairs, all_forces
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
+from tests.benchmarks.rows import Job, Row, cpu_seconds, run, spread
 
-Row = dict[str, Any]
 Array = npt.NDArray[Any]
 
 SIZES = ((1, 4), (1, 16), (1024, 4))
@@ -130,12 +125,13 @@ def kernel_forces(model: InteractionModel, position: Array, velocity: Array, tea
 
 def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions: int) -> Row:
     """Microseconds of one evaluation of all environments."""
-    row: Row = {"what": way, "precision": dtype, "environments": num_envs, "drones": num_drones}
+    row: Row = {"what": f"{way}, {dtype}", "environments": num_envs, "drones": num_drones}
+    row["unit"] = "us"
     if way == "torch" and importlib.util.find_spec("torch") is None:
-        return row | {"note": "not installed"}
+        return row | {"value": None, "note": "not installed"}
     position, velocity = states(num_envs, num_drones)
     team, model = team_of(num_drones), load("learned").with_precision(dtype)
-    pairs = sum(active_pairs(model.field.window, p) for p in position) / num_envs
+    pairs = sum(active_pairs(model.field.window, p) for p in position) / position[..., 0].size
     calls: dict[str, Callable[[], Callable[[], Any]]] = {
         "kernel": lambda: kernel_forces(model, position, velocity, team),
         "forces": lambda: partial(model.forces, position, velocity, team),
@@ -144,61 +140,23 @@ def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions:
     }
     call = calls[way]()
     call()
-    begin = time.thread_time()
-    call()
-    times = max(1, int(LEAST_SECONDS / max(time.thread_time() - begin, 1e-6)))
-    found = [1e6 * thread_seconds(call, times) for _ in range(repetitions)]
-    middle = statistics.median(found)
-    return row | {"pairs": pairs, "value": middle, "low": min(found), "high": max(found)}
+    times = max(1, int(LEAST_SECONDS / max(cpu_seconds(call, 1), 1e-6)))
+    found = [1e6 * cpu_seconds(call, times) for _ in range(repetitions)]
+    return row | {"pairs": pairs} | spread(found)
 
 
-def thread_seconds(call: Callable[[], object], times: int) -> float:
-    """CPU time of one call, s: the mean over a run of them."""
-    begin = time.thread_time()
-    for _ in range(times):
-        call()
-    return (time.thread_time() - begin) / times
-
-
-def jobs(repetitions: int) -> Iterator[Callable[[], Row]]:
+def jobs(options: argparse.Namespace) -> Iterator[Job]:
     """Everything that is measured, in the order of the table."""
     ways = [("kernel", "float64"), ("kernel", "float32"), ("forces", "float64")]
     ways += [("numpy", "float64"), ("torch", "float64"), ("torch", "float32")]
     for envs, drones in SIZES:
         for way, dtype in ways:
-            yield partial(force_row, way, dtype, envs, drones, repetitions)
+            yield partial(force_row, way, dtype, envs, drones, options.repetitions)
 
 
-def table(rows: list[Row]) -> str:
-    """The rows as aligned text."""
-    lines = [
-        f"{'':8}{'precision':>10}{'envs':>6}{'drones':>8}{'pairs':>7}{'median us':>12}  min - max"
-    ]
-    for row in rows:
-        start = f"{row['what']:8}{row['precision']:>10}{row['environments']:6}{row['drones']:8}"
-        if "note" in row:
-            lines.append(f"{start}  {row['note']}")
-        else:
-            spread = f"{row['low']:,.1f} - {row['high']:,.1f}"
-            lines.append(f"{start}{row['pairs']:7.0f}{row['value']:12,.1f}  {spread}")
-    return "\n".join(lines)
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Measure, print the table, and write it as JSON if asked to."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--json", type=Path, help="also write the rows there")
-    parser.add_argument("--repetitions", type=int, default=15, help="runs of each (default 15)")
-    options = parser.parse_args(arguments)
-    if options.repetitions < 1:
-        parser.error(f"--repetitions is {options.repetitions}, but must be at least 1")
-    rows = [job() for job in tqdm(list(jobs(options.repetitions)), unit="row")]
-    print(table(rows))
-    if options.json is not None:
-        from swarm_envs.files import write_json
-
-        machine = {"python": platform.python_version(), "processor": platform.machine()}
-        write_json(options.json, {"machine": machine, "rows": rows})
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    run(__doc__, jobs, arguments, repetitions=15)
 
 
 if __name__ == "__main__":

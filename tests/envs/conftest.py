@@ -5,9 +5,9 @@ from __future__ import annotations
 import importlib.util
 
 import pytest
-from faces import FACES, Face
 
 from swarm_envs.physics import bullet_available
+from tests.helpers.faces import FACES, Face
 
 
 @pytest.fixture(params=["batch", "bullet"])

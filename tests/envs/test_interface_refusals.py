@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faces import everything
 
 import swarm_envs
 from swarm_envs.envs.named import make_joint, make_solo, make_vector
 from swarm_envs.tasks.obstacles import Column
+from tests.helpers.faces import everything
 
 
 def good(step: int) -> list[np.ndarray]:

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faces import everything
 
 from swarm_envs import swap_v0
 from swarm_envs.envs.named import make_vector
 from swarm_envs.interactions import load
 from swarm_envs.physics import bullet_available
+from tests.helpers.faces import everything
 
 QUICK: dict[str, Any] = {"num_drones": 3, "horizon_s": 1.0}
 

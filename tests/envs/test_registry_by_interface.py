@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faces import FACES, core_of
 
 from swarm_envs import TASKS
+from tests.helpers.faces import FACES, core_of
 
 every_task = pytest.mark.parametrize("task", TASKS)
 QUICK: dict[str, dict[str, Any]] = {"formation_v0": {"shape_s": 0.25, "travel_s": 0.2}}

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from faces import core_of
 
 import swarm_envs
 from swarm_envs import swap_v0
@@ -24,6 +23,7 @@ from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import LARGE, SMALL, Vehicle, parse_team
+from tests.helpers.faces import core_of
 
 PLAIN: dict[str, Any] = {"end_on_success": False}
 EVERYTHING: dict[str, Any] = PLAIN | {

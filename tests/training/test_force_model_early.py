@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from tiny_fits import PLAIN, SPEC, rows_of
 
 from swarm_envs.training.force_model.early import GUARD_ENTRIES, PIECE_ENTRIES, inner_split
 from swarm_envs.training.force_model.train import predict, to_batch, train
+from tests.helpers.tiny_fits import PLAIN, SPEC, rows_of
 
 
 def test_pieces_of_early_validation_are_apart_in_time():

@@ -10,7 +10,6 @@ import types
 import numpy as np
 import pytest
 import torch
-from tiny_fits import PLAIN, SPEC, rows_of
 
 from swarm_envs.training.force_model.config import TrainConfig, settled
 from swarm_envs.training.force_model.epochs import Examples, shuffled, turn
@@ -20,6 +19,7 @@ from swarm_envs.training.force_model.rows import save_rows
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.force_model.train import predict, to_batch, train
+from tests.helpers.tiny_fits import PLAIN, SPEC, rows_of
 
 
 def norms(network):

@@ -1,0 +1,148 @@
+"""Who is near whom, without looking at every pair: drones sorted along x, and swept.
+
+A team of few is searched pair by pair, which is faster there. Both ways find the same drones and
+give them in the same order, so that results have the same bits whichever way was taken.
+"""
+
+from __future__ import annotations
+
+import math
+
+from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.state import FloatArray, IntArray
+
+FEW = 24
+"""Up to so many drones, every pair is looked at."""
+
+
+@borrowing_kernel
+def sort_along_x(position: FloatArray, order: IntArray) -> None:
+    """Sort drones by x, equal ones by their index.
+
+    Drones change places seldom, so an order from a step ago is nearly sorted, and is soon sorted.
+
+    Args:
+        position: (N, 3) m.
+        order: (N,) any permutation of the drones, sorted in place.
+    """
+    for a in range(1, order.shape[0]):
+        i = order[a]
+        x, b = position[i, 0], a
+        while b > 0:
+            j = order[b - 1]
+            if position[j, 0] < x or (position[j, 0] == x and j < i):
+                break
+            order[b] = j
+            b -= 1
+        order[b] = i
+
+
+@borrowing_kernel
+def insert_sorted(value: int, count: int, values: IntArray, first: int) -> None:
+    """Insert a value among `count` ascending ones in `values`, which begin at `first`."""
+    place = first + count
+    while place > first and values[place - 1] > value:
+        values[place] = values[place - 1]
+        place -= 1
+    values[place] = value
+
+
+@borrowing_kernel
+def within_x(
+    position: FloatArray, order: IntArray, place: int, reach: float, found: IntArray, first: int
+) -> int:
+    """List the drones whose x is less than `reach` from that of the drone at a place of the order.
+
+    Args:
+        position: (N, 3) m.
+        order: (N,) drones sorted along x.
+        place: in that order.
+        reach: m.
+        found: their indices, ascending, written from `first` on.
+        first: where to begin.
+
+    Returns:
+        How many there are.
+    """
+    x, count = position[order[place], 0], 0
+    for step in (-1, 1):
+        b = place + step
+        while 0 <= b < order.shape[0]:
+            j = order[b]
+            if not abs(position[j, 0] - x) < reach:
+                break
+            insert_sorted(j, count, found, first)
+            count += 1
+            b += step
+    return count
+
+
+@borrowing_kernel
+def nearest(
+    i: int,
+    place: int,
+    position: FloatArray,
+    order: IntArray,
+    found: IntArray,
+    square: FloatArray,
+) -> int:
+    """List the nearest other drones of drone `i`, nearest first, equal ones by their index.
+
+    Args:
+        i: the drone.
+        place: where it stands in the order; -1 to look at every drone.
+        position: (N, 3) m.
+        order: (N,) drones sorted along x, if a place is given.
+        found: (K,) their indices, written.
+        square: (K,) their squared distances, m^2, written.
+
+    Returns:
+        How many there are, at most K.
+    """
+    count = 0
+    if place < 0:
+        for j in range(position.shape[0]):
+            if j != i:
+                count = _offer(i, j, position, count, found, square)
+        return count
+    for step in (-1, 1):
+        b = place + step
+        while 0 <= b < order.shape[0]:
+            j = order[b]
+            dx = position[j, 0] - position[i, 0]
+            if count == found.shape[0] and (count == 0 or dx * dx > square[count - 1]):
+                break
+            count = _offer(i, j, position, count, found, square)
+            b += step
+    return count
+
+
+@borrowing_kernel
+def _offer(
+    i: int, j: int, position: FloatArray, count: int, found: IntArray, square: FloatArray
+) -> int:
+    """Put drone `j` where it belongs among the `count` nearest of `i`; return their number."""
+    d = 0.0
+    for k in range(3):
+        d += (position[j, k] - position[i, k]) ** 2
+    place = count
+    while place > 0 and (
+        square[place - 1] > d or (square[place - 1] == d and found[place - 1] > j)
+    ):
+        place -= 1
+    if place == found.shape[0]:
+        return count
+    count = min(count + 1, found.shape[0])
+    for k in range(count - 1, place, -1):
+        found[k], square[k] = found[k - 1], square[k - 1]
+    found[place], square[place] = j, d
+    return count
+
+
+@borrowing_kernel
+def distance_between(position: FloatArray, i: int, j: int) -> float:
+    """Distance of two drones' centres, m."""
+    dx = position[i, 0] - position[j, 0]
+    dy = position[i, 1] - position[j, 1]
+    dz = position[i, 2] - position[j, 2]
+    return math.sqrt(dx * dx + dy * dy + dz * dz)

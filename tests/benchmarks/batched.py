@@ -1,0 +1,188 @@
+"""Speed of many environments at once, how cost and memory grow, and crazyflow beside.
+
+    make bench
+    python -m tests.benchmarks.batched --json batched.json --plot speed.png --peers PYTHON
+
+An agent-step is one drone flying one decision: 48 a second, on physics at 240 Hz, with `learned`
+forces as often as `force_rate` says; its time is the CPU's, one thread, but for the rows of
+threads, which are wall time. `random` starts from the random layout, after 2 s of hovering;
+`packed` has every drone inside one interaction volume. Pairs are ordered and counted per drone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from swarm_envs.envs.blueprints import batch_of
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.interactions import load
+from swarm_envs.interactions.forces import active_pairs
+from tests.benchmarks.peers import RATES, batch_peer_row
+from tests.benchmarks.rows import Job, Row, cpu_seconds, number, run, spread, wall_seconds
+from tests.benchmarks.throughput import HOVER_DECISIONS, packed
+
+BATCH = (1024, 4)
+"""Environments and drones of the headline."""
+ENVIRONMENTS = (1, 4, 16, 64, 256, 1024)
+"""With 4 drones each: how cost grows with E."""
+DRONES = (16, 32, 64, 128, 256)
+"""In one environment, whose arena grows with them: how cost grows with N."""
+MEMORY = (1024, 16)
+"""Environments and drones whose memory is measured."""
+
+
+def make_core(envs: int, drones: int, start: str = "random", **options: object) -> SwarmCore:
+    """A batch of swap environments that hover, 2 s into their episodes."""
+    blueprint = batch_of(
+        "swap_v0", num_drones=drones, horizon_s=1e6, end_on_success=False, **options
+    )
+    core = SwarmCore(blueprint.task, blueprint.config, envs)
+    placed = {"start": packed(drones)} if start == "packed" else None
+    core.reset(list(range(envs)), options=placed)
+    still = np.zeros((envs, drones, 3), dtype=np.float32)
+    for _ in range(HOVER_DECISIONS):
+        core.step(still)
+    return core
+
+
+def pairs_per_drone(core: SwarmCore) -> float:
+    """Mean number of drones inside a drone's interaction volume."""
+    window = core.physics.interactions.field.window
+    found = sum(active_pairs(window, position) for position in core.physics.state.position)
+    return found / (core.num_envs * core.num_drones)
+
+
+def rates_of(cores: Sequence[SwarmCore], repetitions: int, wall: bool = False) -> list[list[float]]:
+    """Agent-steps per second of each batch, taken in turn so that noise meets all of them."""
+    seconds = wall_seconds if wall else cpu_seconds
+    found: list[list[float]] = [[] for _ in cores]
+    for _ in range(repetitions):
+        for core, rates in zip(cores, found, strict=True):
+            agents = core.num_envs * core.num_drones
+            still = np.zeros((core.num_envs, core.num_drones, 3), dtype=np.float32)
+            steps = max(4, 40_000 // agents)
+            rates.append(agents / seconds(partial(core.step, still), steps))
+    if not all(core.running.all() for core in cores):
+        raise RuntimeError("a benchmark's drones did not stay in the air")
+    return found
+
+
+def batch_row(start: str, force_rate: int, precision: str, repetitions: int) -> Row:
+    """Agent-steps per second of the batch on one thread."""
+    envs, drones = BATCH
+    model = load("learned").with_precision(precision)
+    core = make_core(envs, drones, start, force_rate=force_rate, interactions=model, threads=1)
+    row = _row(f"batch, {start}, {precision}", core)
+    return row | spread(rates_of([core], repetitions)[0])
+
+
+def thread_row(force_rate: int, repetitions: int) -> Row:
+    """How much faster two threads are than one, in wall time, measured in turn."""
+    envs, drones = BATCH
+    cores = [make_core(envs, drones, force_rate=force_rate, threads=k) for k in (1, 2)]
+    one, two = rates_of(cores, repetitions, wall=True)
+    row = _row("two threads over one, wall time", cores[0])
+    return row | spread([b / a for a, b in zip(one, two, strict=True)]) | {"unit": "times"}
+
+
+def scale_row(envs: int, drones: int, repetitions: int) -> Row:
+    """CPU time of one decision of the whole batch, ms."""
+    core = make_core(envs, drones, threads=1)
+    agents = envs * drones
+    times = [1e3 * agents / rate for rate in rates_of([core], repetitions)[0]]
+    return _row("one decision", core) | spread(times) | {"unit": "ms"}
+
+
+def _row(what: str, core: SwarmCore) -> Row:
+    return {
+        "what": what,
+        "environments": core.num_envs,
+        "drones": core.num_drones,
+        "pairs": pairs_per_drone(core),
+        "force_rate": core.config.force_rate,
+        "unit": "agent-steps/s",
+    }
+
+
+MEMORY_SCRIPT = """
+import resource
+from tests.benchmarks.batched import make_core
+make_core({envs}, {drones}, force_rate=48)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+
+
+def memory_row() -> Row:
+    """Largest resident memory of a fresh process that flies the batch, everything included."""
+    envs, drones = MEMORY
+    script = MEMORY_SCRIPT.format(envs=envs, drones=drones)
+    largest = float(subprocess.check_output([sys.executable, "-c", script], text=True))
+    kilobytes = largest if sys.platform != "darwin" else largest / 1024
+    row = {"what": "memory of the process", "environments": envs, "drones": drones}
+    return row | {"value": kilobytes / 1024, "unit": "MiB"}
+
+
+def jobs(options: argparse.Namespace) -> Iterator[Job]:
+    """Everything that is measured, in the order of the table."""
+    repetitions = options.repetitions
+    for start in ("random", "packed"):
+        for force_rate in (240, 48):
+            for precision in ("float64", "float32"):
+                yield partial(batch_row, start, force_rate, precision, repetitions)
+    for force_rate in (240, 48):
+        yield partial(thread_row, force_rate, repetitions)
+    for rates in RATES:
+        yield partial(batch_peer_row, options.peers, rates, *BATCH, repetitions)
+    for envs in ENVIRONMENTS:
+        yield partial(scale_row, envs, BATCH[1], repetitions)
+    for drones in DRONES:
+        yield partial(scale_row, 1, drones, repetitions)
+    yield memory_row
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Draw how the cost of a decision grows with environments and with drones."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8.0, 3.4), layout="constrained")
+    scale = [row for row in rows if row["what"] == "one decision"]
+    groups = [
+        ("environments of 4 drones", "environments", [r for r in scale if r["drones"] == 4]),
+        ("drones in one environment", "drones", [r for r in scale if r["environments"] == 1]),
+    ]
+    for axes, (label, key, found) in zip(figure.subplots(1, 2), groups, strict=True):
+        found = [row for row in found if key == "environments" or row["drones"] > 4]
+        sizes = np.array([row[key] for row in found])
+        times = np.array([row["value"] for row in found])
+        middle = times[-1] / sizes[-1]
+        axes.loglog(sizes, middle * sizes, color="0.7", linestyle="--", label="linear")
+        axes.loglog(sizes, times, marker="o", color="tab:blue", label="measured")
+        axes.set(xlabel=label, ylabel="CPU time of a decision, ms")
+        axes.set_xticks(sizes, [number(size) if size >= 100 else str(size) for size in sizes])
+        axes.minorticks_off()
+        axes.legend(frameon=False)
+    figure.savefig(path, dpi=110)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add what only this benchmark takes."""
+    parser.add_argument("--peers", default=sys.executable, help="interpreter that has the peers")
+    parser.add_argument("--plot", type=Path, help="draw how cost grows, as PNG")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure, print, and draw if asked to."""
+    options, rows = run(__doc__, jobs, arguments, repetitions=5, configure=configure)
+    if options.plot is not None:
+        draw(rows, options.plot)
+
+
+if __name__ == "__main__":
+    main()

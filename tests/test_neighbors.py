@@ -1,0 +1,129 @@
+"""Neighbours found by sweeping are those that looking at every pair finds, in the same order."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm_envs.interactions import load
+from swarm_envs.interactions.field import default_window
+from swarm_envs.interactions.window import find_pairs, pair_weight
+from swarm_envs.neighbors import FEW, nearest, sort_along_x
+from swarm_envs.physics import BatchPhysics
+from swarm_envs.state import IntArray, hover_state
+from swarm_envs.vehicles import parse_team
+
+Array = npt.NDArray[np.float64]
+
+MANY = 2 * FEW
+
+
+def cloud(seed: int, drones: int, side: float, ties: bool) -> Array:
+    """Positions (N, 3) in a cube, m; with ties on a coarse grid, so that many are equal."""
+    rng = np.random.default_rng(seed)
+    position = rng.uniform(0.1, side, (drones, 3))
+    return np.round(position / 0.3) * 0.3 if ties else position
+
+
+swarms = st.builds(
+    cloud, st.integers(0, 10**6), st.integers(2, MANY), st.floats(0.5, 5.0), st.booleans()
+)
+
+
+def pairs_of(position: Array, drones: int) -> tuple[IntArray, Array]:
+    total = len(position)
+    order = np.random.default_rng(1).permuted(
+        np.tile(np.arange(drones), (total // drones, 1)), axis=1
+    )
+    pairs = np.zeros((2, total * (drones - 1)), np.int64)
+    weight = np.zeros(total * (drones - 1))
+    count = find_pairs(default_window(), drones, position, order.ravel(), pairs, weight)
+    return pairs[:, :count], weight[:count]
+
+
+@given(swarms, st.integers(0, 2**31))
+def test_order_is_that_of_x_whatever_it_was(position: Array, seed: int) -> None:
+    order = np.random.default_rng(seed).permutation(len(position))
+    sort_along_x(position, order)
+    np.testing.assert_array_equal(order, np.lexsort((np.arange(len(position)), position[:, 0])))
+
+
+@given(swarms)
+def test_pairs_are_all_with_a_weight_and_grouped(position: Array) -> None:
+    n, window = len(position), default_window()
+    expected = {
+        (i, j): left
+        for i in range(n)
+        for j in range(n)
+        if i != j and (left := pair_weight(window, *(position[j] - position[i]))) > 0.0
+    }
+    pairs, weight = pairs_of(position, n)
+    found = list(zip(*pairs.tolist(), strict=True))
+    assert dict(zip(found, weight.tolist(), strict=True)) == expected
+    assert len(found) == len(expected)
+    firsts = pairs[0]
+    assert len(set(firsts.tolist())) == 1 + np.count_nonzero(np.diff(firsts)) or not len(firsts)
+    assert all(b > a for i, a, k, b in zip(*pairs[:, :-1], *pairs[:, 1:], strict=True) if i == k)
+
+
+def test_pairs_of_several_environments_stay_apart() -> None:
+    one, other = cloud(0, MANY, 2.0, False), cloud(1, MANY, 2.0, False)
+    pairs, weight = pairs_of(np.concatenate([one, other]), MANY)
+    first, first_weight = pairs_of(one, MANY)
+    second, second_weight = pairs_of(other, MANY)
+    np.testing.assert_array_equal(pairs, np.concatenate([first, second + MANY], axis=1))
+    np.testing.assert_array_equal(weight, np.concatenate([first_weight, second_weight]))
+
+
+@given(swarms, st.integers(0, 6))
+def test_nearest_are_those_of_a_full_sort(position: Array, wanted: int) -> None:
+    n = len(position)
+    order = np.arange(n)
+    sort_along_x(position, order)
+    for place, i in enumerate(order.tolist()):
+        apart = position - position[i]
+        square = apart[:, 0] ** 2 + apart[:, 1] ** 2 + apart[:, 2] ** 2
+        expected = [j for j in np.lexsort((np.arange(n), square)).tolist() if j != i][:wanted]
+        for where in (-1, place):
+            found, squares = np.full(wanted, -9), np.zeros(wanted)
+            assert nearest(i, where, position, order, found, squares) == len(expected)
+            assert found[: len(expected)].tolist() == expected
+            np.testing.assert_array_equal(squares[: len(expected)], square[expected])
+
+
+@given(st.integers(0, 10**6), st.floats(0.6, 3.0), st.booleans())
+def test_contacts_of_many_are_those_of_every_pair(seed: int, side: float, ties: bool) -> None:
+    position = cloud(seed, MANY, side, ties) + np.array([0.0, 0.0, 0.5])
+    team = parse_team("SL" * (MANY // 2))
+    physics = BatchPhysics(team, interactions="none")
+    state = hover_state(team, position[None])
+    physics.reset(state)
+    physics.step(state.rotor_thrust)
+    p = physics.state.position[0]
+    radius = np.array([vehicle.radius for vehicle in team])
+    apart = p[:, None] - p[None]
+    distance = np.sqrt(apart[..., 0] ** 2 + apart[..., 1] ** 2 + apart[..., 2] ** 2)
+    np.fill_diagonal(distance, np.inf)
+    ratio = distance / (radius[:, None] + radius[None])
+    drone = np.where(ratio.min(axis=1) < 1.0, ratio.argmin(axis=1), -1)
+    np.testing.assert_array_equal(physics.contacts.separation[0], distance.min(axis=1))
+    np.testing.assert_array_equal(physics.contacts.clearance[0], ratio.min(axis=1))
+    np.testing.assert_array_equal(physics.contacts.drone[0], drone)
+
+
+@pytest.mark.parametrize("name", ["wake", "learned"])
+def test_far_apart_a_large_swarm_feels_what_its_parts_feel(name: str) -> None:
+    """Forces do not depend on whether a part is searched pair by pair or the whole is swept."""
+    parts, size = 4, FEW // 2
+    team = parse_team("SL" * (size // 2))
+    position = np.stack([cloud(k, size, 1.5, False) for k in range(parts)])
+    position[..., 0] += 50.0 * np.arange(parts)[:, None]
+    velocity = np.random.default_rng(7).normal(0.0, 0.3, position.shape)
+    model = load(name)
+    apart = model.forces(position, velocity, team)
+    whole = model.forces(position.reshape(1, -1, 3), velocity.reshape(1, -1, 3), team * parts)
+    np.testing.assert_array_equal(whole[0], apart.reshape(-1, 3))
+    assert abs(apart[..., 2]).max() > 0.01
