@@ -156,7 +156,7 @@ def test_rewards_are_those_of_the_core(face, task):
             assert like[1][agent] == pytest.approx(total)
         rewards = told[1]
         if isinstance(rewards, dict):
-            ours, expected = list(rewards.values()), wanted
+            ours, expected = np.array(list(rewards.values())), wanted
         elif face.name in ("joint", "vector"):
             ours, expected = np.ravel(rewards)[:1], wanted.mean()
             np.testing.assert_array_equal(told[4]["rewards"].reshape(-1, 3)[0], wanted)
