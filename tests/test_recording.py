@@ -13,6 +13,7 @@ from swarm_envs import swap_v0
 from swarm_envs.agents import load, record_episode
 from swarm_envs.viewing.record import Recorder, Recording
 from swarm_envs.viewing.solids import Solid, solids
+from swarm_envs.viewing.summary import outcome
 from swarm_envs.viewing.trajectory import COLUMNS, read_trajectory, write_trajectory
 
 
