@@ -13,18 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, entry_point
+from swarm_envs.compiled import borrowing_kernel, entry_point, inlined_kernel
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.state import Setpoint
-from swarm_envs.envs.pilot import Pilot, decide, new_pilot
+from swarm_envs.envs.pilot import Pilot, believe, decide, new_pilot
 from swarm_envs.envs.tally import Airframe, Tally, airframe_of, count, new_tally
 from swarm_envs.interactions import load
-from swarm_envs.interactions.blocks import Scratch, scratch_for
+from swarm_envs.interactions.crowd import Crowd, crowd_for
 from swarm_envs.physics import BulletPhysics, Physics
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.physics.gusts import gust
 from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment
-from swarm_envs.state import BoolArray, FloatArray, SwarmState, parameters, replace_rows
+from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState, parameters, replace_rows
 from swarm_envs.vehicles import Team
 
 
@@ -36,6 +36,34 @@ def forget(e: int, contacts: Contacts) -> None:
         contacts.floor[e, i] = contacts.wall[e, i] = contacts.tumbling[e, i] = False
         contacts.separation[e, i] = contacts.clearance[e, i] = np.inf
         contacts.obstacle[e, i], contacts.obstacle_clearance[e, i] = NO_OBSTACLE, np.inf
+
+
+@inlined_kernel
+def fly_together(
+    flown: int,
+    together: IntArray,
+    world: World,
+    pilot: Pilot,
+    tally: Tally,
+    airframe: Airframe,
+    external: FloatArray,
+    total: FloatArray,
+    steps: int,
+    crowds: tuple[Crowd, Crowd],
+) -> None:
+    """Fly the environments in the first `flown` places of `together` step by step."""
+    for place in range(flown):
+        forget(together[place], world.contacts)
+    for _ in range(steps):
+        believe(flown, together, world, pilot, crowds[1])
+        for place in range(flown):
+            decide(together[place], world, pilot)
+        blow(flown, together, world, crowds[0])
+        for place in range(flown):
+            e = together[place]
+            count(e, world, tally, airframe)
+            gust(e, world.age[e], world.gusts, world.parameters.mass, external)
+            step_environment(e, world, pilot.commands, external, total)
 
 
 @borrowing_kernel
@@ -50,8 +78,8 @@ def fly_compiled(
     steps: int,
     first: int,
     last: int,
-    scratch: Scratch,
-    belief_scratch: Scratch,
+    together: IntArray,
+    crowds: tuple[Crowd, Crowd],
 ) -> None:
     """Fly `steps` physics steps of the running environments first to last - 1, compiled.
 
@@ -66,18 +94,21 @@ def fly_compiled(
         steps: number of steps of 1/240 s.
         first: the first environment to fly.
         last: one past the last.
-        scratch: working memory for the world's force model.
-        belief_scratch: the same for the controller's.
+        together: (C,) scratch: the environments that are flown together.
+        crowds: working memory for C environments: of the world's force model, of the belief.
     """
-    for e in range(first, last):
-        if running[e]:
-            forget(e, world.contacts)
-            for _ in range(steps):
-                decide(e, world, pilot, belief_scratch)
-                blow(e, world, scratch)
-                count(e, world, tally, airframe)
-                gust(e, world.age[e], world.gusts, world.parameters.mass, external)
-                step_environment(e, world, pilot.commands, external, total)
+    e = first
+    while e < last:
+        flown = 0
+        while e < last and flown < len(together):
+            if running[e]:
+                together[flown] = e
+                flown += 1
+            e += 1
+        if flown > 0:
+            fly_together(
+                flown, together, world, pilot, tally, airframe, external, total, steps, crowds
+            )
 
 
 @borrowing_kernel
@@ -90,8 +121,8 @@ def prepare_flight(
     airframe: Airframe,
     external: FloatArray,
     wrench: FloatArray,
-    scratch: Scratch,
-    belief_scratch: Scratch,
+    together: IntArray,
+    crowds: tuple[Crowd, Crowd],
 ) -> None:
     """One step of environment `e` up to the wrench, for Bullet.
 
@@ -104,13 +135,15 @@ def prepare_flight(
         airframe: what the tally knows of the drones.
         external: (E, N, 3) force of gusts, N; zeros without.
         wrench: (N, 6) force (N) and torque (N m) on each body in its own frame, written.
-        scratch: working memory for the world's force model.
-        belief_scratch: the same for the controller's.
+        together: scratch.
+        crowds: working memory: of the world's force model, of the belief.
     """
     if first:
         forget(e, world.contacts)
-    decide(e, world, pilot, belief_scratch)
-    blow(e, world, scratch)
+    together[0] = e
+    believe(1, together, world, pilot, crowds[1])
+    decide(e, world, pilot)
+    blow(1, together, world, crowds[0])
     count(e, world, tally, airframe)
     gust(e, world.age[e], world.gusts, world.parameters.mass, external)
     prepare_wrench(e, world, pilot.commands, external, wrench)
@@ -153,12 +186,15 @@ class Flight:
         self._arguments = (physics.world, self.pilot, self.tally, self._airframe, external)
         self._total = np.zeros((envs, drones, 3))
         self._parts = parts(envs, threads)
-        self._scratch = [
-            tuple(scratch_for(f, drones, drones) for f in (physics.world.field, belief.field))
-            for _ in self._parts
-        ]
+        self._memories = [self._memory() for _ in self._parts]
         self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None
         self._entry: Callable[..., None] | None = None
+
+    def _memory(self) -> tuple[IntArray, tuple[Crowd, Crowd]]:
+        """Working memory of a thread."""
+        drones = len(self.physics.team)
+        crowd = crowd_for(self.physics.world.field, drones)
+        return np.zeros_like(crowd.members), (crowd, crowd_for(self.belief.field, drones))
 
     def set_team(self, e: int, team: Team) -> None:
         """Let environment `e` be flown by another team of as many drones, from its next reset on.
@@ -198,7 +234,7 @@ class Flight:
     def _fly_compiled(self, steps: int, running: BoolArray) -> None:
         shared = (*self._arguments, self._total, running, steps)
         calls: list[tuple[Any, ...]] = [
-            (*shared, *part, *own) for part, own in zip(self._parts, self._scratch, strict=True)
+            (*shared, *part, *own) for part, own in zip(self._parts, self._memories, strict=True)
         ]
         if self._entry is None:
             self._entry = entry_point(fly_compiled, *calls[0])
@@ -210,7 +246,7 @@ class Flight:
             future.result()
 
     def _fly_bullet(self, physics: BulletPhysics, steps: int, running: BoolArray) -> None:
-        arguments = (*self._arguments, physics.wrench, *self._scratch[0])
+        arguments = (*self._arguments, physics.wrench, *self._memories[0])
         if self._entry is None:
             self._entry = entry_point(prepare_flight, 0, True, *arguments)
         for e in np.flatnonzero(running).tolist():

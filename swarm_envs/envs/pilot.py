@@ -12,9 +12,8 @@ from swarm_envs.control.rates import hold_rates
 from swarm_envs.control.state import ControllerState, Setpoint
 from swarm_envs.control.tracking import extrapolate, track_env
 from swarm_envs.interactions import InteractionModel
-from swarm_envs.interactions.blocks import Scratch
+from swarm_envs.interactions.crowd import Crowd, crowd_forces
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World
 from swarm_envs.state import FloatArray, IntArray, Parameters, parameters
@@ -80,7 +79,26 @@ def new_pilot(
 
 
 @inlined_kernel
-def decide(e: int, world: World, pilot: Pilot, scratch: Scratch) -> None:
+def believe(count: int, environments: IntArray, world: World, pilot: Pilot, crowd: Crowd) -> None:
+    """Evaluate the force that the controller compensates, if it does, in these environments.
+
+    Args:
+        count: how many environments, at most as many as the crowd has places.
+        environments: which.
+        world: its state is read.
+        pilot: its believed force is changed in place.
+        crowd: working memory.
+    """
+    if pilot.believes and pilot.level == SETPOINTS:
+        for place in range(count):
+            crowd.members[place] = environments[place]
+        state, types = world.state, pilot.belief_types
+        position, velocity, force = state.position, state.velocity, pilot.belief_force
+        crowd_forces(pilot.belief, count, types, position, velocity, crowd, force)
+
+
+@inlined_kernel
+def decide(e: int, world: World, pilot: Pilot) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
     if pilot.level == ROTORS:
         return
@@ -88,10 +106,6 @@ def decide(e: int, world: World, pilot: Pilot, scratch: Scratch) -> None:
         world_state, memory = world.state, pilot.memory
         hold_rates(e, world_state, pilot.nominal, memory, pilot.asked, pilot.gains, pilot.commands)
         return
-    if pilot.believes:
-        position, velocity = world.state.position[e], world.state.velocity[e]
-        types, force = pilot.belief_types[e], pilot.belief_force[e]
-        swarm_forces(pilot.belief, len(types), types, position, velocity, scratch, force)
     track_env(
         e,
         world.state,

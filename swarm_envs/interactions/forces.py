@@ -101,17 +101,17 @@ def outside_measured_range(
     scratch: Scratch,
     out: BoolArray,
 ) -> None:
-    """Mark the drones of one environment whose force is an extrapolation.
+    """Mark the drones whose force is an extrapolation.
 
     A drone is marked when its own height (if too low) or speed, or the offset or relative speed of
     a neighbour inside the interaction volume, lies outside what was measured.
 
     Args:
         field: the model.
-        position: (N, 3) m.
-        velocity: (N, 3) m/s.
+        position: (M, 3) m.
+        velocity: (M, 3) m/s.
         scratch: with which their forces have just been evaluated.
-        out: (N,) marks, overwritten.
+        out: (M,) marks, overwritten.
     """
     own, measured, pairs = field.environment_range, field.pair_range, scratch.pairs
     for i in range(position.shape[0]):

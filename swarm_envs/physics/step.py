@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+
 from swarm_envs.compiled import borrowing_kernel, inlined_kernel, kernel
-from swarm_envs.interactions.blocks import Scratch, scratch_for
+from swarm_envs.interactions.crowd import Crowd, crowd_for, crowd_forces
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import outside_measured_range, swarm_forces
+from swarm_envs.interactions.forces import outside_measured_range
 from swarm_envs.motors import BatteryArrays, battery_step
 from swarm_envs.physics.contact import Contacts, find_contacts
 from swarm_envs.physics.gusts import Gusts
@@ -58,18 +60,34 @@ class World(NamedTuple):
 
 
 @inlined_kernel
-def blow(e: int, world: World, scratch: Scratch) -> None:
-    """Evaluate the interaction force on environment `e` at its present state, if it is due."""
-    if world.age[e] % world.hold == 0:
-        state = world.state
-        position, velocity = state.position[e], state.velocity[e]
-        types, force, scale = world.types[e], world.force[e], world.force_scale[e]
-        swarm_forces(world.field, len(types), types, position, velocity, scratch, force)
-        for i in range(len(types)):
+def blow(count: int, environments: IntArray, world: World, crowd: Crowd) -> None:
+    """Evaluate the interaction force at the present state of environments in which it is due.
+
+    Args:
+        count: how many environments, at most as many as the crowd has places.
+        environments: which.
+        world: its force and age are changed in place.
+        crowd: working memory.
+    """
+    state, drones, due = world.state, world.types.shape[1], 0
+    for place in range(count):
+        e = environments[place]
+        if world.age[e] % world.hold == 0:
+            crowd.members[due] = e
+            due += 1
+        world.age[e] += 1
+    if due == 0:
+        return
+    crowd_forces(world.field, due, world.types, state.position, state.velocity, crowd, world.force)
+    m = due * drones
+    gathered, moving, outside = crowd.position[:m], crowd.velocity[:m], crowd.outside[:m]
+    outside_measured_range(world.field, gathered, moving, crowd.scratch, outside)
+    for place in range(due):
+        e = crowd.members[place]
+        for i in range(drones):
+            world.outside[e, i] = outside[place * drones + i]
             for k in range(3):
-                force[i, k] *= scale
-        outside_measured_range(world.field, position, velocity, scratch, world.outside[e])
-    world.age[e] += 1
+                world.force[e, i, k] *= world.force_scale[e]
 
 
 @inlined_kernel
@@ -140,10 +158,13 @@ def step_environment(
 @kernel
 def step_all(world: World, commands: FloatArray, external: FloatArray, total: FloatArray) -> None:
     """One physics step of every environment on the compiled engine."""
-    scratch = scratch_for(world.field, total.shape[1], total.shape[1])
-    for e in range(total.shape[0]):
-        blow(e, world, scratch)
-        step_environment(e, world, commands, external, total)
+    crowd, environments = crowd_for(world.field, total.shape[1]), np.arange(total.shape[0])
+    places = len(crowd.members)
+    for first in range(0, len(environments), places):
+        part = environments[first : first + places]
+        blow(len(part), part, world, crowd)
+        for e in part:
+            step_environment(e, world, commands, external, total)
 
 
 @kernel
@@ -151,7 +172,7 @@ def blow_and_prepare(
     e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
 ) -> None:
     """`blow`, then `prepare_wrench`."""
-    blow(e, world, scratch_for(world.field, out.shape[0], out.shape[0]))
+    blow(1, np.array([e]), world, crowd_for(world.field, out.shape[0]))
     prepare_wrench(e, world, commands, external, out)
 
 
