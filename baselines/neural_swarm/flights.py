@@ -1,0 +1,233 @@
+"""The one way in which flight tests are flown: references, a controller, a force it may not know.
+
+`fly` flies one case for many seeds: the compiled engine all of them at once, Bullet one after
+another with the same result. What is to be varied goes in by name:
+
+- who flies: the task's team, tokens or vehicles, such as `dataclasses.replace(SMALL, max_thrust=f)`;
+- the force that blows: `FlightTest.truth`; its scale, and drones or gusts that differ from what the
+  controller takes them for: `FlightTest.randomization`, such as `Randomization(force_scale=(1.5, 1.5))`;
+- what the controller believes: `ControllerConfig(feedforward=model)`, any `InteractionModel`, None
+  for the baseline; its gains, filters and lag compensation are fields of the same class;
+- density: the layout of the task.
+
+Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.agent import TrackingAgent
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.physics import bullet_available
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tasks.base import Task
+from swarm_envs.vehicles import Team
+from swarm_envs.viewing.record import FlightRecord
+
+AT_ONCE = 32
+"""Flights in the air at the same time: more need more memory and are no faster."""
+
+
+@dataclass(frozen=True)
+class FlightTest:
+    """What is flown, and in which air; the controller is what a test compares."""
+
+    task: Task
+    """Team and references, such as `SwapTask(parse_team("L2S"), "stacked", layout)`."""
+    truth: str | Path | InteractionModel = "learned"
+    """The force that blows. No controller reads it."""
+    engine: str = "batch"
+    """`bullet` or `batch`; see `default_engine`."""
+    horizon_s: float | None = None
+    """Length of a flight, s; None for the task's own."""
+    randomization: Randomization | None = None
+    """What else differs from episode to episode; None for nothing."""
+    decision_rate: int = 48
+    """Set-points a second, and samples of what is recorded."""
+
+
+@dataclass(frozen=True)
+class Flights:
+    """E flights of a test by one controller, T samples each. World frame, SI."""
+
+    team: Team
+    """The N vehicles."""
+    seeds: tuple[int, ...]
+    """(E,) of the episodes."""
+    time: FloatArray
+    """(T,) s since the start."""
+    samples: IntArray
+    """(E,) samples until the flight ended; later ones repeat its last state."""
+    position: FloatArray
+    """(E, T, N, 3) m."""
+    velocity: FloatArray
+    """(E, T, N, 3) m/s."""
+    quaternion: FloatArray
+    """(E, T, N, 4) attitude, (x, y, z, w), body to world."""
+    reference: FloatArray
+    """(E, T, N, 3) where the drones should have been, m."""
+    force: FloatArray
+    """(E, T, N, 3) the force that blew, N."""
+    believed: FloatArray
+    """(E, T, N, 3) the force that the controller compensated, N, in the same step; zeros if none."""
+    worst_height_error: FloatArray
+    """(E, N) largest vertical distance to the reference since errors count, m."""
+    worst_error: FloatArray
+    """(E, N) the same of the whole distance, m."""
+    crashed: BoolArray
+    """(E,) ended by a collision or a tumble: its errors are not its worst."""
+    metrics: tuple[dict[str, Any], ...]
+    """(E,) see `swarm_envs.envs.report.episode_metrics`."""
+
+    def record(self, e: int) -> FlightRecord:
+        """Flight `e` as plots and films take it."""
+        shown = slice(0, int(self.samples[e]))
+        return FlightRecord(
+            team=self.team,
+            time=self.time[shown],
+            position=self.position[e, shown],
+            quaternion=self.quaternion[e, shown],
+            reference=self.reference[e, shown],
+            force=self.force[e, shown],
+        )
+
+
+def default_engine() -> str:
+    """Bullet where it can be imported, else its compiled twin."""
+    return "bullet" if bullet_available() else "batch"
+
+
+def make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) -> SwarmCore:
+    """Environments in which a controller follows set-points, not yet reset."""
+    agent = TrackingAgent(controller, test.decision_rate)
+    config = EnvConfig(
+        physics=test.engine,
+        interactions=test.truth,
+        horizon_s=test.horizon_s,
+        randomization=test.randomization,
+        end_on_success=False,
+        **agent.requires,
+    )
+    return SwarmCore(test.task, config, num_envs)
+
+
+def follow(core: SwarmCore) -> Iterator[SwarmCore]:
+    """Fly environments that have been reset along their references, as `TrackingAgent` does.
+
+    Yields:
+        The environments, always the same, after each decision.
+    """
+    yaw = np.zeros((core.num_envs, core.num_drones, 2))
+    while core.running.any():
+        reference = core.task.reference(core.mission, core.time)
+        core.step(np.concatenate([*reference, yaw], axis=-1))
+        yield core
+
+
+def fly(
+    test: FlightTest,
+    controller: ControllerConfig,
+    seeds: Sequence[int],
+    tick: Callable[[float], object] = lambda seconds: None,
+) -> Flights:
+    """Fly one episode for each seed. The same seeds give the same flights.
+
+    Args:
+        test: what is flown, and in which air.
+        controller: of every drone.
+        seeds: at least one.
+        tick: called along the way with the seconds that were flown since the last call.
+
+    Raises:
+        ValueError: no seed is given, or the test cannot be flown.
+        ImportError: Bullet is asked for, and not there.
+    """
+    if not seeds:
+        raise ValueError("no seed was given; give one for each flight")
+    starts = range(0, len(seeds), AT_ONCE)
+    parts = [_fly_part(test, controller, seeds[k : k + AT_ONCE], tick) for k in starts]
+    numbers = {
+        name: np.concatenate([part[name] for part in parts])
+        for name in parts[0]
+        if name != _METRICS
+    }
+    return Flights(
+        team=test.task.team,
+        seeds=tuple(seeds),
+        time=np.arange(numbers["position"].shape[1]) / test.decision_rate,
+        metrics=tuple(entry for part in parts for entry in part[_METRICS]),
+        **numbers,
+    )
+
+
+_METRICS = "metrics"
+
+
+def _fly_part(
+    test: FlightTest,
+    controller: ControllerConfig,
+    seeds: Sequence[int],
+    tick: Callable[[float], object],
+) -> dict[str, Any]:
+    """Fields of `Flights` of some seeds that are in the air together."""
+    core = make_core(test, controller, len(seeds))
+    try:
+        core.reset(list(seeds))
+        horizon = test.task.episode_s if test.horizon_s is None else test.horizon_s
+        trace = _Trace(core, 1 + round(horizon * test.decision_rate))
+        trace.take(0, np.ones(len(seeds), dtype=np.bool_))
+        running = core.running.copy()
+        for k, _ in enumerate(follow(core), start=1):
+            trace.take(k, running)
+            tick(float(running.sum()) / test.decision_rate)
+            running = core.running.copy()
+        return trace.arrays | {
+            "worst_height_error": core.record.worst_height_error.copy(),
+            "worst_error": core.record.worst_error.copy(),
+            "crashed": core.verdict.crashed.any(axis=1),
+            _METRICS: [core.metrics(e) for e in range(len(seeds))],
+        }
+    finally:
+        core.close()
+
+
+class _Trace:
+    """Samples of E environments over time, with room for T."""
+
+    def __init__(self, core: SwarmCore, length: int) -> None:
+        self._core = core
+        shape = (core.num_envs, length, core.num_drones)
+        self.arrays: dict[str, Any] = {
+            name: np.zeros((*shape, 4 if name == "quaternion" else 3)) for name in self._sources()
+        }
+        self.arrays["samples"] = np.zeros(core.num_envs, dtype=np.int64)
+
+    def _sources(self) -> dict[str, FloatArray]:
+        """(E, N, width) what is sampled."""
+        core = self._core
+        state = core.physics.state
+        return {
+            "position": state.position,
+            "velocity": state.velocity,
+            "quaternion": state.quaternion,
+            "reference": core.task.reference(core.mission, core.time).position,
+            "force": core.physics.force,
+            "believed": core.flight.pilot.belief_force,
+        }
+
+    def take(self, k: int, running: BoolArray) -> None:
+        """Write sample k and all later ones, so that a flight that ends keeps its last state."""
+        for name, value in self._sources().items():
+            self.arrays[name][running, k:] = value[running, None]
+        self.arrays["samples"][running] = k + 1
