@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, written_whole
 
 Cell = dict[str, Any]
 """The numbers of one cell, ready for JSON."""
@@ -64,3 +66,34 @@ def _read(path: Path, wanted: Mapping[str, Any]) -> dict[str, Cell]:
             "--out, or delete it"
         )
     return cells
+
+
+def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows as CSV, whole or not at all; the first row's keys are the columns.
+
+    Raises:
+        OSError: the file cannot be written.
+        ValueError: there is no row, or one has other keys.
+    """
+    if not rows:
+        raise ValueError(f"there is no row to write into {str(path)!r}")
+    with (
+        written_whole(path) as partial,
+        partial.open("w", newline="", encoding="utf-8") as file,
+    ):
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def draw_seeds(seed: int, count: int) -> list[int]:
+    """Seeds of so many flights, drawn from one.
+
+    Raises:
+        ValueError: the seed is negative, or the count below one.
+    """
+    if seed < 0:
+        raise ValueError(f"seed is {seed}, but must be 0 or more")
+    if count < 1:
+        raise ValueError(f"the number of flights is {count}, but must be 1 or more")
+    return [int(s) for s in np.random.SeedSequence(seed).generate_state(count)]
