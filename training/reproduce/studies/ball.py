@@ -169,10 +169,10 @@ def format_ball(summary: dict[str, Any]) -> str:
                  for plant in ("point", "quadrotor", "clamped")]  # fmt: skip
         found = "".join(f"{row[a]:11.2f}{row[b]:9.2f}" for a, b in pairs)
         lines.append(f"{row['gains']:8}{row['ball_cm']:10.2f}{found}")
-    b = summary["shipped_belief"]
+    found = summary["shipped_belief"]
+    error = f"{found['error_g']:.2f} g and {found['error_rate_g_per_s']:.1f} g/s"
     lines.append(
-        f"belief that ships, L2S: error up to {b['error_g']:.2f} g and "
-        f"{b['error_rate_g_per_s']:.1f} g/s; eq. (23) allows {b['ball_cm']:.0f} cm, its size {b['clamped_bound_cm']:.1f} cm; "
-        f"flown {b['flown_cm']:.1f} cm"
+        f"belief that ships, L2S: error up to {error}; eq. (23) allows {found['ball_cm']:.0f} cm, "
+        f"its size {found['clamped_bound_cm']:.1f} cm; flown {found['flown_cm']:.1f} cm"
     )
     return "\n".join(lines)
