@@ -159,8 +159,8 @@ def _norms(errors: list[FloatArray] | FloatArray) -> FloatArray:
 def format_ball(summary: dict[str, Any]) -> str:
     """The bound and what was found, as text."""
     lines = [
-        f"Position error (cm), model error changing by {summary['error_rate_g_per_s']:g} g/s, growing "
-        f"to {RATE_G * DURATION_S:g} g or random within {summary['random_error_g']:g} g",
+        f"Position error (cm), model error changing by {RATE_G:g} g/s, growing to "
+        f"{RATE_G * DURATION_S:g} g or random within {SIZE_G:g} g",
         f"{'':8}{'eq. (23)':>10}{'point mass':>20}{'quadrotor':>20}{'quadrotor, clamp':>20}",
         f"{'gains':8}{'ball':>10}" + 3 * f"{'growing':>11}{'random':>9}",
     ]
