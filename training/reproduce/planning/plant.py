@@ -114,7 +114,7 @@ def track_plan(
             f"the plan has {plan.steps} steps of {plan.states.shape[1]} robots, but must have at "
             f"least one step and the team's {len(team)}"
         )
-    times = dt * np.arange(math.floor(plan.duration / dt + 1e-6) + 1)
+    times: FloatArray = dt * np.arange(math.floor(plan.duration / dt + 1e-6) + 1.0)
     planned, moving, controls = plan_at(plan, times)
     mass = np.array([vehicle.mass for vehicle in team])[:, None]
     position, velocity = plan.position[0].copy(), plan.velocity[0].copy()
