@@ -3,19 +3,19 @@
 `fly` flies one case for many seeds: the compiled engine all of them at once, Bullet one after
 another with the same result. What is to be varied goes in by name:
 
-- who flies: the task's team, tokens or vehicles, such as `dataclasses.replace(SMALL, max_thrust=f)`;
-- the force that blows: `FlightTest.truth`; its scale, and drones or gusts that differ from what the
-  controller takes them for: `FlightTest.randomization`, such as `Randomization(force_scale=(1.5, 1.5))`;
+- who flies: the task's team, of vehicles such as `dataclasses.replace(SMALL, max_thrust=...)`;
+- the force that blows: `FlightTest.truth`; its scale, gusts, and drones that are not what the
+  controller takes them for: `FlightTest.randomization`, such as
+  `Randomization(force_scale=(1.5, 1.5))`;
 - what the controller believes: `ControllerConfig(feedforward=model)`, any `InteractionModel`, None
   for the baseline; its gains, filters and lag compensation are fields of the same class;
-- density: the layout of the task.
+- how close: the layout of the task.
 
 Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,8 +32,15 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import Task
-from swarm_envs.vehicles import Team
+from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.vehicles import Team, parse_team
 from swarm_envs.viewing.record import FlightRecord
+
+PAPER_SWAP = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
+"""The swap of Neural-Swarm2, Fig. 8: 0.5 m in 4 s. Plane distance and direction are drawn."""
+
+RECOVERY_S = 2.0
+"""A swap is flown for so much longer than it takes, to see the drones recover."""
 
 AT_ONCE = 32
 """Flights in the air at the same time: more need more memory and are no faster."""
@@ -80,7 +87,7 @@ class Flights:
     force: FloatArray
     """(E, T, N, 3) the force that blew, N."""
     believed: FloatArray
-    """(E, T, N, 3) the force that the controller compensated, N, in the same step; zeros if none."""
+    """(E, T, N, 3) what the controller compensated in the same step, N; zeros if nothing."""
     worst_height_error: FloatArray
     """(E, N) largest vertical distance to the reference since errors count, m."""
     worst_error: FloatArray
@@ -101,6 +108,17 @@ class Flights:
             reference=self.reference[e, shown],
             force=self.force[e, shown],
         )
+
+
+def swap_test(
+    team: str | Team,
+    layout: StackedLayout = PAPER_SWAP,
+    truth: str | Path | InteractionModel = "learned",
+    engine: str = "batch",
+) -> FlightTest:
+    """Stacked swaps of a team, the uppermost drone first."""
+    task = SwapTask(parse_team(team), "stacked", layout)
+    return FlightTest(task, truth, engine, horizon_s=layout.duration_s[1] + RECOVERY_S)
 
 
 def default_engine() -> str:
