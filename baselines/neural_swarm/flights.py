@@ -19,9 +19,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
+from tqdm import tqdm
 
 from swarm_envs.baselines.neural_swarm.agent import TrackingAgent
 from swarm_envs.control.config import ControllerConfig
@@ -62,6 +63,16 @@ class FlightTest:
     """What else differs from episode to episode; None for nothing."""
     decision_rate: int = 48
     """Set-points a second, and samples of what is recorded."""
+
+    @property
+    def seconds(self) -> float:
+        """Length of a flight, s."""
+        return self.task.episode_s if self.horizon_s is None else self.horizon_s
+
+    @property
+    def decisions(self) -> int:
+        """Set-points of a flight that is flown to its end."""
+        return round(self.seconds * self.decision_rate)
 
 
 @dataclass(frozen=True)
@@ -126,6 +137,19 @@ def default_engine() -> str:
     return "bullet" if bullet_available() else "batch"
 
 
+def progress_bar(title: str, decisions: int, shown: bool = True) -> tqdm[NoReturn]:
+    """A bar that `fly` ticks, in seconds of flight at the usual decision rate."""
+    return tqdm(
+        total=decisions,
+        desc=title,
+        unit=" s flown",
+        unit_scale=1.0 / FlightTest.decision_rate,
+        mininterval=0.5,
+        disable=not shown,
+        bar_format="{l_bar}{bar}| {n:.0f}/{total:.0f}{unit} [{elapsed}<{remaining}{postfix}]",
+    )
+
+
 def make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) -> SwarmCore:
     """Environments in which a controller follows set-points, not yet reset."""
     agent = TrackingAgent(controller, test.decision_rate)
@@ -157,7 +181,7 @@ def fly(
     test: FlightTest,
     controller: ControllerConfig,
     seeds: Sequence[int],
-    tick: Callable[[float], object] = lambda seconds: None,
+    tick: Callable[[int], object] = lambda decisions: None,
 ) -> Flights:
     """Fly one episode for each seed. The same seeds give the same flights.
 
@@ -165,7 +189,8 @@ def fly(
         test: what is flown, and in which air.
         controller: of every drone.
         seeds: at least one.
-        tick: called along the way with the seconds that were flown since the last call.
+        tick: called along the way with the decisions that were flown since the last call, of all
+            flights together; see `decisions`.
 
     Raises:
         ValueError: no seed is given, or the test cannot be flown.
@@ -196,19 +221,18 @@ def _fly_part(
     test: FlightTest,
     controller: ControllerConfig,
     seeds: Sequence[int],
-    tick: Callable[[float], object],
+    tick: Callable[[int], object],
 ) -> dict[str, Any]:
     """Fields of `Flights` of some seeds that are in the air together."""
     core = make_core(test, controller, len(seeds))
     try:
         core.reset(list(seeds))
-        horizon = test.task.episode_s if test.horizon_s is None else test.horizon_s
-        trace = _Trace(core, 1 + round(horizon * test.decision_rate))
+        trace = _Trace(core, 1 + test.decisions)
         trace.take(0, np.ones(len(seeds), dtype=np.bool_))
         running = core.running.copy()
         for k, _ in enumerate(follow(core), start=1):
             trace.take(k, running)
-            tick(float(running.sum()) / test.decision_rate)
+            tick(int(running.sum()))
             running = core.running.copy()
         return trace.arrays | {
             "worst_height_error": core.record.worst_height_error.copy(),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib import metadata, resources
 from pathlib import Path
@@ -51,7 +52,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def format_columns(rows: list[tuple[str, ...]]) -> list[str]:
+def format_columns(rows: Sequence[tuple[str, ...]]) -> list[str]:
     """Lines of a table whose first row is its head: the first column to the left, others right."""
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     lines = [

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from tqdm import tqdm
-
-from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, RECOVERY_S, fly, swap_test
+from swarm_envs.baselines.neural_swarm.flights import (
+    PAPER_SWAP,
+    RECOVERY_S,
+    FlightTest,
+    fly,
+    progress_bar,
+    swap_test,
+)
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.viewing.record import FlightRecord
@@ -44,31 +49,24 @@ def fly_all(
         Flights by team and by controller.
     """
     controllers = (ControllerConfig(), ControllerConfig(feedforward=belief))
-    total = len(seeds) * len(controllers) * len(SCENARIOS) * HORIZON_S
-    with tqdm(
-        total=total,
-        desc="flights",
-        unit="s flown",
-        mininterval=0.5,
-        disable=not progress,
-        bar_format="{l_bar}{bar}| {n:.0f}/{total:.0f} {unit} [{elapsed}<{remaining}]",
-    ) as bar:
+    tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}
+    total = sum(test.decisions for test in tests.values()) * len(seeds) * len(controllers)
+    with progress_bar("flights", total, progress) as bar:
         return {
             team: {
-                name: _fly_swaps(team, controller, seeds, engine, bar.update)
+                name: _fly_swaps(test, controller, seeds, bar.update)
                 for name, controller in zip(CONTROLLERS, controllers, strict=True)
             }
-            for team in SCENARIOS
+            for team, test in tests.items()
         }
 
 
 def _fly_swaps(
-    team: str,
+    test: FlightTest,
     controller: ControllerConfig,
     seeds: Sequence[int],
-    engine: str,
-    tick: Callable[[float], object],
+    tick: Callable[[int], object],
 ) -> list[Flight]:
     """Fly one stacked swap for each seed."""
-    flights = fly(swap_test(team, engine=engine), controller, seeds, tick)
+    flights = fly(test, controller, seeds, tick)
     return [(flights.record(e), metrics) for e, metrics in enumerate(flights.metrics)]
