@@ -3,25 +3,26 @@
 `fly` flies one case for many seeds: the compiled engine all of them at once, Bullet one after
 another with the same result. What is to be varied goes in by name:
 
-- who flies: the task's team, tokens or vehicles, such as `dataclasses.replace(SMALL, max_thrust=f)`;
-- the force that blows: `FlightTest.truth`; its scale, and drones or gusts that differ from what the
-  controller takes them for: `FlightTest.randomization`, such as `Randomization(force_scale=(1.5, 1.5))`;
+- who flies: the task's team, of vehicles such as `dataclasses.replace(SMALL, max_thrust=...)`;
+- the force that blows: `FlightTest.truth`; its scale, gusts, and drones that are not what the
+  controller takes them for: `FlightTest.randomization`, such as
+  `Randomization(force_scale=(1.5, 1.5))`;
 - what the controller believes: `ControllerConfig(feedforward=model)`, any `InteractionModel`, None
   for the baseline; its gains, filters and lag compensation are fields of the same class;
-- density: the layout of the task.
+- how close: the layout of the task.
 
 Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
+from tqdm import tqdm
 
 from swarm_envs.baselines.neural_swarm.agent import TrackingAgent
 from swarm_envs.control.config import ControllerConfig
@@ -32,8 +33,15 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import Task
-from swarm_envs.vehicles import Team
+from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.vehicles import Team, parse_team
 from swarm_envs.viewing.record import FlightRecord
+
+PAPER_SWAP = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
+"""The swap of Neural-Swarm2, Fig. 8: 0.5 m in 4 s. Plane distance and direction are drawn."""
+
+RECOVERY_S = 2.0
+"""A swap is flown for so much longer than it takes, to see the drones recover."""
 
 AT_ONCE = 32
 """Flights in the air at the same time: more need more memory and are no faster."""
@@ -55,6 +63,16 @@ class FlightTest:
     """What else differs from episode to episode; None for nothing."""
     decision_rate: int = 48
     """Set-points a second, and samples of what is recorded."""
+
+    @property
+    def seconds(self) -> float:
+        """Length of a flight, s."""
+        return self.task.episode_s if self.horizon_s is None else self.horizon_s
+
+    @property
+    def decisions(self) -> int:
+        """Set-points of a flight that is flown to its end."""
+        return round(self.seconds * self.decision_rate)
 
 
 @dataclass(frozen=True)
@@ -80,7 +98,7 @@ class Flights:
     force: FloatArray
     """(E, T, N, 3) the force that blew, N."""
     believed: FloatArray
-    """(E, T, N, 3) the force that the controller compensated, N, in the same step; zeros if none."""
+    """(E, T, N, 3) what the controller compensated in the same step, N; zeros if nothing."""
     worst_height_error: FloatArray
     """(E, N) largest vertical distance to the reference since errors count, m."""
     worst_error: FloatArray
@@ -103,9 +121,33 @@ class Flights:
         )
 
 
+def swap_test(
+    team: str | Team,
+    layout: StackedLayout = PAPER_SWAP,
+    truth: str | Path | InteractionModel = "learned",
+    engine: str = "batch",
+) -> FlightTest:
+    """Stacked swaps of a team, the uppermost drone first."""
+    task = SwapTask(parse_team(team), "stacked", layout)
+    return FlightTest(task, truth, engine, horizon_s=layout.duration_s[1] + RECOVERY_S)
+
+
 def default_engine() -> str:
     """Bullet where it can be imported, else its compiled twin."""
     return "bullet" if bullet_available() else "batch"
+
+
+def progress_bar(title: str, decisions: int, shown: bool = True) -> tqdm[NoReturn]:
+    """A bar that `fly` ticks, in seconds of flight at the usual decision rate."""
+    return tqdm(
+        total=decisions,
+        desc=title,
+        unit=" s flown",
+        unit_scale=1.0 / FlightTest.decision_rate,
+        mininterval=0.5,
+        disable=not shown,
+        bar_format="{l_bar}{bar}| {n:.0f}/{total:.0f}{unit} [{elapsed}<{remaining}{postfix}]",
+    )
 
 
 def make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) -> SwarmCore:
@@ -139,7 +181,7 @@ def fly(
     test: FlightTest,
     controller: ControllerConfig,
     seeds: Sequence[int],
-    tick: Callable[[float], object] = lambda seconds: None,
+    tick: Callable[[int], object] = lambda decisions: None,
 ) -> Flights:
     """Fly one episode for each seed. The same seeds give the same flights.
 
@@ -147,7 +189,8 @@ def fly(
         test: what is flown, and in which air.
         controller: of every drone.
         seeds: at least one.
-        tick: called along the way with the seconds that were flown since the last call.
+        tick: called along the way with the decisions that were flown since the last call, of all
+            flights together; see `decisions`.
 
     Raises:
         ValueError: no seed is given, or the test cannot be flown.
@@ -178,19 +221,18 @@ def _fly_part(
     test: FlightTest,
     controller: ControllerConfig,
     seeds: Sequence[int],
-    tick: Callable[[float], object],
+    tick: Callable[[int], object],
 ) -> dict[str, Any]:
     """Fields of `Flights` of some seeds that are in the air together."""
     core = make_core(test, controller, len(seeds))
     try:
         core.reset(list(seeds))
-        horizon = test.task.episode_s if test.horizon_s is None else test.horizon_s
-        trace = _Trace(core, 1 + round(horizon * test.decision_rate))
+        trace = _Trace(core, 1 + test.decisions)
         trace.take(0, np.ones(len(seeds), dtype=np.bool_))
         running = core.running.copy()
         for k, _ in enumerate(follow(core), start=1):
             trace.take(k, running)
-            tick(float(running.sum()) / test.decision_rate)
+            tick(int(running.sum()))
             running = core.running.copy()
         return trace.arrays | {
             "worst_height_error": core.record.worst_height_error.copy(),

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.neural_swarm import load_belief
+from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.interactions import load
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.collection import CollectionConfig, interaction_rows
 from swarm_envs.training.collection.belief import BeliefConfig, fit_belief, judge
 from swarm_envs.training.collection.belief.fit import command
-from swarm_envs.training.collection.belief.judge import PAPER_LAYOUT, SwapTrial
+from swarm_envs.training.collection.belief.judge import SwapTrial
 from swarm_envs.training.collection.collect import collect, fingerprint
 from swarm_envs.training.force_model import load_network
 from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows
@@ -69,7 +70,7 @@ def test_what_ships_was_fitted_in_the_environment_that_ships():
 
 @pytest.mark.parametrize("team", ["S2S", "L2S", "SS2S"])
 def test_compensation_more_than_halves_the_error_and_harms_nobody(team):
-    result = judge(SwapTrial(team, PAPER_LAYOUT, 6), load_belief())
+    result = judge(SwapTrial(team, PAPER_SWAP, 6), load_belief())
     assert result.uncompensated_median_cm > 5.0
     assert result.compensated_median_cm < 0.5 * result.uncompensated_median_cm
     assert result.worse == 0 and result.largest_ratio < 0.5
@@ -77,7 +78,7 @@ def test_compensation_more_than_halves_the_error_and_harms_nobody(team):
 
 
 def test_a_belief_in_what_does_not_blow_is_found_out():
-    result = judge(SwapTrial("L2S", PAPER_LAYOUT, 2), load("learned"), environment="none")
+    result = judge(SwapTrial("L2S", PAPER_SWAP, 2), load("learned"), environment="none")
     assert result.worse == 2 and result.largest_ratio > 2.0
 
 
@@ -97,7 +98,7 @@ TINY = BeliefConfig(
         teams=("S", "L", "SL"), walks=2, low_walks=0, swaps=2, low_swaps=0, duration_s=4.0
     ),
     progress=False,
-    trials=(SwapTrial("L2S", PAPER_LAYOUT, 1),),
+    trials=(SwapTrial("L2S", PAPER_SWAP, 1),),
 )
 
 
