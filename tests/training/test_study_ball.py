@@ -157,7 +157,7 @@ def test_bounds_hold_in_the_study():
 
 @pytest.mark.slow
 def test_the_study_writes_what_it_found(tmp_path):
-    summary = reproduce_ball(tmp_path, flights=2, progress=False)
+    summary = reproduce_ball(tmp_path, episodes=2, progress=False)
     for row in summary["rows"]:
         assert row["point_over_envelope"] <= 1.001
         assert row["point_random_cm"] < row["ball_cm"]

@@ -27,7 +27,7 @@ def test_variants_differ_in_what_they_say_alone():
 
 
 def test_lag_compensation_cuts_the_compensated_error_to_a_quarter(tmp_path):
-    summary = reproduce_lag(tmp_path, seed=3, swaps=4, progress=False)
+    summary = reproduce_lag(tmp_path, seed=3, episodes=4, progress=False)
     assert set(summary["reductions"]["exact"]) == {"soft", "mid", "stiff"}
     assert min(summary["reductions"]["exact"].values()) >= WANTED_RATIO
     assert all(1.05 < ratio < 1.4 for ratio in summary["reductions"]["none"].values())
@@ -41,10 +41,10 @@ def test_lag_compensation_cuts_the_compensated_error_to_a_quarter(tmp_path):
     assert (tmp_path / "lag.png").stat().st_size > 20_000
     said = format_lag(summary)
     assert f"{summary['reductions']['exact']['mid']:.1f}" in said
-    again = reproduce_lag(tmp_path, seed=3, swaps=4, progress=False)
+    again = reproduce_lag(tmp_path, seed=3, episodes=4, progress=False)
     assert again == summary
     with pytest.raises(ValueError, match="made with other seed"):
-        reproduce_lag(tmp_path, seed=4, swaps=4, progress=False)
+        reproduce_lag(tmp_path, seed=4, episodes=4, progress=False)
 
 
 @pytest.mark.slow
@@ -52,7 +52,7 @@ def test_lag_compensation_cuts_the_compensated_error_to_a_quarter(tmp_path):
 def test_the_claim_on_twenty_swaps(engine, tmp_path):
     if engine == "bullet":
         pytest.importorskip("pybullet")
-    summary = reproduce_lag(tmp_path, swaps=20, engine=engine, progress=False)
+    summary = reproduce_lag(tmp_path, episodes=20, engine=engine, progress=False)
     assert min(summary["reductions"]["exact"].values()) >= 20.0
 
 

@@ -26,8 +26,9 @@ class ReproduceOptions:
     `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model,
     with `--bins` its calibration too. `--figure 8` flies stacked swaps with and without
     compensation, `--figure 9` the rings of 5, `--figure 1` those of 16, in environments whose force
-    the controllers do not know. `--table 3` fits the ablations. What takes a while goes on where it
-    was when it is killed and called again.
+    the controllers do not know. `--table 3` fits the ablations. `--study` looks at what the
+    controller claims, and at where compensation ends. What takes a while goes on where it was when
+    it is killed and called again.
     """
 
     paper: Annotated[Literal["neural-swarm2"], tyro.conf.Positional]
@@ -36,6 +37,8 @@ class ReproduceOptions:
     """number of the figure"""
     table: Literal[3] | None = None
     """number of the table"""
+    study: Literal["lag", "ball", "limits"] | None = None
+    """lag compensation on and off; the ball of Theorem 5; the limits of compensation"""
     out: Path = Path("reproduce")
     """folder for pictures, numbers and runs; made if missing"""
     json: Path | None = None
@@ -77,10 +80,10 @@ class ReproduceOptions:
         """Refuse what cannot be done.
 
         Raises:
-            ValueError: neither or both of figure and table, an option that has no meaning there, a
-                table without data, or a number out of range.
+            ValueError: not exactly one of figure, table and study, an option that has no meaning
+                there, a table without data, or a number out of range.
         """
-        if (self.figure is None) == (self.table is None):
+        if sum(asked is not None for asked in (self.figure, self.table, self.study)) != 1:
             raise ValueError(f"give one of {', '.join(f'--{w} {n}' for w, n in WORKS)}")
         foreign = [name for name in _changed(self) if name not in self.work.takes]
         if foreign:
@@ -102,14 +105,18 @@ class ReproduceOptions:
     @property
     def work(self) -> Work:
         """What is remade."""
-        kind, number = ("table", self.table) if self.figure is None else ("figure", self.figure)
-        assert number is not None  # `__post_init__` refuses neither
-        return WORKS[kind, number]
+        return WORKS[self._asked]
 
     @property
     def name(self) -> str:
         """How it is asked for, such as `--figure 5`."""
-        return f"--table {self.table}" if self.figure is None else f"--figure {self.figure}"
+        return "--{} {}".format(*self._asked)
+
+    @property
+    def _asked(self) -> tuple[str, int | str]:
+        """The key in `WORKS`."""
+        given = {"figure": self.figure, "table": self.table, "study": self.study}
+        return next((kind, name) for kind, name in given.items() if name is not None)
 
 
 def run(options: ReproduceOptions) -> str:
@@ -144,6 +151,15 @@ def _flights(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
 
     report = reproduce_flights(options.out, _plan(options))
     return report, f"{format_report(report)}\n{_wrote(options, f'figure_{options.figure}')}"
+
+
+def _study(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
+    from swarm_envs.training.reproduce.studies.command import run_study
+
+    assert options.study is not None
+    asked = (options.out, options.seed, options.episodes, options.engine)
+    summary, text = run_study(options.study, *asked)
+    return summary, f"{text}\n{_wrote(options, options.study)}"
 
 
 def _plan(options: ReproduceOptions) -> Any:
@@ -181,7 +197,7 @@ def _nothing(options: ReproduceOptions) -> None:
 
 
 class Work(NamedTuple):
-    """A figure or a table that can be remade."""
+    """A figure, a table or a study that can be remade."""
 
     run: Callable[[ReproduceOptions], tuple[dict[str, Any], str]]
     """Gives what JSON holds, and what to print."""
@@ -195,16 +211,19 @@ class Work(NamedTuple):
 _FLIGHTS = ("truth", "belief", "episodes", "engine")
 _RINGS = Work(_flights, _FLIGHTS, _check_plan)
 
-WORKS: Mapping[tuple[str, int], Work] = {
+WORKS: Mapping[tuple[str, int | str], Work] = {
     ("figure", 1): _RINGS,
     ("figure", 5): Work(_figure, ("model", "bins", "truth")),
     ("figure", 8): Work(_flights, (*_FLIGHTS, "cases", "radius_m", "duration_s"), _check_plan),
     ("figure", 9): _RINGS,
+    ("study", "lag"): Work(_study, ("episodes", "engine")),
+    ("study", "ball"): Work(_study, ("episodes",)),
+    ("study", "limits"): Work(_study, ("episodes",)),
     ("table", 3): Work(_table, ("data", "seeds", "cells", "steps"), needs_torch=True),
 }
 """Everything that can be remade. To add one, name it here and in `ReproduceOptions`."""
 
-_ALL = ("paper", "figure", "table", "out", "json", "seed")
+_ALL = ("paper", "figure", "table", "study", "out", "json", "seed")
 
 
 def _changed(options: ReproduceOptions) -> list[str]:

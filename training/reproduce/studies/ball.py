@@ -9,6 +9,7 @@ the controller's clamp on the integral and without.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
-from swarm_envs.baselines.neural_swarm.flights import FlightTest, fly
+from swarm_envs.baselines.neural_swarm.flights import fly, swap_test
 from swarm_envs.baselines.neural_swarm.point_mass import fly_point_mass, without_clamp
 from swarm_envs.baselines.neural_swarm.theorem import (
     clamped_radius,
@@ -25,18 +26,18 @@ from swarm_envs.baselines.neural_swarm.theorem import (
     integral_force,
 )
 from swarm_envs.control.config import GAINS, ControllerConfig
+from swarm_envs.files import write_json
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
 from swarm_envs.training.reproduce.studies.ball_plot import plot_ball
-from swarm_envs.training.reproduce.studies.lag import HORIZON_S, LAYOUT, TEAM, TRUTH
+from swarm_envs.training.reproduce.studies.lag import TEAM, TRUTH
 from swarm_envs.training.reproduce.studies.planted import (
     fly_quadrotors,
     growing_error,
     random_errors,
 )
-from swarm_envs.vehicles import GRAM_FORCE, SMALL, parse_team
+from swarm_envs.vehicles import GRAM_FORCE, SMALL
 
 RATE_G = 0.5
 """d_f: how fast the planted error changes, gram-force a second."""
@@ -50,14 +51,14 @@ SHOWN = 24
 
 
 def reproduce_ball(
-    out: Path, seed: int = 0, flights: int = 8, progress: bool = True
+    out: Path, seed: int = 0, episodes: int = 8, progress: bool = True
 ) -> dict[str, Any]:
     """Plant errors on point mass and quadrotor; write `ball.json`, `ball.csv` and `ball.png`.
 
     Args:
         out: folder, made if missing; `ball_cells.json` there keeps what was flown.
         seed: random errors are drawn from it.
-        flights: random errors of each set of gains.
+        episodes: random errors of each set of gains.
         progress: show a progress bar.
 
     Returns:
@@ -66,21 +67,23 @@ def reproduce_ball(
     Raises:
         ValueError: the folder holds the study with other settings.
     """
-    draw_seeds(seed, flights)
+    draw_seeds(seed, episodes)
     settings = {
-        "seed": seed, "flights": flights, "vehicle": SMALL.token, "error_rate_g_per_s": RATE_G,
+        "seed": seed, "episodes": episodes, "vehicle": SMALL.token, "error_rate_g_per_s": RATE_G,
         "random_error_g": SIZE_G, "duration_s": DURATION_S,
     }  # fmt: skip
     jobs: dict[str, Callable[[], Cell]] = {
-        name: partial(measure, name, seed, flights) for name in GAINS
+        name: partial(measure, name, seed, episodes) for name in GAINS
     }
-    jobs["shipped belief"] = partial(measure_belief, seed, flights)
+    jobs["shipped belief"] = partial(measure_belief, seed, episodes)
     cells = run_cells(out / "ball_cells.json", settings, jobs, progress)
     belief = cells.pop("shipped belief")
     rows = [{"gains": name, **cell["row"]} for name, cell in cells.items()]
     write_table(out / "ball.csv", rows)
     plot_ball(out / "ball.png", rows, cells["mid"]["curves"])
-    return {**settings, "rows": rows, "shipped_belief": belief}
+    summary = {**settings, "rows": rows, "shipped_belief": belief}
+    write_json(out / "ball.json", summary)
+    return summary
 
 
 def measure(name: str, seed: int, flights: int) -> Cell:
@@ -132,13 +135,7 @@ def measure(name: str, seed: int, flights: int) -> Cell:
 def measure_belief(seed: int, flights: int) -> Cell:
     """What the bounds say of the belief that ships, and what is flown: L2S, default gains."""
     controller = ControllerConfig(feedforward=load_belief())
-    test = FlightTest(
-        SwapTask(parse_team(TEAM), "stacked", LAYOUT),
-        TRUTH,
-        "batch",
-        HORIZON_S,
-        decision_rate=PHYSICS_RATE,
-    )
+    test = replace(swap_test(TEAM, truth=TRUTH), decision_rate=PHYSICS_RATE)
     flown = fly(test, controller, draw_seeds(seed, flights))
     error = (flown.force - flown.believed)[:, 1:, -1]
     size = float(np.linalg.norm(error, axis=-1).max())

@@ -14,20 +14,17 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.flights import Flights, FlightTest, fly
+from swarm_envs.baselines.neural_swarm.flights import Flights, fly, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig
+from swarm_envs.files import write_json
 from swarm_envs.interactions import load
-from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
 from swarm_envs.training.reproduce.studies.lag_plot import plot_lag
-from swarm_envs.vehicles import parse_team
 
 TRUTH = "learned"
 """The force that blows, and what the oracle feeds forward."""
-LAYOUT = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
-"""The paper's slow swap (Sec. VII-E), the one whose errors it gives for L2S."""
-HORIZON_S = 6.0
 TEAM = "L2S"
+"""The swap whose errors the paper gives (Sec. VII-E)."""
 WANTED_RATIO = 4.0
 """How many times smaller the compensated error shall be with lag compensation."""
 
@@ -65,14 +62,14 @@ VARIANTS = tuple(
 
 
 def reproduce_lag(
-    out: Path, seed: int = 0, swaps: int = 20, engine: str = "batch", progress: bool = True
+    out: Path, seed: int = 0, episodes: int = 20, engine: str = "batch", progress: bool = True
 ) -> dict[str, Any]:
     """Fly the same swaps by every variant, and write `lag.json`, `lag.csv` and `lag.png`.
 
     Args:
         out: folder, made if missing; `lag_cells.json` there keeps what was flown.
         seed: seeds of the swaps are drawn from it.
-        swaps: flights of each variant.
+        episodes: flights of each variant.
         engine: `bullet` or `batch`.
         progress: show a progress bar.
 
@@ -82,12 +79,13 @@ def reproduce_lag(
     Raises:
         ValueError: the folder holds the study with other settings.
     """
-    seeds = draw_seeds(seed, swaps)
-    settings = {"team": TEAM, "seed": seed, "swaps": swaps, "engine": engine, "truth": TRUTH}
+    seeds = draw_seeds(seed, episodes)
+    settings = {"team": TEAM, "seed": seed, "episodes": episodes, "engine": engine, "truth": TRUTH}
     jobs = {v.name: partial(measure, v, seeds, engine) for v in VARIANTS}
     cells = run_cells(out / "lag_cells.json", settings, jobs, progress)
     rows = [_row(variant, cells[variant.name]) for variant in VARIANTS]
     summary = {**settings, "rows": rows, "reductions": reductions(rows)}
+    write_json(out / "lag.json", summary)
     write_table(out / "lag.csv", rows)
     plot_lag(out / "lag.png", rows, {v.name: cells[v.name]["height_m"] for v in VARIANTS})
     return summary
@@ -95,9 +93,7 @@ def reproduce_lag(
 
 def measure(variant: Variant, seeds: Sequence[int], engine: str) -> Cell:
     """Fly one variant: worst height errors of the lowest drone, and the first flight's errors."""
-    task = SwapTask(parse_team(TEAM), "stacked", LAYOUT)
-    test = FlightTest(task, TRUTH, engine, HORIZON_S)
-    flights = fly(test, variant.controller, seeds)
+    flights = fly(swap_test(TEAM, truth=TRUTH, engine=engine), variant.controller, seeds)
     return {
         "worst_cm": np.round(100.0 * flights.worst_height_error[:, -1], 4).tolist(),
         "crashed": int(flights.crashed.sum()),
@@ -141,7 +137,7 @@ def format_lag(summary: dict[str, Any]) -> str:
     """The table and the reductions as text."""
     lines = [
         f"Worst height error of the lowest drone, {summary['team']}, radius 0.5 m in 4 s, median "
-        f"of {summary['swaps']} swaps (cm)",
+        f"of {summary['episodes']} swaps (cm)",
         f"{'gains':8}{'feed-forward':>14}{'lag not comp.':>16}{'lag compensated':>18}{'ratio':>8}",
     ]
     median = {(r["force"], r["gains"], r["lag"]): r["median_cm"] for r in summary["rows"]}

@@ -1,0 +1,81 @@
+"""The limit study as a picture: error with and without compensation in every sweep."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarm_envs.training.reproduce.studies.sweeps import Sweep
+from swarm_envs.training.reproduce.style import GREY, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_COLORS = ("#0072B2", "#D55E00")
+_BELIEFS = {"exact": ("-", "o"), "shipped": (":", "s")}
+_WITHOUT = ("--", "")
+_LINEAR_BELOW_CM = 0.1
+"""Errors are drawn on a logarithmic axis above, on a linear one below."""
+_STRETCHED = ("delay",)
+"""Sweeps whose values spread over orders of magnitude."""
+
+
+def plot_limits(path: Path, sweeps: Sequence[Sweep], rows: Sequence[Mapping[str, Any]]) -> None:
+    """Draw one panel a sweep; where compensation hurts the ground is red.
+
+    Args:
+        path: the picture to write.
+        sweeps: what was varied.
+        rows: as `reproduce_limits` returns them.
+    """
+    columns = min(3, len(sweeps))
+    lines = -(-len(sweeps) // columns)
+    headline = "Limits of compensation: worst height error of the lowest drone (cm)"
+    with picture(path, 4.5 * columns, 3.1 * lines + 0.9, headline) as figure:
+        axes = figure.subplots(lines, columns, squeeze=False).ravel()
+        for axis, sweep in zip(axes, sweeps):
+            _panel(axis, sweep, [row for row in rows if row["sweep"] == sweep.name])
+        for axis in axes[len(sweeps) :]:
+            axis.set_axis_off()
+        figure.supxlabel(
+            "Medians. Dashed: without compensation. Solid: belief exact but for what is varied; "
+            "dotted: the belief that ships. Red: compensation made the median worse.",
+            fontsize=9,
+        )
+
+
+def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
+    cases = list(dict.fromkeys(row["case"] for row in rows))
+    for color, case in zip(_COLORS, cases, strict=False):
+        for belief, (dashes, marker) in _BELIEFS.items():
+            own = [row for row in rows if (row["case"], row["belief"]) == (case, belief)]
+            if not own:
+                continue
+            x = [row["value"] for row in own]
+            label = case if belief == "exact" else None
+            axis.plot(x, [row["compensated_cm"] for row in own], dashes, color=color,
+                      marker=marker, markersize=3.5, label=label)  # fmt: skip
+            _mark_harm(axis, own)
+            if belief == "exact":
+                axis.plot(x, [row["without_cm"] for row in own], _WITHOUT[0], color=color)
+    axis.set_yscale("symlog", linthresh=_LINEAR_BELOW_CM)
+    axis.set_ylim(0.0, 120.0)
+    axis.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
+    if sweep.name in _STRETCHED:
+        axis.set_xscale("symlog", linthresh=10.0)
+        axis.set_xticks([0, 10, 20, 40, 80, 160, 320, 640], ["0", "10", "20", "40", "80", "160",
+                        "320", "640"])  # fmt: skip
+        axis.minorticks_off()
+    axis.set_xlabel(sweep.label)
+    axis.legend(fontsize=8, loc="lower right")
+    axis.grid(True)
+    axis.tick_params(axis="y", colors=GREY)
+
+
+def _mark_harm(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Ring the points at which compensation made the median worse."""
+    worse = [row for row in rows if row["ratio"] > 1.0]
+    axis.plot([row["value"] for row in worse], [row["compensated_cm"] for row in worse], "o",
+              markersize=10, markerfacecolor="none", markeredgecolor="#C0202A",
+              markeredgewidth=1.6)  # fmt: skip
