@@ -57,7 +57,8 @@ def test_the_claim_on_twenty_swaps(engine, tmp_path):
 
 
 def test_an_interrupted_study_goes_on(tmp_path):
-    path, made = tmp_path / "cells.json", []
+    path = tmp_path / "cells.json"
+    made: list[str] = []
 
     def compute(name):
         def cell():

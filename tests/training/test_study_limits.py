@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from swarm_envs.baselines.neural_swarm.flights import fly, swap_test
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.training.reproduce.studies.imperfect import (
     Imperfection,
     fly_imperfectly,
@@ -105,13 +107,12 @@ def test_sweeps_vary_what_they_say():
     assert [round(v.thrust_to_weight, 2) for v in thrust[:3]] == [1.2, 1.3, 1.4]
     counts = [len(p.test.task.team) - 1 for p in sweeps["neighbours"].points]
     assert counts == [int(p.value) for p in sweeps["neighbours"].points]
-    gaps = {p.test.task.stacked.gap_m for p in sweeps["plane distance"].points}
-    assert (0.2, 0.2) in gaps
+    planes = [p for p in sweeps["plane distance"].points if isinstance(p.test.task, SwapTask)]
+    assert all(p.test.task.stacked.gap_m == (p.value, p.value) for p in planes)
+    assert len(planes) == 36
     for sweep in sweeps.values():
-        flown = {}
-        for p in sweep.points:
-            told = flown.setdefault(p.cell, (p.test, p.imperfection, p.belief))
-            assert told == (p.test, p.imperfection, p.belief)
+        for p, q in itertools.combinations(sweep.points, 2):
+            assert p.cell != q.cell or replace(p, value=q.value) == q
     for p in sweeps["velocity noise"].points:
         assert p.imperfection.velocity_noise == pytest.approx(0.01 * p.value)
     assert all(
