@@ -107,8 +107,10 @@ def test_sweeps_vary_what_they_say():
     assert [round(v.thrust_to_weight, 2) for v in thrust[:3]] == [1.2, 1.3, 1.4]
     counts = [len(p.test.task.team) - 1 for p in sweeps["neighbours"].points]
     assert counts == [int(p.value) for p in sweeps["neighbours"].points]
-    planes = [p for p in sweeps["plane distance"].points if isinstance(p.test.task, SwapTask)]
-    assert all(p.test.task.stacked.gap_m == (p.value, p.value) for p in planes)
+    planes = sweeps["plane distance"].points
+    for p in planes:
+        assert isinstance(p.test.task, SwapTask)
+        assert p.test.task.stacked.gap_m == (p.value, p.value)
     assert len(planes) == 36
     for sweep in sweeps.values():
         for p, q in itertools.combinations(sweep.points, 2):
