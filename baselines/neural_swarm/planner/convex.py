@@ -84,6 +84,7 @@ def convexify(
     robot: int,
     trust_state: tuple[float, float],
     trust_control: float,
+    force_bounds: FloatArray,
 ) -> Convexified:
     """Linearise one robot's problem around the prior motions of all.
 
@@ -93,12 +94,13 @@ def convexify(
         robot: index i.
         trust_state: largest change of a position, m, and of a velocity, m/s.
         trust_control: largest change of a control, m/s^2.
+        force_bounds: (N,) largest vertical force on each robot, N.
     """
     axes, bounds = list(problem.axes), problem.bounds
     columns = axes + [3 + axis for axis in axes]
     others = [j for j in range(len(problem.team)) if j != robot]
     jacobian = force_jacobian(problem.model, problem.team, prior.states, robot)[..., columns]
-    limits, dims = bounds.force_bounds(problem.team), len(axes)
+    dims = len(axes)
     neighbor_by_state = jacobian[:, others, 2]
     share = -2.0 / problem.masses[others] * prior.controls[:, others, 2]
     normal, fraction, level = _half_spaces(problem, prior, robot, others)
@@ -114,10 +116,10 @@ def convexify(
         control_bound=bounds.acceleration,
         force=prior.forces[:, robot][:, axes],
         force_by_state=jacobian[:, robot][:, axes],
-        force_bound=float(limits[robot]),
+        force_bound=float(force_bounds[robot]),
         neighbor_force=prior.forces[:, others, 2],
         neighbor_by_state=neighbor_by_state,
-        neighbor_bound=limits[others],
+        neighbor_bound=force_bounds[others],
         force_change=bounds.force_change_g * GRAM_FORCE,
         normal=normal,
         fraction=fraction,

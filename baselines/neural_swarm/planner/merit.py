@@ -44,15 +44,24 @@ class Shortfalls:
         return float(self.effort[i] + hard + weights.neighbor * others)
 
 
-def measure(problem: PlanningProblem, motions: Trajectories) -> Shortfalls:
-    """Measure motions that fit their controls and forces (`trajectories_through`)."""
+def measure(
+    problem: PlanningProblem, motions: Trajectories, force_bounds: FloatArray | None = None
+) -> Shortfalls:
+    """Measure motions that fit their controls and forces (`trajectories_through`).
+
+    Args:
+        problem: what is planned.
+        motions: of all robots.
+        force_bounds: (N,) largest vertical force on each, N; None for those of the problem.
+    """
     bounds, axes = problem.bounds, list(problem.axes)
     position, velocity = motions.position[1:][..., axes], motions.velocity[1:][..., axes]
     controls = motions.controls[..., axes]
     low, high = np.array(bounds.lower)[axes], np.array(bounds.upper)[axes]
     outside = np.maximum(position - high, low - position).max(axis=(0, 2))
     fast = np.abs(velocity).max(axis=(0, 2)) - bounds.speed
-    strong = np.abs(motions.forces[1:, :, 2]) / bounds.force_bounds(problem.team) - 1.0
+    limits = bounds.force_bounds(problem.team) if force_bounds is None else force_bounds
+    strong = np.abs(motions.forces[1:, :, 2]) / limits - 1.0
     apart = missing_clearance(problem, motions).sum(axis=0)
     end = np.concatenate([position[-1] - problem.goals[:, axes], velocity[-1]], axis=-1)
     return Shortfalls(

@@ -7,6 +7,9 @@ shrinks, and after success it grows again. So the merit falls monotonically, wha
 returns, and the best plan so far is always the present one. A robot has settled when its program
 promises next to nothing, or its trust region has become tiny; the refinement has converged when
 all have.
+
+Programs bound forces at knots alone. Where forces peak between them above a bound, that bound is
+lowered by as much, and the refinement goes on.
 """
 
 from __future__ import annotations
@@ -26,14 +29,18 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     trajectories_through,
 )
+from swarm_envs.baselines.neural_swarm.planner.verify import forces_between
 from swarm_envs.state import FloatArray
+
+_NEARLY = 5e-3
+"""Part of a force bound by which it may be exceeded between knots."""
 
 
 @dataclass(frozen=True)
 class RefinementOptions:
     """How stage 2 searches."""
 
-    max_sweeps: int = 40
+    max_sweeps: int = 80
     """How often all robots are planned, at most."""
     trust_position: float = 0.3
     """b_x of positions to begin with, and at most, m."""
@@ -47,6 +54,10 @@ class RefinementOptions:
     """By how much it shrinks after one that was not."""
     least_trust: float = 2e-3
     """Share of the trust region at which a robot has settled."""
+    max_tightenings: int = 4
+    """How often force bounds are lowered because forces exceed them between knots."""
+    renewed_trust: float = 0.2
+    """Share of the trust region that robots have at least after that."""
     tolerance: float = 2e-4
     """Share of the merit that a step must promise, else the robot has settled."""
     weights: Weights = Weights()
@@ -91,8 +102,10 @@ class Refinement:
     """Every program, in order."""
     converged: bool
     """Whether all robots have settled: not yet that the plan keeps its bounds."""
+    out_of_time: bool
+    """Whether it ended at the deadline."""
     reason: str
-    """Why it ended."""
+    """Why it ended, in words."""
 
 
 class _Search:
@@ -103,8 +116,8 @@ class _Search:
     ) -> None:
         team, steps = len(problem.team), motions.steps
         self.problem, self.motions, self.options = problem, motions, options
-        self.shortfalls = measure(problem, motions)
-        self.merit = self.shortfalls.team(options.weights)
+        self.force_bounds, self.tightened = problem.bounds.force_bounds(problem.team), 0
+        self._measure()
         self.trust, self.settled = np.ones(team), np.zeros(team, dtype=np.bool_)
         self.history: list[StepRecord] = []
         self.programs = [
@@ -113,6 +126,23 @@ class _Search:
             )
             for _ in range(team)
         ]
+
+    def _measure(self) -> None:
+        self.shortfalls = measure(self.problem, self.motions, self.force_bounds)
+        self.merit = self.shortfalls.team(self.options.weights)
+
+    def tighten(self) -> bool:
+        """Lower the bounds of forces that are exceeded between knots; says whether any was."""
+        bounds = self.problem.bounds.force_bounds(self.problem.team)
+        peak = np.abs(forces_between(self.problem, self.motions)[..., 2]).max(axis=(0, 1))
+        excess = np.maximum(peak / bounds, 1.0)
+        if self.tightened == self.options.max_tightenings or excess.max() < 1.0 + _NEARLY:
+            return False
+        self.tightened += 1
+        self.force_bounds = self.force_bounds / (excess * np.where(excess > 1.0, 1.0 + _NEARLY, 1.0))
+        self.settled[:], self.trust[:] = False, np.maximum(self.trust, self.options.renewed_trust)
+        self._measure()
+        return True
 
     def step(self, sweep: int, robot: int) -> None:
         """Solve one robot's program, and take the step if the team gains by it."""
@@ -123,6 +153,7 @@ class _Search:
             robot,
             (trust * options.trust_position, trust * options.trust_speed),
             trust * options.trust_control,
+            self.force_bounds,
         )
         solution = self.programs[robot].solve(convex)
         spent = time.perf_counter() - began
@@ -159,7 +190,7 @@ class _Search:
         if not solution.usable:
             return 0.0
         motions = moved(self.problem, self.motions, robot, solution.velocity)
-        shortfalls = measure(self.problem, motions)
+        shortfalls = measure(self.problem, motions, self.force_bounds)
         merit = shortfalls.team(self.options.weights)
         gained = self.merit - merit
         if gained > 0.0:
@@ -187,23 +218,25 @@ def refine(
         watch: called after every program.
     """
     search = _Search(problem, initial, options or RefinementOptions())
-    team, reason = len(problem.team), ""
+    out_of_time = False
     for sweep in range(search.options.max_sweeps):
-        for robot in rng.permutation(team):
-            if time.monotonic() > deadline:
-                reason = "the time limit was reached"
+        for robot in rng.permutation(len(problem.team)):
+            out_of_time = time.monotonic() > deadline
+            if out_of_time:
                 break
             search.step(sweep, int(robot))
             if watch is not None:
                 watch(search.history[-1])
-        if reason or search.settled.all():
+        if out_of_time or (search.settled.all() and not search.tighten()):
             break
     converged = bool(search.settled.all())
     if converged:
         reason = "no robot's program promises an improvement any more"
-    elif not reason:
+    elif out_of_time:
+        reason = "the time limit was reached"
+    else:
         reason = f"the merit still fell after {search.options.max_sweeps} sweeps"
-    return Refinement(search.motions, tuple(search.history), converged, reason)
+    return Refinement(search.motions, tuple(search.history), converged, out_of_time, reason)
 
 
 def moved(

@@ -97,7 +97,7 @@ def roll_out(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
 def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
     """Fly a plan's controls forward on the nonlinear model, and measure everything it must keep."""
     flown = roll_out(problem, motions)
-    force = np.abs(forces_between(problem, motions)[..., 2]).max(axis=0)
+    force = np.abs(forces_between(problem, motions)[..., 2]).max(axis=(0, 1))
     ratio = force / problem.bounds.force_bounds(problem.team)
     tokens = [vehicle.token for vehicle in problem.team]
     worst = {
