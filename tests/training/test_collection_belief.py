@@ -16,7 +16,7 @@ from swarm_envs.training.collection import CollectionConfig, interaction_rows
 from swarm_envs.training.collection.belief import BeliefConfig, fit_belief, judge
 from swarm_envs.training.collection.belief.fit import command
 from swarm_envs.training.collection.belief.judge import SwapTrial
-from swarm_envs.training.collection.collect import collect, fingerprint
+from swarm_envs.training.collection.collect import collect
 from swarm_envs.training.force_model import load_network
 from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows
 from swarm_envs.vehicles import GRAM_FORCE
@@ -59,7 +59,7 @@ def test_what_ships_believes_nothing_where_no_neighbour_is_near(apart):
 
 def test_what_ships_was_fitted_in_the_environment_that_ships():
     report = json.loads((WEIGHTS / "belief.json").read_text())
-    assert report["interactions_sha256"] == fingerprint(load("learned")), (
+    assert report["interactions_sha256"] == load("learned").fingerprint, (
         "the environment's force model has changed since; make the belief again: "
         + report["command"]
     )

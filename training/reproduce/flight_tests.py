@@ -15,7 +15,6 @@ from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.collection.collect import fingerprint
 from swarm_envs.training.reproduce.flight_cases import SWAPS, Case, ring_case, swap_case
 from swarm_envs.training.reproduce.flight_claims import ring_claims, swap_claims
 from swarm_envs.training.reproduce.flight_report import case_row, write_csv
@@ -161,7 +160,7 @@ def _notes(
     if engine == "batch" and plan.engine is None:
         notes.append("pybullet cannot be imported here, so the compiled twin of Bullet flew")
     for truth, belief in airs:
-        if fingerprint(truth) == fingerprint(belief):
+        if truth.fingerprint == belief.fingerprint:
             notes.append(f"the controller believes the very force that blows, {truth.name!r}")
     crashed = sum(int(one.crashed.sum()) for own in flown for one in own)
     if crashed:

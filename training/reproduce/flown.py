@@ -18,7 +18,6 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Success
-from swarm_envs.training.collection.collect import fingerprint
 from swarm_envs.training.force_model.files import differing
 from swarm_envs.training.reproduce.flight_cases import Case, settings_of
 from swarm_envs.vehicles import GRAM_FORCE
@@ -138,8 +137,8 @@ def fly_or_read(
     """
     settings = settings_of(case) | {
         "seeds": list(seeds),
-        "truth_sha256": fingerprint(load(case.test.truth)),
-        "belief_sha256": fingerprint(belief),
+        "truth_sha256": load(case.test.truth).fingerprint,
+        "belief_sha256": belief.fingerprint,
     }
     if path.exists():
         flown = _read(path, settings)

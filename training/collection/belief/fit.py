@@ -16,7 +16,7 @@ from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import load
 from swarm_envs.training.collection.belief.card import model_card
 from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, SwapTrial, judge
-from swarm_envs.training.collection.collect import MANIFEST, collect, fingerprint
+from swarm_envs.training.collection.collect import MANIFEST, collect
 from swarm_envs.training.collection.config import CollectionConfig
 from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
@@ -82,7 +82,7 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
     provenance: dict[str, object] = {
         "command": command(config),
         "data": f"flights simulated with the force model {model.name!r}",
-        "interactions_sha256": fingerprint(model),
+        "interactions_sha256": model.fingerprint,
         "manifest_sha256": file_sha256(config.out / "flights" / MANIFEST),
         "seed": config.seed,
     }
@@ -94,7 +94,7 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
         name=name,
         command=command(config),
         interactions=model.name,
-        interactions_sha256=fingerprint(model),
+        interactions_sha256=model.fingerprint,
         flights=len(flights),
         flown_s=round(sum(flight.seconds for flight in flights), 1),
         rows=len(rows),
