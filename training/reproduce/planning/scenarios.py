@@ -10,8 +10,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.placing import derangement
 from swarm_envs.vehicles import parse_team
 
-SCENARIOS = ("SS", "SL", "LL", "SSL", "SLL")
-"""Teams of the paper's figure, as far as its text names them, and their like."""
+SCENARIOS = ("SS", "SL", "LL", "SSS", "SSL", "SLL", "LLL")
+"""Teams of two and three. The paper's text names SL, LL and SSL; its picture is not extracted."""
 TRIALS = 5
 """Trials of each scenario in the paper."""
 SPACING_M = 1.0

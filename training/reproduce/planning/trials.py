@@ -1,66 +1,100 @@
-"""One trial of Fig. 7: a swap, planned with and without knowing the forces, and tracked.
+"""One trial of Fig. 7: a swap, planned with and without knowing the forces, and flown.
 
 Both planners have identical parameters; they differ in the model alone, which is none for the one
-that does not know. Tracked are both in air that blows as the model says.
+that does not know. Their plans are flown (a) as published, on the planner's own model of the robots
+and the forces, tracked by a PID; (b) by quadrotors, in air that the planner does not know.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
-from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
+from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G, PlanningBounds
+from swarm_envs.baselines.neural_swarm.planner.library import plan_swarm
+from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
+from swarm_envs.training.reproduce.planning.flight import fly_plan
 from swarm_envs.training.reproduce.planning.plant import Track, track_plan
 from swarm_envs.training.reproduce.planning.scenarios import Swap
 from swarm_envs.training.reproduce.runs import Cell
-from swarm_envs.vehicles import GRAM_FORCE, Team, parse_team
+from swarm_envs.vehicles import GRAM_FORCE, Team
 
 PLANNERS = ("unaware", "aware")
 """Who plans: without the forces, the paper's BL, and with them, its NN."""
 
 
-class Planned(NamedTuple):
-    """What a planner returns to a trial."""
+SIDES = ("plain", "compensated")
+"""Who flies the plan in the unknown air: the tracking controller without belief, and with."""
 
-    plan: Trajectories
-    """What the robots shall fly."""
-    about: Mapping[str, Any]
-    """What is told of it, ready for JSON: cost, convergence."""
+MakePlan = Callable[[Swap, str, int], SwarmPlan]
+"""Plans a swap, `unaware` or `aware`, with a seed."""
 
 
-Planner = Callable[[Swap, str, int], Planned]
-"""Plans a swap, `aware` or `unaware`, with a seed."""
+@dataclass(frozen=True)
+class TrialSettings:
+    """What all trials share."""
+
+    model: InteractionModel
+    """What the aware planner knows and the compensating controller believes; the plant of (a)."""
+    truth: str | InteractionModel = "learned"
+    """The force that blows in (b)."""
+    engine: str = "batch"
+    """Of (b): `bullet` or `batch`."""
+    bounds: PlanningBounds = field(default_factory=PlanningBounds)
+    """What every plan shall keep to, whoever makes it."""
+
+    def plan(self, swap: Swap, planner: str, seed: int) -> SwarmPlan:
+        """Plan a swap in the y-z plane, with everything equal but the model.
+
+        Raises:
+            ValueError: no plan can exist, or there is no such planner.
+        """
+        check_name("planner", planner, PLANNERS)
+        model = self.model if planner == "aware" else None
+        starts, goals = swap.starts, swap.goals
+        return plan_swarm(starts, goals, swap.team, model, self.bounds, seed, plane="yz")
 
 
-def fly_trial(swap: Swap, planner: str, seed: int, plan: Planner, model: InteractionModel) -> Cell:
-    """Plan a swap and track the plan on the planner's own model.
+def fly_trial(
+    settings: TrialSettings, swap: Swap, plan: SwarmPlan, planner: str, seed: int
+) -> Cell:
+    """Track a plan on the planner's own model, and fly it in the unknown air.
 
     Args:
+        settings: what all trials share.
         swap: who goes where.
-        planner: one of `PLANNERS`.
-        seed: of the planner.
-        plan: what plans.
-        model: what blows, and what the aware planner knows.
+        plan: for this swap.
+        planner: who made it.
+        seed: of the trial.
     """
-    planned = plan(swap, planner, seed)
-    team = parse_team(swap.team)
-    track = track_plan(planned.plan, team, model)
-    return {
+    track = track_plan(plan.trajectories, plan.team, settings.model)
+    cell: Cell = {
         "scenario": swap.team,
         "planner": planner,
         "seed": seed,
         "plan": {
-            **planned.about,
-            "duration_s": round(planned.plan.duration, 6),
-            "energy": round(planned.plan.energy, 6),
+            "status": plan.status,
+            "reason": plan.reason,
+            "duration_s": round(plan.duration, 6),
+            "energy": round(plan.trajectories.energy, 6),
+            "predicted_force_ratio": round(plan.check.force_ratio, 4),
+            "seconds": round(sum(plan.seconds.values()), 1),
         },
-        "model_plant": measure(track, team),
+        "model_plant": measure(track, plan.team),
     }
+    for side in SIDES:
+        believed = settings.model if side == "compensated" else None
+        controller = ControllerConfig(feedforward=believed)
+        flown, crashed = fly_plan(plan, controller, settings.truth, settings.engine)
+        cell[side] = {**measure(flown, plan.team), "crashed": crashed}
+    return cell
 
 
 def measure(track: Track, team: Team) -> dict[str, Any]:

@@ -139,4 +139,11 @@ def format_limits(summary: Mapping[str, Any]) -> str:
         )
     if not summary["hurts"]:
         lines.append("  nowhere")
+    for r in summary["rows"]:
+        if r["crashed"] > r["crashed_without"]:
+            lines.append(
+                f"compensation crashes {r['crashed']} of {r['episodes']}, the baseline "
+                f"{r['crashed_without']}: {r['sweep']} {r['value']:g} ({r['case']}, belief "
+                f"{r['belief']})"
+            )
     return "\n".join(lines)

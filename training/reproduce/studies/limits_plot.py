@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 _COLORS = ("#0072B2", "#D55E00")
 _BELIEFS = {"exact": ("-", "o"), "shipped": (":", "s")}
 _WITHOUT = ("--", "")
-_LINEAR_BELOW_CM = 0.1
-"""Errors are drawn on a logarithmic axis above, on a linear one below."""
 _STRETCHED = ("delay",)
 """Sweeps whose values spread over orders of magnitude."""
 
@@ -59,16 +57,17 @@ def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
             _mark_harm(axis, own)
             if belief == "exact":
                 axis.plot(x, [row["without_cm"] for row in own], _WITHOUT[0], color=color)
-    axis.set_yscale("symlog", linthresh=_LINEAR_BELOW_CM)
-    axis.set_ylim(0.0, 120.0)
+    axis.set_yscale("log")
+    axis.set_ylim(0.02, 120.0)
     axis.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
     if sweep.name in _STRETCHED:
-        axis.set_xscale("symlog", linthresh=10.0)
-        axis.set_xticks([0, 10, 20, 40, 80, 160, 320, 640], ["0", "10", "20", "40", "80", "160",
-                        "320", "640"])  # fmt: skip
+        axis.set_xscale("symlog", linthresh=10.0, linscale=0.5)
+        axis.set_xlim(-0.5, 750.0)
+        shown = (0, 10, 40, 160, 640)
+        axis.set_xticks(shown, [str(value) for value in shown])
         axis.minorticks_off()
     axis.set_xlabel(sweep.label)
-    axis.legend(fontsize=8, loc="lower right")
+    axis.legend(fontsize=8, loc="best")
     axis.grid(True)
     axis.tick_params(axis="y", colors=GREY)
 
