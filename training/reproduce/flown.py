@@ -152,7 +152,7 @@ def fly_or_read(
 
 def _read(path: Path, settings: dict[str, Any]) -> Flown:
     try:
-        with np.load(path, allow_pickle=False) as arrays:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             there = json.loads(str(arrays["settings"]))
             flown = Flown(**{entry.name: arrays[entry.name] for entry in fields(Flown)})
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:

@@ -85,6 +85,9 @@ def _force(axis: Axes, flown: Flown, drone: int, entry: Mapping[str, Any]) -> No
     axis.plot(flown.time, flown.believed_g[:, drone], color=COMPENSATED_COLOR, linewidth=1.2,
               linestyle="--", label="predicted")  # fmt: skip
     axis.set_ylabel("vertical force, g")
-    axis.set_title(f"Its force: {100 * entry['explained']:.1f} % predicted, all drones")
-    axis.legend(fontsize=8, loc="lower right", ncols=2)
+    axis.set_title("The force on it, with compensation")
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + 0.25 * (high - low))
+    axis.legend(fontsize=8, loc="upper right", ncols=2, title_fontsize=8,
+                title=f"{100 * entry['explained']:.1f} % predicted, of all drones")  # fmt: skip
     axis.grid(True)

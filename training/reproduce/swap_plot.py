@@ -45,8 +45,8 @@ def plot_swaps(
             _boxes(axis, names, [f.judged_cm(c.judged) for c, f in zip(own, found, strict=True)])
             _paper(axis, names, own)
             _doubtful(axis, names, air["cases"])
-            axis.set_title(f"environment with the force model {air['truth']['name']!r}")
-            axis.set_ylabel("cm")
+            axis.set_title(f"Environment with the force model {air['truth']['name']!r}")
+            axis.set_ylabel("worst height error, cm")
         _legend(figure, report["episodes"])
 
 
@@ -65,8 +65,8 @@ def _boxes(axis: Axes, names: Sequence[str], errors: Sequence[np.ndarray]) -> No
             widths=_WIDTH,
             patch_artist=True,
             manage_ticks=False,
-            boxprops={"facecolor": color, "edgecolor": INK, "linewidth": 0.8},
-            medianprops={"color": "white", "linewidth": 1.6},
+            boxprops={"facecolor": color, "edgecolor": color, "linewidth": 1.2},
+            medianprops={"color": INK, "linewidth": 1.6},
             whiskerprops=line,
             capprops=line,
             flierprops={"marker": "o", "markersize": 2.5, "markeredgecolor": GREY},
@@ -98,8 +98,8 @@ def _legend(figure: Figure, episodes: int) -> None:
     from matplotlib.patches import Patch
 
     handles = [
-        Patch(facecolor=WITHOUT_COLOR, edgecolor=INK, label="without compensation"),
-        Patch(facecolor=COMPENSATED_COLOR, edgecolor=INK, label="with compensation"),
+        Patch(facecolor=WITHOUT_COLOR, label="without compensation"),
+        Patch(facecolor=COMPENSATED_COLOR, label="with compensation"),
         Line2D([], [], color="white", marker="D", markeredgecolor=INK, linestyle="",
                label="the paper's medians"),
     ]  # fmt: skip
