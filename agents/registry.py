@@ -22,6 +22,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
         ),
+        "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
     }
 )
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is
@@ -34,8 +35,9 @@ def load(name: str) -> Agent:
     """Make an agent.
 
     Args:
-        name: one that ships (`hover`, `random`, `tracking`, `tracking-compensated`), or a class in
-            a file, `path/to/file.py:Class`, which is called without arguments.
+        name: one that ships (`hover`, `random`, `tracking`, `tracking-compensated`,
+            `neural-swarm-planner`), or a class in a file, `path/to/file.py:Class`, which is called
+            without arguments.
 
     Raises:
         ValueError: no agent has this name, or what the file holds is no agent; the message says

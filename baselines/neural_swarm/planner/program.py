@@ -181,14 +181,14 @@ class RobotProgram:
         cost = self._cost(problem)
         if self._solver is not None:
             self._solver.update(q=cost, Ax=matrix.data, l=pattern.lower, u=pattern.upper)
-            return self._solver.solve()
+            return self._solver.solve(raise_error=False)
         self._solver = self._new_solver(cost)
         z, y = np.zeros(self._variables), np.zeros(matrix.shape[0])
         z[self._x], z[self._u] = problem.prior, problem.prior_control
         # Slacks are zero as a rule: then what they cost is what their sign's multiplier must be.
         y[pattern.rows["sign"]] = -cost[self._delta :] / _SLACK_SCALE
         self._solver.warm_start(x=z, y=y)
-        return self._solver.solve()
+        return self._solver.solve(raise_error=False)
 
     def _cost(self, problem: Convexified) -> FloatArray:
         cost = np.zeros(self._variables)
