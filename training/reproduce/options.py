@@ -15,6 +15,7 @@ from swarm_envs.files import write_json
 from swarm_envs.training.reproduce.cells import CELLS
 from swarm_envs.training.reproduce.figure import format_summary, reproduce_figure
 from swarm_envs.training.reproduce.flight_cases import SWAPS
+from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, TRIALS
 
 CELL_NAMES = tuple(cell.name for cell in CELLS)
 
@@ -26,14 +27,15 @@ class ReproduceOptions:
     `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model,
     with `--bins` its calibration too. `--figure 8` flies stacked swaps with and without
     compensation, `--figure 9` the rings of 5, `--figure 1` those of 16, in environments whose force
-    the controllers do not know. `--table 3` fits the ablations. `--study` looks at what the
+    the controllers do not know. `--figure 6` and `--figure 7` plan swaps with and without knowing
+    the forces. `--table 3` fits the ablations. `--study` looks at what the
     controller claims, and at where compensation ends. What takes a while goes on where it was when
     it is killed and called again.
     """
 
     paper: Annotated[Literal["neural-swarm2"], tyro.conf.Positional]
     """whose figure or table"""
-    figure: Literal[1, 5, 8, 9] | None = None
+    figure: Literal[1, 5, 6, 7, 8, 9] | None = None
     """number of the figure"""
     table: Literal[3] | None = None
     """number of the table"""
@@ -63,6 +65,10 @@ class ReproduceOptions:
     """figure 8: radius of the circle that the drones cross"""
     duration_s: float = 4.0
     """figure 8: time of a crossing"""
+    scenarios: tuple[str, ...] = SCENARIOS
+    """figure 7: teams that exchange positions"""
+    trials: int = TRIALS
+    """figure 7: random swaps of each team"""
     model: str = "learned"
     """figure 5: `learned`, `wake`, or the path of a weights file"""
     bins: Path | None = None
@@ -95,7 +101,7 @@ class ReproduceOptions:
             raise ValueError("--table 3 fits models: give the rows to fit by --data PATH")
         if self.seed < 0:
             raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
-        for name in ("seeds", "steps", "episodes"):
+        for name in ("seeds", "steps", "episodes", "trials"):
             if getattr(self, name) is not None and getattr(self, name) < 1:
                 raise ValueError(f"--{name} is {getattr(self, name)}, but must be 1 or more")
         for cell in self.cells:
@@ -162,6 +168,24 @@ def _study(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
     return summary, f"{text}\n{_wrote(options, options.study)}"
 
 
+def _planned(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
+    from swarm_envs.training.reproduce.planning.command import run_figure
+
+    assert options.figure is not None
+    asked = (options.out, options.seed, options.truth, options.engine)
+    summary, text = run_figure(options.figure, *asked, options.scenarios, options.trials)
+    return summary, f"{text}\n{_wrote(options, f'figure_{options.figure}')}"
+
+
+def _check_planned(options: ReproduceOptions) -> None:
+    from swarm_envs.baselines.neural_swarm.agent import load_belief
+    from swarm_envs.training.reproduce.planning.scenarios import draw_swap
+
+    load_belief(options.truth or "learned")
+    for team in options.scenarios:
+        draw_swap(team, options.seed)
+
+
 def _plan(options: ReproduceOptions) -> Any:
     """The `FlightPlan` of the options; raises ValueError for what cannot be flown."""
     from swarm_envs.tasks.swap import StackedLayout
@@ -214,6 +238,8 @@ _RINGS = Work(_flights, _FLIGHTS, _check_plan)
 WORKS: Mapping[tuple[str, int | str], Work] = {
     ("figure", 1): _RINGS,
     ("figure", 5): Work(_figure, ("model", "bins", "truth")),
+    ("figure", 6): Work(_planned, ("truth", "engine"), _check_planned),
+    ("figure", 7): Work(_planned, ("truth", "engine", "scenarios", "trials"), _check_planned),
     ("figure", 8): Work(_flights, (*_FLIGHTS, "cases", "radius_m", "duration_s"), _check_plan),
     ("figure", 9): _RINGS,
     ("study", "lag"): Work(_study, ("episodes", "engine")),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.files import write_json
 from swarm_envs.training.reproduce.planning.figure_6_plot import plot_figure_6
@@ -81,7 +82,7 @@ def _rows(planner: str, cell: Mapping[str, Any], plan: SwarmPlan) -> list[dict[s
             "planner": planner,
             "robot": i,
             "vehicle": vehicle.token,
-            "bound_g": plan.bounds.force_g[vehicle.token],
+            "bound_g": FORCE_BOUNDS_G[vehicle.token],
             "planned_at_knots_g": round(float(predicted[i]), 3),
             **{
                 f"{plant}_{what}": round(cell[plant][what][i], 3)

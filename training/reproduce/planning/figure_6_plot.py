@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.state import FloatArray
@@ -87,7 +88,7 @@ def _forces(axis: Axes, plan: SwarmPlan, motions: Trajectories, track: Track | N
     time = motions.times if track is None else track.time
     force = motions.forces if track is None else track.force
     for i, vehicle in enumerate(plan.team):
-        color, bound = _COLORS[i % len(_COLORS)], plan.bounds.force_g[vehicle.token]
+        color, bound = _COLORS[i % len(_COLORS)], FORCE_BOUNDS_G[vehicle.token]
         name = "small" if vehicle.token == "S" else "large"
         axis.plot(time, force[:, i, 2] / GRAM_FORCE, color=color, label=name)
         for side in (-1.0, 1.0):

@@ -13,7 +13,14 @@ from swarm_envs.files import write_json
 from swarm_envs.training.reproduce.planning.figure_7_plot import plot_figure_7
 from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, TRIALS, draw_swap
 from swarm_envs.training.reproduce.planning.summary import format_rows, scenario_rows, verdicts
-from swarm_envs.training.reproduce.planning.trials import PLANNERS, SIDES, TrialSettings, fly_trial
+from swarm_envs.training.reproduce.planning.trials import (
+    ATTEMPTS,
+    PLANNED_SHARE,
+    PLANNERS,
+    SIDES,
+    TrialSettings,
+    fly_trial,
+)
 from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
 
 PLANTS: Mapping[str, str] = {
@@ -54,7 +61,14 @@ def reproduce_figure_7(
     draw_seeds(seed, trials)
     model = load_belief(truth)
     settings = TrialSettings(model, truth, engine)
-    about = {"seed": seed, "truth": truth, "engine": engine, "model": model.fingerprint}
+    about = {
+        "seed": seed,
+        "truth": truth,
+        "engine": engine,
+        "model": model.fingerprint,
+        "planned_share": PLANNED_SHARE,
+        "attempts": ATTEMPTS,
+    }
     jobs = {
         f"{team}, {planner}, {s}": partial(_trial, out, settings, team, planner, s)
         for team in scenarios

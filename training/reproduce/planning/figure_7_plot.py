@@ -45,7 +45,8 @@ def plot_figure_7(
             axis.axhline(bound, color="#C0202A", linewidth=1.4)
             axis.set_title(f"Worst force on {_NAMES[token]} ones, bound {bound:g} g")
             axis.set_ylabel("|f_a,z| (g)")
-        axes[0].legend(fontsize=9)
+        axes[0].margins(y=0.2)
+        axes[0].legend(fontsize=9, loc="upper right")
 
 
 def _errors(

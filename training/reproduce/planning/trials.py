@@ -7,7 +7,6 @@ and the forces, tracked by a PID; (b) by quadrotors, in air that the planner doe
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,8 +32,16 @@ PLANNERS = ("unaware", "aware")
 SIDES = ("plain", "compensated")
 """Who flies the plan in the unknown air: the tracking controller without belief, and with."""
 
-MakePlan = Callable[[Swap, str, int], SwarmPlan]
-"""Plans a swap, `unaware` or `aware`, with a seed."""
+PLANNED_SHARE = 0.9
+"""Share of the force bounds that plans may use; the rest is left to tracking errors, and to what
+blows between knots. The same for both planners."""
+ATTEMPTS = 6
+"""How often either planner may begin anew while its plan breaks a bound."""
+
+
+def planning_bounds() -> PlanningBounds:
+    """What every plan shall keep to, whoever makes it."""
+    return PlanningBounds(force_g={t: PLANNED_SHARE * b for t, b in FORCE_BOUNDS_G.items()})
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,7 @@ class TrialSettings:
     """The force that blows in (b)."""
     engine: str = "batch"
     """Of (b): `bullet` or `batch`."""
-    bounds: PlanningBounds = field(default_factory=PlanningBounds)
+    bounds: PlanningBounds = field(default_factory=planning_bounds)
     """What every plan shall keep to, whoever makes it."""
 
     def plan(self, swap: Swap, planner: str, seed: int) -> SwarmPlan:
@@ -58,8 +65,16 @@ class TrialSettings:
         """
         check_name("planner", planner, PLANNERS)
         model = self.model if planner == "aware" else None
-        starts, goals = swap.starts, swap.goals
-        return plan_swarm(starts, goals, swap.team, model, self.bounds, seed, plane="yz")
+        return plan_swarm(
+            swap.starts,
+            swap.goals,
+            swap.team,
+            model,
+            self.bounds,
+            seed,
+            plane="yz",
+            attempts=ATTEMPTS,
+        )
 
 
 def fly_trial(
