@@ -50,6 +50,14 @@ def position_within(states: FloatArray, fraction: FloatArray, dt: float) -> Floa
     return np.asarray(start[..., :3] + first * start[..., 3:] + second * end[..., 3:])
 
 
+def state_within(states: FloatArray, fraction: FloatArray, dt: float) -> FloatArray:
+    """States (..., T, ..., 6) within each of T steps: as `position_within`, with velocities."""
+    start, change = states[:-1, ..., 3:], np.diff(states[..., 3:], axis=0)
+    position = position_within(states, fraction, dt)
+    velocity = np.broadcast_to(start + fraction[..., None] * change, position.shape)
+    return np.concatenate([position, velocity], axis=-1)
+
+
 def closest_approach(states: FloatArray, dt: float) -> Approach:
     """The closest approach to the origin in every step of relative motions.
 

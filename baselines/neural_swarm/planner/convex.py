@@ -8,7 +8,8 @@ and why:
 - a held acceleration moves a robot by p' = p + dt (v + v') / 2, which (14) rounds to p + dt v;
 - the half-space of a pair points from the neighbour to the robot, and is taken at the closest
   approach of each step, not only at knots, so that nobody passes through anybody between knots;
-- the neighbour's force is bounded absolutely too, as (6) demands;
+- forces are bounded half way between knots too, since they peak there as often as not; the
+  neighbour's force is bounded absolutely as well, as (6) demands;
 - the effort of the neighbours, part of the sum of (6), is linearised: a robot that pushes another
   down makes that one pay. `effort_by_state` is its slope.
 """
@@ -21,6 +22,7 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach, position_within
 from swarm_envs.baselines.neural_swarm.planner.forces import force_jacobian
+from swarm_envs.baselines.neural_swarm.planner.peaks import BOUNDED, forces_at, states_at
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.state import FloatArray
@@ -51,15 +53,25 @@ class Convexified:
     control_bound: float
     """Largest |u| along each axis, m/s^2."""
     force: FloatArray
-    """(T + 1, D) force on the robot at the prior, N."""
+    """(T, D) force on the robot at the knot that begins each step, N."""
     force_by_state: FloatArray
-    """(T + 1, D, 2 D) A_k: its derivative by the state."""
+    """(T, D, 2 D) A_k: its derivative by the state there."""
+    effort_by_state: FloatArray
+    """(T, 2 D) derivative of the neighbours' effort, the sum of ||u||^2, by the robot's state."""
+    shares: FloatArray
+    """(S,) moments of each step at which forces are bounded, in parts of it."""
+    bounded: FloatArray
+    """(S, T, 2 D) prior states of the robot at these moments."""
+    bounded_force: FloatArray
+    """(S, T) vertical force on the robot then, N."""
+    bounded_by_state: FloatArray
+    """(S, T, 2 D) its derivative by the robot's state then."""
     force_bound: float
     """f_a,max: largest vertical force on the robot, N."""
     neighbor_force: FloatArray
-    """(T + 1, M) vertical forces on the neighbours at the prior, N."""
+    """(S, T, M) vertical forces on the neighbours then, N."""
     neighbor_by_state: FloatArray
-    """(T + 1, M, 2 D) C_k: their derivatives by the robot's state."""
+    """(S, T, M, 2 D) C_k: their derivatives by the robot's state then."""
     neighbor_bound: FloatArray
     """(M) f_a,max of each neighbour, N."""
     force_change: float
@@ -70,8 +82,6 @@ class Convexified:
     """(T, M) share of the step at which it occurs."""
     level: FloatArray
     """(T, M) least value of <normal, p(fraction)>, m."""
-    effort_by_state: FloatArray
-    """(T, 2 D) derivative of the neighbours' effort, the sum of ||u||^2, by the robot's state."""
     trust_state: FloatArray
     """(2 D) b_x: largest |x - xbar|."""
     trust_control: float
@@ -96,12 +106,14 @@ def convexify(
         trust_control: largest change of a control, m/s^2.
         force_bounds: (N,) largest vertical force on each robot, N.
     """
-    axes, bounds = list(problem.axes), problem.bounds
-    columns = axes + [3 + axis for axis in axes]
+    axes, bounds, steps = list(problem.axes), problem.bounds, prior.steps
+    columns, dims = axes + [3 + axis for axis in axes], len(axes)
     others = [j for j in range(len(problem.team)) if j != robot]
-    jacobian = force_jacobian(problem.model, problem.team, prior.states, robot)[..., columns]
-    dims = len(axes)
-    neighbor_by_state = jacobian[:, others, 2]
+    within = states_at(prior, BOUNDED)
+    felt = forces_at(problem, within)
+    states = np.concatenate([prior.states[:-1], within.reshape(-1, *within.shape[2:])])
+    jacobian = force_jacobian(problem.model, problem.team, states, robot)[..., columns]
+    by_state = jacobian[steps:, :, 2].reshape(*felt.shape, 2 * dims)
     share = -2.0 / problem.masses[others] * prior.controls[:, others, 2]
     normal, fraction, level = _half_spaces(problem, prior, robot, others)
     speed = np.full(dims, bounds.speed)
@@ -114,17 +126,21 @@ def convexify(
         lower=np.concatenate([np.array(bounds.lower)[axes], -speed]),
         upper=np.concatenate([np.array(bounds.upper)[axes], speed]),
         control_bound=bounds.acceleration,
-        force=prior.forces[:, robot][:, axes],
-        force_by_state=jacobian[:, robot][:, axes],
+        force=prior.forces[:-1, robot][:, axes],
+        force_by_state=jacobian[:steps, robot][:, axes],
+        effort_by_state=np.einsum("km,kmb->kb", share, jacobian[:steps, others, 2]),
+        shares=BOUNDED,
+        bounded=within[:, :, robot][..., columns],
+        bounded_force=felt[:, :, robot],
+        bounded_by_state=by_state[:, :, robot],
         force_bound=float(force_bounds[robot]),
-        neighbor_force=prior.forces[:, others, 2],
-        neighbor_by_state=neighbor_by_state,
+        neighbor_force=felt[:, :, others],
+        neighbor_by_state=by_state[:, :, others],
         neighbor_bound=force_bounds[others],
         force_change=bounds.force_change_g * GRAM_FORCE,
         normal=normal,
         fraction=fraction,
         level=level,
-        effort_by_state=np.einsum("km,kmb->kb", share, neighbor_by_state[:-1]),
         trust_state=np.repeat(trust_state, dims),
         trust_control=trust_control,
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach
+from swarm_envs.baselines.neural_swarm.planner.peaks import BOUNDED, excess_of_forces
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.solution import Weights
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
@@ -26,7 +27,7 @@ class Shortfalls:
     apart: FloatArray
     """(N, N) clearance that each pair lacks, summed over steps, m."""
     force: FloatArray
-    """(N,) excess over the force bound in its units, summed over knots."""
+    """(N,) excess of each step's peak over the force bound, in its units, summed over steps."""
     control: FloatArray
     """(N,) excess over the control bound, summed over knots and axes, m/s^2."""
 
@@ -60,8 +61,7 @@ def measure(
     low, high = np.array(bounds.lower)[axes], np.array(bounds.upper)[axes]
     outside = np.maximum(position - high, low - position).max(axis=(0, 2))
     fast = np.abs(velocity).max(axis=(0, 2)) - bounds.speed
-    limits = bounds.force_bounds(problem.team) if force_bounds is None else force_bounds
-    strong = np.abs(motions.forces[1:, :, 2]) / limits - 1.0
+    strong = excess_of_forces(problem, motions, BOUNDED, force_bounds).max(axis=0)
     apart = missing_clearance(problem, motions).sum(axis=0)
     end = np.concatenate([position[-1] - problem.goals[:, axes], velocity[-1]], axis=-1)
     return Shortfalls(

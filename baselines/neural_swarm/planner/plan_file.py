@@ -115,7 +115,8 @@ def _read_json(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
 
 def _read_npz(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     try:
-        with np.load(path, allow_pickle=False) as content:
+        # numpy leaves a file open that it opens itself and cannot read.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
             arrays = {name: content[name] for name in content.files}
     except EOFError as error:
         raise ValueError("it is cut short") from error

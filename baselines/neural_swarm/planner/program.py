@@ -8,9 +8,10 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.planner.approach import step_weights
 from swarm_envs.baselines.neural_swarm.planner.convex import Convexified
+from swarm_envs.baselines.neural_swarm.planner.peaks import BOUNDED
 from swarm_envs.baselines.neural_swarm.planner.solution import Solution, SolverSettings, Weights
 from swarm_envs.baselines.neural_swarm.planner.sparsity import ConstraintPattern
-from swarm_envs.state import FloatArray
+from swarm_envs.state import FloatArray, IntArray
 
 _GOAL_SCALE, _SLACK_SCALE = 3.0, 3.0
 """Of the rows of the goal and of the slacks' signs: OSQP converges in half the iterations."""
@@ -75,24 +76,40 @@ class RobotProgram:
             rows = pattern.add_rows(f"box {side}", steps, 2 * dims)
             pattern.put(rows, later, 1.0)
             pattern.put(rows, self._delta, sign)
-            rows = pattern.add_rows(f"force {side}", steps)
-            pattern.put(rows[:, None], later, 0.0, f"force {side}")
+            rows = pattern.add_rows(f"force {side}", len(BOUNDED), steps)
+            self._put_within(rows, f"force {side}")
             pattern.put(rows, self._delta, sign)
         pattern.put(pattern.add_rows("trust", steps, 2 * dims), later, 1.0)
         pattern.put(pattern.add_rows("control", steps, dims), self._u, 1.0)
 
+    def _put_within(self, rows: IntArray, name: str) -> None:
+        """Put entries (S, T, ...) for states within steps, which depend on those at the ends."""
+        shape = (1, self._steps, *(1,) * (rows.ndim - 2), -1)
+        end = self._x[1:, self._dims :]
+        self._pattern.put(rows[..., None], self._x[:-1].reshape(shape), 0.0, f"{name}, start")
+        self._pattern.put(rows[..., None], end.reshape(shape), 0.0, f"{name}, end")
+
+    def _set_within(self, name: str, slope: FloatArray, problem: Convexified) -> None:
+        """Set them: `slope` (S, T, ..., 2 D) is by the states within steps."""
+        share = problem.shares.reshape(-1, *(1,) * (slope.ndim - 1))
+        first, second = step_weights(share, problem.dt)
+        by_place, by_speed = np.split(slope, 2, axis=-1)
+        by_start = first * by_place + (1.0 - share) * by_speed
+        self._pattern.set(f"{name}, start", np.concatenate([by_place, by_start], axis=-1))
+        self._pattern.set(f"{name}, end", second * by_place + share * by_speed)
+
     def _add_neighbors(self, neighbors: int) -> None:
         pattern, steps, dims = self._pattern, self._steps, self._dims
-        size = (steps, neighbors)
-        rows, x = pattern.add_rows("apart", *size), self._x[:, None]
+        size = (len(BOUNDED), steps, neighbors)
+        rows, x = pattern.add_rows("apart", steps, neighbors), self._x[:, None]
         pattern.put(rows[:, :, None], x[:-1], 0.0, "apart from start")
         pattern.put(rows[:, :, None], x[1:, :, dims:], 0.0, "apart from end")
         pattern.put(rows, self._slack[0], 1.0)
         rows = pattern.add_rows("change", *size)
-        pattern.put(rows[:, :, None], x[1:], 0.0, "change")
+        self._put_within(rows, "change")
         for side, sign in (("above", -1.0), ("below", 1.0)):
             rows = pattern.add_rows(f"neighbor {side}", *size)
-            pattern.put(rows[:, :, None], x[1:], 0.0, f"neighbor {side}")
+            self._put_within(rows, f"neighbor {side}")
             pattern.put(rows, self._slack[1], sign)
         soft = np.concatenate([[self._delta], self._slack.ravel()])
         pattern.put(pattern.add_rows("sign", soft.size), soft, _SLACK_SCALE)
@@ -110,9 +127,9 @@ class RobotProgram:
 
     def _set_motion(self, problem: Convexified) -> None:
         pattern, dt, dims = self._pattern, problem.dt, self._dims
-        slope = dt / problem.mass * problem.force_by_state[:-1]
+        slope = dt / problem.mass * problem.force_by_state
         carry = np.einsum("kab,kb->ka", slope, problem.prior[:-1])
-        known = carry - dt / problem.mass * problem.force[:-1]
+        known = carry - dt / problem.mass * problem.force
         pattern.bound("start", problem.prior[0], problem.prior[0])
         pattern.bound("position", 0.0, 0.0)
         pattern.set("velocity", slope + np.eye(2 * dims)[dims:])
@@ -127,9 +144,9 @@ class RobotProgram:
         below = np.where(x - trust < problem.lower, problem.lower, -np.inf)
         pattern.bound("box above", -np.inf, above)
         pattern.bound("box below", below, np.inf)
-        slope = problem.force_by_state[1:, -1] / problem.force_bound
-        force = problem.force[1:, -1] / problem.force_bound
-        self._bound_both("force", slope, force, x, trust)
+        bound = problem.force_bound
+        slope, force = problem.bounded_by_state / bound, problem.bounded_force / bound
+        self._bound_both("force", slope, force, problem)
         pattern.bound("trust", x - trust, x + trust)
         u, most, reach = problem.prior_control, problem.control_bound, problem.trust_control
         # A prior beyond the bound is allowed to stay where it is, so that a solution exists.
@@ -138,34 +155,33 @@ class RobotProgram:
         pattern.bound("control", lowest, highest)
 
     def _bound_both(
-        self, name: str, slope: FloatArray, prior: FloatArray, x: FloatArray, trust: FloatArray
+        self, name: str, slope: FloatArray, prior: FloatArray, problem: Convexified
     ) -> None:
-        """Bound |prior + slope (x' - x)| by 1 and the rows' slack, where x' may reach that far."""
-        pattern = self._pattern
-        reach, known = np.abs(slope) @ trust, (slope * x).sum(axis=-1) - prior
+        """Bound |prior + slope (x - xbar)| by 1 and the rows' slack, x being within steps."""
+        known, reach = _known_and_reach(slope, problem)
+        known = known - prior
         for side in ("above", "below"):
-            pattern.set(f"{name} {side}", slope)
-        pattern.bound(f"{name} above", -np.inf, np.where(prior + reach > 1.0, 1.0 + known, np.inf))
-        pattern.bound(
-            f"{name} below", np.where(prior - reach < -1.0, -1.0 + known, -np.inf), np.inf
-        )
+            self._set_within(f"{name} {side}", slope, problem)
+        above = np.where(prior + reach > 1.0, 1.0 + known, np.inf)
+        below = np.where(prior - reach < -1.0, known - 1.0, -np.inf)
+        self._pattern.bound(f"{name} above", -np.inf, above)
+        self._pattern.bound(f"{name} below", below, np.inf)
 
     def _set_neighbors(self, problem: Convexified) -> None:
         pattern, dims = self._pattern, self._dims
-        x, trust = problem.prior[1:, None], problem.trust_state
         first, second = step_weights(problem.fraction[..., None], problem.dt)
         normal = problem.normal
         pattern.set("apart from start", np.concatenate([normal, first * normal], axis=-1))
         pattern.set("apart from end", second * normal)
         pattern.bound("apart", np.where(self._may_touch(problem), problem.level, -np.inf), np.inf)
-        slope = problem.neighbor_by_state[1:] / problem.force_change
-        known, reach = (slope * x).sum(axis=-1), np.abs(slope) @ trust
-        pattern.set("change", slope)
+        slope = problem.neighbor_by_state / problem.force_change
+        known, reach = _known_and_reach(slope, problem)
+        self._set_within("change", slope, problem)
         bound = np.where(reach > 1.0, 1.0, np.inf)
         pattern.bound("change", known - bound, known + bound)
-        slope = problem.neighbor_by_state[1:] / problem.neighbor_bound[:, None]
-        force = problem.neighbor_force[1:] / problem.neighbor_bound
-        self._bound_both("neighbor", slope, force, x, trust)
+        slope = problem.neighbor_by_state / problem.neighbor_bound[:, None]
+        force = problem.neighbor_force / problem.neighbor_bound
+        self._bound_both("neighbor", slope, force, problem)
 
     def _may_touch(self, problem: Convexified) -> Any:
         """(T, M) whether the trust region lets a robot cross the half-space of a step."""
@@ -245,3 +261,12 @@ class RobotProgram:
             iterations=int(info.iter),
             solve_s=float(info.run_time),
         )
+
+
+def _known_and_reach(slope: FloatArray, problem: Convexified) -> tuple[FloatArray, FloatArray]:
+    """Of slope (S, T, ..., 2 D) times states within steps: value at the prior, and range."""
+    shape = (*slope.shape[:2], *(1,) * (slope.ndim - 3), -1)
+    known = (slope * problem.bounded.reshape(shape)).sum(axis=-1)
+    near, fast = np.split(problem.trust_state, 2)
+    farther = near + problem.dt * fast  # between knots velocities add to the way
+    return known, np.abs(slope) @ np.concatenate([farther, fast])

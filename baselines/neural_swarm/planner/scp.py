@@ -8,8 +8,8 @@ returns, and the best plan so far is always the present one. A robot has settled
 promises next to nothing, or its trust region has become tiny; the refinement has converged when
 all have.
 
-Programs bound forces at knots alone. Where forces peak between them above a bound, that bound is
-lowered by as much, and the refinement goes on.
+Programs bound forces at knots and half way between. Where they peak elsewhere above a bound, that
+bound is lowered by as much, and the refinement goes on.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     trajectories_through,
 )
-from swarm_envs.baselines.neural_swarm.planner.verify import forces_between
+from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, excess_of_forces
 from swarm_envs.state import FloatArray
 
 _NEARLY = 5e-3
@@ -133,9 +133,8 @@ class _Search:
 
     def tighten(self) -> bool:
         """Lower the bounds of forces that are exceeded between knots; says whether any was."""
-        bounds = self.problem.bounds.force_bounds(self.problem.team)
-        peak = np.abs(forces_between(self.problem, self.motions)[..., 2]).max(axis=(0, 1))
-        excess = np.maximum(peak / bounds, 1.0)
+        peak = excess_of_forces(self.problem, self.motions, CHECKED).max(axis=(0, 1))
+        excess = 1.0 + np.maximum(peak, 0.0)
         if self.tightened == self.options.max_tightenings or excess.max() < 1.0 + _NEARLY:
             return False
         self.tightened += 1

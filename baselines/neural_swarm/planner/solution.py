@@ -13,7 +13,7 @@ from swarm_envs.state import FloatArray
 class Weights:
     """What missing a goal or a bound costs, beside the effort, the sum of ||u||^2."""
 
-    goal: float = 300.0
+    goal: float = 1000.0
     """lambda_1: per largest component (m or m/s) by which the goal state is missed."""
     state: float = 300.0
     """lambda_2: per delta, the excess over the box (m, m/s) and over the own force bound (1)."""

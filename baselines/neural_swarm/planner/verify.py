@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach, position_within
+from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach
+from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, forces_at, states_at
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
@@ -15,9 +16,6 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
 )
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
-
-_BETWEEN = 4
-"""Moments of each step at which forces are looked at: every quarter."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +95,7 @@ def roll_out(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
 def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
     """Fly a plan's controls forward on the nonlinear model, and measure everything it must keep."""
     flown = roll_out(problem, motions)
-    force = np.abs(forces_between(problem, motions)[..., 2]).max(axis=(0, 1))
+    force = np.abs(forces_at(problem, states_at(motions, CHECKED))).max(axis=(0, 1))
     ratio = force / problem.bounds.force_bounds(problem.team)
     tokens = [vehicle.token for vehicle in problem.team]
     worst = {
@@ -115,19 +113,6 @@ def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
         box_excess=_box_excess(problem, motions),
         defect=float(np.abs(flown - motions.states).max()),
     )
-
-
-def forces_between(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
-    """Forces (T, 4, N, 3) at the knots and three times between, of the states flown through, N."""
-    share = np.arange(_BETWEEN) / _BETWEEN
-    start, change = motions.states[:-1, None], np.diff(motions.states[..., 3:], axis=0)[:, None]
-    velocity = start[..., 3:] + share[:, None, None] * change
-    repeated = motions.states[:, None]
-    fraction = np.broadcast_to(share[:, None], (motions.steps, _BETWEEN, 1))
-    position = position_within(repeated, fraction, motions.dt)
-    states = np.concatenate([position, velocity], axis=-1)
-    flat = states.reshape(-1, *states.shape[2:])
-    return predict_forces(problem.model, problem.team, flat).reshape(*states.shape[:-1], 3)
 
 
 def _distance_ratios(problem: PlanningProblem, motions: Trajectories) -> tuple[float, float]:

@@ -10,6 +10,7 @@ import pytest
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.convex import Convexified, convexify
 from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.peaks import forces_at, states_at
 from swarm_envs.baselines.neural_swarm.planner.program import RobotProgram
 from swarm_envs.baselines.neural_swarm.planner.scp import moved
 from swarm_envs.baselines.neural_swarm.planner.solution import SolverSettings, Weights
@@ -61,23 +62,38 @@ def oracle(c: Convexified, weights: Weights) -> tuple[np.ndarray, np.ndarray, fl
         return cp.sum(cp.multiply(by_state, change[: len(by_state)]), axis=1)
 
     force = cp.vstack([c.force[:, a] + changed(c.force_by_state[:, a]) for a in range(dims)]).T
-    rules.append(v[1:] == v[:-1] + c.dt * (u + force[:-1] / c.mass))
+    rules.append(v[1:] == v[:-1] + c.dt * (u + force / c.mass))
     rules.append(p[1:] == p[:-1] + 0.5 * c.dt * (v[1:] + v[:-1]))
-    rules.append(cp.abs(force[1:, -1]) <= c.force_bound * (1 + delta))
+
+    def within(fraction: np.ndarray) -> tuple[object, object]:
+        share = np.tile(fraction[:, None], dims)
+        held = (v[1:] - v[:-1]) / c.dt
+        way = cp.multiply(c.dt * share, v[:-1]) + cp.multiply(0.5 * (c.dt * share) ** 2, held)
+        return p[:-1] + way, v[:-1] + cp.multiply(c.dt * share, held)
+
+    moments = [np.full(steps, share) for share in c.shares]
+    at = [cp.hstack(within(m)) - c.bounded[s] for s, m in enumerate(moments)]
+
+    def pushed(by_state: np.ndarray, s: int) -> object:
+        return cp.sum(cp.multiply(by_state[s], at[s]), axis=1)
+
+    for s in range(len(at)):
+        felt = c.bounded_force[s] + pushed(c.bounded_by_state, s)
+        rules.append(cp.abs(felt) <= c.force_bound * (1 + delta))
     rules.append(x[1:] <= np.tile(c.upper, (steps, 1)) + delta)
     rules.append(x[1:] >= np.tile(c.lower, (steps, 1)) - delta)
     effort, soft = cp.sum(changed(c.effort_by_state)), 0.0
     for j in range(c.normal.shape[1]):
-        push = changed(c.neighbor_by_state[:, j])[1:]
-        rules.append(cp.abs(push) <= c.force_change)
-        ratio = cp.abs(c.neighbor_force[1:, j] + push) / c.neighbor_bound[j]
-        soft += cp.sum(cp.pos(ratio - 1))
-        share = np.tile(c.dt * c.fraction[:, [j]], dims)
-        held = (v[1:] - v[:-1]) / c.dt
-        there = p[:-1] + cp.multiply(share, v[:-1]) + cp.multiply(0.5 * share**2, held)
-        soft += cp.sum(
-            cp.pos(c.level[:, j] - cp.sum(cp.multiply(c.normal[:, j], there), axis=1))
-        )
+        pushes = [pushed(c.neighbor_by_state[:, :, j], s) for s in range(len(at))]
+        rules += [cp.abs(push) <= c.force_change for push in pushes]
+        ratios = [
+            cp.abs(c.neighbor_force[s, :, j] + push) / c.neighbor_bound[j]
+            for s, push in enumerate(pushes)
+        ]
+        soft += cp.sum(cp.pos(cp.maximum(*ratios) - 1))
+        there, _ = within(c.fraction[:, j])
+        across = cp.sum(cp.multiply(c.normal[:, j], there), axis=1)
+        soft += cp.sum(cp.pos(c.level[:, j] - across))
     missed = cp.norm(x[steps] - c.goal, "inf")
     value = cp.sum_squares(u) + weights.goal * missed + weights.state * delta
     task = cp.Problem(cp.Minimize(value + effort + weights.neighbor * soft), rules)
@@ -148,9 +164,14 @@ def test_what_is_linearised_is_right_to_first_order(robot: int) -> None:
     for size in (1.0, 0.5):
         new = moved(problem, prior, robot, prior.velocity[:, robot] + size * change)
         d = (new.states - prior.states)[:, robot]
-        own = new.forces[:, robot] - c.force - np.einsum("kab,kb->ka", c.force_by_state, d)
-        pushed = np.einsum("kmb,kb->km", c.neighbor_by_state, d)
-        theirs = new.forces[:, others, 2] - c.neighbor_force - pushed
+        own = (new.forces - prior.forces)[:-1, robot]
+        own -= np.einsum("kab,kb->ka", c.force_by_state, d[:-1])
+        before, after = (forces_at(problem, states_at(m, c.shares)) for m in (prior, new))
+        np.testing.assert_allclose(before[..., others], c.neighbor_force, atol=1e-12)
+        np.testing.assert_allclose(before[..., robot], c.bounded_force, atol=1e-12)
+        within = states_at(new, c.shares)[:, :, robot] - c.bounded
+        theirs = (after - before)[..., others]
+        theirs -= np.einsum("skmb,skb->skm", c.neighbor_by_state, within)
         effort = (new.controls**2 - prior.controls**2)[:, others].sum()
         effort -= (c.effort_by_state * d[:-1]).sum()
         missed.append([np.abs(own).sum(), np.abs(theirs).sum(), abs(effort)])
