@@ -14,6 +14,8 @@ from swarm_envs.baselines.neural_swarm import load_belief
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.cli import main
 from swarm_envs.interactions import load
+from swarm_envs.tasks.ring import RingTask
+from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.training.reproduce import flown as flown_module
 from swarm_envs.training.reproduce.flight_cases import (
     PLAIN_SWAPS,
@@ -76,10 +78,12 @@ def test_the_cases_are_those_of_the_paper():
     assert {name for name in PLAIN_SWAPS if name.endswith("S")} == {n[:-1] for n in STRONG_SWAPS}
     case = swap_case("L2S", PAPER_SWAP, "learned", "batch")
     assert case.paper_cm == (17.0, 7.0)
+    assert isinstance(case.test.task, SwapTask)
     assert case.test.task.stacked.radius_m == (0.5, 0.5)
     assert case.test.task.stacked.duration_s == (4.0, 4.0)
     for figure, upright in ((9, 3), (1, 10)):
         task = ring_case(figure, "learned", "batch").test.task
+        assert isinstance(task, RingTask)
         assert [v.token for v, axis in zip(task.team, task.orbit.first) if axis[2]] == upright * [
             "S*"
         ]
