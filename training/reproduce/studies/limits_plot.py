@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
 _COLORS = ("#0072B2", "#D55E00")
 _BELIEFS = {"exact": ("-", "o"), "shipped": (":", "s")}
-_WITHOUT = ("--", "")
+_HARM = "#C0202A"
 _STRETCHED = ("delay",)
 """Sweeps whose values spread over orders of magnitude."""
 
 
 def plot_limits(path: Path, sweeps: Sequence[Sweep], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Draw one panel a sweep; where compensation hurts the ground is red.
+    """Draw one panel a sweep; where compensation hurts, points are red.
 
     Args:
         path: the picture to write.
@@ -38,7 +38,8 @@ def plot_limits(path: Path, sweeps: Sequence[Sweep], rows: Sequence[Mapping[str,
             axis.set_axis_off()
         figure.supxlabel(
             "Medians. Dashed: without compensation. Solid: belief exact but for what is varied; "
-            "dotted: the belief that ships. Red: compensation made the median worse.",
+            "dotted: the belief that ships. Red ring: compensation made the median worse; "
+            "red cross: it made drones crash.",
             fontsize=9,
         )
 
@@ -56,7 +57,7 @@ def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
                       marker=marker, markersize=3.5, label=label)  # fmt: skip
             _mark_harm(axis, own)
             if belief == "exact":
-                axis.plot(x, [row["without_cm"] for row in own], _WITHOUT[0], color=color)
+                axis.plot(x, [row["without_cm"] for row in own], "--", color=color)
     axis.set_yscale("log")
     axis.set_ylim(0.02, 120.0)
     axis.set_yticks([0.1, 1.0, 10.0, 100.0], ["0.1", "1", "10", "100"])
@@ -73,8 +74,11 @@ def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _mark_harm(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Ring the points at which compensation made the median worse."""
+    """Ring the points at which compensation made the median worse, cross those with collisions."""
     worse = [row for row in rows if row["ratio"] > 1.0]
     axis.plot([row["value"] for row in worse], [row["compensated_cm"] for row in worse], "o",
-              markersize=10, markerfacecolor="none", markeredgecolor="#C0202A",
+              markersize=10, markerfacecolor="none", markeredgecolor=_HARM,
               markeredgewidth=1.6)  # fmt: skip
+    crashed = [row for row in rows if row["crashed"] > row["crashed_without"]]
+    axis.plot([row["value"] for row in crashed], [row["compensated_cm"] for row in crashed], "x",
+              markersize=9, color=_HARM, markeredgewidth=1.8, zorder=5)  # fmt: skip
