@@ -9,7 +9,7 @@ import numpy as np
 from swarm_envs.state import FloatArray
 
 _PIECES = 4
-"""Straight pieces into which a step's parabola is cut: a quarter of 0.1 s at 5 m/s^2 bends 0.4 mm."""
+"""Straight pieces for a step's parabola: a quarter of 0.1 s at 5 m/s^2 bends by 0.4 mm."""
 
 
 class Approach(NamedTuple):

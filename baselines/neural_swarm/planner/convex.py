@@ -160,4 +160,3 @@ def _half_spaces(
     there = position_within(prior.states[:, others], near.fraction, prior.dt)
     apart = problem.bounds.clearances(problem.team)[robot, others]
     return normal, near.fraction, apart + (normal * there[..., axes]).sum(axis=-1)
-

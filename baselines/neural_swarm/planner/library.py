@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds, check_positive
 from swarm_envs.baselines.neural_swarm.planner.first import first_motions
 from swarm_envs.baselines.neural_swarm.planner.plan import STATUSES, SwarmPlan
@@ -27,8 +28,10 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck, check_plan
 from swarm_envs.errors import check_array, check_integer
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.vehicles import Team
+from swarm_envs.vehicles import Team, parse_team
 
+SEARCH = SearchConfig(iterations=40_000)
+"""Options of stage 1: stage 2 needs a good class of motions, not the best motions of it."""
 ATTEMPTS = 3
 """How often both stages are run, each time drawn anew, until a plan keeps everything."""
 _SEARCH_SHARE = 0.6
@@ -50,6 +53,7 @@ def plan_swarm(
     time_limit: float | None = None,
     attempts: int = ATTEMPTS,
     initial: Trajectories | None = None,
+    search: SearchConfig | None = None,
     options: RefinementOptions | None = None,
     progress: bool = False,
 ) -> SwarmPlan:
@@ -70,6 +74,7 @@ def plan_swarm(
             None for none.
         attempts: how often to begin anew while a plan breaks a bound.
         initial: motions to refine instead of those of stage 1.
+        search: options of stage 1; None for the defaults.
         options: of stage 2; None for the defaults.
         progress: show a bar.
 
@@ -86,7 +91,7 @@ def plan_swarm(
     problem = PlanningProblem(
         starts=np.asarray(starts),
         goals=np.asarray(goals),
-        team=team,  # type: ignore[arg-type]  # a string is read
+        team=parse_team(team),
         model=load("none" if model is None else model),
         bounds=bounds or PlanningBounds(),
         dt=dt,
@@ -100,7 +105,9 @@ def plan_swarm(
     with _Progress(progress) as bar:
         best: SwarmPlan | None = None
         for attempt in range(check_integer("attempts", attempts, 1)):
-            plan = _attempt(problem, seed, attempt, initial, options, deadline, bar)
+            plan = _attempt(
+                problem, seed, attempt, initial, search or SEARCH, options, deadline, bar
+            )
             if best is None or _rank(plan) < _rank(best):
                 best = plan
             if best.converged or initial is not None or time.monotonic() > deadline:
@@ -139,14 +146,16 @@ def _attempt(
     seed: int,
     attempt: int,
     initial: Trajectories | None,
+    config: SearchConfig,
     options: RefinementOptions | None,
     deadline: float,
     bar: _Progress,
 ) -> SwarmPlan:
-    rng, began, search = np.random.default_rng([seed, attempt]), time.monotonic(), {}
+    rng, began = np.random.default_rng([seed, attempt]), time.monotonic()
+    search: dict[str, Any] = {}
     if initial is None:
         limit = began + _SEARCH_SHARE * (deadline - began)
-        initial, search = first_motions(problem, rng, limit, bar.search)
+        initial, search = first_motions(problem, config, rng, limit, bar.search)
     else:
         initial = trajectories_through(problem, initial.states)
     searched = time.monotonic()

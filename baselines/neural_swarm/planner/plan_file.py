@@ -138,8 +138,8 @@ def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
             arrays[name] = check_array(name, raw[name], shape)
     if about["sha256"] != _digest(arrays, about):
         raise ValueError("its numbers are not those that were written: the checksum differs")
-    motions = {
-        owner: Trajectories(*(arrays[f"{owner}_{part}"] for part in _PARTS), dt=about["dt"])
+    motions: dict[str, Any] = {
+        owner: Trajectories(**{p: arrays[f"{owner}_{p}"] for p in _PARTS}, dt=float(about["dt"]))
         for owner in _MOTIONS
     }
     kept = ("plane", "model_name", "model_fingerprint", "seed", "reason", "search", "seconds")
@@ -157,7 +157,8 @@ def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
 
 
 def _vehicle(entry: dict[str, Any]) -> Vehicle:
-    return Vehicle(**{k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()})
+    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+    return Vehicle(**given)
 
 
 def _bounds(entry: dict[str, Any]) -> PlanningBounds:
@@ -166,4 +167,5 @@ def _bounds(entry: dict[str, Any]) -> PlanningBounds:
 
 
 def _check(entry: dict[str, Any]) -> PlanCheck:
-    return PlanCheck(**{k: math.inf if v is None else v for k, v in entry.items()})
+    given: dict[str, Any] = {k: math.inf if v is None else v for k, v in entry.items()}
+    return PlanCheck(**given)

@@ -158,7 +158,7 @@ def _draw_forces(axis: Axes, plan: SwarmPlan, motion: Motion) -> None:
     for i, color in enumerate(drone_colors(plan.team)):
         axis.plot(motion.times, motion.force_g[:, i], color=color, linewidth=1.6)
     limits = plan.bounds.force_bounds(plan.team) / GRAM_FORCE
-    for vehicle, limit, color in zip(plan.team, limits, drone_colors(plan.team)):
+    for limit, color in zip(limits, drone_colors(plan.team)):
         for sign in (-1, 1):
             axis.axhline(sign * limit, color=color, linewidth=1.0, linestyle="--", alpha=0.7)
     axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)

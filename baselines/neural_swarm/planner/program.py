@@ -17,7 +17,6 @@ _GOAL_SCALE, _SLACK_SCALE = 3.0, 3.0
 """Of the rows of the goal and of the slacks' signs: OSQP converges in half the iterations."""
 
 
-
 class RobotProgram:
     """The program of one robot with T steps, D axes and M neighbours.
 
@@ -168,7 +167,7 @@ class RobotProgram:
         self._pattern.bound(f"{name} below", below, np.inf)
 
     def _set_neighbors(self, problem: Convexified) -> None:
-        pattern, dims = self._pattern, self._dims
+        pattern = self._pattern
         first, second = step_weights(problem.fraction[..., None], problem.dt)
         normal = problem.normal
         pattern.set("apart from start", np.concatenate([normal, first * normal], axis=-1))

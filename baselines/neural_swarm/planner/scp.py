@@ -22,6 +22,7 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.planner.convex import convexify
 from swarm_envs.baselines.neural_swarm.planner.merit import measure
+from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, excess_of_forces
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.program import RobotProgram
 from swarm_envs.baselines.neural_swarm.planner.solution import Solution, SolverSettings, Weights
@@ -29,7 +30,6 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     trajectories_through,
 )
-from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, excess_of_forces
 from swarm_envs.state import FloatArray
 
 _NEARLY = 5e-3
@@ -138,7 +138,9 @@ class _Search:
         if self.tightened == self.options.max_tightenings or excess.max() < 1.0 + _NEARLY:
             return False
         self.tightened += 1
-        self.force_bounds = self.force_bounds / (excess * np.where(excess > 1.0, 1.0 + _NEARLY, 1.0))
+        self.force_bounds = self.force_bounds / (
+            excess * np.where(excess > 1.0, 1.0 + _NEARLY, 1.0)
+        )
         self.settled[:], self.trust[:] = False, np.maximum(self.trust, self.options.renewed_trust)
         self._measure()
         return True

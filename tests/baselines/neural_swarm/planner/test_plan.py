@@ -11,12 +11,15 @@ from swarm_envs.baselines.neural_swarm import PlanningBounds, SwarmPlan, plan_sw
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, Trajectories
 from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
 from swarm_envs.interactions import load
+from swarm_envs.vehicles import parse_team
 
 PAIR = np.array([[0.0, -0.6, 1.0], [0.0, 0.6, 1.0]])
 
 
 def pair_guess(model: str = "learned") -> Trajectories:
-    problem = PlanningProblem(PAIR, PAIR[::-1], "SL", load(model), max_duration=3.0, plane="yz")
+    problem = PlanningProblem(
+        PAIR, PAIR[::-1], parse_team("SL"), load(model), max_duration=3.0, plane="yz"
+    )
     return straight_lines(problem, bend=[[0.0, 0.0, 0.2], [0.0, 0.0, -0.2]])
 
 

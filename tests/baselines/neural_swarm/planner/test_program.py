@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.convex import Convexified, convexify
 from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
 from swarm_envs.baselines.neural_swarm.planner.peaks import forces_at, states_at
+from swarm_envs.baselines.neural_swarm.planner.problem import Plane
 from swarm_envs.baselines.neural_swarm.planner.program import RobotProgram
 from swarm_envs.baselines.neural_swarm.planner.scp import moved
 from swarm_envs.baselines.neural_swarm.planner.solution import SolverSettings, Weights
@@ -19,6 +21,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     trajectories_through,
 )
 from swarm_envs.interactions import load
+from swarm_envs.vehicles import parse_team
 
 EXACT = SolverSettings(tolerance=1e-8, max_iterations=100_000)
 STARTS = np.array([[0.0, -0.8, 1.0], [0.0, 0.0, 1.3], [0.0, 0.8, 1.0]])
@@ -29,11 +32,11 @@ BENDS = {
 }
 
 
-def problem_of(plane: str, model: str = "learned", steps: int = 30) -> PlanningProblem:
+def problem_of(plane: Plane, model: str = "learned", steps: int = 30) -> PlanningProblem:
     shift = np.array([[0.2, 0.0, 0.0], [-0.1, 0.0, 0.0], [0.0, 0.0, 0.0]])
     starts, goals = (STARTS, GOALS) if plane == "yz" else (STARTS + shift, GOALS - shift)
     return PlanningProblem(
-        starts, goals, "SSL", load(model), dt=0.1, max_duration=0.1 * steps, plane=plane
+        starts, goals, parse_team("SSL"), load(model), dt=0.1, max_duration=0.1 * steps, plane=plane
     )
 
 
@@ -58,14 +61,14 @@ def oracle(c: Convexified, weights: Weights) -> tuple[np.ndarray, np.ndarray, fl
     rules += [cp.abs(u - c.prior_control) <= c.trust_control, cp.abs(u) <= c.control_bound]
     change = x - c.prior
 
-    def changed(by_state: np.ndarray) -> object:
+    def changed(by_state: np.ndarray) -> Any:
         return cp.sum(cp.multiply(by_state, change[: len(by_state)]), axis=1)
 
     force = cp.vstack([c.force[:, a] + changed(c.force_by_state[:, a]) for a in range(dims)]).T
     rules.append(v[1:] == v[:-1] + c.dt * (u + force / c.mass))
     rules.append(p[1:] == p[:-1] + 0.5 * c.dt * (v[1:] + v[:-1]))
 
-    def within(fraction: np.ndarray) -> tuple[object, object]:
+    def within(fraction: np.ndarray) -> tuple[Any, Any]:
         share = np.tile(fraction[:, None], dims)
         held = (v[1:] - v[:-1]) / c.dt
         way = cp.multiply(c.dt * share, v[:-1]) + cp.multiply(0.5 * (c.dt * share) ** 2, held)
@@ -74,7 +77,7 @@ def oracle(c: Convexified, weights: Weights) -> tuple[np.ndarray, np.ndarray, fl
     moments = [np.full(steps, share) for share in c.shares]
     at = [cp.hstack(within(m)) - c.bounded[s] for s, m in enumerate(moments)]
 
-    def pushed(by_state: np.ndarray, s: int) -> object:
+    def pushed(by_state: np.ndarray, s: int) -> Any:
         return cp.sum(cp.multiply(by_state[s], at[s]), axis=1)
 
     for s in range(len(at)):
@@ -104,7 +107,7 @@ def oracle(c: Convexified, weights: Weights) -> tuple[np.ndarray, np.ndarray, fl
 
 @pytest.mark.parametrize("plane", ["yz", "xyz"])
 @pytest.mark.parametrize("bend", BENDS)
-def test_the_solution_is_that_of_cvxpy(plane: str, bend: str) -> None:
+def test_the_solution_is_that_of_cvxpy(plane: Plane, bend: str) -> None:
     problem = problem_of(plane)
     prior = straight_lines(problem, bend=BENDS[bend])
     for robot in range(3):
@@ -142,7 +145,7 @@ def test_what_cannot_be_kept_shows_in_the_slacks() -> None:
 def test_a_lone_robot_flies_the_least_effort_path() -> None:
     """Without forces and bounds in reach: a straight line, the control linear in time."""
     problem = PlanningProblem(
-        STARTS[:1], GOALS[:1], "S", load("none"), dt=0.1, max_duration=3.0, plane="yz"
+        STARTS[:1], GOALS[:1], parse_team("S"), load("none"), dt=0.1, max_duration=3.0, plane="yz"
     )
     prior = straight_lines(problem)
     solution = program_of(problem, prior).solve(around(problem, prior, 0))

@@ -11,17 +11,20 @@ from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach
 from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
 from swarm_envs.baselines.neural_swarm.planner.merit import measure
+from swarm_envs.baselines.neural_swarm.planner.problem import Plane
 from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions, refine
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories, defects
 from swarm_envs.baselines.neural_swarm.planner.verify import check_plan, roll_out
 from swarm_envs.interactions import load
-from swarm_envs.vehicles import GRAM_FORCE
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
 
 ROW = np.array([[0.0, -1.0, 1.2], [0.0, 1.0, 1.2], [0.0, 0.0, 1.2]])
 
 
-def swap(model: str = "learned", plane: str = "yz", **options: float) -> PlanningProblem:
-    return PlanningProblem(ROW, ROW[[1, 2, 0]], "SSL", load(model), plane=plane, **options)
+def swap(model: str = "learned", plane: Plane = "yz", **options: float) -> PlanningProblem:
+    return PlanningProblem(
+        ROW, ROW[[1, 2, 0]], parse_team("SSL"), load(model), plane=plane, **options
+    )
 
 
 def bent(problem: PlanningProblem) -> Trajectories:
@@ -30,7 +33,7 @@ def bent(problem: PlanningProblem) -> Trajectories:
 
 @pytest.mark.parametrize("plane", ["yz", "xyz"])
 @pytest.mark.parametrize("model", ["learned", "none"])
-def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plane: str) -> None:
+def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plane: Plane) -> None:
     problem = swap(model, plane)
     guess = straight_lines(problem)
     assert check_plan(problem, guess).distance_ratio < 1.0
@@ -55,7 +58,7 @@ def test_the_merit_never_rises_and_is_the_measured_one() -> None:
 def test_one_robot_alone_finds_the_known_optimum() -> None:
     """The least sum of ||u||^2 from rest to rest in time T over a way d is 12 d^2 / (T^3 dt)."""
     problem = PlanningProblem(
-        ROW[:1], ROW[1:2], "S", load("none"), dt=0.05, max_duration=4.0, plane="yz"
+        ROW[:1], ROW[1:2], parse_team("S"), load("none"), dt=0.05, max_duration=4.0, plane="yz"
     )
     guess = straight_lines(problem, bend=[[0.0, 0.0, 0.3]])
     refined = refine(problem, guess, np.random.default_rng(0))
@@ -92,7 +95,9 @@ def test_a_deadline_and_a_limit_leave_the_best_so_far_and_say_so() -> None:
     late = refine(problem, bent(problem), np.random.default_rng(0), deadline=time.monotonic() - 1)
     assert (late.converged, late.out_of_time, late.history) == (False, True, ())
     assert late.trajectories.states.tobytes() == bent(problem).states.tobytes()
-    short = refine(problem, bent(problem), np.random.default_rng(0), RefinementOptions(max_sweeps=1))
+    short = refine(
+        problem, bent(problem), np.random.default_rng(0), RefinementOptions(max_sweeps=1)
+    )
     assert not short.converged
     assert len(short.history) == 3
     assert "1 sweeps" in short.reason
