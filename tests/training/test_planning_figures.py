@@ -17,7 +17,7 @@ from swarm_envs.training.reproduce.planning.figure_7 import format_figure_7, rep
 from swarm_envs.training.reproduce.planning.flight import fly_plan
 from swarm_envs.training.reproduce.planning.plant import track_plan
 from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, draw_swap
-from swarm_envs.training.reproduce.planning.trials import TrialSettings, fly_trial
+from swarm_envs.training.reproduce.planning.trials import TrialSettings, fly_trial, kept_plan
 
 SETTINGS = TrialSettings(load_belief())
 ENGINE = "bullet" if bullet_available() else "batch"
@@ -64,6 +64,16 @@ def test_in_the_planners_own_air_the_plant_and_the_plan_agree(plans):
     assert known.error.max() < 0.3 * lost.error.max()
 
 
+def test_plans_are_kept_and_those_of_others_refused(plans, tmp_path):
+    path, swap = tmp_path / "plan.npz", draw_swap("SL", 1)
+    plans["aware"].save(path)
+    kept = kept_plan(path, SETTINGS, swap, "aware", 1)
+    assert np.array_equal(kept.states, plans["aware"].states)
+    for other in ((swap, "unaware", 1), (swap, "aware", 2), (draw_swap("SL", 2), "aware", 1)):
+        with pytest.raises(ValueError, match="another swap, model, seed or bounds"):
+            kept_plan(path, SETTINGS, *other)
+
+
 def test_planners_are_named():
     with pytest.raises(ValueError, match="unknown planner 'awake'"):
         SETTINGS.plan(draw_swap("SS", 0), "awake", 0)
@@ -74,7 +84,7 @@ def test_planners_are_named():
     [
         (("7", "--scenarios", "S"), "a swap takes two"),
         (("7", "--truth", "none"), "no belief ships"),
-        (("6", "--trials", "3"), "--trials has no meaning for --figure 6"),
+        (("6", "--scenarios", "SS"), "--scenarios has no meaning for --figure 6"),
     ],
 )
 def test_the_command_checks_its_options(options, said, capsys):
@@ -84,15 +94,18 @@ def test_the_command_checks_its_options(options, said, capsys):
 
 
 @pytest.mark.slow
-def test_figure_6_sends_the_small_ones_over_the_large_one(tmp_path):
-    summary = reproduce_figure_6(tmp_path)
-    assert summary["order_at_middle"] == {"unaware": "S below L", "aware": "L below S"}
+def test_figure_6_keeps_the_small_ones_out_of_the_downwash(tmp_path):
+    summary = reproduce_figure_6(tmp_path, trials=3, progress=False)
+    assert all(sum(found.values()) == 3 for found in summary["orders"].values())
+    assert summary["orders"]["aware"]["L below S"] >= 2
     small = [row for row in summary["rows"] if row["vehicle"] == "S"]
     worst = {p: max(r["model_plant_force_g"] for r in small if r["planner"] == p)
              for p in ("aware", "unaware")}  # fmt: skip
-    assert worst["aware"] <= 5.5 < 10.0 < worst["unaware"]
-    assert "L below S" in format_figure_6(summary)
+    assert worst["aware"] <= 5.5 < 8.0 < worst["unaware"]
+    assert "aware: L below S in" in format_figure_6(summary)
     assert (tmp_path / "figure_6.png").stat().st_size > 50_000
+    again = reproduce_figure_6(tmp_path, trials=1, progress=False)
+    assert again["rows"] == summary["rows"]  # from the plans that are kept
 
 
 @pytest.mark.slow

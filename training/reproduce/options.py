@@ -68,7 +68,7 @@ class ReproduceOptions:
     scenarios: tuple[str, ...] = SCENARIOS
     """figure 7: teams that exchange positions"""
     trials: int = TRIALS
-    """figure 7: random swaps of each team"""
+    """figure 7: random swaps of each team; figure 6: seeds with which its swap is planned"""
     model: str = "learned"
     """figure 5: `learned`, `wake`, or the path of a weights file"""
     bins: Path | None = None
@@ -238,7 +238,7 @@ _RINGS = Work(_flights, _FLIGHTS, _check_plan)
 WORKS: Mapping[tuple[str, int | str], Work] = {
     ("figure", 1): _RINGS,
     ("figure", 5): Work(_figure, ("model", "bins", "truth")),
-    ("figure", 6): Work(_planned, ("truth", "engine"), _check_planned),
+    ("figure", 6): Work(_planned, ("truth", "engine", "trials"), _check_planned),
     ("figure", 7): Work(_planned, ("truth", "engine", "scenarios", "trials"), _check_planned),
     ("figure", 8): Work(_flights, (*_FLIGHTS, "cases", "radius_m", "duration_s"), _check_plan),
     ("figure", 9): _RINGS,

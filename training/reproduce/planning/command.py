@@ -27,7 +27,7 @@ def run_figure(
         truth: the force that blows where quadrotors fly; None for `learned`.
         engine: who computes these flights; None for Bullet where it can be imported.
         scenarios: of Fig. 7.
-        trials: of each.
+        trials: of each; of Fig. 6: seeds with which it is planned.
     """
     air, flown_by = truth or "learned", engine or default_engine()
     if figure == 6:
@@ -36,7 +36,7 @@ def run_figure(
             reproduce_figure_6,
         )
 
-        summary = reproduce_figure_6(out, seed, air, flown_by)
+        summary = reproduce_figure_6(out, seed, trials, air, flown_by)
         return summary, format_figure_6(summary)
     from swarm_envs.training.reproduce.planning.figure_7 import format_figure_7, reproduce_figure_7
 

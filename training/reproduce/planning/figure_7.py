@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
-from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.files import write_json
 from swarm_envs.training.reproduce.planning.figure_7_plot import plot_figure_7
 from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, TRIALS, draw_swap
@@ -20,6 +19,7 @@ from swarm_envs.training.reproduce.planning.trials import (
     SIDES,
     TrialSettings,
     fly_trial,
+    kept_plan,
 )
 from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
 
@@ -99,13 +99,9 @@ def _name(cell: Cell) -> str:
 
 
 def _trial(out: Path, settings: TrialSettings, team: str, planner: str, seed: int) -> Cell:
-    """Plan, or read the plan that was made before, and fly."""
+    """Plan, or read the plan that is kept, and fly."""
     swap, path = draw_swap(team, seed), out / "plans" / f"{team}_{planner}_{seed}.npz"
-    if path.is_file():
-        plan = SwarmPlan.load(path)
-    else:
-        plan = settings.plan(swap, planner, seed)
-        plan.save(path)
+    plan = kept_plan(path, settings, swap, planner, seed)
     return fly_trial(settings, swap, plan, planner, seed)
 
 

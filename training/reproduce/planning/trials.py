@@ -8,6 +8,7 @@ and the forces, tracked by a PID; (b) by quadrotors, in air that the planner doe
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,13 @@ from swarm_envs.baselines.neural_swarm.planner.library import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.errors import check_name
-from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.training.reproduce.planning.flight import fly_plan
 from swarm_envs.training.reproduce.planning.plant import Track, track_plan
 from swarm_envs.training.reproduce.planning.scenarios import Swap
 from swarm_envs.training.reproduce.runs import Cell
-from swarm_envs.vehicles import GRAM_FORCE, Team
+from swarm_envs.vehicles import GRAM_FORCE, Team, parse_team
 
 PLANNERS = ("unaware", "aware")
 """Who plans: without the forces, the paper's BL, and with them, its NN."""
@@ -75,6 +76,35 @@ class TrialSettings:
             plane="yz",
             attempts=ATTEMPTS,
         )
+
+
+def kept_plan(
+    path: Path, settings: TrialSettings, swap: Swap, planner: str, seed: int
+) -> SwarmPlan:
+    """The plan that the file keeps, or one that is made now and kept there.
+
+    Raises:
+        ValueError: the file keeps a plan of another swap, model, seed or bounds.
+    """
+    if not path.is_file():
+        plan = settings.plan(swap, planner, seed)
+        plan.save(path)
+        return plan
+    plan = SwarmPlan.load(path)
+    model = settings.model if planner == "aware" else load("none")
+    same = (
+        plan.team == parse_team(swap.team)
+        and np.array_equal(plan.starts, swap.starts)
+        and np.array_equal(plan.goals, swap.goals)
+        and (plan.seed, plan.bounds) == (seed, settings.bounds)
+        and plan.model_fingerprint == model.fingerprint
+    )
+    if not same:
+        raise ValueError(
+            f"{str(path)!r} keeps a plan of another swap, model, seed or bounds; choose another "
+            "folder by --out, or delete it"
+        )
+    return plan
 
 
 def fly_trial(
