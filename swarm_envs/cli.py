@@ -127,7 +127,7 @@ def _reproduce(arguments: Sequence[str]) -> int:
     from swarm_envs.training.reproduce.options import ReproduceOptions, run
 
     options = _read("reproduce", ReproduceOptions, arguments)
-    if options.table is not None:
+    if options.work.needs_torch:
         _need_torch()
     try:
         print(run(options))

@@ -91,10 +91,7 @@ def test_the_table_is_aligned_and_complete(demo):
 def test_without_pybullet_the_twin_flies_the_same_and_the_summary_says_so(
     demo, tmp_path, monkeypatch
 ):
-    def refuse():
-        raise ImportError("no pybullet")
-
-    monkeypatch.setattr(run, "import_bullet", refuse)
+    monkeypatch.setattr(run, "default_engine", lambda: "batch")
     summary = run_demo(tmp_path, seed=1, swaps=1, progress=False)
     assert summary["engine"] == "batch"
     assert summary["files"]["video"] is None

@@ -23,15 +23,34 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel, load
 
+BELIEFS: Mapping[str, str] = {"learned": "belief", "wake": "belief_wake"}
+"""Files of the beliefs that ship, by the force model of the environment they were learned in."""
 
-@cache
-def load_belief() -> InteractionModel:
+
+def load_belief(truth: str = "learned") -> InteractionModel:
     """The deep set that the compensated controller believes: fitted to simulated flights.
 
     See `weights/MODEL_CARD.md` beside the weights for the flights and the errors.
+
+    Args:
+        truth: name of the environment's force model: the belief was learned from flights in it.
+
+    Raises:
+        ValueError: no belief ships for that model.
     """
+    if truth not in BELIEFS:
+        raise ValueError(
+            f"no belief ships for an environment with the force model {truth!r}, only for "
+            f"{' and '.join(BELIEFS)}; learn one there, by `swarm-envs curriculum --interactions "
+            f"{truth} --out DIR`, and name its weights"
+        )
+    return _read_shipped(BELIEFS[truth])
+
+
+@cache
+def _read_shipped(name: str) -> InteractionModel:
     weights = resources.files("swarm_envs.baselines.neural_swarm").joinpath("weights")
-    with resources.as_file(weights.joinpath("belief.safetensors")) as path:
+    with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
         return load(Path(path))
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -68,6 +70,14 @@ class InteractionModel:
             return self  # no network to evaluate
         field = self.field._replace(weights=self.field.weights.astype(precision))
         return dataclasses.replace(self, field=field)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """SHA-256 of the model's numbers: says exactly what blew, or what was believed."""
+        digest = hashlib.sha256(self.name.encode() if self.name in ("none", "wake") else b"")
+        for value in self.field:
+            digest.update(np.ascontiguousarray(value).tobytes())
+        return digest.hexdigest()
 
     def forces(
         self,

@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.neural_swarm import load_belief
+from swarm_envs.baselines.neural_swarm.agent import BELIEFS
+from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.interactions import load
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.collection import CollectionConfig, interaction_rows
 from swarm_envs.training.collection.belief import BeliefConfig, fit_belief, judge
 from swarm_envs.training.collection.belief.fit import command
-from swarm_envs.training.collection.belief.judge import PAPER_LAYOUT, SwapTrial
-from swarm_envs.training.collection.collect import collect, fingerprint
+from swarm_envs.training.collection.belief.judge import SwapTrial
+from swarm_envs.training.collection.collect import collect
 from swarm_envs.training.force_model import load_network
 from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows
 from swarm_envs.vehicles import GRAM_FORCE
@@ -26,50 +28,62 @@ FRESH = CollectionConfig(
 )
 
 
-def test_what_ships_predicts_fresh_flights(tmp_path):
-    rows = interaction_rows(collect(FRESH, tmp_path, progress=False))
+LABEL_NOISE = {"S": 0.13, "L": 0.5}
+"""Of the labels of lone drones, whose force is next to nothing, g^2: no model can do better."""
+every_truth = pytest.mark.parametrize("truth", BELIEFS)
+
+
+@every_truth
+def test_what_ships_predicts_fresh_flights(tmp_path, truth):
+    fresh = dataclasses.replace(FRESH, interactions=truth)
+    rows = interaction_rows(collect(fresh, tmp_path, progress=False))
     rows = dataclasses.replace(rows, validation=np.ones(len(rows), dtype=np.bool_))
-    network = load_network(WEIGHTS / "belief.safetensors")
+    network = load_network(WEIGHTS / f"{BELIEFS[truth]}.safetensors")
     errors = mean_squared_errors(predict_rows(network, rows), rows)
     assert errors.overall < errors.zero / 10
     for name, error in errors.scenario.items():
-        assert error < errors.scenario_zero[name] / 4, name
+        assert error < max(errors.scenario_zero[name] / 4, 1.3 * LABEL_NOISE[name[-1]]), name
 
 
-def test_what_ships_follows_the_force_that_acts_within_a_few_percent():
+@pytest.mark.parametrize(("truth", "within_g"), [("learned", 1.0), ("wake", 1.5)])
+def test_what_ships_follows_the_force_that_acts(truth, within_g):
     rng = np.random.default_rng(5)
     lower = np.tile([0.0, 0.0, 0.9], (400, 1))
     upper = lower + rng.uniform([-0.1, -0.1, 0.2], [0.1, 0.1, 0.5], (400, 3))
     position = np.stack([upper, lower], axis=1)
     velocity = rng.uniform(-0.4, 0.4, position.shape)
-    acted = load("learned").forces(position, velocity, "LS")[:, 1, 2] / GRAM_FORCE
-    believed = load_belief().forces(position, velocity, "LS")[:, 1, 2] / GRAM_FORCE
+    acted = load(truth).forces(position, velocity, "LS")[:, 1, 2] / GRAM_FORCE
+    believed = load_belief(truth).forces(position, velocity, "LS")[:, 1, 2] / GRAM_FORCE
     assert np.abs(acted).mean() > 4.0
-    assert np.sqrt(np.mean((believed - acted) ** 2)) < 1.0
+    assert np.sqrt(np.mean((believed - acted) ** 2)) < within_g
 
 
 @pytest.mark.parametrize("apart", [[0.35, 0.0, 0.3], [0.0, -0.4, 0.1], [0.0, 0.0, 1.1]])
-def test_what_ships_believes_nothing_where_no_neighbour_is_near(apart):
+@every_truth
+def test_what_ships_believes_nothing_where_no_neighbour_is_near(apart, truth):
     position = np.array([[[0.1, 0.2, 0.8], np.add([0.1, 0.2, 0.8], apart)]])
     for team in ("SS", "SL", "LS"):
-        force = load_belief().forces(position, np.zeros((1, 2, 3)), team)
+        force = load_belief(truth).forces(position, np.zeros((1, 2, 3)), team)
         assert (force == 0.0).all()
 
 
-def test_what_ships_was_fitted_in_the_environment_that_ships():
-    report = json.loads((WEIGHTS / "belief.json").read_text())
-    assert report["interactions_sha256"] == fingerprint(load("learned")), (
+@every_truth
+def test_what_ships_was_fitted_in_the_environment_that_ships(truth):
+    report = json.loads((WEIGHTS / f"{BELIEFS[truth]}.json").read_text())
+    assert report["interactions_sha256"] == load(truth).fingerprint, (
         "the environment's force model has changed since; make the belief again: "
         + report["command"]
     )
-    assert load_belief().notes["command"] == report["command"]
-    card = (WEIGHTS / "MODEL_CARD.md").read_text()
+    assert load_belief(truth).notes["command"] == report["command"]
+    cards = (WEIGHTS / "MODEL_CARD.md").read_text().split("# `")
+    card = next(card for card in cards if card.startswith(f"{BELIEFS[truth]}.safetensors`"))
+    assert f"the force model `{truth}`" in card
     assert report["command"] in card and str(report["rows"]) in card and "simulated" in card
 
 
 @pytest.mark.parametrize("team", ["S2S", "L2S", "SS2S"])
 def test_compensation_more_than_halves_the_error_and_harms_nobody(team):
-    result = judge(SwapTrial(team, PAPER_LAYOUT, 6), load_belief())
+    result = judge(SwapTrial(team, PAPER_SWAP, 6), load_belief())
     assert result.uncompensated_median_cm > 5.0
     assert result.compensated_median_cm < 0.5 * result.uncompensated_median_cm
     assert result.worse == 0 and result.largest_ratio < 0.5
@@ -77,7 +91,7 @@ def test_compensation_more_than_halves_the_error_and_harms_nobody(team):
 
 
 def test_a_belief_in_what_does_not_blow_is_found_out():
-    result = judge(SwapTrial("L2S", PAPER_LAYOUT, 2), load("learned"), environment="none")
+    result = judge(SwapTrial("L2S", PAPER_SWAP, 2), load("learned"), environment="none")
     assert result.worse == 2 and result.largest_ratio > 2.0
 
 
@@ -97,7 +111,7 @@ TINY = BeliefConfig(
         teams=("S", "L", "SL"), walks=2, low_walks=0, swaps=2, low_swaps=0, duration_s=4.0
     ),
     progress=False,
-    trials=(SwapTrial("L2S", PAPER_LAYOUT, 1),),
+    trials=(SwapTrial("L2S", PAPER_SWAP, 1),),
 )
 
 

@@ -218,8 +218,8 @@ def test_the_command_fits_a_cell(budget, capsys, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ([], "either --figure 5 or --table 3"),
-        (["--figure", "5", "--table", "3"], "either --figure 5 or --table 3"),
+        ([], "give one of --figure 1, --figure 5"),
+        (["--figure", "5", "--table", "3"], "give one of --figure 1, --figure 5"),
         (["--table", "3"], "--data PATH"),
         (["--figure", "6"], "6"),
         (["--figure", "5", "--seed", "-1"], "--seed is -1"),

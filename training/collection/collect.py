@@ -53,8 +53,8 @@ def collect(
     believed = None if config.feedforward is None else load(config.feedforward)
     origin: dict[str, object] = {
         "config": json_ready(config.as_dict()),
-        "interactions_sha256": fingerprint(model),
-        "feedforward_sha256": None if believed is None else fingerprint(believed),
+        "interactions_sha256": model.fingerprint,
+        "feedforward_sha256": None if believed is None else believed.fingerprint,
     }
     out.mkdir(parents=True, exist_ok=True)
     begin_manifest(out / MANIFEST, origin)
@@ -107,14 +107,6 @@ def begin_manifest(path: Path, origin: dict[str, object]) -> None:
             )
     else:
         write_json(path, origin)
-
-
-def fingerprint(model: InteractionModel) -> str:
-    """SHA-256 of a force model's numbers: says exactly what blew."""
-    digest = hashlib.sha256(model.name.encode() if model.name in ("none", "wake") else b"")
-    for value in model.field:
-        digest.update(np.ascontiguousarray(value).tobytes())
-    return digest.hexdigest()
 
 
 def flight_generator(config: CollectionConfig, name: str) -> np.random.Generator:

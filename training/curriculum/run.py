@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.collection.collect import begin_manifest, fingerprint
+from swarm_envs.training.collection.collect import begin_manifest
 from swarm_envs.training.collection.table import Flight
 from swarm_envs.training.curriculum.closeness import LARGEST_STEP, QUANTILE
 from swarm_envs.training.curriculum.config import CurriculumConfig, adds_drones
@@ -43,7 +43,7 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
     truth = load(config.interactions)
     origin: dict[str, object] = {
         "config": json_ready(config.what_is_learned()),
-        "interactions_sha256": fingerprint(truth),
+        "interactions_sha256": truth.fingerprint,
     }
     begin_manifest(config.out / ORIGIN, origin)
     rounds = fly_rounds(config)
@@ -55,7 +55,7 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
         command=command(config),
         config=origin["config"],
         interactions=truth.name,
-        interactions_sha256=fingerprint(truth),
+        interactions_sha256=truth.fingerprint,
         rule=rule(config),
         rounds=rounds,
         true_drag=drag,

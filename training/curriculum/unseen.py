@@ -62,13 +62,10 @@ def swap_states(
     """Fly swaps of the stacked layout with a model as feed-forward, and note the states."""
     trial = SwapTrial(team, StackedLayout(), episodes)
     controller = ControllerConfig(feedforward=model)
-    positions, velocities = [], []
-    for core in fly_swaps(trial, controller, truth, FIRST_SEED):
-        state, running = core.physics.state, core.running
-        positions.append(state.position[running])
-        velocities.append(state.velocity[running])
-    crashed = int(core.verdict.crashed.any(axis=1).sum())
-    return SwapStates(team, np.concatenate(positions), np.concatenate(velocities), crashed)
+    flights = fly_swaps(trial, controller, truth, FIRST_SEED)
+    flying = np.arange(1, len(flights.time)) < flights.samples[:, None] - 1
+    position, velocity = flights.position[:, 1:][flying], flights.velocity[:, 1:][flying]
+    return SwapStates(team, position, velocity, int(flights.crashed.sum()))
 
 
 def judge_unseen(

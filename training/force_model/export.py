@@ -31,6 +31,7 @@ def save_network(
     path: str | os.PathLike[str],
     network: ForceNetwork,
     provenance: Mapping[str, object] | None = None,
+    dtype: torch.dtype = torch.float64,
 ) -> None:
     """Write a network with its drag, atomically.
 
@@ -44,6 +45,8 @@ def save_network(
         path: the file to write.
         network: what to write, of any precision.
         provenance: further keys of the description: data, seed, command.
+        dtype: of the file; networks that were trained in single precision lose nothing by
+            `torch.float32`, which halves it. It is read as float64 either way.
     """
     spec = network.spec
     tensors = {f"drag.{name}": network.drag[i] for i, name in enumerate(spec.types)}
@@ -60,7 +63,7 @@ def save_network(
         else {"pair": limits.pair, "environment": limits.environment},
         "anchor_height_m": spec.anchor_height_m,
     }
-    exact = {name: value.detach().to(torch.float64) for name, value in tensors.items()}
+    exact = {name: value.detach().to(dtype) for name, value in tensors.items()}
     write_safetensors(Path(path), exact, {METADATA_KEY: json.dumps(description)})
 
 

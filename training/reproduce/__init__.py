@@ -2,7 +2,10 @@
 
 `cases`, `forces`, `maps`, `heatmaps`: Fig. 5 of Neural-Swarm2 and its superposition gap; `bins`,
 `bin_plots`: calibration against measured bins; `larger`: more drones than were measured; `figure`:
-all of it. `ablation`: Table III (needs torch). `options`: the command `swarm-envs reproduce`.
+all of it. `ablation`: Table III (needs torch). `flight_cases`, `flown`, `paired`: the flight tests
+of Fig. 8, 9 and 1, flown by `swarm_envs.baselines.neural_swarm.flights`; `flight_report`,
+`flight_claims`, `swap_plot`, `ring_plot`, `flight_tests`: what is made of them. `options`: the
+command `swarm-envs reproduce`.
 """
 
 from swarm_envs.training.reproduce.figure import format_summary, reproduce_figure

@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from tqdm import tqdm
-
-from swarm_envs import swap_v0
-from swarm_envs.agents import fly_episode
-from swarm_envs.baselines.neural_swarm.agent import TrackingAgent
+from swarm_envs.baselines.neural_swarm.flights import (
+    PAPER_SWAP,
+    RECOVERY_S,
+    FlightTest,
+    fly,
+    progress_bar,
+    swap_test,
+)
+from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel
-from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.viewing.record import FlightRecord, Recorder
+from swarm_envs.viewing.record import FlightRecord
 
 SCENARIOS: Mapping[str, str] = {
     "S2S": "a small above a small",
@@ -21,11 +24,8 @@ SCENARIOS: Mapping[str, str] = {
 }
 """The teams, uppermost first, and what they are."""
 
-LAYOUT = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
-"""The paper's slow swap: radius 0.5 m in 4 s. Plane distance and direction are drawn."""
-
-HORIZON_S = 6.0
-"""Two seconds more than the swap takes, to see the drones recover."""
+HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S
+"""Length of a flight, s."""
 
 CONTROLLERS = ("without", "compensated")
 """How the summary names the two sides."""
@@ -48,49 +48,25 @@ def fly_all(
     Returns:
         Flights by team and by controller.
     """
-    agents = (TrackingAgent(), TrackingAgent.compensated(belief))
-    total = len(seeds) * len(agents) * len(SCENARIOS)
-    with tqdm(
-        total=total, desc="flights", unit="flight", mininterval=0.5, disable=not progress
-    ) as bar:
+    controllers = (ControllerConfig(), ControllerConfig(feedforward=belief))
+    tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}
+    total = sum(test.decisions for test in tests.values()) * len(seeds) * len(controllers)
+    with progress_bar("flights", total, progress) as bar:
         return {
             team: {
-                name: fly_swaps(team, agent, seeds, engine, bar.update)
-                for name, agent in zip(CONTROLLERS, agents, strict=True)
+                name: _fly_swaps(test, controller, seeds, bar.update)
+                for name, controller in zip(CONTROLLERS, controllers, strict=True)
             }
-            for team in SCENARIOS
+            for team, test in tests.items()
         }
 
 
-def fly_swaps(
-    team: str,
-    agent: TrackingAgent,
+def _fly_swaps(
+    test: FlightTest,
+    controller: ControllerConfig,
     seeds: Sequence[int],
-    engine: str,
-    tick: Callable[[], object] = lambda: None,
+    tick: Callable[[int], object],
 ) -> list[Flight]:
-    """Fly one stacked swap for each seed; `tick` is called after each.
-
-    Returns:
-        The record and the episode's metrics of each flight.
-    """
-    required: dict[str, Any] = dict(agent.requires)
-    env = swap_v0.parallel_env(
-        team=team,
-        layout="stacked",
-        physics=engine,
-        stacked=LAYOUT,
-        end_on_success=False,
-        horizon_s=HORIZON_S,
-        **required,
-    )
-    flights: list[Flight] = []
-    try:
-        for seed in seeds:
-            recorder = Recorder()
-            metrics = fly_episode(env, agent, seed, watch=recorder)
-            flights.append((recorder.record(), metrics))
-            tick()
-    finally:
-        env.close()
-    return flights
+    """Fly one stacked swap for each seed."""
+    flights = fly(test, controller, seeds, tick)
+    return [(flights.record(e), metrics) for e, metrics in enumerate(flights.metrics)]

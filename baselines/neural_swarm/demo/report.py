@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import hashlib
-import platform
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from importlib import metadata, resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swarm_envs import __version__
-from swarm_envs.baselines.neural_swarm.demo.flights import CONTROLLERS, HORIZON_S, LAYOUT, Flight
+from swarm_envs.baselines.neural_swarm.demo.flights import CONTROLLERS, HORIZON_S, Flight
+from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
+from swarm_envs.baselines.neural_swarm.summary import (
+    describe_model,
+    describe_spread,
+    format_columns,
+    quartiles,
+    versions,
+)
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.state import FloatArray
 from swarm_envs.viewing.record import FlightRecord
-
-_PACKAGES = ("numpy", "numba", "pybullet", "gymnasium", "pettingzoo")
 
 
 def summarise(
@@ -42,14 +41,14 @@ def summarise(
         "swaps": len(seeds),
         "engine": engine,
         "layout": {
-            "radius_m": LAYOUT.radius_m[0],
-            "duration_s": LAYOUT.duration_s[0],
-            "gap_m": list(LAYOUT.gap_m),
+            "radius_m": PAPER_SWAP.radius_m[0],
+            "duration_s": PAPER_SWAP.duration_s[0],
+            "gap_m": list(PAPER_SWAP.gap_m),
             "horizon_s": HORIZON_S,
         },
-        "interactions": _weights(load("learned")),
-        "belief": _weights(belief),
-        "versions": _versions(),
+        "interactions": describe_model(load("learned")),
+        "belief": describe_model(belief),
+        "versions": versions(),
         "scenarios": {team: _scenario(sides, seeds) for team, sides in flown.items()},
     }
 
@@ -61,7 +60,7 @@ def _scenario(sides: Mapping[str, list[Flight]], seeds: Sequence[int]) -> dict[s
         worst[name] = np.array([record.worst_height_error_cm() for record, _ in flights])
         entry[name] = {
             "crashed": sum(metrics["length_s"] < HORIZON_S - 1e-6 for _, metrics in flights),
-            "worst_height_error_cm": _statistics(worst[name]),
+            "worst_height_error_cm": quartiles(worst[name]),
             "flights": [
                 _flight(seed, *flight) for seed, flight in zip(seeds, flights, strict=True)
             ],
@@ -83,29 +82,6 @@ def _flight(seed: int, record: FlightRecord, metrics: Mapping[str, Any]) -> dict
     }
 
 
-def _statistics(values: FloatArray) -> dict[str, float]:
-    low, median, high = np.quantile(values, [0.25, 0.5, 0.75]).tolist()
-    return {"median": median, "lower_quartile": low, "upper_quartile": high}
-
-
-def _weights(model: InteractionModel) -> dict[str, str]:
-    """Name of a model and the hash of its weights file, without the place of that file."""
-    file = Path(model.name)
-    if not file.is_file():  # one that ships, by its name
-        shipped = resources.files("swarm_envs.interactions").joinpath("weights")
-        with resources.as_file(shipped.joinpath(f"{model.name}.safetensors")) as path:
-            return {"name": model.name, "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}
-    return {"name": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
-
-
-def _versions() -> dict[str, str]:
-    found = {"swarm_envs": __version__, "python": platform.python_version()}
-    for package in _PACKAGES:
-        with suppress(metadata.PackageNotFoundError):
-            found[package] = metadata.version(package)
-    return found
-
-
 def crashed_flights(summary: Mapping[str, Any]) -> int:
     """Number of flights that ended before the clock: their error is not their worst."""
     entries = summary["scenarios"].values()
@@ -117,23 +93,12 @@ def format_table(summary: Mapping[str, Any]) -> str:
     head = ("scenario", "without (cm)", "with (cm)", "with / without", "made worse", "crashed")
     rows = [head]
     for team, entry in summary["scenarios"].items():
-        sides = [_spread(entry[name]["worst_height_error_cm"]) for name in CONTROLLERS]
+        sides = [describe_spread(entry[name]["worst_height_error_cm"]) for name in CONTROLLERS]
         worse = f"{entry['made_worse']} of {summary['swaps']}"
         crashed = " / ".join(str(entry[name]["crashed"]) for name in CONTROLLERS)
         rows.append((team, *sides, f"{entry['ratio_of_medians']:.2f}", worse, crashed))
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
-    lines = [
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))])
-        for row in rows
-    ]
-    lines.insert(1, "  ".join("-" * width for width in widths))
     caption = (
         f"Worst height error of the lowest drone, median (quartiles) of {summary['swaps']} "
         f"swaps, {summary['engine']} engine, {summary['interactions']['name']} forces:"
     )
-    return "\n".join([caption, "", *lines])
-
-
-def _spread(statistics: Mapping[str, float]) -> str:
-    median, low, high = (statistics[k] for k in ("median", "lower_quartile", "upper_quartile"))
-    return f"{median:.1f} ({low:.1f} - {high:.1f})"
+    return "\n".join([caption, "", *format_columns(rows)])

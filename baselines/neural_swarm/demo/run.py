@@ -14,9 +14,9 @@ from tqdm import tqdm
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.demo.flights import CONTROLLERS, SCENARIOS, fly_all
 from swarm_envs.baselines.neural_swarm.demo.report import summarise
+from swarm_envs.baselines.neural_swarm.flights import default_engine
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel
-from swarm_envs.physics.bullet import import_bullet
 from swarm_envs.viewing.plots import plot_comparisons
 from swarm_envs.viewing.record import Comparison
 
@@ -58,7 +58,7 @@ def run_demo(
     _check(seed, swaps)
     out.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
-    engine, believed = _pick_engine(), belief or load_belief()
+    engine, believed = default_engine(), belief or load_belief()
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(swaps)]
     flown = fly_all(seeds, believed, engine, progress)
     comparisons = {
@@ -107,14 +107,6 @@ def _notes(engine: str, video: bool, file: str | None) -> list[str]:
     elif file is not None and file.endswith(".gif"):
         notes.append("ffmpeg does not work here, so the video is a GIF")
     return notes
-
-
-def _pick_engine() -> str:
-    try:
-        import_bullet()
-    except ImportError:
-        return "batch"
-    return "bullet"
 
 
 def _check(seed: int, swaps: int) -> None:

@@ -1,6 +1,7 @@
 """The deep set that the compensated controller believes, from flights inside the environment.
 
-Command: `python -m swarm_envs.training.collection.belief --out DIR --seed 0`.
+Command: `python -m swarm_envs.training.collection.belief --out DIR --seed 0`, and
+`--collection.interactions wake` for an environment with another force model.
 """
 
 from swarm_envs.training.collection.belief.fit import BeliefConfig, fit_belief

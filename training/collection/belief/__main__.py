@@ -19,7 +19,7 @@ def main() -> None:
             f"{j.uncompensated_median_cm:5.1f} -> {j.compensated_median_cm:4.1f} cm, "
             f"{j.worse} of {j.episodes} worse"
         )
-    print(f"report in {config.out / 'belief.json'}, {report.wall_time_s:.0f} s")
+    print(f"report in {config.out / f'{report.name}.json'}, {report.wall_time_s:.0f} s")
 
 
 if __name__ == "__main__":

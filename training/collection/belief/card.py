@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from swarm_envs.training.force_model.network import InputRange
 
 _CARD = """\
-# `belief.safetensors`: the deep set that the compensated controller believes
+# `{name}.safetensors`: the deep set that the compensated controller believes
 
 **Fitted to simulated flights, not to measured ones.** Drones were flown inside the environment
 with the force model `{interactions}` (fingerprint `{interactions_sha256}`), and the force was
@@ -76,6 +76,7 @@ def model_card(report: BeliefReport, collection: CollectionConfig, limits: Input
     """
     noise = collection.noise
     return _CARD.format(
+        name=report.name,
         interactions=report.interactions,
         interactions_sha256=report.interactions_sha256[:16],
         command=report.command,

@@ -8,13 +8,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import torch
 import tyro
 
+from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import load
 from swarm_envs.training.collection.belief.card import model_card
 from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, SwapTrial, judge
-from swarm_envs.training.collection.collect import MANIFEST, collect, fingerprint
+from swarm_envs.training.collection.collect import MANIFEST, collect
 from swarm_envs.training.collection.config import CollectionConfig
 from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
@@ -29,7 +31,8 @@ class BeliefConfig:
 
     out: Path
     """folder for `belief.safetensors`, `belief.json`, `MODEL_CARD.md`; `flights` below it keeps
-    the logs"""
+    the logs. The weights and the report of another environment than `learned` are named after it,
+    such as `belief_wake.safetensors`"""
     seed: int = 0
     """seed of flights and fit"""
     steps: int = 4000
@@ -46,6 +49,8 @@ class BeliefConfig:
 class BeliefReport:
     """The content of `belief.json`."""
 
+    name: str
+    """Of the files: weights and this report."""
     command: str
     interactions: str
     """Force model of the environment that was flown in."""
@@ -77,17 +82,19 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
     provenance: dict[str, object] = {
         "command": command(config),
         "data": f"flights simulated with the force model {model.name!r}",
-        "interactions_sha256": fingerprint(model),
+        "interactions_sha256": model.fingerprint,
         "manifest_sha256": file_sha256(config.out / "flights" / MANIFEST),
         "seed": config.seed,
     }
-    path = config.out / "belief.safetensors"
+    name = file_name(collection.interactions)
+    path = config.out / f"{name}.safetensors"
     network = load_network(config.out / "fit" / "learned.safetensors")
-    save_network(path, network, provenance)
+    save_network(path, network, provenance, torch.float32)  # as it was trained
     report = BeliefReport(
+        name=name,
         command=command(config),
         interactions=model.name,
-        interactions_sha256=fingerprint(model),
+        interactions_sha256=model.fingerprint,
         flights=len(flights),
         flown_s=round(sum(flight.seconds for flight in flights), 1),
         rows=len(rows),
@@ -96,12 +103,17 @@ def fit_belief(config: BeliefConfig) -> BeliefReport:
         judgements=judge_all(path, config),
         wall_time_s=round(time.perf_counter() - began, 1),
     )
-    write_json(config.out / "belief.json", json_ready(report))
+    write_json(config.out / f"{name}.json", json_ready(report))
     limits = network.spec.input_range
     assert limits is not None  # an anchored fit has one
     with written_whole(config.out / "MODEL_CARD.md") as partial:
         partial.write_text(model_card(report, collection, limits))
     return report
+
+
+def file_name(interactions: str) -> str:
+    """Name of a belief's files, by the force model of the environment: a name or a path."""
+    return BELIEFS.get(interactions, f"belief_{Path(interactions).stem}")
 
 
 def command(config: BeliefConfig) -> str:

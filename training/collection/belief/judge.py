@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm import TrackingAgent
+from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, fly, swap_test
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.core import SwarmCore
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.swap import StackedLayout, SwapTask
-from swarm_envs.vehicles import parse_team
-
-PAPER_LAYOUT = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
-"""The flight of Neural-Swarm2, Fig. 8: radius 0.5 m, 4 s."""
+from swarm_envs.tasks.swap import StackedLayout
 
 
 @dataclass(frozen=True)
@@ -30,7 +23,7 @@ class SwapTrial:
 
 
 TRIALS = (
-    *(SwapTrial(team, PAPER_LAYOUT, 30) for team in ("S2S", "L2S", "SS2S")),
+    *(SwapTrial(team, PAPER_SWAP, 30) for team in ("S2S", "L2S", "SS2S")),
     *(SwapTrial(team, StackedLayout(), 30) for team in ("S2S", "L2S", "SS2S")),
     *(SwapTrial(team, StackedLayout(), 12) for team in ("S2L", "L2L", "SL2S", "LL2S", "SS2L")),
 )
@@ -82,10 +75,10 @@ def worst_height_errors(
     Raises:
         RuntimeError: drones collided.
     """
-    *_, core = fly_swaps(trial, controller, environment)
-    if core.verdict.crashed.any():
+    flights = fly_swaps(trial, controller, environment)
+    if flights.crashed.any():
         raise RuntimeError(f"swap of {trial.team}: drones collided in a trial with {controller}")
-    return core.record.worst_height_error.copy()
+    return flights.worst_height_error
 
 
 def fly_swaps(
@@ -93,33 +86,14 @@ def fly_swaps(
     controller: ControllerConfig,
     environment: str | InteractionModel,
     first_seed: int = 0,
-) -> Iterator[SwarmCore]:
-    """Fly the episodes of a trial on their references, all at once.
+) -> Flights:
+    """Fly the episodes of a trial on their references.
 
     Args:
         trial: what to fly.
         controller: of every drone.
         environment: the force model that blows.
         first_seed: of the first episode; the others follow.
-
-    Yields:
-        The environments, always the same, after each decision.
     """
-    agent = TrackingAgent(controller)
-    task = SwapTask(parse_team(trial.team), "stacked", trial.layout)
-    config = EnvConfig(
-        physics="batch",
-        interactions=environment,
-        action="setpoint",
-        decision_rate=48,
-        controller=agent.requires["controller"],
-        horizon_s=trial.layout.duration_s[1] + 2.0,
-        end_on_success=False,
-    )
-    core = SwarmCore(task, config, trial.episodes)
-    core.reset(list(range(first_seed, first_seed + trial.episodes)))
-    while core.running.any():
-        reference = task.reference(core.mission, core.time)
-        yaw = np.zeros((trial.episodes, core.num_drones, 2))
-        core.step(np.concatenate([*reference, yaw], axis=-1))
-        yield core
+    test = swap_test(trial.team, trial.layout, environment)
+    return fly(test, controller, range(first_seed, first_seed + trial.episodes))

@@ -1,0 +1,275 @@
+"""The one way in which flight tests are flown: references, a controller, a force it may not know.
+
+`fly` flies one case for many seeds: the compiled engine all of them at once, Bullet one after
+another with the same result. What is to be varied goes in by name:
+
+- who flies: the task's team, of vehicles such as `dataclasses.replace(SMALL, max_thrust=...)`;
+- the force that blows: `FlightTest.truth`; its scale, gusts, and drones that are not what the
+  controller takes them for: `FlightTest.randomization`, such as
+  `Randomization(force_scale=(1.5, 1.5))`;
+- what the controller believes: `ControllerConfig(feedforward=model)`, any `InteractionModel`, None
+  for the baseline; its gains, filters and lag compensation are fields of the same class;
+- how close: the layout of the task.
+
+Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+from tqdm import tqdm
+
+from swarm_envs.baselines.neural_swarm.agent import TrackingAgent
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.physics import bullet_available
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.vehicles import Team, parse_team
+from swarm_envs.viewing.record import FlightRecord
+
+PAPER_SWAP = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
+"""The swap of Neural-Swarm2, Fig. 8: 0.5 m in 4 s. Plane distance and direction are drawn."""
+
+RECOVERY_S = 2.0
+"""A swap is flown for so much longer than it takes, to see the drones recover."""
+
+AT_ONCE = 32
+"""Flights in the air at the same time: more need more memory and are no faster."""
+
+
+@dataclass(frozen=True)
+class FlightTest:
+    """What is flown, and in which air; the controller is what a test compares."""
+
+    task: Task
+    """Team and references, such as `SwapTask(parse_team("L2S"), "stacked", layout)`."""
+    truth: str | Path | InteractionModel = "learned"
+    """The force that blows. No controller reads it."""
+    engine: str = "batch"
+    """`bullet` or `batch`; see `default_engine`."""
+    horizon_s: float | None = None
+    """Length of a flight, s; None for the task's own."""
+    randomization: Randomization | None = None
+    """What else differs from episode to episode; None for nothing."""
+    decision_rate: int = 48
+    """Set-points a second, and samples of what is recorded."""
+
+    @property
+    def seconds(self) -> float:
+        """Length of a flight, s."""
+        return self.task.episode_s if self.horizon_s is None else self.horizon_s
+
+    @property
+    def decisions(self) -> int:
+        """Set-points of a flight that is flown to its end."""
+        return round(self.seconds * self.decision_rate)
+
+
+@dataclass(frozen=True)
+class Flights:
+    """E flights of a test by one controller, T samples each. World frame, SI."""
+
+    team: Team
+    """The N vehicles."""
+    seeds: tuple[int, ...]
+    """(E,) of the episodes."""
+    time: FloatArray
+    """(T,) s since the start."""
+    samples: IntArray
+    """(E,) samples until the flight ended; later ones repeat its last state."""
+    position: FloatArray
+    """(E, T, N, 3) m."""
+    velocity: FloatArray
+    """(E, T, N, 3) m/s."""
+    quaternion: FloatArray
+    """(E, T, N, 4) attitude, (x, y, z, w), body to world."""
+    reference: FloatArray
+    """(E, T, N, 3) where the drones should have been, m."""
+    force: FloatArray
+    """(E, T, N, 3) the force that blew, N."""
+    believed: FloatArray
+    """(E, T, N, 3) what the controller compensated in the same step, N; zeros if nothing."""
+    worst_height_error: FloatArray
+    """(E, N) largest vertical distance to the reference since errors count, m."""
+    worst_error: FloatArray
+    """(E, N) the same of the whole distance, m."""
+    crashed: BoolArray
+    """(E,) ended by a collision or a tumble: its errors are not its worst."""
+    metrics: tuple[dict[str, Any], ...]
+    """(E,) see `swarm_envs.envs.report.episode_metrics`."""
+
+    def record(self, e: int) -> FlightRecord:
+        """Flight `e` as plots and films take it."""
+        shown = slice(0, int(self.samples[e]))
+        return FlightRecord(
+            team=self.team,
+            time=self.time[shown],
+            position=self.position[e, shown],
+            quaternion=self.quaternion[e, shown],
+            reference=self.reference[e, shown],
+            force=self.force[e, shown],
+        )
+
+
+def swap_test(
+    team: str | Team,
+    layout: StackedLayout = PAPER_SWAP,
+    truth: str | Path | InteractionModel = "learned",
+    engine: str = "batch",
+) -> FlightTest:
+    """Stacked swaps of a team, the uppermost drone first."""
+    task = SwapTask(parse_team(team), "stacked", layout)
+    return FlightTest(task, truth, engine, horizon_s=layout.duration_s[1] + RECOVERY_S)
+
+
+def default_engine() -> str:
+    """Bullet where it can be imported, else its compiled twin."""
+    return "bullet" if bullet_available() else "batch"
+
+
+def progress_bar(title: str, decisions: int, shown: bool = True) -> tqdm[NoReturn]:
+    """A bar that `fly` ticks, in seconds of flight at the usual decision rate."""
+    return tqdm(
+        total=decisions,
+        desc=title,
+        unit=" s flown",
+        unit_scale=1.0 / FlightTest.decision_rate,
+        mininterval=0.5,
+        disable=not shown,
+        bar_format="{l_bar}{bar}| {n:.0f}/{total:.0f}{unit} [{elapsed}<{remaining}{postfix}]",
+    )
+
+
+def make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) -> SwarmCore:
+    """Environments in which a controller follows set-points, not yet reset."""
+    agent = TrackingAgent(controller, test.decision_rate)
+    config = EnvConfig(
+        physics=test.engine,
+        interactions=test.truth,
+        horizon_s=test.horizon_s,
+        randomization=test.randomization,
+        end_on_success=False,
+        **agent.requires,
+    )
+    return SwarmCore(test.task, config, num_envs)
+
+
+def follow(core: SwarmCore) -> Iterator[SwarmCore]:
+    """Fly environments that have been reset along their references, as `TrackingAgent` does.
+
+    Yields:
+        The environments, always the same, after each decision.
+    """
+    yaw = np.zeros((core.num_envs, core.num_drones, 2))
+    while core.running.any():
+        reference = core.task.reference(core.mission, core.time)
+        core.step(np.concatenate([*reference, yaw], axis=-1))
+        yield core
+
+
+def fly(
+    test: FlightTest,
+    controller: ControllerConfig,
+    seeds: Sequence[int],
+    tick: Callable[[int], object] = lambda decisions: None,
+) -> Flights:
+    """Fly one episode for each seed. The same seeds give the same flights.
+
+    Args:
+        test: what is flown, and in which air.
+        controller: of every drone.
+        seeds: at least one.
+        tick: called along the way with the decisions that were flown since the last call, of all
+            flights together; see `decisions`.
+
+    Raises:
+        ValueError: no seed is given, or the test cannot be flown.
+        ImportError: Bullet is asked for, and not there.
+    """
+    if not seeds:
+        raise ValueError("no seed was given; give one for each flight")
+    starts = range(0, len(seeds), AT_ONCE)
+    parts = [_fly_part(test, controller, seeds[k : k + AT_ONCE], tick) for k in starts]
+    numbers = {
+        name: np.concatenate([part[name] for part in parts])
+        for name in parts[0]
+        if name != _METRICS
+    }
+    return Flights(
+        team=test.task.team,
+        seeds=tuple(seeds),
+        time=np.arange(numbers["position"].shape[1]) / test.decision_rate,
+        metrics=tuple(entry for part in parts for entry in part[_METRICS]),
+        **numbers,
+    )
+
+
+_METRICS = "metrics"
+
+
+def _fly_part(
+    test: FlightTest,
+    controller: ControllerConfig,
+    seeds: Sequence[int],
+    tick: Callable[[int], object],
+) -> dict[str, Any]:
+    """Fields of `Flights` of some seeds that are in the air together."""
+    core = make_core(test, controller, len(seeds))
+    try:
+        core.reset(list(seeds))
+        trace = _Trace(core, 1 + test.decisions)
+        trace.take(0, np.ones(len(seeds), dtype=np.bool_))
+        running = core.running.copy()
+        for k, _ in enumerate(follow(core), start=1):
+            trace.take(k, running)
+            tick(int(running.sum()))
+            running = core.running.copy()
+        return trace.arrays | {
+            "worst_height_error": core.record.worst_height_error.copy(),
+            "worst_error": core.record.worst_error.copy(),
+            "crashed": core.verdict.crashed.any(axis=1),
+            _METRICS: [core.metrics(e) for e in range(len(seeds))],
+        }
+    finally:
+        core.close()
+
+
+class _Trace:
+    """Samples of E environments over time, with room for T."""
+
+    def __init__(self, core: SwarmCore, length: int) -> None:
+        self._core = core
+        shape = (core.num_envs, length, core.num_drones)
+        self.arrays: dict[str, Any] = {
+            name: np.zeros((*shape, 4 if name == "quaternion" else 3)) for name in self._sources()
+        }
+        self.arrays["samples"] = np.zeros(core.num_envs, dtype=np.int64)
+
+    def _sources(self) -> dict[str, FloatArray]:
+        """(E, N, width) what is sampled."""
+        core = self._core
+        state = core.physics.state
+        return {
+            "position": state.position,
+            "velocity": state.velocity,
+            "quaternion": state.quaternion,
+            "reference": core.task.reference(core.mission, core.time).position,
+            "force": core.physics.force,
+            "believed": core.flight.pilot.belief_force,
+        }
+
+    def take(self, k: int, running: BoolArray) -> None:
+        """Write sample k and all later ones, so that a flight that ends keeps its last state."""
+        for name, value in self._sources().items():
+            self.arrays[name][running, k:] = value[running, None]
+        self.arrays["samples"][running] = k + 1

@@ -1,0 +1,169 @@
+"""The planner of Neural-Swarm2 (Sec. V) as an agent: plans when goals are set, then flies the plan.
+
+It emits set-points from the plan; the tracking loop of the environment follows them and compensates
+the force that it believes (Sec. VI). The planner believes the same, never the environment's truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.agents import Actions, Observations
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G, PlanningBounds
+from swarm_envs.baselines.neural_swarm.planner.library import plan_swarm
+from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
+from swarm_envs.baselines.neural_swarm.planner.problem import hover_force, shortest_time
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
+from swarm_envs.tasks.motion import ORBITS
+from swarm_envs.vehicles import GRAM_FORCE, Team
+
+MAX_DRONES = 6
+"""More drones than this are refused: planning one after another gets slow and finds no way."""
+_LONGEST_S = 6.0
+"""The longest plan, s: more time makes a plan cheaper, but not by much."""
+_SPARE_S = 1.5
+"""Of the clock, what is left for settling at the goals, s."""
+_CLEARANCE = 1.5
+"""Clearance over the sum of radii where starts and goals allow it: below it is a near miss."""
+_HOVER_SHARE = 1.2
+"""Force bound over what is felt hovering at starts and goals, where that is above the paper's."""
+
+
+class PlanAgent:
+    """Plans at every change of goals, with its own belief of the forces, and flies the plan.
+
+    Args:
+        belief: force model of planner and controller; None for `load_belief()`.
+        decision_rate: set-points per second.
+    """
+
+    privileged = True
+
+    def __init__(self, belief: InteractionModel | None = None, decision_rate: int = 48) -> None:
+        self._belief = belief if belief is not None else load_belief()
+        self.requires: Mapping[str, Any] = {
+            "action": "setpoint",
+            "decision_rate": decision_rate,
+            "controller": ControllerConfig(feedforward=self._belief),
+        }
+        self.plans: list[SwarmPlan] = []
+        """The episode's plans, one for each set of goals; look whether they converged."""
+        self._agents: list[str] = []
+        self._task: Task | None = None
+        self._goals, self._began, self._seed = np.zeros((0, 3)), 0.0, 0
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Plan the way to the first goals.
+
+        Raises:
+            ValueError: more than six drones, goals that move, obstacles, or goals for which no
+                plan can exist.
+        """
+        task = env.core.task
+        if len(task.team) > MAX_DRONES:
+            raise ValueError(
+                f"PlanAgent got {len(task.team)} drones, but plans for at most {MAX_DRONES}; for "
+                "more use an agent that does not plan all together, such as 'tracking-compensated'"
+            )
+        if task.motion.kind == ORBITS:
+            raise ValueError(
+                f"PlanAgent plans to goals at rest, but those of {task.name} move; use swap or "
+                "formation, or the agent 'tracking-compensated'"
+            )
+        if task.obstacles:
+            raise ValueError(
+                f"PlanAgent knows no obstacles, but there are {len(task.obstacles)}; make the "
+                "environment without"
+            )
+        self._agents, self._task, self._seed, self.plans = list(env.agents), task, seed, []
+        self._plan(env.view)
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Position, velocity, acceleration and jerk of the plan; no yaw.
+
+        Raises:
+            ValueError: there is no view, without which goals are unknown.
+        """
+        if view is None:
+            raise ValueError("the planning agent is privileged: pass env.view as the view")
+        if not np.array_equal(view.goals, self._goals):
+            self._plan(view)
+        reference = self.plans[-1].reference(view.time - self._began)
+        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
+        return dict(zip(self._agents, rows, strict=True))
+
+    def _plan(self, view: View) -> None:
+        assert self._task is not None
+        starts = view.setpoint.position.copy()
+        self._goals, self._began = view.goals.copy(), view.time
+        bounds = bounds_for(self._task, self._belief, starts, self._goals)
+        clock = self._task.motion.stage_s or view.horizon_s
+        plan = plan_swarm(
+            starts,
+            self._goals,
+            view.team,
+            self._belief,
+            bounds,
+            self._seed,
+            max_duration=_duration(starts, self._goals, clock),
+        )
+        self.plans.append(plan)
+
+
+def bounds_for(
+    task: Task, model: InteractionModel, starts: FloatArray, goals: FloatArray
+) -> PlanningBounds:
+    """Bounds that leave room for tracking, as far as starts and goals (N, 3) allow."""
+    margin = float(task.radius.max())
+    room = [_room(points, task.radius) for points in (starts, goals)]
+    low, high = task.arena[0] + margin, task.arena[1] - margin
+    low = np.minimum(low, np.minimum(starts, goals).min(axis=0))
+    high = np.maximum(high, np.maximum(starts, goals).max(axis=0))
+    return PlanningBounds(
+        lower=(float(low[0]), float(low[1]), float(low[2])),
+        upper=(float(high[0]), float(high[1]), float(high[2])),
+        speed=SPEED_LIMIT,
+        acceleration=ACCELERATION_LIMIT,
+        force_g=_force_bounds(task.team, model, starts, goals),
+        clearance_factor=max(1.0, min(_CLEARANCE, *room)),
+    )
+
+
+def _room(points: FloatArray, radius: FloatArray) -> float:
+    """Smallest distance of two points (N, 3) over the sum of their radii, less a rounding."""
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    return float((apart / (radius[:, None] + radius[None])).min()) * (1.0 - 1e-9)
+
+
+def _force_bounds(
+    team: Team, model: InteractionModel, starts: FloatArray, goals: FloatArray
+) -> dict[str, float]:
+    """The paper's bounds, g, or more where hovering at starts and goals needs it."""
+    places = [(points, team, range(len(team))) for points in (starts, goals)]
+    bounds: dict[str, float] = {}
+    for points, vehicles, indices in places:
+        together = np.abs(hover_force(model, points, vehicles))
+        for i in indices:
+            alone = abs(float(hover_force(model, points[[i]], [vehicles[i]])[0]))
+            needed = _HOVER_SHARE * max(float(together[i]), alone) / GRAM_FORCE
+            token = vehicles[i].token
+            least = FORCE_BOUNDS_G.get(token, max(FORCE_BOUNDS_G.values()))
+            bounds[token] = max(bounds.get(token, least), needed)
+    return bounds
+
+
+def _duration(starts: FloatArray, goals: FloatArray, clock: float) -> float:
+    """Time for a plan, s: as the clock allows, but no less than flying there needs."""
+    way = np.abs(goals - starts)
+    needed = float(shortest_time(way, SPEED_LIMIT, ACCELERATION_LIMIT).max())
+    return min(_LONGEST_S, max(clock - _SPARE_S, 1.25 * needed + 0.5))

@@ -1,0 +1,19 @@
+"""Neural-Swarm2's interaction-aware motion planner (Sec. V, Algorithm 1)."""
+
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
+from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds
+from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.plot import plot_plan
+from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
+from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
+
+__all__ = [
+    "PlanningBounds",
+    "PlanningProblem",
+    "RefinementOptions",
+    "SearchConfig",
+    "Trajectories",
+    "plot_plan",
+    "straight_lines",
+]

@@ -1,0 +1,244 @@
+"""Stage 1: sequential kinodynamic AO-RRT for teams that blow on each other (Sec. V-A).
+
+Robots are planned one after another in a random order, each by a tree of its own among the motions
+of the others; those that have no motion yet are not there, and will have to make way when it is
+their turn. Costs are those of eq. (6), the integral of ||u||, summed over *all* robots: who blows
+on a neighbour pays for the thrust with which that neighbour stays on its path. The cost of the team
+is the bound of every later tree, so it only falls.
+
+Eq. (6) leaves the duration free, but the longer a flight, the cheaper: a robot may always wait. So
+plans last as long as the problem allows.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.planner.flight import INVALID
+from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.scene import make_scene, work_for
+from swarm_envs.baselines.neural_swarm.planner.search import Chances, grow
+from swarm_envs.baselines.neural_swarm.planner.trajectories import (
+    Trajectories,
+    trajectories_through,
+)
+from swarm_envs.baselines.neural_swarm.planner.tree import Tree, search_tree
+from swarm_envs.compiled import announce_compilation
+from swarm_envs.errors import check_integer, check_name
+from swarm_envs.state import FloatArray
+
+Stop = Literal["iterations", "no improvement", "time limit"]
+"""Why a search ended."""
+
+_NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
+
+
+@dataclass(frozen=True)
+class SearchConfig:
+    """Options of stage 1.
+
+    Raises:
+        ValueError: a number is out of range; the message names it.
+    """
+
+    iterations: int = 100_000
+    """The most iterations (lines 6 to 11) of all trees together."""
+    iterations_per_tree: int = 2000
+    """The most iterations of one tree before it is given up."""
+    patience: int = 1000
+    """The most outer loops in a row that find nothing cheaper."""
+    time_limit: float | None = None
+    """The most wall-clock time, s; looked at after each tree. Only this stop is not repeatable."""
+    edge: int = 2
+    """Steps of the problem over which an action is held: the paper's constant delta t."""
+    postprocess: Literal["repeat", "track"] = "track"
+    """After arrival within epsilon: `"repeat"` brakes in one step and stays there, `"track"` is
+    drawn to the goal itself by virtual tracking. Either way to the common end of the plan."""
+    fresh: float = 0.5
+    """How often an outer loop plans everyone anew, below the cost bound, instead of replanning one
+    after another among the motions there are: the way out of a poor homeomorphism class."""
+    least_gain: float = 0.005
+    """Share by which a plan must be cheaper than the best; below it, trees do not look."""
+    chances: Chances = field(default_factory=Chances)
+    """How often a tree does what."""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no search."""
+        for name in ("iterations", "iterations_per_tree", "patience", "edge"):
+            check_integer(name, getattr(self, name), 1)
+        check_name("postprocess", self.postprocess, ("repeat", "track"))
+        if self.time_limit is not None and not self.time_limit > 0.0:
+            raise ValueError(f"time_limit is {self.time_limit!r} s, but must be positive or None")
+        if not 0.0 <= self.least_gain < 1.0:
+            raise ValueError(f"least_gain is {self.least_gain!r}, but must be in [0, 1)")
+        for name, chance in (("fresh", self.fresh), *self.chances._asdict().items()):
+            if not 0.0 <= chance <= 1.0:
+                raise ValueError(f"chance {name!r} is {chance!r}, but must be in [0, 1]")
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What one outer loop did."""
+
+    cost: float
+    """Cost of the best plan after it, m/s; infinite as long as there is none."""
+    iterations: int
+    """Iterations in all trees so far."""
+    fresh: bool
+    """Whether it planned everyone anew."""
+    tree_sizes: tuple[int, ...]
+    """Nodes in its trees, in the order of planning."""
+
+
+@dataclass(frozen=True, eq=False)
+class SearchResult:
+    """What stage 1 found."""
+
+    trajectories: Trajectories | None
+    """The cheapest plan; None if none was found."""
+    loops: tuple[Loop, ...]
+    """The outer loops in order."""
+    stop: Stop
+    """Why it ended."""
+
+    @property
+    def cost(self) -> float:
+        """Cost of the plan, the integral of ||u|| of all robots (eq. 6), m/s."""
+        return self.loops[-1].cost
+
+    @property
+    def iterations(self) -> int:
+        """Iterations in all trees."""
+        return self.loops[-1].iterations
+
+    @property
+    def converged(self) -> bool:
+        """Whether there is a plan and the search was not cut short by the clock."""
+        return self.trajectories is not None and self.stop != "time limit"
+
+
+def search(
+    problem: PlanningProblem,
+    config: SearchConfig | None = None,
+    seed: int | np.random.Generator = 0,
+    watch: Callable[[Loop], None] | None = None,
+) -> SearchResult:
+    """Find trajectories of a whole team that are valid, and ever cheaper.
+
+    The trajectories follow their controls and forces exactly (`defects` are rounding), keep all
+    bounds of the problem, and end within epsilon of the goals.
+
+    Args:
+        problem: what to plan.
+        config: options; by default `SearchConfig()`.
+        seed: of everything drawn, or a generator.
+        watch: told of each outer loop as it ends.
+
+    Raises:
+        ValueError: an edge is longer than the longest plan.
+    """
+    options = config or SearchConfig()
+    if options.edge > problem.steps:
+        raise ValueError(
+            f"edge is {options.edge} steps, but max_duration allows {problem.steps}; shorten it"
+        )
+    announce_compilation(grow)
+    return _Search(problem, options, np.random.default_rng(seed)).run(watch)
+
+
+class _Search:
+    """The state of a search: the best plan so far, and what it took."""
+
+    def __init__(
+        self, problem: PlanningProblem, options: SearchConfig, rng: np.random.Generator
+    ) -> None:
+        self.problem, self.options = problem, options
+        self.generator = rng
+        self.knots = problem.steps // options.edge * options.edge + 1
+        room = _NODES_PER_ITERATION * options.iterations_per_tree + 2 * self.knots
+        self.tree: Tree = search_tree(room, len(problem.team))
+        self.best: FloatArray | None = None
+        self.cost = np.inf
+        self.iterations = 0
+        self.deadline = time.monotonic() + (options.time_limit or np.inf)
+
+    def run(self, watch: Callable[[Loop], None] | None) -> SearchResult:
+        """Outer loops until something ends them."""
+        loops: list[Loop] = []
+        stop, idle = None, 0
+        while stop is None:
+            before = self.cost
+            loops.append(self.loop())
+            if watch is not None:
+                watch(loops[-1])
+            idle = 0 if self.cost < before else idle + 1
+            stop = self.stop(idle)
+        found = None if self.best is None else trajectories_through(self.problem, self.best)
+        return SearchResult(found, tuple(loops), stop)
+
+    def stop(self, idle: int = 0) -> Stop | None:
+        """Why to end now, after so many loops in a row without improvement."""
+        if time.monotonic() >= self.deadline:
+            return "time limit"
+        if self.iterations >= self.options.iterations:
+            return "iterations"
+        return "no improvement" if idle >= self.options.patience else None
+
+    def loop(self) -> Loop:
+        """One outer loop (lines 3 to 15): every robot once, in a random order."""
+        fresh = self.best is None or bool(self.generator.random() < self.options.fresh)
+        sizes = tuple(self.plan_all() if fresh else self.replan_all())
+        return Loop(float(self.cost), self.iterations, fresh, sizes)
+
+    def plan_all(self) -> Iterator[int]:
+        """Plan everyone from nothing; give up when one finds no way. Yields the tree sizes."""
+        robots = len(self.problem.team)
+        states = np.zeros((self.knots, robots, 6))
+        planned: list[int] = []
+        for robot in self.generator.permutation(robots):
+            cost, path, size = self.plan(int(robot), states, planned)
+            yield size
+            if cost == INVALID:
+                return
+            states[:, robot] = path
+            planned.append(int(robot))
+        self.best, self.cost = states, cost
+
+    def replan_all(self) -> Iterator[int]:
+        """Replan one robot after another, the others on their paths. Yields the tree sizes."""
+        assert self.best is not None
+        robots = len(self.problem.team)
+        for robot in self.generator.permutation(robots):
+            cost, path, size = self.plan(int(robot), self.best, list(range(robots)))
+            yield size
+            if cost != INVALID:
+                self.best, self.cost = self.best.copy(), cost
+                self.best[:, robot] = path
+
+    def plan(
+        self, robot: int, states: FloatArray, planned: list[int]
+    ) -> tuple[float, FloatArray, int]:
+        """One tree: cost of the team with the robot's new path (K + 1, 6), and the tree's size."""
+        options, path = self.options, np.zeros((self.knots, 6))
+        if self.stop() is not None:
+            return INVALID, path, 0
+        scene = make_scene(
+            self.problem, robot, states, planned, options.edge, options.postprocess == "track"
+        )
+        cost, used, size = grow(
+            scene,
+            self.tree,
+            work_for(scene),
+            self.cost * (1.0 - options.least_gain),
+            min(options.iterations_per_tree, options.iterations - self.iterations),
+            options.chances,
+            self.generator,
+            path,
+        )
+        self.iterations += max(used, 1)
+        return cost, path, size

@@ -1,0 +1,183 @@
+"""Plans as pictures, like Fig. 6: paths with the drones on them, and the forces over time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
+from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_forces
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE, team_string
+from swarm_envs.viewing.palette import drone_colors
+from swarm_envs.viewing.style import GREY, INK, draw_drone, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_AXES = "xyz"
+_METRES_PER_GRAM = 0.03
+"""Length of a force's arrow."""
+_VISIBLE_G = 0.5
+"""Weaker forces get no arrow."""
+_OUTLINES = 5
+"""Moments at which drones are drawn, start and end among them."""
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One column of a picture: motions and the forces that are felt on them."""
+
+    title: str
+    """What stands above."""
+    states: FloatArray
+    """(T + 1, N, 6) positions (m) and velocities (m/s)."""
+    force_g: FloatArray
+    """(T + 1, N) vertical forces, grams."""
+    times: FloatArray
+    """(T + 1,) s."""
+
+
+def plot_plan(
+    path: str | Path,
+    plan: SwarmPlan,
+    unaware: SwarmPlan | None = None,
+    model: InteractionModel | None = None,
+) -> None:
+    """Draw a plan after stage 1 and after stage 2, and beside them one made without forces.
+
+    Args:
+        path: PNG, PDF or SVG to write.
+        plan: of whatever team.
+        unaware: a plan for the same team by a planner that knew of no forces.
+        model: the forces that the unaware plan will meet; needed with it.
+
+    Raises:
+        ValueError: an unaware plan without a model, or of another team.
+        OSError: the file cannot be written.
+    """
+    stages = (("Stage 1: search", plan.initial), ("Stage 2: refined", plan.trajectories))
+    columns = [
+        Motion(title, m.states, m.forces[..., 2] / GRAM_FORCE, m.times) for title, m in stages
+    ]
+    if unaware is not None:
+        columns.append(_met_by(unaware, plan, model))
+    where = "in the y-z plane" if plan.plane == "yz" else "in space"
+    headline = f"Plan of {team_string(plan.team)} {where}, forces as {plan.model_name!r} has them"
+    views = ((1, 2),) if plan.plane == "yz" else ((0, 1), (1, 2))
+    heights = [_aspect(columns, view) for view in views]
+    width = 4.4 * len(columns)
+    tall = 4.0 * sum(heights) + 2.6
+    with picture(Path(path), width, tall + 1.0, headline) as figure:
+        ratios = [*(4.0 * height for height in heights), 2.6]
+        axes = figure.subplots(
+            len(views) + 1, len(columns), sharey="row", squeeze=False, height_ratios=ratios
+        )
+        for column, motion in zip(axes.T, columns, strict=True):
+            for axis, view in zip(column, views):
+                _draw_paths(axis, plan, motion, view)
+            _draw_forces(column[-1], plan, motion)
+            column[0].set_title(motion.title)
+        for row, view in zip(axes, views):
+            row[0].set_ylabel(f"{_AXES[view[1]]} (m)")
+        axes[-1, 0].set_ylabel("Vertical force (g)")
+        _add_legend(figure, plan)
+
+
+def _met_by(unaware: SwarmPlan, plan: SwarmPlan, model: InteractionModel | None) -> Motion:
+    if model is None:
+        raise ValueError("an unaware plan is given, but no model of the forces it will meet")
+    if unaware.team != plan.team:
+        raise ValueError(
+            f"the unaware plan is of team {team_string(unaware.team)!r}, but the plan of "
+            f"{team_string(plan.team)!r}; give plans of one team"
+        )
+    forces = predict_forces(model, plan.team, unaware.states)[..., 2] / GRAM_FORCE
+    return Motion("Planned without forces", unaware.states, forces, unaware.times)
+
+
+def _aspect(columns: Sequence[Motion], view: tuple[int, int]) -> float:
+    """Height over width of the paths' frame, within reason."""
+    points = np.concatenate([motion.states[..., :3].reshape(-1, 3) for motion in columns])
+    wide, high = (float(np.ptp(points[:, axis])) + 0.5 for axis in view)
+    return min(max(high / wide, 0.5), 1.2)
+
+
+def _draw_paths(axis: Axes, plan: SwarmPlan, motion: Motion, view: tuple[int, int]) -> None:
+    """Paths of all drones, outlines at some moments, arrows of the forces if seen from the side."""
+    colors, last = drone_colors(plan.team), len(motion.times) - 1
+    moments = np.linspace(0, last, _OUTLINES).round().astype(np.int64)
+    for i, (vehicle, color) in enumerate(zip(plan.team, colors)):
+        first, second = (motion.states[:, i, k] for k in view)
+        axis.plot(first, second, color=color, linewidth=1.6, zorder=3)
+        if view[1] == 2:
+            _draw_arrows(axis, first, second, motion.force_g[:, i])
+        for rank, k in enumerate(moments):
+            alpha = 0.25 + 0.65 * rank / (_OUTLINES - 1)
+            if view[1] == 2:
+                draw_drone(axis, vehicle, first[k], second[k], color, alpha)
+            else:
+                _draw_disc(axis, (first[k], second[k]), vehicle.radius, color, alpha)
+        goal = plan.goals[i, list(view)]
+        axis.plot(*goal, marker="x", color=color, markersize=7, markeredgewidth=1.6, zorder=7)
+    axis.set_aspect("equal", adjustable="datalim")
+    axis.set_xlabel(f"{_AXES[view[0]]} (m)")
+    axis.grid(True)
+
+
+def _draw_disc(
+    axis: Axes, place: tuple[float, float], radius: float, color: str, alpha: float
+) -> None:
+    from matplotlib.patches import Circle
+
+    axis.add_patch(Circle(place, radius, facecolor=color, alpha=0.6 * alpha, zorder=5))
+
+
+def _draw_arrows(axis: Axes, across: FloatArray, up: FloatArray, force_g: FloatArray) -> None:
+    """Vertical arrows where the air pushes, as long as it is strong."""
+    felt = np.abs(force_g) > _VISIBLE_G
+    if not felt.any():
+        return
+    style: Any = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
+    length = _METRES_PER_GRAM * force_g[felt]
+    axis.quiver(
+        across[felt], up[felt], np.zeros_like(length), length, color="#C0392B", zorder=4, **style
+    )
+    ends = np.column_stack([across[felt], up[felt] + length])
+    axis.update_datalim(ends)
+
+
+def _draw_forces(axis: Axes, plan: SwarmPlan, motion: Motion) -> None:
+    """Vertical forces over time, and the bound of each type, dashed."""
+    for i, color in enumerate(drone_colors(plan.team)):
+        axis.plot(motion.times, motion.force_g[:, i], color=color, linewidth=1.6)
+    limits = plan.bounds.force_bounds(plan.team) / GRAM_FORCE
+    for limit, color in zip(limits, drone_colors(plan.team)):
+        for sign in (-1, 1):
+            axis.axhline(sign * limit, color=color, linewidth=1.0, linestyle="--", alpha=0.7)
+    axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
+    axis.set(xlabel="Time (s)", xlim=(0.0, float(motion.times[-1])))
+    axis.grid(True)
+
+
+def _add_legend(figure: Figure, plan: SwarmPlan) -> None:
+    from matplotlib.lines import Line2D
+
+    lines = [
+        Line2D([], [], color=color, linewidth=1.8, label=f"{i + 1}: {vehicle.token}")
+        for i, (vehicle, color) in enumerate(zip(plan.team, drone_colors(plan.team)))
+    ]
+    others: Sequence[tuple[str, Any]] = (
+        ("goal", {"marker": "x", "linestyle": "none"}),
+        ("force bound", {"linestyle": "--", "linewidth": 1.0}),
+    )
+    lines += [Line2D([], [], color=INK, label=label, **style) for label, style in others]
+    arrow = f"force, {10 * _METRES_PER_GRAM:.1f} m for 10 g"
+    lines.append(Line2D([], [], color="#C0392B", linewidth=1.6, label=arrow))
+    figure.legend(handles=lines, loc="outside lower center", ncols=min(len(lines), 9))

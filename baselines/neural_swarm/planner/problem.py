@@ -1,0 +1,174 @@
+"""A motion planning problem, checked before any planning starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds, check_positive
+from swarm_envs.errors import check_array, check_name
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle, parse_team
+
+Plane = Literal["xyz", "yz"]
+"""`"xyz"`: motion in space. `"yz"`: each robot keeps the x of its start (Fig. 6 and 7)."""
+
+_NEXT_TO_NOTHING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningProblem:
+    """Where robots start and end, what they are, and what blows between them (eq. 6).
+
+    Positions in m, world frame, z up; every robot is at rest at its start and its goal. The bounds
+    of the forces hold in what `model` believes.
+
+    Raises:
+        ValueError: the problem has no solution whatever the plan: a start or goal lies outside the
+            box or in collision, cannot be reached in the time, or has forces beyond the bounds
+            even when hovering there; or a value makes no sense.
+    """
+
+    starts: FloatArray
+    """(N, 3) start positions, m."""
+    goals: FloatArray
+    """(N, 3) goal positions, m."""
+    team: Team
+    """The N vehicles; a string such as `"SSL"` is read."""
+    model: InteractionModel = field(default_factory=lambda: load("learned"))
+    """What the planner believes of the forces f_a."""
+    bounds: PlanningBounds = field(default_factory=PlanningBounds)
+    """What the plan must keep to."""
+    dt: float = 0.1
+    """Time between knots, s; controls are held over it."""
+    max_duration: float = 5.0
+    """The latest end of the plan t_f, s. Longer flights are cheaper (eq. 6), so plans use it."""
+    plane: Plane = "xyz"
+    """In which plane robots move."""
+
+    def __post_init__(self) -> None:
+        """Read the arguments and refuse what cannot be planned."""
+        team = parse_team(self.team)
+        shape = (len(team), 3)
+        settled = {
+            "team": team,
+            "starts": _frozen("starts", self.starts, shape),
+            "goals": _frozen("goals", self.goals, shape),
+        }
+        for name, value in settled.items():
+            object.__setattr__(self, name, value)
+        check_positive("dt", self.dt)
+        check_positive("max_duration", self.max_duration)
+        check_name("plane", self.plane, ("xyz", "yz"))
+        self.model.type_indices(team)  # refuses a type that the model lacks
+        self._check_plane()
+        for name, places in (("start", self.starts), ("goal", self.goals)):
+            self._check_box(name, places)
+            self._check_clearance(name, places)
+            self._check_forces(name, places)
+        self._check_reachable()
+
+    @property
+    def axes(self) -> tuple[int, ...]:
+        """Indices of the axes along which robots may move."""
+        return (0, 1, 2) if self.plane == "xyz" else (1, 2)
+
+    @property
+    def masses(self) -> FloatArray:
+        """Masses (N,), kg."""
+        return np.array([vehicle.mass for vehicle in self.team])
+
+    @property
+    def steps(self) -> int:
+        """The largest number of steps of length dt that a plan may have."""
+        return int(np.floor(self.max_duration / self.dt + 1e-9))
+
+    def _check_plane(self) -> None:
+        moved = np.abs(self.goals[:, 0] - self.starts[:, 0])
+        if self.plane == "yz" and moved.max() > _NEXT_TO_NOTHING:
+            i = int(moved.argmax())
+            raise ValueError(
+                f"drone {i} starts at x = {self.starts[i, 0]:g} m with its goal at "
+                f"x = {self.goals[i, 0]:g} m, but plane='yz' keeps x; give both the same x, or "
+                "plan with plane='xyz'"
+            )
+
+    def _check_box(self, name: str, places: FloatArray) -> None:
+        low, high = self.bounds.lower, self.bounds.upper
+        outside = ((places < low) | (places > high)).any(axis=1)
+        if outside.any():
+            i = int(outside.argmax())
+            raise ValueError(
+                f"the {name} of drone {i} is {places[i].tolist()} m, outside the box from {low} to "
+                f"{high} m; move it inside or widen PlanningBounds.lower and upper"
+            )
+
+    def _check_clearance(self, name: str, places: FloatArray) -> None:
+        apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+        short = self.bounds.clearances(self.team) - apart
+        i, j = np.unravel_index(int(short.argmax()), short.shape)
+        if short[i, j] > 0.0:
+            raise ValueError(
+                f"the {name}s of drones {i} and {j} are {apart[i, j]:.3g} m apart, in collision: "
+                f"they must be {apart[i, j] + short[i, j]:.3g} m apart; move one of them"
+            )
+
+    def _check_forces(self, name: str, places: FloatArray) -> None:
+        """Hovering alone, then all together: neither may exceed the bounds."""
+        limit = self.bounds.force_bounds(self.team)
+        alone = [hover_force(self.model, p[None], [v]) for p, v in zip(places, self.team)]
+        together = hover_force(self.model, places, self.team)
+        for how, force in (("alone", np.concatenate(alone)), ("beside the others", together)):
+            excess = np.abs(force) - limit
+            i = int(excess.argmax())
+            if excess[i] > 0.0:
+                token = self.team[i].token
+                raise ValueError(
+                    f"drone {i} ({token}) hovering {how} at its {name} feels "
+                    f"{force[i] / GRAM_FORCE:.3g} g, but force_g[{token!r}] allows "
+                    f"{limit[i] / GRAM_FORCE:.3g} g; raise the bound or move the {name}"
+                )
+
+    def _check_reachable(self) -> None:
+        """A drone may use its full acceleration and all the force that its bound allows."""
+        limit = self.bounds.force_bounds(self.team) / self.masses
+        ways = np.abs(self.goals - self.starts)
+        times = shortest_time(ways, self.bounds.speed, self.bounds.acceleration + limit[:, None])
+        i = int(times.max(axis=1).argmax())
+        least, given = float(times[i].max()), self.steps * self.dt
+        if least > given:
+            raise ValueError(
+                f"drone {i} cannot reach its goal in max_duration = {self.max_duration:g} s "
+                f"({self.steps} steps of {self.dt:g} s): it needs at least {least:.3g} s at "
+                f"{self.bounds.speed:g} m/s and {self.bounds.acceleration:g} m/s^2; allow more time"
+            )
+
+
+def shortest_time(
+    distance: npt.ArrayLike, speed: npt.ArrayLike, acceleration: npt.ArrayLike
+) -> FloatArray:
+    """Time in which a double integrator covers a distance from rest to rest: bang-bang, s.
+
+    Args:
+        distance: (...) m, not negative.
+        speed: (...) largest speed, m/s.
+        acceleration: (...) largest acceleration, m/s^2.
+    """
+    d, v, a = (np.asarray(x, dtype=np.float64) for x in (distance, speed, acceleration))
+    return np.where(d > v * v / a, d / v + v / a, 2.0 * np.sqrt(d / a))
+
+
+def hover_force(model: InteractionModel, places: FloatArray, team: Sequence[Vehicle]) -> FloatArray:
+    """Vertical force f_a,z (N,) on drones that all hover at (N, 3) m, newton."""
+    return model.forces(places[None], np.zeros_like(places)[None], team)[0, :, 2]
+
+
+def _frozen(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
+    array = check_array(name, value, shape, "one row of x, y, z for each drone of the team").copy()
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,177 @@
+"""What one robot is planned among: the others' motions, and what planning it may do to them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.steering import responses
+from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_forces
+from swarm_envs.interactions.blocks import Scratch, scratch_for
+from swarm_envs.interactions.field import ForceField
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.vehicles import GRAM_FORCE
+
+
+class Scene(NamedTuple):
+    """One robot's planning problem as compiled kernels read it; robot 0 of n is the one planned.
+
+    K is the largest number of steps. Robots that have no motion yet are not among the n.
+    """
+
+    field: ForceField
+    types: IntArray
+    """(n,) interaction types."""
+    mass: FloatArray
+    """(n,) kg."""
+    clearance: FloatArray
+    """(n,) distance to keep from each robot, m."""
+    force_limit: FloatArray
+    """(n,) f_a,max, the largest |f_a,z|, N."""
+    force_change: float
+    """b_fa, N."""
+    position: FloatArray
+    """(K + 1, n, 3) the others' motions, m; row 0 of each knot is free."""
+    velocity: FloatArray
+    """(K + 1, n, 3) m/s."""
+    acceleration: FloatArray
+    """(K + 1, n, 3) held after each knot, m/s^2."""
+    force_before: FloatArray
+    """(K + 1, n) vertical forces before this robot is planned anew, N."""
+    cost_left: FloatArray
+    """(K + 1,) what the others' controls cost from each knot on without this robot, m/s."""
+    start: FloatArray
+    """(3,) m."""
+    goal: FloatArray
+    """(3,) m."""
+    guide: FloatArray
+    """(K + 1, 6) a motion near which to sample: the one before, or the straight line."""
+    lower: FloatArray
+    """(3,) m; along an axis that is not free, the start."""
+    upper: FloatArray
+    """(3,) m."""
+    free: FloatArray
+    """(3,) 1 along axes in which the robot may move, else 0."""
+    limits: FloatArray
+    """(4,) speed (m/s), |u| (m/s^2), distance (m) and speed (m/s) that count as at the goal."""
+    drag: FloatArray
+    """(3,) the robot's own drag per mass, 1/s."""
+    table: FloatArray
+    """`steering.responses` of the robot."""
+    dt: float
+    """Length of a step, s."""
+    edge: int
+    """Steps in an edge."""
+    tracked: bool
+    """Whether the robot is steered to rest at its goal after it arrived, or stays as it is."""
+
+
+class Work(NamedTuple):
+    """Working memory: all n robots as they are at one knot."""
+
+    position: FloatArray
+    velocity: FloatArray
+    force: FloatArray
+    scratch: Scratch
+
+
+def work_for(scene: Scene) -> Work:
+    """Working memory for a scene."""
+    n = len(scene.types)
+    return Work(*(np.zeros((n, 3)) for _ in range(3)), scratch_for(scene.field, n, n))
+
+
+def make_scene(
+    problem: PlanningProblem,
+    robot: int,
+    states: FloatArray,
+    planned: list[int],
+    edge: int,
+    tracked: bool,
+) -> Scene:
+    """Set the scene for planning one robot among those that have motions.
+
+    Args:
+        problem: the whole problem.
+        robot: index of the robot to be planned.
+        states: (K + 1, N, 6) the motions there are; of others the rows are not read.
+        planned: indices of the robots that have motions, this robot among them or not.
+        edge: steps in an edge of the search tree.
+        tracked: see `Scene.tracked`.
+    """
+    others = [j for j in planned if j != robot]
+    index, bounds = [robot, *others], problem.bounds
+    team = tuple(problem.team[j] for j in index)
+    was_planned = robot in planned
+    alone, before = _forces_on_others(problem, states, others, robot if was_planned else None)
+    acceleration = np.zeros((len(states), len(index), 3))
+    acceleration[:-1, 1:] = np.diff(states[:, others, 3:], axis=0) / problem.dt
+    mass, free = problem.masses[index], np.zeros(3)
+    free[list(problem.axes)] = 1.0
+    types = problem.model.type_indices(team)
+    drag = problem.model.field.drag[types[0]] / mass[0]
+    start, goal = problem.starts[robot], problem.goals[robot]
+    return Scene(
+        field=problem.model.field,
+        types=types,
+        mass=mass,
+        clearance=bounds.clearances(problem.team)[robot, index],
+        force_limit=bounds.force_bounds(team),
+        force_change=bounds.force_change_g * GRAM_FORCE,
+        position=np.ascontiguousarray(states[:, index, :3]),
+        velocity=np.ascontiguousarray(states[:, index, 3:]),
+        acceleration=acceleration,
+        force_before=before,
+        cost_left=_cost_left(acceleration[:, 1:], alone, mass[1:], problem.dt),
+        start=start.copy(),
+        goal=goal.copy(),
+        guide=states[:, robot].copy()
+        if was_planned
+        else _straight(start, goal, len(states), problem.dt),
+        lower=np.where(free > 0.0, bounds.lower, start - 1e-6),
+        upper=np.where(free > 0.0, bounds.upper, start + 1e-6),
+        free=free,
+        limits=np.array(
+            [bounds.speed, bounds.acceleration, bounds.goal_distance, bounds.goal_speed]
+        ),
+        drag=drag,
+        table=responses(drag, problem.dt, len(states) - 1),
+        dt=problem.dt,
+        edge=edge,
+        tracked=tracked,
+    )
+
+
+def _forces_on_others(
+    problem: PlanningProblem, states: FloatArray, others: list[int], robot: int | None
+) -> tuple[FloatArray, FloatArray]:
+    """Forces (K + 1, n - 1, 3) without the robot; vertical ones (K + 1, n) as they are now, N."""
+    before = np.zeros((len(states), 1 + len(others)))
+    alone = np.zeros((len(states), len(others), 3))
+    if others:
+        team = tuple(problem.team[j] for j in others)
+        alone = predict_forces(problem.model, team, states[:, others])
+        before[:, 1:] = alone[..., 2]
+        if robot is not None:
+            index = [robot, *others]
+            whole = tuple(problem.team[j] for j in index)
+            before = predict_forces(problem.model, whole, states[:, index])[..., 2]
+    return alone, np.ascontiguousarray(before)
+
+
+def _cost_left(
+    acceleration: FloatArray, forces: FloatArray, masses: FloatArray, dt: float
+) -> FloatArray:
+    """Integral of ||u|| of robots (K + 1, n - 1) from each knot to the end, m/s."""
+    controls = (acceleration - forces / masses[:, None])[:-1]
+    steps = np.linalg.norm(controls, axis=2).sum(axis=1) * dt
+    return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
+
+
+def _straight(start: FloatArray, goal: FloatArray, knots: int, dt: float) -> FloatArray:
+    """States (K + 1, 6) on the straight line at constant speed."""
+    share = np.linspace(0.0, 1.0, knots)[:, None]
+    speed = np.broadcast_to((goal - start) / (dt * max(knots - 1, 1)), (knots, 3))
+    return np.concatenate((start + share * (goal - start), speed), axis=1)

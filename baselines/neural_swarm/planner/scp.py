@@ -1,0 +1,261 @@
+"""Stage 2: sequential convex programming (Algorithm 1, lines 18 to 21).
+
+One robot after another, in random order, solves its convex program around the present motions of
+all. The paper says no more than that this converges. Here a step is taken only if the merit of the
+whole team, measured on the nonlinear model, falls; if it does not, that robot's trust region
+shrinks, and after success it grows again. So the merit falls monotonically, whatever the solver
+returns, and the best plan so far is always the present one. A robot has settled when its program
+promises next to nothing, or its trust region has become tiny; the refinement has converged when
+all have.
+
+Programs bound forces at knots and half way between. Where they peak elsewhere above a bound, that
+bound is lowered by as much, and the refinement goes on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.planner.convex import convexify
+from swarm_envs.baselines.neural_swarm.planner.merit import measure
+from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, excess_of_forces
+from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.program import RobotProgram
+from swarm_envs.baselines.neural_swarm.planner.solution import Solution, SolverSettings, Weights
+from swarm_envs.baselines.neural_swarm.planner.trajectories import (
+    Trajectories,
+    trajectories_through,
+)
+from swarm_envs.state import FloatArray
+
+_NEARLY = 5e-3
+"""Part of a force bound by which it may be exceeded between knots."""
+
+
+@dataclass(frozen=True)
+class RefinementOptions:
+    """How stage 2 searches."""
+
+    max_sweeps: int = 80
+    """How often all robots are planned, at most."""
+    trust_position: float = 0.3
+    """b_x of positions to begin with, and at most, m."""
+    trust_speed: float = 1.0
+    """b_x of velocities, m/s."""
+    trust_control: float = 5.0
+    """b_u, m/s^2."""
+    grow: float = 1.5
+    """By how much a trust region grows after a step that was taken."""
+    shrink: float = 0.4
+    """By how much it shrinks after one that was not."""
+    least_trust: float = 2e-3
+    """Share of the trust region at which a robot has settled."""
+    max_tightenings: int = 4
+    """How often force bounds are lowered because forces exceed them between knots."""
+    renewed_trust: float = 0.2
+    """Share of the trust region that robots have at least after that."""
+    tolerance: float = 2e-4
+    """Share of the merit that a step must promise, else the robot has settled."""
+    weights: Weights = Weights()
+    """Of goals and bounds."""
+    solver: SolverSettings = SolverSettings()
+    """Of each program."""
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """One robot's program: what was asked, what came of it."""
+
+    sweep: int
+    """Which time all robots are planned, from 0."""
+    robot: int
+    """Index of the robot."""
+    status: str
+    """The solver's word."""
+    iterations: int
+    """The solver's iterations."""
+    step_ms: float
+    """Time for derivatives, program and solution, ms."""
+    trust: float
+    """Share of the trust region that was allowed."""
+    promised: float
+    """Fall of the merit that the linearised program promised."""
+    gained: float
+    """Fall of the team's merit on the nonlinear model; negative: it would have risen."""
+    taken: bool
+    """Whether the step was taken."""
+    merit: float
+    """The team's merit afterwards."""
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The result of stage 2."""
+
+    trajectories: Trajectories
+    """The best motions found."""
+    history: tuple[StepRecord, ...]
+    """Every program, in order."""
+    converged: bool
+    """Whether all robots have settled: not yet that the plan keeps its bounds."""
+    out_of_time: bool
+    """Whether it ended at the deadline."""
+    reason: str
+    """Why it ended, in words."""
+
+
+class _Search:
+    """The state of one refinement."""
+
+    def __init__(
+        self, problem: PlanningProblem, motions: Trajectories, options: RefinementOptions
+    ) -> None:
+        team, steps = len(problem.team), motions.steps
+        self.problem, self.motions, self.options = problem, motions, options
+        self.force_bounds, self.tightened = problem.bounds.force_bounds(problem.team), 0
+        self._measure()
+        self.trust, self.settled = np.ones(team), np.zeros(team, dtype=np.bool_)
+        self.history: list[StepRecord] = []
+        self.programs = [
+            RobotProgram(
+                steps, len(problem.axes), team - 1, motions.dt, options.weights, options.solver
+            )
+            for _ in range(team)
+        ]
+
+    def _measure(self) -> None:
+        self.shortfalls = measure(self.problem, self.motions, self.force_bounds)
+        self.merit = self.shortfalls.team(self.options.weights)
+
+    def tighten(self) -> bool:
+        """Lower the bounds of forces that are exceeded between knots; says whether any was."""
+        peak = excess_of_forces(self.problem, self.motions, CHECKED).max(axis=(0, 1))
+        excess = 1.0 + np.maximum(peak, 0.0)
+        if self.tightened == self.options.max_tightenings or excess.max() < 1.0 + _NEARLY:
+            return False
+        self.tightened += 1
+        self.force_bounds = self.force_bounds / (
+            excess * np.where(excess > 1.0, 1.0 + _NEARLY, 1.0)
+        )
+        self.settled[:], self.trust[:] = False, np.maximum(self.trust, self.options.renewed_trust)
+        self._measure()
+        return True
+
+    def step(self, sweep: int, robot: int) -> None:
+        """Solve one robot's program, and take the step if the team gains by it."""
+        began, options, trust = time.perf_counter(), self.options, float(self.trust[robot])
+        convex = convexify(
+            self.problem,
+            self.motions,
+            robot,
+            (trust * options.trust_position, trust * options.trust_speed),
+            trust * options.trust_control,
+            self.force_bounds,
+        )
+        solution = self.programs[robot].solve(convex)
+        spent = time.perf_counter() - began
+        own = self.shortfalls.robot(robot, options.weights)
+        promised = own - solution.objective if solution.usable else 0.0
+        gained = self._try(robot, solution)
+        taken = gained > 0.0
+        little = options.tolerance * max(self.merit, 1.0)
+        tiny = trust * options.shrink < options.least_trust
+        self.settled[robot] = solution.usable and (promised < little or (not taken and tiny))
+        if taken and gained > little:
+            self.settled[:] = False  # others may gain by it now
+        change = options.grow if taken else options.shrink
+        if not solution.usable:
+            change = options.grow  # the trust region was too small to hold a solution
+        self.trust[robot] = min(1.0, max(trust * change, options.least_trust))
+        self.history.append(
+            StepRecord(
+                sweep=sweep,
+                robot=robot,
+                status=solution.status,
+                iterations=solution.iterations,
+                step_ms=1e3 * spent,
+                trust=trust,
+                promised=promised,
+                gained=gained,
+                taken=taken,
+                merit=self.merit,
+            )
+        )
+
+    def _try(self, robot: int, solution: Solution) -> float:
+        """Take the step if the team's merit falls; returns by how much it falls or would."""
+        if not solution.usable:
+            return 0.0
+        motions = moved(self.problem, self.motions, robot, solution.velocity)
+        shortfalls = measure(self.problem, motions, self.force_bounds)
+        merit = shortfalls.team(self.options.weights)
+        gained = self.merit - merit
+        if gained > 0.0:
+            self.motions, self.shortfalls, self.merit = motions, shortfalls, merit
+        return gained
+
+
+def refine(
+    problem: PlanningProblem,
+    initial: Trajectories,
+    rng: np.random.Generator,
+    options: RefinementOptions | None = None,
+    deadline: float = float("inf"),
+    watch: Callable[[StepRecord], None] | None = None,
+) -> Refinement:
+    """Refine motions until no robot can improve the team's plan.
+
+    Args:
+        problem: what is planned.
+        initial: motions of all robots of one length, that begin at the starts: those of stage 1,
+            or any guess. They may miss goals and break bounds.
+        rng: draws the order of robots.
+        options: how to search; None for the defaults.
+        deadline: `time.monotonic()` after which no program is begun, s.
+        watch: called after every program.
+    """
+    search = _Search(problem, initial, options or RefinementOptions())
+    out_of_time = False
+    for sweep in range(search.options.max_sweeps):
+        for robot in rng.permutation(len(problem.team)):
+            out_of_time = time.monotonic() > deadline
+            if out_of_time:
+                break
+            search.step(sweep, int(robot))
+            if watch is not None:
+                watch(search.history[-1])
+        if out_of_time or (search.settled.all() and not search.tighten()):
+            break
+    converged = bool(search.settled.all())
+    if converged:
+        reason = "no robot's program promises an improvement any more"
+    elif out_of_time:
+        reason = "the time limit was reached"
+    else:
+        reason = f"the merit still fell after {search.options.max_sweeps} sweeps"
+    return Refinement(search.motions, tuple(search.history), converged, out_of_time, reason)
+
+
+def moved(
+    problem: PlanningProblem, motions: Trajectories, robot: int, velocity: FloatArray
+) -> Trajectories:
+    """The motions with one robot flying at other velocities, all controls following the forces.
+
+    Args:
+        problem: what is planned.
+        motions: of all robots.
+        robot: the one that changes.
+        velocity: (T + 1, D) its velocities at the knots, along the axes of motion, m/s.
+    """
+    states, axes = motions.states.copy(), list(problem.axes)
+    new = np.zeros((len(velocity), 3))
+    new[:, axes] = velocity
+    new[0] = states[0, robot, 3:]
+    way = np.cumsum(0.5 * motions.dt * (new[1:] + new[:-1]), axis=0)
+    states[:, robot, 3:] = new
+    states[1:, robot, :3] = states[0, robot, :3] + way
+    return trajectories_through(problem, states)

@@ -1,0 +1,273 @@
+"""The search tree of stage 1: edges of constant control, kept if valid and cheap enough."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.planner.flight import INVALID, feel, step
+from swarm_envs.baselines.neural_swarm.planner.kd_tree import KdTree, clear, insert, kd_tree
+from swarm_envs.baselines.neural_swarm.planner.scene import Scene, Work
+from swarm_envs.baselines.neural_swarm.planner.steering import (
+    impulse_cost,
+    reach_burst,
+    rest_bursts,
+)
+from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.state import FloatArray, IntArray
+
+NONE = -1
+"""No node."""
+DIMENSIONS = 8
+"""Of the space in which neighbours are sought: position, velocity, time, cost."""
+METRIC = (1.0, 0.3, 2.0, 1.0)
+"""Weights of the distance between nodes: of a metre, of a m/s, of the whole horizon, and of the
+cost of the direct flight. The force f_a follows from position, velocity and time, so its weight is
+none."""
+_PULL, _DAMP = 4.0, 4.0  # critically damped, settles within two seconds
+
+
+class Tree(NamedTuple):
+    """Nodes of a search tree; the arrays are the storage, written in place."""
+
+    state: FloatArray
+    """(capacity, 6) position (m) and velocity (m/s)."""
+    force: FloatArray
+    """(capacity, N, 3) forces on the n robots of the scene, N."""
+    control: FloatArray
+    """(capacity, 3) u on the edge that leads here, m/s^2."""
+    cost: FloatArray
+    """(capacity,) integral of ||u|| of all robots up to here, m/s."""
+    knot: IntArray
+    """(capacity,) time in steps."""
+    parent: IntArray
+    """(capacity,) the node before; -1 of the root."""
+    places: KdTree
+    """The nodes in the space of `METRIC`."""
+    point: FloatArray
+    """(DIMENSIONS,) working memory."""
+    scale: FloatArray
+    """(4,) metric weights by unit, set for each search."""
+    vector: FloatArray
+    """(5, 3) working memory."""
+
+
+def search_tree(capacity: int, robots: int) -> Tree:
+    """Storage for trees of so many nodes, of scenes with at most so many robots."""
+    return Tree(
+        state=np.zeros((capacity, 6)),
+        force=np.zeros((capacity, robots, 3)),
+        control=np.zeros((capacity, 3)),
+        cost=np.zeros(capacity),
+        knot=np.zeros(capacity, np.int64),
+        parent=np.zeros(capacity, np.int64),
+        places=kd_tree(capacity, DIMENSIONS),
+        point=np.zeros(DIMENSIONS),
+        scale=np.zeros(4),
+        vector=np.zeros((5, 3)),
+    )
+
+
+@borrowing_kernel
+def put_point(tree: Tree, state: FloatArray, knot: float, cost: float) -> None:
+    """Write a state (6,), time and cost into `tree.point`, scaled by the metric."""
+    for k in range(3):
+        tree.point[k] = tree.scale[0] * state[k]
+        tree.point[3 + k] = tree.scale[1] * state[3 + k]
+    tree.point[6] = tree.scale[2] * knot
+    tree.point[7] = tree.scale[3] * cost
+
+
+@borrowing_kernel
+def add(tree: Tree, parent: int, control: FloatArray, knot: int, cost: float, work: Work) -> int:
+    """Add what the working memory holds as a node; return its index, or NONE without room."""
+    node = tree.places.count[0]
+    if node == tree.cost.shape[0]:
+        return NONE
+    tree.parent[node], tree.knot[node], tree.cost[node] = parent, knot, cost
+    write_state(work, tree.state[node])
+    for k in range(3):
+        tree.control[node, k] = control[k]
+    copy_forces(work.force, tree.force[node], len(work.force))
+    put_point(tree, tree.state[node], knot, cost)
+    return insert(tree.places, tree.point)
+
+
+@borrowing_kernel
+def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
+    """Copy the first rows (n, 3) of an array into another; by slices, it would make a third."""
+    for j in range(robots):
+        for k in range(3):
+            target[j, k] = source[j, k]
+
+
+@borrowing_kernel
+def load(tree: Tree, node: int, work: Work) -> None:
+    """Put a node's state and forces into the working memory."""
+    for k in range(3):
+        work.position[0, k], work.velocity[0, k] = tree.state[node, k], tree.state[node, 3 + k]
+    copy_forces(tree.force[node], work.force, len(work.force))
+
+
+@borrowing_kernel
+def write_state(work: Work, out: FloatArray) -> None:
+    """Write this robot's position and velocity into a state (6,)."""
+    for k in range(3):
+        out[k], out[3 + k] = work.position[0, k], work.velocity[0, k]
+
+
+@borrowing_kernel
+def plant(scene: Scene, tree: Tree, work: Work) -> float:
+    """Start a tree at the scene's start; return the cost of the direct flight, all robots', m/s."""
+    direct = tree.vector[0]
+    for k in range(3):
+        work.position[0, k], work.velocity[0, k] = scene.start[k], 0.0
+        direct[k] = scene.goal[k] - scene.start[k]
+    last = scene.position.shape[0] - 1
+    cost = impulse_cost(scene.table, last, direct, work.velocity[0]) + scene.cost_left[0]
+    tree.scale[0], tree.scale[1] = METRIC[0], METRIC[1]
+    tree.scale[2], tree.scale[3] = METRIC[2] / last, METRIC[3] / (cost + 0.1)
+    clear(tree.places)
+    feel(scene, 0, work)
+    for k in range(3):
+        direct[k] = 0.0
+    add(tree, NONE, direct, 0, 0.0, work)
+    return cost
+
+
+@borrowing_kernel
+def outlook(scene: Scene, tree: Tree, node: int) -> float:
+    """Cost of the whole flight through a node if nothing but drag acted on from there, m/s."""
+    knot, last = tree.knot[node], scene.position.shape[0] - 1
+    total = tree.cost[node] + scene.cost_left[knot]
+    if knot < last:
+        way = tree.vector[0]
+        for k in range(3):
+            way[k] = scene.goal[k] - tree.state[node, k]
+        total += impulse_cost(scene.table, last - knot, way, tree.state[node, 3:])
+    return total
+
+
+@borrowing_kernel
+def extend(
+    scene: Scene, tree: Tree, node: int, control: FloatArray, bound: float, work: Work
+) -> int:
+    """Add an edge of constant control; return the new node, NONE if it is invalid or too dear."""
+    knot, cost = tree.knot[node], tree.cost[node]
+    if knot + scene.edge > scene.position.shape[0] - 1:
+        return NONE
+    load(tree, node, work)
+    for _ in range(scene.edge):
+        spent = step(scene, knot, control, tree.vector[1], work)
+        if spent == INVALID:
+            return NONE
+        cost += spent
+        knot += 1
+        if cost + scene.cost_left[knot] >= bound:
+            return NONE
+    return add(tree, node, control, knot, cost, work)
+
+
+@borrowing_kernel
+def offset_drift(scene: Scene, tree: Tree, node: int, control: FloatArray) -> bool:
+    """Subtract from a control what acts on a node besides drag; whether it is within limits."""
+    for k in range(3):
+        drift = tree.force[node, 0, k] / scene.mass[0] + scene.drag[k] * tree.state[node, 3 + k]
+        control[k] = scene.free[k] * (control[k] - drift)
+        if abs(control[k]) > scene.limits[1]:
+            return False
+    return True
+
+
+@borrowing_kernel
+def reach(
+    scene: Scene, tree: Tree, node: int, place: FloatArray, edges: int, bound: float, work: Work
+) -> int:
+    """Add edges from a node towards a place (3,), there after so many edges; return the last."""
+    control, way = tree.vector[2], tree.vector[3]
+    last = node
+    for left in range(edges, 0, -1):
+        for k in range(3):
+            way[k] = place[k] - tree.state[last, k]
+        speed = tree.state[last, 3:]
+        found = reach_burst(scene.table, scene.edge, left, scene.limits[1], way, speed, control)
+        if not (found and offset_drift(scene, tree, last, control)):
+            break
+        new = extend(scene, tree, last, control, bound, work)
+        if new == NONE:
+            break
+        last = new
+    return last
+
+
+@borrowing_kernel
+def finish(scene: Scene, tree: Tree, node: int, edges: int, bound: float, work: Work) -> int:
+    """Add edges from a node to rest at the goal after so many; NONE if that is impossible."""
+    control, way = tree.vector[2], tree.vector[3]
+    last, table, limit = node, scene.table, scene.limits[1]
+    for left in range(edges, 0, -1):
+        speed = tree.state[last, 3:]
+        for k in range(3):
+            way[k] = scene.goal[k] - tree.state[last, k]
+            control[k] = -speed[k] / (scene.dt * scene.edge) + scene.drag[k] * speed[k]
+        cost = rest_bursts(table, scene.edge, left, limit, way, speed, control) if left > 1 else 0.0
+        ahead = tree.cost[last] + cost * scene.dt + scene.cost_left[tree.knot[last]]
+        if (left == edges and ahead >= bound) or not offset_drift(scene, tree, last, control):
+            return NONE
+        if cost == np.inf:
+            return NONE
+        last = extend(scene, tree, last, control, bound, work)
+        if last == NONE:
+            return NONE
+    return last
+
+
+@borrowing_kernel
+def at_goal(scene: Scene, tree: Tree, node: int) -> bool:
+    """Whether a node is within epsilon of the goal, in position and in velocity."""
+    place, speed = 0.0, 0.0
+    for k in range(3):
+        place += (tree.state[node, k] - scene.goal[k]) ** 2
+        speed += tree.state[node, 3 + k] ** 2
+    return place <= scene.limits[2] ** 2 and speed <= scene.limits[3] ** 2
+
+
+@borrowing_kernel
+def rest_control(scene: Scene, work: Work, control: FloatArray) -> None:
+    """The control after arrival: towards the goal by virtual tracking, or to rest at once."""
+    for k in range(3):
+        error, speed = work.position[0, k] - scene.goal[k], work.velocity[0, k]
+        wanted = -_PULL * error - _DAMP * speed if scene.tracked else -speed / scene.dt
+        control[k] = scene.free[k] * (wanted - work.force[0, k] / scene.mass[0])
+
+
+@borrowing_kernel
+def settle(
+    scene: Scene, tree: Tree, node: int, bound: float, work: Work, states: FloatArray
+) -> float:
+    """Stay at the goal from a node to the last knot, while the others fly on.
+
+    Args:
+        scene: what is around.
+        tree: the tree.
+        node: one at the goal.
+        bound: above it, no cost is of interest, m/s.
+        work: working memory.
+        states: (K + 1, 6) overwritten from the node's knot on, m and m/s.
+
+    Returns:
+        Cost of the whole flight, all robots', m/s; `INVALID` if it must not be flown.
+    """
+    control, cost = tree.vector[2], tree.cost[node]
+    load(tree, node, work)
+    for knot in range(tree.knot[node], states.shape[0]):
+        write_state(work, states[knot])
+        if knot == states.shape[0] - 1:
+            break
+        rest_control(scene, work, control)
+        spent = step(scene, knot, control, tree.vector[1], work)
+        if spent == INVALID:
+            return INVALID
+        cost += spent
+    return cost if cost < bound else INVALID

@@ -1,0 +1,138 @@
+"""What a plan is worth when it is flown forward on the nonlinear model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach
+from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, forces_at, states_at
+from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.trajectories import (
+    Trajectories,
+    predict_forces,
+    transition,
+)
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE
+
+
+@dataclass(frozen=True)
+class Tolerances:
+    """How far a plan may miss what it was to keep, and still be called good."""
+
+    goal_m: float = 0.01
+    """Distance to the goal at the end, m."""
+    goal_speed: float = 0.02
+    """Speed at the end, m/s."""
+    force: float = 0.05
+    """Excess over a force bound, between knots too, in parts of it."""
+    clearance: float = 0.02
+    """Missing clearance, in parts of it."""
+    bounds: float = 0.01
+    """Excess over box (m), speed (m/s) and control (m/s^2)."""
+    defect: float = 1e-6
+    """Difference between the plan and its flight forward, m and m/s."""
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """What came of flying a plan's controls forward under the planner's model of the forces."""
+
+    goal_error_m: float
+    """Largest distance of a robot from its goal at the end, m."""
+    goal_speed: float
+    """Largest speed of a robot at the end, m/s."""
+    worst_force_g: dict[str, float]
+    """Largest vertical force |f_a,z| by vehicle token, grams, knots and between."""
+    force_ratio: float
+    """Largest vertical force over its bound."""
+    clearance_ratio: float
+    """Smallest distance of a pair over the clearance to keep; 1 or more is good."""
+    distance_ratio: float
+    """Smallest distance of a pair over the sum of the radii; below 1 they collide."""
+    box_excess: float
+    """Largest excess over the box, m, the speed, m/s, or the control bound, m/s^2."""
+    defect: float
+    """Largest difference between the plan and its flight forward, m and m/s."""
+
+    def shortcomings(self, tolerances: Tolerances | None = None) -> tuple[str, ...]:
+        """What of the plan is not good, in words; empty if all is."""
+        t = tolerances or Tolerances()
+        rules = (
+            (self.goal_error_m <= t.goal_m, f"a goal is missed by {self.goal_error_m:.3g} m"),
+            (self.goal_speed <= t.goal_speed, f"a robot still flies {self.goal_speed:.3g} m/s"),
+            (
+                self.force_ratio <= 1.0 + t.force,
+                f"a force is {self.force_ratio:.3g} times its bound",
+            ),
+            (
+                self.clearance_ratio >= 1.0 - t.clearance,
+                f"a pair comes to {self.clearance_ratio:.3g} of its clearance",
+            ),
+            (
+                self.box_excess <= t.bounds,
+                f"box, speed or control are exceeded by {self.box_excess:.3g}",
+            ),
+            (self.defect <= t.defect, f"flown forward it differs by {self.defect:.3g}"),
+        )
+        return tuple(words for good, words in rules if not good)
+
+
+def roll_out(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
+    """States (T + 1, N, 6) that the controls lead to from the starts, forces as they then are."""
+    a, b = transition(motions.dt)
+    states = np.empty_like(motions.states)
+    states[0] = motions.states[0]
+    for k, control in enumerate(motions.controls):
+        force = predict_forces(problem.model, problem.team, states[k : k + 1])[0]
+        acceleration = control + force / problem.masses[:, None]
+        states[k + 1] = states[k] @ a.T + acceleration @ b.T
+    return states
+
+
+def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
+    """Fly a plan's controls forward on the nonlinear model, and measure everything it must keep."""
+    flown = roll_out(problem, motions)
+    force = np.abs(forces_at(problem, states_at(motions, CHECKED))).max(axis=(0, 1))
+    ratio = force / problem.bounds.force_bounds(problem.team)
+    tokens = [vehicle.token for vehicle in problem.team]
+    worst = {
+        token: max(float(f) for f, t in zip(force, tokens) if t == token) / GRAM_FORCE
+        for token in dict.fromkeys(tokens)
+    }
+    keep, touch = _distance_ratios(problem, motions)
+    return PlanCheck(
+        goal_error_m=float(np.linalg.norm(flown[-1, :, :3] - problem.goals, axis=1).max()),
+        goal_speed=float(np.linalg.norm(flown[-1, :, 3:], axis=1).max()),
+        worst_force_g=worst,
+        force_ratio=float(ratio.max()),
+        clearance_ratio=keep,
+        distance_ratio=touch,
+        box_excess=_box_excess(problem, motions),
+        defect=float(np.abs(flown - motions.states).max()),
+    )
+
+
+def _distance_ratios(problem: PlanningProblem, motions: Trajectories) -> tuple[float, float]:
+    """Smallest distance over the clearance, and over the sum of radii; infinite if alone."""
+    offset = motions.states[:, :, None] - motions.states[:, None]
+    distance = closest_approach(offset, motions.dt).distance.min(axis=0)
+    keep = problem.bounds.clearances(problem.team)
+    pairs = ~np.eye(len(keep), dtype=np.bool_)
+    if not pairs.any():
+        return float("inf"), float("inf")
+    ratio = float((distance[pairs] / keep[pairs]).min())
+    return ratio, ratio * problem.bounds.clearance_factor
+
+
+def _box_excess(problem: PlanningProblem, motions: Trajectories) -> float:
+    bounds = problem.bounds
+    excesses = (
+        motions.position - np.array(bounds.upper),
+        np.array(bounds.lower) - motions.position,
+        np.abs(motions.velocity) - bounds.speed,
+        np.abs(motions.controls) - bounds.acceleration,
+    )
+    return max(0.0, *(float(excess.max()) for excess in excesses))

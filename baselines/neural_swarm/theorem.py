@@ -1,0 +1,133 @@
+"""Theorem 5 of Neural-Swarm2 (Sec. VI-B, version 1) as functions: the ball of the position error.
+
+The theorem speaks of a point mass that feels the desired force f_d at once, so that
+m dv/dt = m g + f_d + f_a: no attitude, no rotor lag, no limit of the thrust and none of the
+integral. With p~ = p - p_d, s1 = dp~/dt + Lambda p~ and s2 = m ds1/dt + K_v s1, eqs. (18) and (19)
+leave
+
+    dp~/dt = -Lambda p~ + s1,   m ds1/dt = -K_v s1 + s2,   ds2/dt = -Gamma s2 + d eps_f/dt
+
+with the model error eps_f = f_a - f_hat. If it changes by at most d_f newton a second, each line is
+a low-pass of the one after it, so that p~ ends in a ball of radius d_f / (Lambda Gamma K_v):
+eq. (23). A steadily growing model error comes as close to that radius as one waits.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.control.config import ControllerConfig, PositionGains
+from swarm_envs.state import FloatArray
+
+
+class ErrorBall(NamedTuple):
+    """Where the position error ends, and how fast it gets there."""
+
+    radius: float
+    """Largest position error in the limit, m: eq. (23)."""
+    rate: float
+    """Rate at which what lies outside decays, 1/s: the smallest of the three gains."""
+
+
+def error_ball(gains: PositionGains, mass: float, error_rate: float) -> ErrorBall:
+    """The ball of eq. (23), for gains that are the same in x, y and z.
+
+    Args:
+        gains: Lambda, K_v / m and Gamma, 1/s.
+        mass: m, kg.
+        error_rate: d_f, largest rate of change of the model error, N/s.
+
+    Raises:
+        ValueError: the mass is not positive, or the rate negative.
+    """
+    _check(mass, "error_rate", error_rate, "N/s")
+    force_gain = gains.position * gains.integral * mass * gains.velocity
+    return ErrorBall(error_rate / force_gain, min(gains.position, gains.velocity, gains.integral))
+
+
+def error_envelope(
+    gains: PositionGains,
+    mass: float,
+    error_rate: float,
+    time: npt.ArrayLike,
+    position_error: npt.ArrayLike = (0.0, 0.0, 0.0),
+    velocity_error: npt.ArrayLike = (0.0, 0.0, 0.0),
+    force_error: npt.ArrayLike = (0.0, 0.0, 0.0),
+) -> FloatArray:
+    """Bound on the norm of the position error at every time, from the start into the ball.
+
+    It solves the three lines of the theorem with norms in place of vectors, which bounds them: the
+    transient is a sum of exponentials with the rates Lambda, K_v / m and Gamma.
+
+    Args:
+        gains: Lambda, K_v / m and Gamma, 1/s.
+        mass: m, kg.
+        error_rate: d_f, largest rate of change of the model error, N/s.
+        time: (T,) s since the start, where the integral of the velocity error is zero.
+        position_error: (3,) p - p_d at the start, m.
+        velocity_error: (3,) v - dp_d/dt at the start, m/s.
+        force_error: (3,) the model error eps_f at the start, N.
+
+    Returns:
+        (T,) m; it tends to the radius of `error_ball`.
+
+    Raises:
+        ValueError: the mass is not positive, or the rate negative.
+    """
+    from scipy.linalg import expm
+
+    _check(mass, "error_rate", error_rate, "N/s")
+    p, v, f = (
+        np.asarray(x, dtype=np.float64) for x in (position_error, velocity_error, force_error)
+    )
+    first = v + gains.position * p
+    second = f - mass * gains.integral * first
+    start = np.array([*(math.sqrt(x @ x) for x in (p, first, second)), 1.0])
+    flow = np.array(
+        [
+            [-gains.position, 1.0, 0.0, 0.0],
+            [0.0, -gains.velocity, 1.0 / mass, 0.0],
+            [0.0, 0.0, -gains.integral, error_rate],
+            [0.0, 0.0, 0.0, 0.0],
+        ]
+    )
+    times = np.asarray(time, dtype=np.float64)
+    return np.asarray((expm(times[:, None, None] * flow) @ start)[:, 0])
+
+
+def clamped_radius(config: ControllerConfig, mass: float, error: float) -> float:
+    """Largest position error of one axis in the limit where the integral is clamped, m.
+
+    The controller's integral holds at most K_v Gamma `velocity_integral_limit` against a model
+    error. A larger one is left to the proportional part, and eq. (23) is void; what the clamp and a
+    bound on the error itself leave is (|eps_f| + that) / (Lambda (K_v + m Gamma)) for each axis.
+
+    Args:
+        config: gains and clamp.
+        mass: m, kg.
+        error: largest model error along the axis, N.
+
+    Raises:
+        ValueError: the mass is not positive, or the error negative.
+    """
+    _check(mass, "error", error, "N")
+    gains = config.gains
+    stiffness = gains.position * mass * (gains.velocity + gains.integral)
+    return (error + integral_force(config, mass)) / stiffness
+
+
+def integral_force(config: ControllerConfig, mass: float) -> float:
+    """Largest force of the clamped integral along one axis, K_v Gamma times the clamp, N."""
+    gains = config.gains
+    return mass * gains.velocity * gains.integral * config.velocity_integral_limit
+
+
+def _check(mass: float, name: str, bound: float, unit: str) -> None:
+    if not 0.0 < mass < math.inf:
+        raise ValueError(f"mass is {mass!r}, but must be positive and finite, in kg")
+    if not 0.0 <= bound < math.inf:
+        raise ValueError(f"{name} is {bound!r}, but must be finite and not negative, in {unit}")

@@ -1,0 +1,101 @@
+"""One look for every picture: figures without a display, colours, drones seen from the side."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarm_envs.files import written_whole
+from swarm_envs.vehicles import Vehicle, parse_team
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure
+
+INK = "#202428"
+GREY = "#60656B"
+
+_STYLE: Any = {
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": GREY,
+    "axes.labelcolor": INK,
+    "axes.titlesize": 11,
+    "axes.titlelocation": "left",
+    "grid.color": "#E3E6EA",
+    "grid.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+    "hatch.linewidth": 0.6,
+}
+
+
+@contextmanager
+def picture(path: Path, width: float, height: float, headline: str) -> Iterator[Figure]:
+    """Give a figure to draw on, and write it whole to `path` at the end.
+
+    Args:
+        path: PNG, PDF or SVG.
+        width: inches.
+        height: inches.
+        headline: stands above all.
+    """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(width, height))
+        FigureCanvasAgg(figure)
+        figure.set_layout_engine("constrained", h_pad=0.08)
+        figure.suptitle(headline, fontsize=13, fontweight="bold", color=INK)
+        yield figure
+        with written_whole(path) as partial:
+            figure.savefig(partial, dpi=150)
+
+
+def force_colors(lowest: float, highest: float) -> Colormap:
+    """Red where the air pushes down, blue where it lifts, white where it does nothing.
+
+    Equal forces of either sign are equally strong colours; the map covers lowest to highest only.
+    """
+    import matplotlib as mpl
+    from matplotlib.colors import ListedColormap
+
+    largest = max(-lowest, highest)
+    position = 0.5 + 0.5 * np.linspace(lowest, highest, 512) / largest
+    return ListedColormap(mpl.colormaps["RdBu"](position))
+
+
+def draw_drone(
+    axis: Axes, kind: str | Vehicle, y: float, z: float, color: str = INK, alpha: float = 1.0
+) -> None:
+    """Draw a quadrotor seen from the side, as wide as it is: y and z in m, equal axes."""
+    from matplotlib.patches import Ellipse, FancyBboxPatch
+
+    radius = (parse_team(kind)[0] if isinstance(kind, str) else kind).radius
+    edge: Any = {"facecolor": color, "edgecolor": "white", "linewidth": 0.5, "zorder": 6}
+    edge["alpha"] = alpha
+    line: Any = {"color": color, "alpha": alpha, "zorder": 5}
+    rotor = 0.42 * radius
+    for side in (-1, 1):
+        foot = y + side * (radius - rotor)
+        axis.plot([foot, foot], [z, z + 0.3 * radius], linewidth=1.6, **line)
+        axis.add_patch(Ellipse((foot, z + 0.3 * radius), 2 * rotor, 0.14 * radius, **edge))
+    axis.plot([y - radius + rotor, y + radius - rotor], [z, z], linewidth=2.2, **line)
+    width, height = 0.55 * radius, 0.3 * radius
+    box = f"round,pad=0,rounding_size={0.1 * radius}"
+    corner = (y - width / 2, z - height / 2)
+    axis.add_patch(FancyBboxPatch(corner, width, height, boxstyle=box, **edge))
+
+
+def draw_ground(axis: Axes) -> None:
+    """Draw the ground as the dashed line of the paper's figure, hatched below."""
+    axis.axhspan(-0.06, 0.0, facecolor="#EDEFF1", edgecolor="#A8ADB3", hatch="////", zorder=2)
+    axis.axhline(0.0, color=INK, linewidth=1.2, linestyle="--", zorder=3)

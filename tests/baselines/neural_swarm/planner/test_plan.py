@@ -1,0 +1,179 @@
+"""`plan_swarm` and the plan that it returns: in files, over time, and refused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.neural_swarm import PlanningBounds, SwarmPlan, plan_swarm
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, Trajectories
+from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
+from swarm_envs.interactions import load
+from swarm_envs.vehicles import parse_team
+
+PAIR = np.array([[0.0, -0.6, 1.0], [0.0, 0.6, 1.0]])
+
+
+def pair_guess(model: str = "learned") -> Trajectories:
+    problem = PlanningProblem(
+        PAIR, PAIR[::-1], parse_team("SL"), load(model), max_duration=3.0, plane="yz"
+    )
+    return straight_lines(problem, bend=[[0.0, 0.0, 0.2], [0.0, 0.0, -0.2]])
+
+
+def make(**options: object) -> SwarmPlan:
+    given = {"plane": "yz", "max_duration": 3.0, "initial": pair_guess()} | options
+    return plan_swarm(PAIR, PAIR[::-1], "SL", "learned", **given)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def plan() -> SwarmPlan:
+    return make()
+
+
+def test_a_swap_is_planned(plan: SwarmPlan) -> None:
+    assert plan.converged
+    assert plan.status == "converged"
+    assert plan.states.shape == (31, 2, 6)
+    assert plan.controls.shape == (30, 2, 3)
+    np.testing.assert_allclose(plan.states[-1, :, :3], PAIR[::-1], atol=1e-4)
+    assert plan.check.force_ratio <= 1.05
+    assert plan.check.distance_ratio >= 1.0
+    assert plan.trajectories.energy < plan.initial.energy
+    assert plan.model_fingerprint == load("learned").fingerprint
+
+
+def test_without_a_model_the_planner_is_the_same_but_unaware() -> None:
+    lost = plan_swarm(PAIR, PAIR[::-1], "SL", None, plane="yz", max_duration=3.0, seed=3)
+    named = plan_swarm(PAIR, PAIR[::-1], "SL", "none", plane="yz", max_duration=3.0, seed=3)
+    assert lost.model_name == "none"
+    assert np.abs(lost.forces).max() == 0.0
+    assert lost.states.tobytes() == named.states.tobytes()
+
+
+@pytest.mark.parametrize("name", ["plan.npz", "plan.json"])
+def test_files_give_back_what_was_saved(plan: SwarmPlan, tmp_path, name: str) -> None:
+    plan.save(tmp_path / name)
+    read = SwarmPlan.load(tmp_path / name)
+    for owner in ("trajectories", "initial"):
+        for part in ("states", "controls", "forces"):
+            mine, theirs = (getattr(getattr(p, owner), part) for p in (plan, read))
+            assert mine.tobytes() == theirs.tobytes()
+    kept = ("team", "bounds", "check", "history", "status", "reason", "seed", "costs", "plane")
+    for name in (*kept, "model_name", "model_fingerprint"):
+        assert getattr(read, name) == getattr(plan, name)
+
+
+def damage(path, how: str) -> None:
+    content = json.loads(path.read_text())
+    if how == "number":
+        content["trajectories_states"][3][0][1] += 1e-9
+    elif how == "row":
+        content["trajectories_controls"].pop()
+    elif how == "missing":
+        del content["initial_forces"]
+    elif how == "history":
+        content["about"]["history"][0]["merit"] = 0.0
+    elif how == "version":
+        content["about"]["version"] = 99
+    path.write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("number", "checksum"),
+        ("row", "trajectories_states has shape"),
+        ("missing", "initial_forces"),
+        ("history", "checksum"),
+        ("version", "version 99"),
+    ],
+)
+def test_a_damaged_file_is_refused_by_name(plan: SwarmPlan, tmp_path, how: str, said: str) -> None:
+    path = tmp_path / "plan.json"
+    plan.save(path)
+    damage(path, how)
+    with pytest.raises(ValueError, match=said) as error:
+        SwarmPlan.load(path)
+    assert "plan.json" in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["plan.npz", "plan.json"])
+@pytest.mark.parametrize("length", [0, 100, 3000])
+def test_a_file_cut_short_is_refused(plan: SwarmPlan, tmp_path, name: str, length: int) -> None:
+    path = tmp_path / name
+    plan.save(path)
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.raises(ValueError, match=r"plan\.\w+' is no plan, or damaged"):
+        SwarmPlan.load(path)
+
+
+def test_other_suffixes_and_missing_files(plan: SwarmPlan, tmp_path) -> None:
+    with pytest.raises(ValueError, match=r"suffix '\.pkl'"):
+        plan.save(tmp_path / "plan.pkl")
+    with pytest.raises(FileNotFoundError):
+        SwarmPlan.load(tmp_path / "none.npz")
+
+
+def test_a_lone_robots_plan_survives_json(tmp_path) -> None:
+    lone = plan_swarm(PAIR[:1], PAIR[1:], "S", "none", plane="yz", max_duration=3.0)
+    lone.save(tmp_path / "plan.json")
+    read = SwarmPlan.load(tmp_path / "plan.json")
+    assert read.check == lone.check
+    assert read.check.clearance_ratio == np.inf
+
+
+def test_the_reference_meets_the_knots_and_is_its_own_derivative(plan: SwarmPlan) -> None:
+    for k in (0, 7, 30):
+        met = plan.reference(plan.times[k])
+        np.testing.assert_allclose(met.position, plan.states[k, :, :3], atol=1e-12)
+        np.testing.assert_allclose(met.velocity, plan.states[k, :, 3:], atol=1e-4)
+    h = 1e-6
+    for time in (0.123, 1.55, 2.99):
+        parts = [plan.reference(time + s * h) for s in (-1, 0, 1)]
+        for order in range(3):
+            slope = (parts[2][order] - parts[0][order]) / (2 * h)
+            np.testing.assert_allclose(parts[1][order + 1], slope, atol=1e-4)
+    at_knot = [plan.reference(plan.times[9] + s * 1e-9).acceleration for s in (-1, 1)]
+    np.testing.assert_allclose(at_knot[0], at_knot[1], atol=1e-6)
+    for time in (-1.0, 3.0, 10.0):
+        rest = plan.reference(time)
+        assert all((part == 0.0).all() for part in rest[1:])
+    np.testing.assert_allclose(plan.reference(10.0).position, PAIR[::-1], atol=1e-4)
+
+
+def test_out_of_time_is_the_best_so_far_and_says_so() -> None:
+    plan = make(time_limit=1e-6)
+    assert plan.status == "time limit"
+    assert not plan.converged
+    assert "time limit" in plan.reason
+    assert plan.states.shape == (31, 2, 6)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"time_limit": 0.0}, "time_limit is 0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"attempts": 0}, "attempts is 0"),
+        ({"dt": 0.05}, "initial.dt is 0.1 s, but dt is 0.05"),
+        ({"max_duration": 2.0}, "initial has 30 steps"),
+        ({"bounds": PlanningBounds(clearance_factor=20.0)}, "in collision"),
+        ({"bounds": PlanningBounds(upper=(2.0, 0.5, 2.5))}, "outside the box"),
+        ({"plane": "xz"}, "unknown plane"),
+    ],
+)
+def test_bad_input_is_refused_before_planning(change: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make(**change)
+
+
+def test_a_guess_from_elsewhere_is_refused() -> None:
+    guess = pair_guess()
+    away = Trajectories(guess.states + 0.1, guess.controls, guess.forces, guess.dt)
+    with pytest.raises(ValueError, match="away from rest at the starts"):
+        make(initial=away)
+    with pytest.raises(ValueError, match="unknown interaction model"):
+        plan_swarm(PAIR, PAIR[::-1], "SL", "learnt")

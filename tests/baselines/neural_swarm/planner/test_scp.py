@@ -1,0 +1,129 @@
+"""Stage 2: what sequential convex programming makes of a guess, on the nonlinear model."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach
+from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.merit import measure
+from swarm_envs.baselines.neural_swarm.planner.problem import Plane
+from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions, refine
+from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories, defects
+from swarm_envs.baselines.neural_swarm.planner.verify import check_plan, roll_out
+from swarm_envs.interactions import load
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
+
+ROW = np.array([[0.0, -1.0, 1.2], [0.0, 1.0, 1.2], [0.0, 0.0, 1.2]])
+
+
+def swap(model: str = "learned", plane: Plane = "yz", **options: float) -> PlanningProblem:
+    return PlanningProblem(
+        ROW, ROW[[1, 2, 0]], parse_team("SSL"), load(model), plane=plane, **options
+    )
+
+
+def bent(problem: PlanningProblem) -> Trajectories:
+    return straight_lines(problem, bend=[[0.0, 0.0, 0.3], [0.0, 0.0, -0.2], [0.0, 0.0, -0.1]])
+
+
+@pytest.mark.parametrize("plane", ["yz", "xyz"])
+@pytest.mark.parametrize("model", ["learned", "none"])
+def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plane: Plane) -> None:
+    problem = swap(model, plane)
+    guess = straight_lines(problem)
+    assert check_plan(problem, guess).distance_ratio < 1.0
+    refined = refine(problem, guess if plane == "xyz" else bent(problem), np.random.default_rng(0))
+    assert refined.converged
+    assert check_plan(problem, refined.trajectories).shortcomings() == ()
+    assert np.abs(defects(problem, refined.trajectories)).max() < 1e-9
+    moved = refined.trajectories.states[..., 0] - ROW[:, 0]
+    assert plane == "xyz" or np.abs(moved).max() == 0.0
+
+
+def test_the_merit_never_rises_and_is_the_measured_one() -> None:
+    problem, options = swap(), RefinementOptions(max_tightenings=0)
+    refined = refine(problem, bent(problem), np.random.default_rng(1), options)
+    merits = [record.merit for record in refined.history]
+    assert (np.diff(merits) <= 0.0).all()
+    assert merits[-1] == measure(problem, refined.trajectories).team(options.weights)
+    for record in refined.history:
+        assert record.taken == (record.gained > 0.0)
+
+
+def test_one_robot_alone_finds_the_known_optimum() -> None:
+    """The least sum of ||u||^2 from rest to rest in time T over a way d is 12 d^2 / (T^3 dt)."""
+    problem = PlanningProblem(
+        ROW[:1], ROW[1:2], parse_team("S"), load("none"), dt=0.05, max_duration=4.0, plane="yz"
+    )
+    guess = straight_lines(problem, bend=[[0.0, 0.0, 0.3]])
+    refined = refine(problem, guess, np.random.default_rng(0))
+    assert refined.converged
+    assert refined.trajectories.energy == pytest.approx(12 * 2.0**2 / (4.0**3 * 0.05), rel=2e-3)
+
+
+def test_the_aware_plan_keeps_force_bounds_that_the_unaware_one_breaks() -> None:
+    aware, unaware = swap("learned"), swap("none")
+    guess = straight_lines(aware, bend=[[0.0, 0.0, -0.3], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    blind = refine(unaware, guess, np.random.default_rng(0)).trajectories
+    met = check_plan(aware, straight_through(aware, blind))
+    assert met.force_ratio > 1.5
+    refined = refine(aware, guess, np.random.default_rng(0))
+    assert check_plan(aware, refined.trajectories).force_ratio < 1.05
+
+
+def straight_through(problem: PlanningProblem, motions: Trajectories) -> Trajectories:
+    from swarm_envs.baselines.neural_swarm.planner.trajectories import trajectories_through
+
+    return trajectories_through(problem, motions.states)
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    problem, few = swap(), RefinementOptions(max_sweeps=4)
+    first, second = (
+        refine(problem, bent(problem), np.random.default_rng(7), few) for _ in range(2)
+    )
+    assert first.trajectories.states.tobytes() == second.trajectories.states.tobytes()
+
+
+def test_a_deadline_and_a_limit_leave_the_best_so_far_and_say_so() -> None:
+    problem = swap()
+    late = refine(problem, bent(problem), np.random.default_rng(0), deadline=time.monotonic() - 1)
+    assert (late.converged, late.out_of_time, late.history) == (False, True, ())
+    assert late.trajectories.states.tobytes() == bent(problem).states.tobytes()
+    short = refine(
+        problem, bent(problem), np.random.default_rng(0), RefinementOptions(max_sweeps=1)
+    )
+    assert not short.converged
+    assert len(short.history) == 3
+    assert "1 sweeps" in short.reason
+    weights = RefinementOptions().weights
+    before, after = measure(problem, bent(problem)), measure(problem, short.trajectories)
+    assert after.team(weights) < before.team(weights)
+
+
+def test_closest_approach_between_knots() -> None:
+    """Two points pass at 3 cm in the middle of a step; a held acceleration bends the way."""
+    states = np.array([[-0.5, 0.03, 0.0, 10.0, 0.0, 0.0], [0.5, 0.03, 0.0, 10.0, 0.0, 0.0]])
+    near = closest_approach(states, 0.1)
+    assert near.distance == pytest.approx(0.03)
+    assert near.fraction == pytest.approx(0.5)
+    thrown = np.array([[0.0, 0.5, 0.0, 0.0, -3.0, 0.0], [0.0, 0.5, 0.0, 0.0, 3.0, 0.0]])
+    near = closest_approach(thrown, 0.5)  # up and back: the vertex is 3^2 / (2 * 12) m away
+    assert near.distance == pytest.approx(0.5 - 0.375, abs=1e-9)
+
+
+def test_flying_forward_finds_what_the_plan_only_claims() -> None:
+    problem = swap()
+    honest = bent(problem)
+    np.testing.assert_allclose(roll_out(problem, honest), honest.states, atol=1e-9)
+    claimed = Trajectories(honest.states, 0.9 * honest.controls, honest.forces, honest.dt)
+    check = check_plan(problem, claimed)
+    assert check.goal_error_m > 0.05
+    assert any("flown forward" in words for words in check.shortcomings())
+    force = np.abs(honest.forces[:, :, 2]).max(axis=0) / GRAM_FORCE
+    assert check.worst_force_g["L"] >= force[2] - 1e-9

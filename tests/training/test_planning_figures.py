@@ -1,0 +1,121 @@
+"""Fig. 6 and 7 with the planner: what the paper claims, on its plant and with quadrotors."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.cli import main
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.interactions import load
+from swarm_envs.physics import bullet_available
+from swarm_envs.training.reproduce.planning.figure_6 import format_figure_6, reproduce_figure_6
+from swarm_envs.training.reproduce.planning.figure_7 import format_figure_7, reproduce_figure_7
+from swarm_envs.training.reproduce.planning.flight import fly_plan
+from swarm_envs.training.reproduce.planning.plant import track_plan
+from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, draw_swap
+from swarm_envs.training.reproduce.planning.trials import TrialSettings, fly_trial, kept_plan
+
+SETTINGS = TrialSettings(load_belief())
+ENGINE = "bullet" if bullet_available() else "batch"
+
+
+@pytest.fixture(scope="module")
+def plans():
+    """A large and a small robot exchange places, planned both ways."""
+    swap = draw_swap("SL", 1)
+    return {p: SETTINGS.plan(swap, p, 1) for p in ("unaware", "aware")}
+
+
+def test_a_plan_that_knows_the_forces_is_tracked_and_keeps_its_bounds(plans):
+    swap = draw_swap("SL", 1)
+    cells = {p: fly_trial(SETTINGS, swap, plan, p, 1) for p, plan in plans.items()}
+    aware, unaware = cells["aware"], cells["unaware"]
+    assert aware["plan"]["status"] == unaware["plan"]["status"] == "converged"
+    assert (
+        max(aware["model_plant"]["error_cm"]) < 1.0 < 5.0 < max(unaware["model_plant"]["error_cm"])
+    )
+    assert aware["model_plant"]["over_bound"] <= 1.1 < unaware["model_plant"]["over_bound"]
+    assert max(unaware["compensated"]["error_cm"]) < 0.5 * max(unaware["plain"]["error_cm"])
+    assert unaware["compensated"]["over_bound"] > 1.0  # compensation tracks, it does not avoid
+    assert json.loads(json.dumps(cells)) == cells
+
+
+def test_quadrotors_fly_a_plan_in_still_air(plans):
+    track, crashed = fly_plan(plans["unaware"], ControllerConfig(), "none")
+    assert not crashed
+    assert track.error.max() < 0.005
+    assert not track.force[..., 2].any()
+    assert track.time[-1] == pytest.approx(plans["unaware"].duration, abs=0.02)
+    reached = track.position[-1] - plans["unaware"].goals
+    assert np.linalg.norm(reached, axis=1).max() < 0.02
+
+
+def test_in_the_planners_own_air_the_plant_and_the_plan_agree(plans):
+    """The unaware plan in still air, and the aware one in the air that it knows."""
+    team = plans["aware"].team
+    still = track_plan(plans["unaware"].trajectories, team, load("none"))
+    assert still.error.max() < 1e-6
+    known = track_plan(plans["aware"].trajectories, team, SETTINGS.model)
+    lost = track_plan(plans["aware"].trajectories, team, load("none"))
+    assert known.error.max() < 0.3 * lost.error.max()
+
+
+def test_plans_are_kept_and_those_of_others_refused(plans, tmp_path):
+    path, swap = tmp_path / "plan.npz", draw_swap("SL", 1)
+    plans["aware"].save(path)
+    kept = kept_plan(path, SETTINGS, swap, "aware", 1)
+    assert np.array_equal(kept.states, plans["aware"].states)
+    for other in ((swap, "unaware", 1), (swap, "aware", 2), (draw_swap("SL", 2), "aware", 1)):
+        with pytest.raises(ValueError, match="another swap, model, seed or bounds"):
+            kept_plan(path, SETTINGS, *other)
+
+
+def test_planners_are_named():
+    with pytest.raises(ValueError, match="unknown planner 'awake'"):
+        SETTINGS.plan(draw_swap("SS", 0), "awake", 0)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("7", "--scenarios", "S"), "a swap takes two"),
+        (("7", "--truth", "none"), "no belief ships"),
+        (("6", "--scenarios", "SS"), "--scenarios has no meaning for --figure 6"),
+    ],
+)
+def test_the_command_checks_its_options(options, said, capsys):
+    with pytest.raises(SystemExit):
+        main(["reproduce", "neural-swarm2", "--figure", *options])
+    assert said in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.slow
+def test_figure_6_keeps_the_small_ones_out_of_the_downwash(tmp_path):
+    summary = reproduce_figure_6(tmp_path, trials=3, progress=False)
+    assert all(sum(found.values()) == 3 for found in summary["orders"].values())
+    assert summary["orders"]["aware"]["L below S"] >= 2
+    small = [row for row in summary["rows"] if row["vehicle"] == "S"]
+    worst = {p: max(r["model_plant_force_g"] for r in small if r["planner"] == p)
+             for p in ("aware", "unaware")}  # fmt: skip
+    assert worst["aware"] <= 5.5 < 8.0 < worst["unaware"]
+    assert "aware: L below S in" in format_figure_6(summary)
+    assert (tmp_path / "figure_6.png").stat().st_size > 50_000
+    again = reproduce_figure_6(tmp_path, trials=1, progress=False)
+    assert again["rows"] == summary["rows"]  # from the plans that are kept
+
+
+@pytest.mark.slow
+def test_figure_7_holds_in_every_scenario_and_trial(tmp_path):
+    summary = reproduce_figure_7(tmp_path, engine=ENGINE, progress=False)
+    said = summary["verdicts"]
+    assert said["aware_within_bound"]
+    assert said["aware_error_smaller"]
+    assert said["unaware_violates"] == dict.fromkeys(("SL", "SSL", "LL"), True)
+    assert len(summary["cells"]) == 2 * 5 * len(SCENARIOS)
+    assert "in every trial: yes" in format_figure_7(summary)
+    for name in ("figure_7.csv", "figure_7.png", "figure_7_plain.png", "figure_7_compensated.png"):
+        assert (tmp_path / name).is_file()

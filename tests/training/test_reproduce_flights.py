@@ -1,0 +1,285 @@
+"""Fig. 8, 9 and 1: statistics against counting, what is kept and resumed, tables, refusals."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from swarm_envs.baselines.neural_swarm import load_belief
+from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
+from swarm_envs.cli import main
+from swarm_envs.interactions import load
+from swarm_envs.tasks.ring import RingTask
+from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.training.reproduce import flown as flown_module
+from swarm_envs.training.reproduce.flight_cases import (
+    PLAIN_SWAPS,
+    STRONG_SWAPS,
+    SWAPS,
+    ring_case,
+    swap_case,
+)
+from swarm_envs.training.reproduce.flight_claims import ring_claims, swap_claims
+from swarm_envs.training.reproduce.flight_report import format_report
+from swarm_envs.training.reproduce.flight_tests import FlightPlan, reproduce_flights
+from swarm_envs.training.reproduce.flown import fly_case, fly_or_read
+from swarm_envs.training.reproduce.paired import compare, signed_rank_p
+from swarm_envs.vehicles import parse_team
+
+COMMAND = ["reproduce", "neural-swarm2"]
+
+
+def p_by_counting(differences):
+    """Two-sided p from every one of the 2^n equally likely signs of the ranks."""
+    ranks = np.abs(differences).argsort().argsort() + 1
+    middle = ranks.sum() / 2
+    here = abs(ranks[differences > 0].sum() - middle)
+    signs = np.array(list(itertools.product([0, 1], repeat=len(ranks))))
+    return (np.abs(signs @ ranks - middle) >= here).mean()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_p_is_that_of_counting_all_signs(seed):
+    differences = np.random.default_rng(seed).normal(-0.5, 1.0, 9)
+    assert signed_rank_p(differences) == pytest.approx(p_by_counting(differences), abs=1e-12)
+
+
+def test_pairs_are_compared_as_by_hand():
+    without = np.array([8.0, 10.0, 12.0, 20.0])
+    found = compare(without, np.array([2.0, 4.0, 13.0, 1.0]))
+    assert found.without == {"median": 11.0, "lower_quartile": 9.5, "upper_quartile": 14.0}
+    assert found.compensated["median"] == 3.0
+    assert found.ratio == pytest.approx(3 / 11)
+    assert found.made_worse == 1
+    assert found.p_value == pytest.approx(4 / 16)  # ranks 2, 3, 1, 4; the smallest against the rest
+    assert not found.significant
+    twenty = np.linspace(5.0, 9.0, 20)
+    assert compare(twenty, np.linspace(0.1, 0.3, 20)).p_value == pytest.approx(2.0**-19)
+
+
+def test_what_is_no_difference_is_none():
+    assert signed_rank_p(np.zeros(5)) == 1.0
+    for wrong in (np.ones(3), np.ones((2, 2)), np.ones(0)):
+        with pytest.raises(ValueError, match="are no pairs"):
+            compare(wrong, np.ones(0) if wrong.ndim == 1 else wrong)
+
+
+def test_the_cases_are_those_of_the_paper():
+    assert len(PLAIN_SWAPS) == len(set(PLAIN_SWAPS)) == 10
+    for name in STRONG_SWAPS:
+        plain, strong = parse_team(name.removesuffix("*")), parse_team(name)
+        assert plain[:-1] == strong[:-1] and name.removesuffix("*") in PLAIN_SWAPS
+        assert strong[-1].thrust_to_weight == pytest.approx(2.6)
+    assert {name for name in PLAIN_SWAPS if name.endswith("S")} == {n[:-1] for n in STRONG_SWAPS}
+    case = swap_case("L2S", PAPER_SWAP, "learned", "batch")
+    assert case.paper_cm == (17.0, 7.0)
+    assert isinstance(case.test.task, SwapTask)
+    assert case.test.task.stacked.radius_m == (0.5, 0.5)
+    assert case.test.task.stacked.duration_s == (4.0, 4.0)
+    for figure, upright in ((9, 3), (1, 10)):
+        task = ring_case(figure, "learned", "batch").test.task
+        assert isinstance(task, RingTask)
+        assert [v.token for v, axis in zip(task.team, task.orbit.first) if axis[2]] == upright * [
+            "S*"
+        ]
+
+
+def row(name, before, after, paper=None):
+    return {
+        "case": name,
+        "without": {"median": before},
+        "compensated": {"median": after},
+        "ratio": after / before,
+        "paper_cm": paper,
+    }
+
+
+def test_claims_are_counted_and_a_miss_is_named():
+    good = [row(name, 9.0, 4.0, (17.0, 7.0) if name == "L2S" else None) for name in PLAIN_SWAPS]
+    assert [claim.reached for claim in swap_claims(good)] == [True, True, True, False]
+    assert "9.0 to 4.0 cm, a factor of 2.2" in swap_claims(good)[-1].found
+    bad = [row(name, 8.0 if k < 5 else 9.0, 4.0) for k, name in enumerate(PLAIN_SWAPS)]
+    bad[0], bad[9] = row("S2S", 3.0, 3.5), row("LL2L", 20.0, 11.0)
+    claims = swap_claims(bad)
+    assert [claim.reached for claim in claims] == [False, False, False]
+    assert "not in S2S" in claims[0].found and "not in LL2L" in claims[1].found
+    assert claims[2].found == "5 do"
+    assert len(swap_claims(good[:3])) == 3  # the ten are not there to be counted
+    rings = ring_claims([row("ring of 16", 15.0, 8.0, (15.0, 10.0))])
+    assert [claim.reached for claim in rings] == [False, True]
+
+
+def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
+    case = swap_case("L2S", PAPER_SWAP, "wake", "batch")
+    found = fly_case(case, load("wake"), [5, 6, 7])
+    assert found.explained == pytest.approx(1.0, abs=1e-12)
+    assert found.error_rms_g.max() < 1e-9 < found.force_rms_g.min()
+    judged = found.judged_cm(-1)
+    assert np.sort(judged[0])[1] == judged[0, int(found.shown)]
+    assert judged[0, int(found.shown)] == pytest.approx(
+        np.abs(found.height_error_cm[0, :, -1]).max()
+    )
+    assert found.neighbours[1] == 1
+    assert (found.judged_cm(None) == found.worst_cm.max(axis=-1)).all()
+
+
+PLAN = FlightPlan(figure=8, truths=("wake",), cases=("S2S", "L2S*"), episodes=2, engine="batch")
+
+
+def test_an_interrupted_figure_goes_on(tmp_path, monkeypatch):
+    cases: list[str] = []
+
+    def counted(case, *arguments):
+        if len(cases) == 1:
+            raise KeyboardInterrupt
+        cases.append(case.name)
+        return fly_case(case, *arguments)
+
+    monkeypatch.setattr(flown_module, "fly_case", counted)
+    with pytest.raises(KeyboardInterrupt):
+        reproduce_flights(tmp_path / "a", PLAN, progress=False)
+    assert not (tmp_path / "a" / "figure_8.json").exists()
+    monkeypatch.setattr(flown_module, "fly_case", fly_case)
+    report = reproduce_flights(tmp_path / "a", PLAN, progress=False)
+    monkeypatch.setattr(flown_module, "fly_case", None)  # nothing is left to be flown
+    assert reproduce_flights(tmp_path / "a", PLAN, progress=False) == report
+    monkeypatch.setattr(flown_module, "fly_case", fly_case)
+    reproduce_flights(tmp_path / "b", PLAN, progress=False)
+    for name in ("figure_8.json", "figure_8.csv", "figure_8.png"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def test_flights_of_other_settings_and_damaged_ones_are_refused(tmp_path):
+    case, belief = swap_case("S2S", PAPER_SWAP, "wake", "batch"), load_belief("wake")
+    path = tmp_path / "S2S.npz"
+    fly_or_read(path, case, belief, [1])
+    with pytest.raises(ValueError, match=r"other settings: seeds is \[1\] there, \[2\] here"):
+        fly_or_read(path, case, belief, [2])
+    with pytest.raises(ValueError, match="belief_sha256"):
+        fly_or_read(path, case, load_belief("learned"), [1])
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(ValueError, match=r"is damaged.*delete it"):
+        fly_or_read(path, case, belief, [1])
+
+
+def test_the_command_flies_swaps_and_says_what_it_found(tmp_path, capsys):
+    options = ["--truth", "wake", "--cases", "L2S", "SS2L", "--episodes", "2", "--engine", "batch"]
+    copy = tmp_path / "copy.json"
+    files = ["--out", str(tmp_path), "--json", str(copy)]
+    assert main([*COMMAND, "--figure", "8", *options, *files]) == 0
+    said = capsys.readouterr()
+    assert "Fig. 8" in said.err and "s flown" in said.err
+    report = json.loads((tmp_path / "figure_8.json").read_text())
+    assert report == json.loads(copy.read_text())
+    assert format_report(report) in said.out
+    table = said.out.splitlines()[2:6]
+    assert len({len(line) for line in table}) == 1
+    assert table[2].split()[0] == "L2S" and "17 -> 7" in table[2]
+    air = report["truths"][0]
+    rows = {row["case"]: row for row in air["cases"]}
+    errors = np.array([rows["L2S"]["worst_height_error_cm"][s] for s in ("without", "compensated")])
+    assert errors.shape == (2, 2, 2)
+    assert rows["L2S"]["without"]["median"] == pytest.approx(np.median(errors[0, :, -1]), abs=1e-3)
+    upper = np.array(rows["SS2L"]["worst_height_error_cm"]["without"])[:, :2]
+    assert rows["SS2L"]["others_cm"]["without"] == pytest.approx(
+        np.median(upper.max(axis=1)), abs=2e-3
+    )
+    with (tmp_path / "figure_8.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [(line["case"], line["drone"], line["judged"]) for line in lines] == [
+        ("L2S", "L1", "False"), ("L2S", "S1", "True"),
+        ("SS2L", "S1", "False"), ("SS2L", "S2", "False"), ("SS2L", "L1", "True"),
+    ]  # fmt: skip
+    assert float(lines[1]["without_median_cm"]) == pytest.approx(
+        rows["L2S"]["without"]["median"], abs=1e-4
+    )
+    assert (lines[0]["paper_without_cm"], lines[1]["paper_without_cm"]) == ("", "17.0")
+    with Image.open(tmp_path / "figure_8.png") as image:
+        assert image.width > 800
+    assert str(tmp_path) not in (tmp_path / "figure_8.json").read_text()
+
+
+def test_the_command_flies_rings(tmp_path, capsys):
+    options = ["--truth", "learned", "--episodes", "1", "--engine", "batch", "--seed", "4"]
+    assert main([*COMMAND, "--figure", "9", *options, "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "worst of each flight" in said and "10 -> 5 cm" in said
+    report = json.loads((tmp_path / "figure_9.json").read_text())
+    row = report["truths"][0]["cases"][0]
+    assert [drone["place"] for drone in row["drones"]] == 3 * ["upright ring"] + 2 * ["level ring"]
+    worst = max(drone["without"]["median"] for drone in row["drones"])
+    assert row["without"]["median"] == pytest.approx(worst)
+    assert row["ratio"] < 0.5 and row["explained"] > 0.8
+    with (tmp_path / "figure_9.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert len(lines) == 6 and lines[-1]["drone"] == "worst of each flight"
+    assert (tmp_path / "figure_9.png").is_file()
+
+
+def test_what_is_odd_is_noted(tmp_path, monkeypatch):
+    module = "swarm_envs.training.reproduce.flight_tests"
+    monkeypatch.setattr(f"{module}.default_engine", lambda: "batch")
+    weights = tmp_path / "learned.safetensors"
+    source = load_belief("wake").name
+    with open(source, "rb") as file:  # noqa: PTH123
+        weights.write_bytes(file.read())
+    plan = FlightPlan(figure=8, truths=(str(weights),), belief=weights, cases=("S2S",), episodes=1)
+    notes = reproduce_flights(tmp_path / "out", plan, progress=False)["notes"]
+    assert "compiled twin of Bullet" in notes[0]
+    assert "the very force that blows" in notes[1]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--figure", "8", "--cases", "S2M"], "case 'S2M'"),
+        (["--figure", "8", "--episodes", "0"], "--episodes is 0"),
+        (["--figure", "8", "--episodes", "5000"], "at most 1000"),
+        (["--figure", "8", "--radius-m", "-1"], "radius_m"),
+        (["--figure", "8", "--belief", "x.safetensors"], "name its force model by --truth"),
+        (["--figure", "9", "--cases", "S2S"], "--cases has no meaning for --figure 9"),
+        (["--figure", "5", "--belief", "x"], "but for --figure 1 or --figure 8 or --figure 9"),
+        (["--figure", "5", "--steps", "3"], "--steps has no meaning for --figure 5"),
+        (["--table", "3", "--data", "x", "--truth", "wake"], "--truth has no meaning"),
+        (["--figure", "8", "--engine", "gazebo"], "gazebo"),
+    ],
+)
+def test_impossible_options_are_explained(options, said, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    with pytest.raises(SystemExit) as end:
+        main([*COMMAND, *options])
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--truth", "none"], "no belief ships"),
+        (["--truth", "wake", "--belief", "no.safetensors"], "no.safetensors"),
+    ],
+)
+def test_what_cannot_be_flown_fails_before_anything_is_written(options, said, capsys, tmp_path):
+    assert main([*COMMAND, "--figure", "8", *options, "--out", str(tmp_path / "out")]) == 1
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("figure", [8, 9, 1])
+def test_the_claims_hold_for_both_forces(figure, tmp_path):
+    plan = FlightPlan(figure=figure, episodes=20 if figure == 8 else 5, engine="batch")
+    report = reproduce_flights(tmp_path, plan, progress=False)
+    assert [air["truth"]["name"] for air in report["truths"]] == ["learned", "wake"]
+    for air in report["truths"]:
+        missed = [claim for claim in air["claims"] if not claim["reached"]]
+        assert not missed, (air["truth"]["name"], missed)
+        assert len(air["cases"]) == (len(SWAPS) if figure == 8 else 1)
+        for row in air["cases"]:
+            assert not any(row["crashed"].values()), row["case"]
+            assert row["explained"] > 0.8, row["case"]
