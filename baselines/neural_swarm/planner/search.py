@@ -23,7 +23,7 @@ from swarm_envs.baselines.neural_swarm.planner.tree import (
     settle,
     write_state,
 )
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import inlined_kernel, kernel
 from swarm_envs.state import FloatArray
 
 FEW = 5
@@ -37,17 +37,17 @@ LEG = 10
 class Chances(NamedTuple):
     """How often the search does what."""
 
-    goal: float = 0.3
+    goal: float = 0.5
     """To try a flight from a new node straight to the goal."""
     action: float = 0.3
     """To hold a random action for one edge; else towards the sample's position."""
     promising: float = 0.3
     """To start from the most promising of a few random nodes; else from the nearest to a sample."""
-    guided: float = 0.5
+    guided: float = 0.6
     """To sample near the guide; else uniformly."""
 
 
-@kernel
+@inlined_kernel
 def sample(
     scene: Scene,
     tree: Tree,
@@ -72,7 +72,7 @@ def sample(
     return knot, rng.random() * bound
 
 
-@kernel
+@inlined_kernel
 def choose(
     scene: Scene,
     tree: Tree,
@@ -95,7 +95,7 @@ def choose(
     return found
 
 
-@kernel
+@inlined_kernel
 def grow_once(
     scene: Scene,
     tree: Tree,
@@ -127,7 +127,7 @@ def grow_once(
     return new
 
 
-@kernel
+@inlined_kernel
 def trace(scene: Scene, tree: Tree, node: int, work: Work, states: FloatArray) -> None:
     """Write the states (K + 1, 6) up to a node's knot, flying each edge on its path once more."""
     while tree.parent[node] != NONE:

@@ -1,0 +1,162 @@
+"""Stage 1: its plans keep every bound by a check of their own, and get cheaper."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
+from swarm_envs.baselines.neural_swarm.planner.search import Chances
+from swarm_envs.baselines.neural_swarm.planner.trajectories import defects
+from swarm_envs.interactions import load
+from swarm_envs.vehicles import GRAM_FORCE
+
+QUICK = SearchConfig(iterations=4000)
+ROW = np.array([[0.0, -1.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 1.0]])
+
+
+def swap(**changes):
+    """Three robots in a row in the yz-plane, each to the place of the next (Fig. 6)."""
+    options = {"starts": ROW, "goals": ROW[[2, 0, 1]], "team": "SLS", "plane": "yz"}
+    return PlanningProblem(**(options | changes))
+
+
+def alone(**changes):
+    options = {"starts": [[0, -1, 1]], "goals": [[0, 1, 1]], "team": "S", "max_duration": 3.0}
+    return PlanningProblem(**({"model": load("none"), "plane": "yz"} | options | changes))
+
+
+def dense(trajectories, masses, pieces=50):
+    """Positions (M, N, 3) many times between knots, of the parabolas that are flown."""
+    acceleration = trajectories.controls + trajectories.forces[:-1] / masses[:, None]
+    t = np.arange(pieces)[:, None, None] * trajectories.dt / pieces
+    p, v = trajectories.position[:-1, None], trajectories.velocity[:-1, None]
+    return (p + v * t + 0.5 * acceleration[:, None] * t**2).reshape(-1, *p.shape[2:])
+
+
+def check_valid(problem, trajectories):
+    """All that eq. (6) asks, evaluated anew from states and controls."""
+    bounds, states = problem.bounds, trajectories.states
+    assert np.abs(defects(problem, trajectories)).max() < 1e-9
+    forces = problem.model.forces(states[..., :3], states[..., 3:], problem.team)
+    np.testing.assert_allclose(trajectories.forces, forces, atol=1e-12)
+    limits = np.array([bounds.force_g[v.token] for v in problem.team]) * GRAM_FORCE
+    assert (np.abs(forces[..., 2]) <= limits + 1e-9).all()
+    assert (np.abs(trajectories.controls) <= bounds.acceleration + 1e-6).all()
+    assert (np.abs(trajectories.velocity) <= bounds.speed + 1e-6).all()
+    assert (trajectories.position >= np.array(bounds.lower) - 1e-5).all()
+    assert (trajectories.position <= np.array(bounds.upper) + 1e-5).all()
+    np.testing.assert_array_equal(trajectories.position[0], problem.starts)
+    assert not trajectories.velocity[0].any()
+    missed = np.linalg.norm(trajectories.position[-1] - problem.goals, axis=1)
+    assert (missed <= 1.25 * bounds.goal_distance).all()  # braking takes some way, too
+    assert (np.linalg.norm(trajectories.velocity[-1], axis=1) <= bounds.goal_speed + 1e-9).all()
+    path = dense(trajectories, problem.masses)
+    for i, j in itertools.combinations(range(len(problem.team)), 2):
+        apart = np.linalg.norm(path[:, i] - path[:, j], axis=1).min()
+        touching = problem.team[i].radius + problem.team[j].radius
+        assert apart >= bounds.clearance_factor * touching - 4e-3
+
+
+@pytest.mark.parametrize("model", ["learned", "wake", "none"])
+@pytest.mark.parametrize("postprocess", ["track", "repeat"])
+def test_plans_keep_every_bound(model, postprocess):
+    problem = swap(model=load(model))
+    for seed in range(4):
+        result = search(problem, dataclasses.replace(QUICK, postprocess=postprocess), seed)
+        assert result.converged
+        check_valid(problem, result.trajectories)
+        assert result.cost == pytest.approx(result.trajectories.cost, rel=1e-9)
+
+
+def test_plans_in_space_of_a_larger_team():
+    angle = np.arange(5) * 2 * np.pi / 5
+    starts = np.stack((np.cos(angle), np.sin(angle), np.full(5, 1.2)), axis=1)
+    goals = starts * (-1, -1, 1)
+    problem = PlanningProblem(starts, goals, "SLS*SL")
+    result = search(problem, QUICK, seed=1)
+    check_valid(problem, result.trajectories)
+    assert np.ptp(result.trajectories.position[..., 0]) > 1.0
+
+
+def test_a_plane_keeps_x():
+    aside = np.add(ROW, [0.1, 0.0, 0.0])
+    found = search(swap(starts=aside, goals=aside[[2, 0, 1]]), QUICK).trajectories
+    np.testing.assert_allclose(found.position[..., 0], 0.1, atol=1e-12)
+
+
+def test_costs_never_rise_and_every_loop_is_told():
+    told = []
+    result = search(swap(), dataclasses.replace(QUICK, iterations=10_000), 3, told.append)
+    costs = [loop.cost for loop in result.loops]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[-1] < 0.9 * next(cost for cost in costs if cost < np.inf)
+    assert tuple(told) == result.loops
+    assert result.stop == "iterations"
+    assert result.iterations == result.loops[-1].iterations == 10_000
+    assert all(size > 0 for size in result.loops[0].tree_sizes)
+
+
+def test_the_same_seed_gives_the_same_bytes():
+    one, same, other = (search(swap(), QUICK, seed).trajectories for seed in (5, 5, 6))
+    assert one.states.tobytes() == same.states.tobytes()
+    assert one.states.tobytes() != other.states.tobytes()
+
+
+def test_without_a_force_model_plans_lead_into_wakes():
+    """The worst force over its bound, with the planner's model and without (Fig. 7)."""
+    limits, worst = np.array([5.0, 10.0, 5.0]) * GRAM_FORCE, {}
+    for model in ("learned", "none"):
+        plans = [search(swap(model=load(model)), QUICK, seed).trajectories for seed in range(4)]
+        felt = [load("learned").forces(t.position, t.velocity, "SLS")[..., 2] for t in plans]
+        worst[model] = np.median((np.abs(felt) / limits).max(axis=(1, 2)))
+    assert worst["learned"] <= 1.0 < worst["none"]
+
+
+def test_the_trust_region_bounds_what_planning_does_to_neighbours():
+    """With next to no change allowed, nobody may enter another's reach: forces stay nothing."""
+    bounds = PlanningBounds(force_change_g=0.2, upper=(2.0, 2.0, 4.0))
+    result = search(swap(bounds=bounds, max_duration=6.0), QUICK, seed=2)
+    drag = load("learned").field.drag[[0, 1, 0], 2] * result.trajectories.velocity[..., 2]
+    interaction = (result.trajectories.forces[..., 2] + drag) / GRAM_FORCE
+    assert np.abs(interaction).max() <= 2 * 2 * 0.2 + 0.05  # of two neighbours, each planned twice
+
+
+def test_what_has_no_solution_gives_no_trajectories():
+    """Two in a corridor too low to pass: nothing is made up."""
+    bounds = PlanningBounds(lower=(-2, -2, 0.95), upper=(2, 2, 1.05))
+    problem = PlanningProblem(
+        ROW[:2], ROW[[1, 0]], "SS", load("none"), bounds, plane="yz", max_duration=3.0
+    )
+    result = search(problem, dataclasses.replace(QUICK, patience=3), 0)
+    assert result.trajectories is None
+    assert not result.converged
+    assert result.cost == np.inf
+    assert result.stop in ("no improvement", "iterations")
+
+
+def test_the_clock_ends_a_search_with_the_best_so_far():
+    result = search(swap(), SearchConfig(iterations=10**9, patience=10**9, time_limit=0.3), 0)
+    assert result.stop == "time limit"
+    assert not result.converged
+    if result.trajectories is not None:
+        check_valid(swap(), result.trajectories)
+
+
+def test_bad_options_are_refused():
+    for changes, message in (
+        ({"iterations": 0}, "iterations is 0"),
+        ({"edge": 1.5}, "edge is 1.5"),
+        ({"postprocess": "none"}, "unknown postprocess"),
+        ({"time_limit": -1.0}, "time_limit is -1.0"),
+        ({"least_gain": 1.0}, "least_gain is 1.0"),
+        ({"chances": Chances(goal=1.5)}, "chance 'goal' is 1.5"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            SearchConfig(**changes)
+    with pytest.raises(ValueError, match="edge is 40 steps, but max_duration allows 30"):
+        search(alone(), SearchConfig(edge=40))
