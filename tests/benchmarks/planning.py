@@ -1,6 +1,5 @@
 """How long the planner takes and how often it succeeds: a three-robot swap, and flights.
 
-
     python tests/benchmarks/planning.py [--seeds 20] [--picture plan.png] [--json FILE]
     python tests/benchmarks/planning.py --task swap --layout random --drones 4 [--seeds 20]
 
