@@ -52,8 +52,7 @@ def about(plan: SwarmPlan) -> Row:
 def step_times(team: str, plane: Any, seed: int) -> list[float]:
     """CPU times of the steps of one refinement at 60 knots, ms: derivatives, program, merit."""
     count = len(parse_team(team))
-    level = (np.arange(count) // 3)[:, None]
-    starts = STARTS[np.arange(count) % 3] + np.array([0.0, 0.0, 0.5]) * level
+    starts = np.array([[0.0, y, 1.2] for y in 0.7 * (np.arange(count) - 0.5 * (count - 1))])
     goals = np.roll(starts, 1, axis=0)
     problem = PlanningProblem(
         starts, goals, parse_team(team), load("learned"), max_duration=6.0, plane=plane
