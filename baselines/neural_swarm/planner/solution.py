@@ -26,7 +26,7 @@ class Weights:
 class SolverSettings:
     """How exactly OSQP solves."""
 
-    tolerance: float = 1e-4
+    tolerance: float = 5e-4
     """Of the residuals, absolute and relative."""
     max_iterations: int = 1000
     """After which an inexact solution is taken, and said to be one."""
