@@ -79,8 +79,8 @@ class Work(NamedTuple):
 
 def work_for(scene: Scene) -> Work:
     """Working memory for a scene."""
-    n = len(scene.types)
-    return Work(*(np.zeros((n, 3)) for _ in range(3)), scratch_for(scene.field, n))
+    position, velocity, force = np.zeros((3, len(scene.types), 3))
+    return Work(position, velocity, force, scratch_for(scene.field, len(scene.types)))
 
 
 def make_scene(

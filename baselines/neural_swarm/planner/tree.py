@@ -82,7 +82,7 @@ def put_point(tree: Tree, state: FloatArray, knot: float, cost: float) -> None:
 @borrowing_kernel
 def add(tree: Tree, parent: int, control: FloatArray, knot: int, cost: float, work: Work) -> int:
     """Add what the working memory holds as a node; return its index, or NONE without room."""
-    node = tree.places.count[0]
+    node = tree.places.used[0]
     if node == tree.cost.shape[0]:
         return NONE
     tree.parent[node], tree.knot[node], tree.cost[node] = parent, knot, cost

@@ -48,7 +48,7 @@ def test_unwindowed_and_unanchored_deep_sets_are_differentiated_too():
 
 def test_a_drone_out_of_reach_changes_no_force_but_its_drag():
     model, team = load("learned"), parse_team("SL")
-    states = swarm(2, np.random.default_rng(4))
+    states = swarm(2, np.random.default_rng(4), 1.5)
     states[:, 1, 0] += 2.0
     jacobian = force_jacobian(model, team, states, 1)
     assert not jacobian[:, 0].any()

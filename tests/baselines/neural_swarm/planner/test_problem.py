@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -15,8 +17,14 @@ GOALS = [[0.0, 1.0, 1.0], [0.0, 0.0, 1.5], [0.0, -1.0, 1.0]]
 FREE = load("none")
 
 
-def problem(**changes):
-    options = {"starts": STARTS, "goals": GOALS, "team": "SSL", "model": FREE, "plane": "yz"}
+def problem(**changes: Any) -> PlanningProblem:
+    options: dict[str, Any] = {
+        "starts": STARTS,
+        "goals": GOALS,
+        "team": "SSL",
+        "model": FREE,
+        "plane": "yz",
+    }
     return PlanningProblem(**(options | changes))
 
 
@@ -58,11 +66,17 @@ def test_bounds_below_what_hovering_alone_needs_are_refused():
     """Near the ground the learned model lifts a lone drone."""
     low = PlanningBounds(lower=(-2, -2, 0.05), force_g={"L": 0.05})
     with pytest.raises(ValueError, match=r"drone 0 \(L\) hovering alone at its start .* raise"):
-        PlanningProblem([[0, 0, 0.1]], [[0, 0, 1]], "L", load("learned"), low)
+        problem(
+            starts=[[0, 0, 0.1]], goals=[[0, 0, 1]], team="L", model=load("learned"), bounds=low
+        )
 
 
 def test_starts_and_goals_in_another_wake_are_refused():
-    below = {"starts": [[0, 0, 1.5], [0, 0, 1.0]], "goals": [[0, -1, 1], [0, 1, 1]], "team": "SS"}
+    below: dict[str, Any] = {
+        "starts": [[0, 0, 1.5], [0, 0, 1.0]],
+        "goals": [[0, -1, 1], [0, 1, 1]],
+        "team": "SS",
+    }
     with pytest.raises(ValueError, match=r"drone 1 \(S\) hovering beside the others at its start"):
         problem(**below, model=load("learned"))
     problem(**below, model=FREE)

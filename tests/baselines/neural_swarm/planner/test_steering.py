@@ -64,7 +64,8 @@ def test_two_impulses_are_a_lower_bound_and_a_tight_one(drag, velocity, way):
     table = responses(np.full(3, drag), DT, steps)
     bound = impulse_cost(table, steps, np.array([way, 0, 0]), np.array([velocity, 0, 0]))
     optimum = cheapest(drag, steps, way, velocity)
-    assert bound <= optimum + 1e-9
+    held = 1.0 - 0.5 * drag * DT  # a held control is not dragged within its step
+    assert bound * held <= optimum + 1e-9
     assert optimum <= 1.12 * bound
 
 
