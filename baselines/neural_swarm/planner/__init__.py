@@ -1,6 +1,6 @@
 """Neural-Swarm2's interaction-aware motion planner (Sec. V, Algorithm 1)."""
 
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, SearchResult, search
 from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
 from swarm_envs.baselines.neural_swarm.planner.plot import plot_plan
@@ -13,7 +13,9 @@ __all__ = [
     "PlanningProblem",
     "RefinementOptions",
     "SearchConfig",
+    "SearchResult",
     "Trajectories",
     "plot_plan",
+    "search",
     "straight_lines",
 ]

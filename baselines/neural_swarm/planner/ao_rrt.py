@@ -34,6 +34,8 @@ from swarm_envs.state import FloatArray
 
 Stop = Literal["iterations", "no improvement", "time limit"]
 """Why a search ended."""
+Postprocess = Literal["repeat", "track"]
+"""How a robot that arrived flies on to the common end of the plan."""
 
 _NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
 
@@ -56,7 +58,7 @@ class SearchConfig:
     """The most wall-clock time, s; looked at after each tree. Only this stop is not repeatable."""
     edge: int = 2
     """Steps of the problem over which an action is held: the paper's constant delta t."""
-    postprocess: Literal["repeat", "track"] = "track"
+    postprocess: Postprocess = "track"
     """After arrival within epsilon: `"repeat"` brakes in one step and stays there, `"track"` is
     drawn to the goal itself by virtual tracking. Either way to the common end of the plan."""
     fresh: float = 0.5

@@ -38,7 +38,7 @@ class KdTree(NamedTuple):
     """(nodes, BUCKET) the points of a leaf."""
     filled: IntArray
     """(nodes,) how many these are."""
-    count: IntArray
+    used: IntArray
     """(2,) points and nodes in use."""
     stack: IntArray
     """Working memory of a query."""
@@ -61,7 +61,7 @@ def kd_tree(capacity: int, dimensions: int) -> KdTree:
         child=np.zeros((nodes, 2), np.int64),
         bucket=np.zeros((nodes, BUCKET), np.int64),
         filled=np.zeros(nodes, np.int64),
-        count=np.zeros(2, np.int64),
+        used=np.zeros(2, np.int64),
         stack=np.zeros(_STACK, np.int64),
     )
     clear(tree)
@@ -71,15 +71,15 @@ def kd_tree(capacity: int, dimensions: int) -> KdTree:
 @borrowing_kernel
 def clear(tree: KdTree) -> None:
     """Forget all points."""
-    tree.count[0], tree.count[1] = 0, 1
+    tree.used[0], tree.used[1] = 0, 1
     _begin_leaf(tree, 0)
 
 
 @borrowing_kernel
 def insert(tree: KdTree, point: FloatArray) -> int:
     """Add a point (D,) and return its index; the tree must not be full."""
-    index = tree.count[0]
-    tree.count[0] = index + 1
+    index = tree.used[0]
+    tree.used[0] = index + 1
     for d in range(point.shape[0]):
         tree.points[index, d] = point[d]
     node = 0
@@ -160,8 +160,8 @@ def _split(tree: KdTree, node: int) -> None:
             b -= 1
         bucket[b] = moving
     for side in range(2):
-        leaf = tree.count[1]
-        tree.count[1] = leaf + 1
+        leaf = tree.used[1]
+        tree.used[1] = leaf + 1
         _begin_leaf(tree, leaf)
         for k in range(BUCKET // 2):
             index = bucket[side * (BUCKET // 2) + k]

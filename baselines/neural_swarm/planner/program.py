@@ -21,7 +21,7 @@ class RobotProgram:
     """The program of one robot with T steps, D axes and M neighbours.
 
     The variables are x_0, u_0, x_1, u_1 ... x_T, the goal's slack, delta, and a slack for each
-    step's clearance and each knot's force on each neighbour.
+    step's clearance to and force on each neighbour, upward and downward.
     """
 
     def __init__(
@@ -40,7 +40,7 @@ class RobotProgram:
         self._u = first[:-1] + 2 * dims + np.arange(dims)
         free = (steps + 1) * width - dims
         self._goal, self._delta = free, free + 1
-        self._slack = (free + 2 + np.arange(2 * steps * neighbors)).reshape(2, steps, neighbors)
+        self._slack = (free + 2 + np.arange(3 * steps * neighbors)).reshape(3, steps, neighbors)
         self._variables = free + 2 + self._slack.size
         self._pattern = ConstraintPattern()
         self._add_motion(dt)
@@ -106,10 +106,10 @@ class RobotProgram:
         pattern.put(rows, self._slack[0], 1.0)
         rows = pattern.add_rows("change", *size)
         self._put_within(rows, "change")
-        for side, sign in (("above", -1.0), ("below", 1.0)):
-            rows = pattern.add_rows(f"neighbor {side}", *size)
-            self._put_within(rows, f"neighbor {side}")
-            pattern.put(rows, self._slack[1], sign)
+        rows = pattern.add_rows("neighbor", *size)
+        self._put_within(rows, "neighbor")
+        pattern.put(rows, self._slack[1], -1.0)
+        pattern.put(rows, self._slack[2], 1.0)
         soft = np.concatenate([[self._delta], self._slack.ravel()])
         pattern.put(pattern.add_rows("sign", soft.size), soft, _SLACK_SCALE)
 
@@ -143,9 +143,7 @@ class RobotProgram:
         below = np.where(x - trust < problem.lower, problem.lower, -np.inf)
         pattern.bound("box above", -np.inf, above)
         pattern.bound("box below", below, np.inf)
-        bound = problem.force_bound
-        slope, force = problem.bounded_by_state / bound, problem.bounded_force / bound
-        self._bound_both("force", slope, force, problem)
+        self._set_force(problem)
         pattern.bound("trust", x - trust, x + trust)
         u, most, reach = problem.prior_control, problem.control_bound, problem.trust_control
         # A prior beyond the bound is allowed to stay where it is, so that a solution exists.
@@ -153,18 +151,17 @@ class RobotProgram:
         highest = np.maximum(np.minimum(most, u + reach), u)
         pattern.bound("control", lowest, highest)
 
-    def _bound_both(
-        self, name: str, slope: FloatArray, prior: FloatArray, problem: Convexified
-    ) -> None:
-        """Bound |prior + slope (x - xbar)| by 1 and the rows' slack, x being within steps."""
+    def _set_force(self, problem: Convexified) -> None:
+        """Bound |force + slope (x - xbar)| by the bound and delta, x being within steps."""
+        bound = problem.force_bound
+        slope, force = problem.bounded_by_state / bound, problem.bounded_force / bound
         known, reach = _known_and_reach(slope, problem)
-        known = known - prior
         for side in ("above", "below"):
-            self._set_within(f"{name} {side}", slope, problem)
-        above = np.where(prior + reach > 1.0, 1.0 + known, np.inf)
-        below = np.where(prior - reach < -1.0, known - 1.0, -np.inf)
-        self._pattern.bound(f"{name} above", -np.inf, above)
-        self._pattern.bound(f"{name} below", below, np.inf)
+            self._set_within(f"force {side}", slope, problem)
+        above = np.where(force + reach > 1.0, known - force + 1.0, np.inf)
+        below = np.where(force - reach < -1.0, known - force - 1.0, -np.inf)
+        self._pattern.bound("force above", -np.inf, above)
+        self._pattern.bound("force below", below, np.inf)
 
     def _set_neighbors(self, problem: Convexified) -> None:
         pattern = self._pattern
@@ -180,7 +177,10 @@ class RobotProgram:
         pattern.bound("change", known - bound, known + bound)
         slope = problem.neighbor_by_state / problem.neighbor_bound[:, None]
         force = problem.neighbor_force / problem.neighbor_bound
-        self._bound_both("neighbor", slope, force, problem)
+        known, reach = _known_and_reach(slope, problem)
+        self._set_within("neighbor", slope, problem)
+        bound = np.where(np.abs(force) + reach > 1.0, 1.0, np.inf)
+        pattern.bound("neighbor", known - force - bound, known - force + bound)
 
     def _may_touch(self, problem: Convexified) -> Any:
         """(T, M) whether the trust region lets a robot cross the half-space of a step."""

@@ -80,7 +80,8 @@ class Work(NamedTuple):
 def work_for(scene: Scene) -> Work:
     """Working memory for a scene."""
     n = len(scene.types)
-    return Work(*(np.zeros((n, 3)) for _ in range(3)), scratch_for(scene.field, n, n))
+    position, velocity, force = np.zeros((3, n, 3))
+    return Work(position, velocity, force, scratch_for(scene.field, n, n))
 
 
 def make_scene(

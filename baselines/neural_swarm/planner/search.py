@@ -23,13 +23,13 @@ from swarm_envs.baselines.neural_swarm.planner.tree import (
     settle,
     write_state,
 )
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import inlined_kernel, kernel
 from swarm_envs.state import FloatArray
 
 FEW = 5
 """Random nodes among which the most promising is taken."""
-SPREAD, SPEED_SPREAD = 0.4, 0.5
-"""Standard deviations of samples about the guide, m and m/s."""
+SPREAD, SPEED_SPREAD = 0.6, 0.8
+"""Largest standard deviations of samples about the guide, m and m/s; most are far closer."""
 LEG = 10
 """Edges in the longest motion towards a sample that lies in the past."""
 
@@ -37,17 +37,17 @@ LEG = 10
 class Chances(NamedTuple):
     """How often the search does what."""
 
-    goal: float = 0.3
+    goal: float = 0.5
     """To try a flight from a new node straight to the goal."""
     action: float = 0.3
     """To hold a random action for one edge; else towards the sample's position."""
-    promising: float = 0.3
+    promising: float = 0.4
     """To start from the most promising of a few random nodes; else from the nearest to a sample."""
-    guided: float = 0.5
+    guided: float = 0.7
     """To sample near the guide; else uniformly."""
 
 
-@kernel
+@inlined_kernel
 def sample(
     scene: Scene,
     tree: Tree,
@@ -59,11 +59,11 @@ def sample(
     """Draw a state (6,) into `out`, and a time and a cost, from the state-cost space."""
     last = scene.position.shape[0] - 1
     knot = rng.integers(1, last + 1)
-    guided = rng.random() < chances.guided
+    guided, wide = rng.random() < chances.guided, rng.random() ** 3
     for k in range(3):
         if guided:
-            out[k] = scene.guide[knot, k] + SPREAD * scene.free[k] * rng.standard_normal()
-            out[3 + k] = scene.guide[knot, 3 + k] + SPEED_SPREAD * rng.standard_normal()
+            out[k] = scene.guide[knot, k] + wide * SPREAD * rng.standard_normal()
+            out[3 + k] = scene.guide[knot, 3 + k] + wide * SPEED_SPREAD * rng.standard_normal()
         else:
             out[k] = rng.uniform(scene.lower[k], scene.upper[k])
             out[3 + k] = rng.uniform(-scene.limits[0], scene.limits[0])
@@ -72,7 +72,7 @@ def sample(
     return knot, rng.random() * bound
 
 
-@kernel
+@inlined_kernel
 def choose(
     scene: Scene,
     tree: Tree,
@@ -88,14 +88,14 @@ def choose(
         return nearest(tree.places, tree.point)
     best, found = np.inf, 0
     for _ in range(FEW):
-        node = rng.integers(0, tree.places.count[0])
+        node = rng.integers(0, tree.places.used[0])
         total = outlook(scene, tree, node)
         if total < best:
             best, found = total, node
     return found
 
 
-@kernel
+@inlined_kernel
 def grow_once(
     scene: Scene,
     tree: Tree,
@@ -127,7 +127,7 @@ def grow_once(
     return new
 
 
-@kernel
+@inlined_kernel
 def trace(scene: Scene, tree: Tree, node: int, work: Work, states: FloatArray) -> None:
     """Write the states (K + 1, 6) up to a node's knot, flying each edge on its path once more."""
     while tree.parent[node] != NONE:
@@ -170,8 +170,8 @@ def grow(
     if not forces_allowed(scene, 0, work):
         return INVALID, 0, 1
     for iteration in range(iterations):
-        if tree.places.count[0] >= tree.cost.shape[0] - states.shape[0]:
-            return INVALID, iteration, tree.places.count[0]
+        if tree.places.used[0] >= tree.cost.shape[0] - states.shape[0]:
+            return INVALID, iteration, tree.places.used[0]
         new = 0
         if iteration > 0:
             worth = min(bound, 2.0 * direct + 1.0)
@@ -188,5 +188,5 @@ def grow(
             cost = settle(scene, tree, end, bound, work, states)
             if cost != INVALID:
                 trace(scene, tree, end, work, states)
-                return cost, iteration + 1, tree.places.count[0]
-    return INVALID, iterations, tree.places.count[0]
+                return cost, iteration + 1, tree.places.used[0]
+    return INVALID, iterations, tree.places.used[0]

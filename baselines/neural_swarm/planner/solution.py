@@ -18,15 +18,15 @@ class Weights:
     state: float = 300.0
     """lambda_2: per delta, the excess over the box (m, m/s) and over the own force bound (1)."""
     neighbor: float = 100.0
-    """Per metre of each step's missing clearance, and per f_a,max of each knot's excess of a
-    neighbour's force: these too are soft, so that every program has a solution."""
+    """Per metre of each step's missing clearance, and per f_a,max of a neighbour's excess force in
+    each step: these too are soft, so that every program has a solution."""
 
 
 @dataclass(frozen=True)
 class SolverSettings:
     """How exactly OSQP solves."""
 
-    tolerance: float = 1e-4
+    tolerance: float = 5e-4
     """Of the residuals, absolute and relative."""
     max_iterations: int = 1000
     """After which an inexact solution is taken, and said to be one."""

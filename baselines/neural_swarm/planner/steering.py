@@ -48,13 +48,17 @@ def responses(drag: FloatArray, dt: float, steps: int) -> FloatArray:
 def impulse_cost(table: FloatArray, steps: int, way: FloatArray, velocity: FloatArray) -> float:
     """Least integral of ||u|| from a velocity (3,) to rest, a way (3,) further: two impulses.
 
-    A lower bound where nothing but drag acts and controls have no limit, m/s.
+    A lower bound where nothing but drag acts; exactly so in the limit of short steps, as a held
+    control is not dragged within its step.
 
     Args:
         table: from `responses`.
         steps: number of steps to the end, at least 1.
         way: from here to the goal, m.
         velocity: here, m/s.
+
+    Returns:
+        m/s.
     """
     first, last = 0.0, 0.0
     for k in range(3):

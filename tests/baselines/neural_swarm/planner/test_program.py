@@ -90,10 +90,11 @@ def oracle(c: Convexified, weights: Weights) -> tuple[np.ndarray, np.ndarray, fl
         pushes = [pushed(c.neighbor_by_state[:, :, j], s) for s in range(len(at))]
         rules += [cp.abs(push) <= c.force_change for push in pushes]
         ratios = [
-            cp.abs(c.neighbor_force[s, :, j] + push) / c.neighbor_bound[j]
+            (c.neighbor_force[s, :, j] + push) / c.neighbor_bound[j]
             for s, push in enumerate(pushes)
         ]
-        soft += cp.sum(cp.pos(cp.maximum(*ratios) - 1))
+        for side in (1, -1):
+            soft += cp.sum(cp.pos(cp.maximum(*(side * ratio for ratio in ratios)) - 1))
         there, _ = within(c.fraction[:, j])
         across = cp.sum(cp.multiply(c.normal[:, j], there), axis=1)
         soft += cp.sum(cp.pos(c.level[:, j] - across))

@@ -21,10 +21,8 @@ from swarm_envs.vehicles import GRAM_FORCE, parse_team
 ROW = np.array([[0.0, -1.0, 1.2], [0.0, 1.0, 1.2], [0.0, 0.0, 1.2]])
 
 
-def swap(model: str = "learned", plane: Plane = "yz", **options: float) -> PlanningProblem:
-    return PlanningProblem(
-        ROW, ROW[[1, 2, 0]], parse_team("SSL"), load(model), plane=plane, **options
-    )
+def swap(model: str = "learned", plane: Plane = "yz") -> PlanningProblem:
+    return PlanningProblem(ROW, ROW[[1, 2, 0]], parse_team("SSL"), load(model), plane=plane)
 
 
 def bent(problem: PlanningProblem) -> Trajectories:

@@ -1,0 +1,190 @@
+"""Stage 1: its plans keep every bound by a check of their own, and get cheaper."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import Loop, Postprocess, SearchConfig, search
+from swarm_envs.baselines.neural_swarm.planner.flight import INVALID
+from swarm_envs.baselines.neural_swarm.planner.scene import make_scene, work_for
+from swarm_envs.baselines.neural_swarm.planner.search import Chances, grow
+from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories, defects
+from swarm_envs.baselines.neural_swarm.planner.tree import search_tree
+from swarm_envs.interactions import load
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
+
+QUICK = SearchConfig(iterations=4000)
+ROW = np.array([[0.0, -1.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 1.0]])
+
+
+def swap(**changes: Any) -> PlanningProblem:
+    """Three robots in a row in the yz-plane, each to the place of the next (Fig. 6)."""
+    options: dict[str, Any] = {"starts": ROW, "goals": ROW[[2, 0, 1]], "team": "SLS", "plane": "yz"}
+    return PlanningProblem(**(options | changes))
+
+
+def crossing(**changes: Any) -> PlanningProblem:
+    """A robot crosses the place over which another hovers."""
+    options: dict[str, Any] = {"starts": ROW[:2], "goals": ROW[[2, 1]], "team": "SS", "plane": "yz"}
+    return PlanningProblem(**(options | changes))
+
+
+def plan(problem: PlanningProblem, config: SearchConfig, seed: int = 0) -> Trajectories:
+    result = search(problem, config, seed)
+    assert result.trajectories is not None
+    return result.trajectories
+
+
+def plan_one(problem, robot, states, planned, seed):
+    """Plan one robot into `states`, with no cost bound; the cost, infinite if there is no way."""
+    scene = make_scene(problem, robot, states, planned, 2, True)
+    tree, path = search_tree(40_000, len(problem.team)), np.zeros((len(states), 6))
+    rng = np.random.default_rng(seed)
+    cost, _, _ = grow(scene, tree, work_for(scene), np.inf, 4000, Chances(), rng, path)
+    states[:, robot] = path
+    return np.inf if cost == INVALID else cost
+
+
+def dense(trajectories, masses, pieces=50):
+    """Positions (M, N, 3) many times between knots, of the parabolas that are flown."""
+    acceleration = trajectories.controls + trajectories.forces[:-1] / masses[:, None]
+    t = np.arange(pieces)[:, None, None] * trajectories.dt / pieces
+    p, v = trajectories.position[:-1, None], trajectories.velocity[:-1, None]
+    return (p + v * t + 0.5 * acceleration[:, None] * t**2).reshape(-1, *p.shape[2:])
+
+
+def check_valid(problem, trajectories):
+    """All that eq. (6) asks, evaluated anew from states and controls."""
+    bounds, states = problem.bounds, trajectories.states
+    assert np.abs(defects(problem, trajectories)).max() < 1e-9
+    forces = problem.model.forces(states[..., :3], states[..., 3:], problem.team)
+    np.testing.assert_allclose(trajectories.forces, forces, atol=1e-12)
+    limits = np.array([bounds.force_g[v.token] for v in problem.team]) * GRAM_FORCE
+    assert (np.abs(forces[..., 2]) <= limits + 1e-9).all()
+    assert (np.abs(trajectories.controls) <= bounds.acceleration + 1e-6).all()
+    assert (np.abs(trajectories.velocity) <= bounds.speed + 1e-6).all()
+    assert (trajectories.position >= np.array(bounds.lower) - 1e-5).all()
+    assert (trajectories.position <= np.array(bounds.upper) + 1e-5).all()
+    np.testing.assert_array_equal(trajectories.position[0], problem.starts)
+    assert not trajectories.velocity[0].any()
+    missed = np.linalg.norm(trajectories.position[-1] - problem.goals, axis=1)
+    assert (missed <= 1.25 * bounds.goal_distance).all()  # braking takes some way, too
+    assert (np.linalg.norm(trajectories.velocity[-1], axis=1) <= bounds.goal_speed + 1e-9).all()
+    path = dense(trajectories, problem.masses)
+    for i, j in itertools.combinations(range(len(problem.team)), 2):
+        apart = np.linalg.norm(path[:, i] - path[:, j], axis=1).min()
+        touching = problem.team[i].radius + problem.team[j].radius
+        assert apart >= bounds.clearance_factor * touching - 4e-3
+
+
+@pytest.mark.parametrize("model", ["learned", "wake", "none"])
+@pytest.mark.parametrize("postprocess", ["track", "repeat"])
+def test_plans_keep_every_bound(model: str, postprocess: Postprocess) -> None:
+    problem = swap(model=load(model))
+    for seed in range(4):
+        result = search(problem, dataclasses.replace(QUICK, postprocess=postprocess), seed)
+        assert result.converged
+        assert result.trajectories is not None
+        check_valid(problem, result.trajectories)
+        assert result.cost == pytest.approx(result.trajectories.cost, rel=1e-9)
+
+
+def test_plans_in_space_of_a_larger_team():
+    angle = np.arange(5) * 2 * np.pi / 5
+    starts = np.stack((np.cos(angle), np.sin(angle), np.full(5, 1.2)), axis=1)
+    goals = starts * (-1, -1, 1)
+    problem = PlanningProblem(starts, goals, parse_team("SLS*SL"))
+    found = plan(problem, QUICK, seed=1)
+    check_valid(problem, found)
+    assert np.ptp(found.position[..., 0]) > 1.0
+
+
+def test_a_plane_keeps_x():
+    aside = np.add(ROW, [0.1, 0.0, 0.0])
+    found = plan(swap(starts=aside, goals=aside[[2, 0, 1]]), QUICK)
+    np.testing.assert_allclose(found.position[..., 0], 0.1, atol=1e-12)
+
+
+def test_costs_never_rise_and_every_loop_is_told():
+    told: list[Loop] = []
+    result = search(swap(), dataclasses.replace(QUICK, iterations=10_000), 3, told.append)
+    costs = [loop.cost for loop in result.loops]
+    assert costs == sorted(costs, reverse=True)
+    assert costs[-1] < 0.9 * next(cost for cost in costs if cost < np.inf)
+    assert tuple(told) == result.loops
+    assert result.stop == "iterations"
+    assert result.iterations == result.loops[-1].iterations == 10_000
+    assert all(size > 0 for size in result.loops[0].tree_sizes)
+
+
+def test_the_same_seed_gives_the_same_bytes():
+    one, same, other = (plan(swap(), QUICK, seed) for seed in (5, 5, 6))
+    assert one.states.tobytes() == same.states.tobytes()
+    assert one.states.tobytes() != other.states.tobytes()
+
+
+def test_without_a_force_model_plans_lead_into_wakes():
+    """The worst force over its bound, with the planner's model and without (Fig. 7)."""
+    limits, worst = np.array([5.0, 10.0, 5.0]) * GRAM_FORCE, {}
+    for model in ("learned", "none"):
+        plans = [plan(swap(model=load(model)), QUICK, seed) for seed in range(4)]
+        felt = [load("learned").forces(t.position, t.velocity, "SLS")[..., 2] for t in plans]
+        worst[model] = np.median((np.abs(felt) / limits).max(axis=(1, 2)))
+    assert worst["learned"] <= 1.0 < worst["none"]
+
+
+@pytest.mark.parametrize("change_g", [0.2, 20.0])
+def test_the_trust_region_bounds_what_planning_does_to_a_neighbour(change_g):
+    """A large robot flies over or under a small one that hovers midway, and moves for nobody."""
+    bounds = PlanningBounds(force_change_g=change_g, force_g={"S": 20.0, "L": 20.0})
+    problem = crossing(team="LS", bounds=bounds)
+    states = np.zeros((problem.steps + 1, 2, 6))
+    states[:, 1, :3] = problem.starts[1]
+    before = problem.model.forces(states[:, 1:, :3], states[:, 1:, 3:], "S")[:, 0, 2]
+    worst = []
+    for seed in range(10):
+        assert plan_one(problem, 0, states, [1], seed) < np.inf
+        after = problem.model.forces(states[..., :3], states[..., 3:], "LS")[:, 1, 2]
+        worst.append(np.abs(after - before).max() / GRAM_FORCE)
+    assert max(worst) <= change_g + 1e-9
+    assert change_g < 1.0 or max(worst) > 0.4  # the bound is what keeps it small
+
+
+def test_what_has_no_solution_gives_no_trajectories():
+    """Two in a corridor too low to pass: nothing is made up."""
+    bounds = PlanningBounds(lower=(-2, -2, 0.95), upper=(2, 2, 1.05))
+    problem = crossing(goals=ROW[[1, 0]], model=load("none"), bounds=bounds, max_duration=3.0)
+    result = search(problem, dataclasses.replace(QUICK, patience=3), 0)
+    assert result.trajectories is None
+    assert not result.converged
+    assert result.cost == np.inf
+    assert result.stop in ("no improvement", "iterations")
+
+
+def test_the_clock_ends_a_search_with_the_best_so_far():
+    result = search(swap(), SearchConfig(iterations=10**9, patience=10**9, time_limit=0.3), 0)
+    assert result.stop == "time limit"
+    assert not result.converged
+    if result.trajectories is not None:
+        check_valid(swap(), result.trajectories)
+
+
+def test_bad_options_are_refused():
+    for changes, message in (
+        ({"iterations": 0}, "iterations is 0"),
+        ({"edge": 1.5}, "edge is 1.5"),
+        ({"postprocess": "none"}, "unknown postprocess"),
+        ({"time_limit": -1.0}, "time_limit is -1.0"),
+        ({"least_gain": 1.0}, "least_gain is 1.0"),
+        ({"chances": Chances(goal=1.5)}, "chance 'goal' is 1.5"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            SearchConfig(**changes)
+    with pytest.raises(ValueError, match="edge is 40 steps, but max_duration allows 30"):
+        search(crossing(max_duration=3.0), SearchConfig(edge=40))
