@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.borrowed import lend
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_actions
@@ -101,11 +102,23 @@ class SwarmCore:
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._reference = new_reference(num_envs, drones)
+        self._lend()
         self._refer: Callable[..., None] | None = None
         self._judge: Callable[..., None] | None = None
         self._write_terms: Callable[..., None] | None = None
         self._weigh: Callable[..., None] = weigh
         self._write: Callable[..., None] | None = None
+
+    def _lend(self) -> None:
+        """Lend to kernels what stays for the life of the core."""
+        physics, pilot = self.physics, self.flight.pilot
+        self._lent_mission, self._lent_contacts = lend(self.mission), lend(physics.contacts)
+        self._lent_reference, self._lent_verdict = lend(self._reference), lend(self.verdict)
+        self._lent_rules, self._lent_record = lend(self._rules), lend(self.record)
+        self._lent_state, self._lent_sensed = lend(physics.state), lend(self._sensed.read_only())
+        self._lent_parameters, self._lent_setpoint = lend(physics.parameters), lend(pilot.setpoint)
+        self._lent_motion = lend(self.motion)
+        self._lent_situation = lend(self.verdict.situation(self.mission, physics.contacts))
 
     @property
     def form(self) -> tuple[str, int, int]:
@@ -195,7 +208,7 @@ class SwarmCore:
         return episode_metrics(self, e)
 
     def _look_up_reference(self) -> None:
-        arguments = (self.mission, self.motion, self.time, self._reference)
+        arguments = (self._lent_mission, self._lent_motion, self.time, self._lent_reference)
         self._refer = self._refer or entry_point(self.task.write_reference, *arguments)
         self._refer(*arguments)
 
@@ -205,11 +218,11 @@ class SwarmCore:
             self.time,
             self.physics.state.position,
             self._reference.position,
-            self.physics.contacts,
-            self._rules,
-            self.mission,
-            self.record,
-            self.verdict,
+            self._lent_contacts,
+            self._lent_rules,
+            self._lent_mission,
+            self._lent_record,
+            self._lent_verdict,
             self.running,
         )
         self._judge = self._judge or entry_point(judge, *arguments)
@@ -219,62 +232,49 @@ class SwarmCore:
         shape = (self.num_envs, self.num_drones)
         rewards: FloatArray = np.empty(shape)
         terms: FloatArray = np.empty((len(self._weights), *shape))
-        situation = self.verdict.situation(self.mission, self.physics.contacts)
         clock = (self._rules.decision_s, self._rules.horizon_s)
         if self._write_terms is None:
             write = self.task.write_reward_terms
-            self._write_terms = entry_point(write, situation, *clock, terms)
+            self._write_terms = entry_point(write, self._lent_situation, *clock, terms)
             self._weigh = entry_point(weigh, terms, self._weights, flown, rewards)
-        self._write_terms(situation, *clock, terms)
+        self._write_terms(self._lent_situation, *clock, terms)
         self._weigh(terms, self._weights, flown, rewards)
         return rewards, terms
 
     def _observe(self, mask: BoolArray) -> Float32Array:
-        arguments = (
-            self._measure(mask),
-            self.physics.parameters,
-            self.flight.pilot.setpoint,
-            self.mode.level != SETPOINTS,
-            self.mission.goal,
-            self._reference,
-            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
-            self._types,
-            self.config.num_neighbors,
-            self.physics.obstacles,
-            self.num_obstacles,
-            mask,
-            self.rows,
-        )
-        self._write = self._write or entry_point(write_observations, *arguments)
-        self._write(*arguments)
-        return self.rows
-
-    def team_state(self) -> Float32Array:
-        """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        everywhere = np.ones(self.num_envs, dtype=np.bool_)
-        write_observations(
-            self.physics.state,
-            self.physics.parameters,
-            self.flight.pilot.setpoint,
-            self.mode.level != SETPOINTS,
-            self.mission.goal,
-            self._reference,
-            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
-            self._types,
-            0,
-            self.physics.obstacles,
-            0,
-            everywhere,
-            self._states,
-        )
-        return self._states
-
-    def _measure(self, mask: BoolArray) -> SwarmState:
         ranges = self.config.randomization
         if ranges is not None and ranges.noisy:
             state, keys = self.physics.state, self.noise_key
             sense(state, ranges.noise, keys, self.decisions, mask, self._sensed)
-        return self._sensed
+        counts = (self.config.num_neighbors, self.num_obstacles)
+        return self._write_rows(self._lent_sensed, counts, mask, self.rows)
+
+    def team_state(self) -> Float32Array:
+        """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
+        everywhere = np.ones(self.num_envs, dtype=np.bool_)
+        return self._write_rows(self._lent_state, (0, 0), everywhere, self._states)
+
+    def _write_rows(
+        self, state: SwarmState, counts: tuple[int, int], mask: BoolArray, out: Float32Array
+    ) -> Float32Array:
+        arguments = (
+            state,
+            self._lent_parameters,
+            self._lent_setpoint,
+            self.mode.level != SETPOINTS,
+            self.mission.goal,
+            self._lent_reference,
+            np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0),
+            self._types,
+            counts[0],
+            self.physics.obstacles,
+            counts[1],
+            mask,
+            out,
+        )
+        self._write = self._write or entry_point(write_observations, *arguments)
+        self._write(*arguments)
+        return out
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""

@@ -13,7 +13,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, entry_point, inlined_kernel
+from swarm_envs.borrowed import lend
+from swarm_envs.compiled import borrowing_kernel, entry_point
 from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
 from swarm_envs.control.rates import hold_rates
 from swarm_envs.control.state import ControllerState, Setpoint
@@ -65,7 +66,7 @@ class Pilot(NamedTuple):
     """(E, N, 4) commanded rotor thrusts, N."""
 
 
-@inlined_kernel
+@borrowing_kernel
 def decide(e: int, world: World, pilot: Pilot, scratch: Scratch) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
     if pilot.level == ROTORS:
@@ -224,11 +225,12 @@ class Flight:
         self.tally = new_tally(*shape)
         external = np.zeros((envs, drones, 3))
         airframe = airframe_of(physics.team, bounds_g)
-        self._arguments = (physics.world, self.pilot, self.tally, airframe, external)
+        tuples = (physics.world, self.pilot, self.tally, airframe)
+        self._arguments: tuple[Any, ...] = (*map(lend, tuples), external)
         self._total = np.zeros((envs, drones, 3))
         self._parts = parts(envs, threads)
         self._scratch = [
-            (scratch_for(physics.world.field, drones), scratch_for(self.pilot.belief, drones))
+            tuple(lend(scratch_for(field, drones)) for field in (physics.world.field, belief.field))
             for _ in self._parts
         ]
         self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
 from swarm_envs.control.state import Setpoint
 from swarm_envs.physics.obstacles import nearest_point
 from swarm_envs.physics.rigid_body import rotation_entries
@@ -110,7 +110,7 @@ def type_codes(team: Team) -> FloatArray:
     return code
 
 
-@kernel
+@borrowing_kernel
 def nearest(e: int, i: int, position: FloatArray, order: IntArray, distance: FloatArray) -> int:
     """List the nearest other drones of drone `i`, nearest first; return how many there are.
 
@@ -139,7 +139,7 @@ def nearest(e: int, i: int, position: FloatArray, order: IntArray, distance: Flo
     return found
 
 
-@kernel
+@borrowing_kernel
 def write_self(
     e: int,
     i: int,
@@ -171,7 +171,7 @@ def write_self(
     return 22 + code.shape[1]
 
 
-@kernel
+@borrowing_kernel
 def write_neighbor(
     e: int,
     i: int,
@@ -192,7 +192,7 @@ def write_neighbor(
     row[9 + code.shape[1]] = 1.0
 
 
-@kernel
+@borrowing_kernel
 def write_obstacles(
     e: int, i: int, position: FloatArray, obstacles: FloatArray, places: int, row: Float32Array
 ) -> int:
@@ -217,7 +217,7 @@ def write_obstacles(
     return 4 * places
 
 
-@kernel
+@borrowing_kernel
 def write_task(
     e: int,
     i: int,

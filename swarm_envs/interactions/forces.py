@@ -73,7 +73,7 @@ def all_forces(
         swarm_forces(field, drones, kinds[a:b], places[a:b], speeds[a:b], scratch, forces[a:b])
 
 
-@kernel
+@borrowing_kernel
 def active_pairs(window: FloatArray, position: FloatArray) -> int:
     """Number of ordered pairs of one environment inside the interaction volume.
 
@@ -92,7 +92,7 @@ def active_pairs(window: FloatArray, position: FloatArray) -> int:
     return count
 
 
-@kernel
+@borrowing_kernel
 def outside_measured_range(
     field: ForceField, position: FloatArray, velocity: FloatArray, out: BoolArray
 ) -> None:

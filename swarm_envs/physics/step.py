@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
 from swarm_envs.interactions.blocks import Scratch, scratch_for
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import outside_measured_range, swarm_forces
@@ -54,7 +54,7 @@ class World(NamedTuple):
     """(M, 7) rows of `swarm_envs.physics.obstacles`."""
 
 
-@inlined_kernel
+@borrowing_kernel
 def blow(e: int, world: World, scratch: Scratch) -> None:
     """Evaluate the interaction force on environment `e` at its present state, if it is due."""
     if world.age[e] % world.hold == 0:
@@ -69,7 +69,7 @@ def blow(e: int, world: World, scratch: Scratch) -> None:
     world.age[e] += 1
 
 
-@inlined_kernel
+@borrowing_kernel
 def drain(e: int, world: World) -> None:
     """Take one step's charge from the batteries of environment `e`; their rotors' limits follow."""
     state, parameters = world.state, world.parameters
@@ -87,7 +87,7 @@ def drain(e: int, world: World) -> None:
         )
 
 
-@inlined_kernel
+@borrowing_kernel
 def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
     """Rotor lag and battery of environment `e` over one step, towards `commands` (E, N, 4), N."""
     thrust = world.state.rotor_thrust
@@ -96,7 +96,7 @@ def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
         drain(e, world)
 
 
-@inlined_kernel
+@borrowing_kernel
 def touch(e: int, world: World) -> None:
     """Add what environment `e` touches now to the contacts."""
     state = world.state
@@ -112,7 +112,7 @@ def touch(e: int, world: World) -> None:
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def step_environment(
     e: int, world: World, commands: FloatArray, external: FloatArray, total: FloatArray
 ) -> None:
@@ -151,7 +151,7 @@ def blow_and_prepare(
     prepare_wrench(e, world, commands, external, out)
 
 
-@inlined_kernel
+@borrowing_kernel
 def prepare_wrench(
     e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
 ) -> None:
