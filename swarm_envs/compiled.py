@@ -19,6 +19,8 @@ from typing import Any, TypeVar
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from swarm_envs.lowering import whole_and_part
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
@@ -94,7 +96,7 @@ def kernel(function: F) -> F:
     Division by zero follows IEEE arithmetic; sums are never reordered, so the same input gives the
     same bytes on the same machine.
     """
-    return _cached(numba.njit(error_model="numpy", no_cfunc_wrapper=True)(function), function)
+    return _cached(function)
 
 
 def borrowing_kernel(function: F) -> F:
@@ -105,26 +107,18 @@ def borrowing_kernel(function: F) -> F:
     refused when it is compiled. To return one would free it twice. Called from Python, it lets
     other threads run meanwhile.
     """
-    options = {"_nrt": False, "nogil": True, "no_cfunc_wrapper": True}
-    return _cached(numba.njit(error_model="numpy", **options)(function), function)
+    return _cached(function, _nrt=False, nogil=True)
 
 
-def _cached(dispatcher: Any, function: F) -> F:
-    if not numba.config.DISABLE_JIT:
-        with suppress(RuntimeError):  # no writable folder for a cache: compile in each process
-            dispatcher._cache = _KernelCache(function)
+def _cached(function: F, **options: bool) -> F:
+    if numba.config.DISABLE_JIT:
+        return function
+    options |= {"no_cfunc_wrapper": True}
+    dispatcher = whole_and_part(function, error_model="numpy", **options)
+    with suppress(RuntimeError):  # no writable folder for a cache: compile in each process
+        dispatcher._cache = _KernelCache(function)
     compiled: F = dispatcher
     return compiled
-
-
-def inlined_kernel(function: F) -> F:
-    """A kernel that becomes part of each kernel that calls it, and is compiled with it.
-
-    For the pieces of a step that take whole worlds of arrays: compiled by themselves, each would
-    spend a second or two of compilation on taking its arguments apart.
-    """
-    inlined: F = numba.njit(error_model="numpy", inline="always")(function)
-    return inlined
 
 
 def entry_point(compiled: F, *arguments: object) -> F:

@@ -42,21 +42,23 @@ print(step(3), step(3), sum(outer.stats.cache_hits.values()))
 
 @pytest.fixture
 def package(tmp_path):
-    """A small package of the same name, with the real `compiled.py`."""
+    """A small package of the same name, with the real modules of compilation."""
     home = tmp_path / "swarm_envs"
     (home / "physics").mkdir(parents=True)
     for name, text in FILES.items():
         (home / name).write_text(text, encoding="utf-8")
-    shutil.copy(PACKAGE / "compiled.py", home)
+    for name in ("borrowed.py", "compiled.py", "lowering.py"):
+        shutil.copy(PACKAGE / name, home)
     return home
 
 
 def run(package: Path, script: str = SCRIPT, **environment: str) -> tuple[str, str]:
     """What a script prints (two results and the number of cache hits), and its stderr."""
+    inherited = {name: text for name, text in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
         [sys.executable, "-c", script],
         cwd=package.parent,
-        env=os.environ | {"PYTHONPATH": str(package.parent)} | environment,
+        env=inherited | {"PYTHONPATH": str(package.parent)} | environment,
         capture_output=True,
         text=True,
     )

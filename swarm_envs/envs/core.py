@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.borrowed import lend
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS, check_actions
@@ -90,10 +91,20 @@ class SwarmCore:
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._reference = new_reference(num_envs, drones)
+        self._lend()
         self._refer: Callable[..., None] | None = None
         self._judge: Callable[..., None] | None = None
         self._write_terms: Callable[..., None] | None = None
         self._weigh: Callable[..., None] = weigh
+
+    def _lend(self) -> None:
+        """Lend to kernels what stays for the life of the core."""
+        contacts = self.physics.contacts
+        self._lent_mission, self._lent_contacts = lend(self.mission), lend(contacts)
+        self._lent_reference, self._lent_verdict = lend(self._reference), lend(self.verdict)
+        self._lent_rules, self._lent_record = lend(self._rules), lend(self.record)
+        self._lent_motion = lend(self.motion)
+        self._lent_situation = lend(self.verdict.situation(self.mission, contacts))
 
     @property
     def form(self) -> tuple[str, int, int]:
@@ -191,7 +202,7 @@ class SwarmCore:
         return episode_metrics(self, e)
 
     def _look_up_reference(self) -> None:
-        arguments = (self.mission, self.motion, self.time, self._reference)
+        arguments = (self._lent_mission, self._lent_motion, self.time, self._lent_reference)
         self._refer = self._refer or entry_point(self.task.write_reference, *arguments)
         self._refer(*arguments)
 
@@ -201,11 +212,11 @@ class SwarmCore:
             self.time,
             self.physics.state.position,
             self._reference.position,
-            self.physics.contacts,
-            self._rules,
-            self.mission,
-            self.record,
-            self.verdict,
+            self._lent_contacts,
+            self._lent_rules,
+            self._lent_mission,
+            self._lent_record,
+            self._lent_verdict,
             self.running,
         )
         self._judge = self._judge or entry_point(judge, *arguments)
@@ -215,23 +226,22 @@ class SwarmCore:
         shape = (self.num_envs, self.num_drones)
         rewards: FloatArray = np.empty(shape)
         terms: FloatArray = np.empty((len(self._weights), *shape))
-        situation = self.verdict.situation(self.mission, self.physics.contacts)
         clock = (self._rules.decision_s, self._rules.horizon_s)
         if self._write_terms is None:
             write = self.task.write_reward_terms
-            self._write_terms = entry_point(write, situation, *clock, terms)
+            self._write_terms = entry_point(write, self._lent_situation, *clock, terms)
             self._weigh = entry_point(weigh, terms, self._weights, flown, rewards)
-        self._write_terms(situation, *clock, terms)
+        self._write_terms(self._lent_situation, *clock, terms)
         self._weigh(terms, self._weights, flown, rewards)
         return rewards, terms
 
     def _observe(self, mask: BoolArray) -> Float32Array:
-        goal, reference = self.mission.goal, self._reference
+        goal, reference = self.mission.goal, self._lent_reference
         return self.observer.observe(mask, self.decisions, goal, reference, self._time_left())
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        return self.observer.team_state(self.mission.goal, self._reference, self._time_left())
+        return self.observer.team_state(self.mission.goal, self._lent_reference, self._time_left())
 
     def _time_left(self) -> FloatArray:
         return np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0)

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, entry_point, inlined_kernel
+from swarm_envs.borrowed import lend
+from swarm_envs.compiled import borrowing_kernel, entry_point
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.pilot import Pilot, believe, decide, new_pilot
@@ -38,7 +39,7 @@ def forget(e: int, contacts: Contacts) -> None:
         contacts.obstacle[e, i], contacts.obstacle_clearance[e, i] = NO_OBSTACLE, np.inf
 
 
-@inlined_kernel
+@borrowing_kernel
 def fly_together(
     flown: int,
     together: IntArray,
@@ -49,16 +50,17 @@ def fly_together(
     external: FloatArray,
     total: FloatArray,
     steps: int,
-    crowds: tuple[Crowd, Crowd],
+    crowd: Crowd,
+    belief_crowd: Crowd,
 ) -> None:
     """Fly the environments in the first `flown` places of `together` step by step."""
     for place in range(flown):
         forget(together[place], world.contacts)
     for _ in range(steps):
-        believe(flown, together, world, pilot, crowds[1])
+        believe(flown, together, world, pilot, belief_crowd)
         for place in range(flown):
             decide(together[place], world, pilot)
-        blow(flown, together, world, crowds[0])
+        blow(flown, together, world, crowd)
         for place in range(flown):
             e = together[place]
             count(e, world, tally, airframe)
@@ -79,7 +81,8 @@ def fly_compiled(
     first: int,
     last: int,
     together: IntArray,
-    crowds: tuple[Crowd, Crowd],
+    crowd: Crowd,
+    belief_crowd: Crowd,
 ) -> None:
     """Fly `steps` physics steps of the running environments first to last - 1, compiled.
 
@@ -95,7 +98,8 @@ def fly_compiled(
         first: the first environment to fly.
         last: one past the last.
         together: (C,) scratch: the environments that are flown together.
-        crowds: working memory for C environments: of the world's force model, of the belief.
+        crowd: working memory for C environments and the world's force model.
+        belief_crowd: the same for the controller's.
     """
     e = first
     while e < last:
@@ -107,7 +111,17 @@ def fly_compiled(
             e += 1
         if flown > 0:
             fly_together(
-                flown, together, world, pilot, tally, airframe, external, total, steps, crowds
+                flown,
+                together,
+                world,
+                pilot,
+                tally,
+                airframe,
+                external,
+                total,
+                steps,
+                crowd,
+                belief_crowd,
             )
 
 
@@ -122,7 +136,8 @@ def prepare_flight(
     external: FloatArray,
     wrench: FloatArray,
     together: IntArray,
-    crowds: tuple[Crowd, Crowd],
+    crowd: Crowd,
+    belief_crowd: Crowd,
 ) -> None:
     """One step of environment `e` up to the wrench, for Bullet.
 
@@ -136,14 +151,15 @@ def prepare_flight(
         external: (E, N, 3) force of gusts, N; zeros without.
         wrench: (N, 6) force (N) and torque (N m) on each body in its own frame, written.
         together: scratch.
-        crowds: working memory: of the world's force model, of the belief.
+        crowd: working memory for the world's force model.
+        belief_crowd: the same for the controller's.
     """
     if first:
         forget(e, world.contacts)
     together[0] = e
-    believe(1, together, world, pilot, crowds[1])
+    believe(1, together, world, pilot, belief_crowd)
     decide(e, world, pilot)
-    blow(1, together, world, crowds[0])
+    blow(1, together, world, crowd)
     count(e, world, tally, airframe)
     gust(e, world.age[e], world.gusts, world.parameters.mass, external)
     prepare_wrench(e, world, pilot.commands, external, wrench)
@@ -183,18 +199,19 @@ class Flight:
         external = np.zeros((envs, drones, 3))
         self._bounds_g = bounds_g
         self._airframe = airframe_of(physics.team, bounds_g, envs)
-        self._arguments = (physics.world, self.pilot, self.tally, self._airframe, external)
+        tuples = (physics.world, self.pilot, self.tally, self._airframe)
+        self._arguments: tuple[Any, ...] = (*map(lend, tuples), external)
         self._total = np.zeros((envs, drones, 3))
         self._parts = parts(envs, threads)
         self._memories = [self._memory() for _ in self._parts]
         self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None
         self._entry: Callable[..., None] | None = None
 
-    def _memory(self) -> tuple[IntArray, tuple[Crowd, Crowd]]:
+    def _memory(self) -> tuple[IntArray, Crowd, Crowd]:
         """Working memory of a thread."""
-        drones = len(self.physics.team)
-        crowd = crowd_for(self.physics.world.field, drones)
-        return np.zeros_like(crowd.members), (crowd, crowd_for(self.belief.field, drones))
+        drones, fields = len(self.physics.team), (self.physics.world.field, self.belief.field)
+        crowd, belief_crowd = (crowd_for(field, drones) for field in fields)
+        return np.zeros_like(crowd.members), lend(crowd), lend(belief_crowd)
 
     def set_team(self, e: int, team: Team) -> None:
         """Let environment `e` be flown by another team of as many drones, from its next reset on.

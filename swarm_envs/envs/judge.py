@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Situation, Success, TrackingSuccess
@@ -105,7 +105,7 @@ def new_verdict(num_envs: int, num_drones: int) -> Verdict:
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def achieve(
     e: int, time: float, rules: Rules, mission: Mission, record: Record, verdict: Verdict
 ) -> None:
@@ -129,7 +129,7 @@ def achieve(
         verdict.succeeded[e] = mission.reached[e] == stages
 
 
-@inlined_kernel
+@borrowing_kernel
 def enter_stage(
     e: int, time: float, position: FloatArray, rules: Rules, mission: Mission, record: Record
 ) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.borrowed import lend
 from swarm_envs.compiled import entry_point
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.flight import Flight
@@ -14,7 +15,7 @@ from swarm_envs.envs.observation import Float32Array, observation_width, type_co
 from swarm_envs.envs.pilot import SETPOINTS
 from swarm_envs.envs.rows import write_observations
 from swarm_envs.envs.sensing import sense
-from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
 
@@ -40,6 +41,9 @@ class Observer:
         self._noise = ranges.noise if ranges is not None and ranges.noisy else None
         self._physics, self._pilot = physics, flight.pilot
         self._sensed = physics.state if self._noise is None else physics.state.copy()
+        self._lent_state, self._lent_sensed = lend(physics.state), lend(self._sensed.read_only())
+        self._lent_parameters = lend(physics.parameters)
+        self._lent_setpoint = lend(flight.pilot.setpoint)
         self._codes = np.repeat(type_codes(physics.team)[None], envs, axis=0)
         self._write: Callable[..., None] | None = None
 
@@ -68,9 +72,9 @@ class Observer:
             state = self._physics.state
             sense(state, self._noise, self.noise_key, decisions, mask, self._sensed)
         arguments = (
-            self._sensed,
-            self._physics.parameters,
-            self._pilot.setpoint,
+            self._lent_sensed,
+            self._lent_parameters,
+            self._lent_setpoint,
             self._pilot.level != SETPOINTS,
             goal,
             reference,
@@ -90,11 +94,10 @@ class Observer:
         self, goal: FloatArray, reference: Reference, time_left: FloatArray
     ) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        state: SwarmState = self._physics.state
         write_observations(
-            state,
-            self._physics.parameters,
-            self._pilot.setpoint,
+            self._lent_state,
+            self._lent_parameters,
+            self._lent_setpoint,
             self._pilot.level != SETPOINTS,
             goal,
             reference,

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
 from swarm_envs.control.rates import hold_rates
 from swarm_envs.control.state import ControllerState, Setpoint
@@ -78,7 +78,7 @@ def new_pilot(
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def believe(count: int, environments: IntArray, world: World, pilot: Pilot, crowd: Crowd) -> None:
     """Evaluate the force that the controller compensates, if it does, in these environments.
 
@@ -97,7 +97,7 @@ def believe(count: int, environments: IntArray, world: World, pilot: Pilot, crow
         crowd_forces(pilot.belief, count, types, position, velocity, crowd, force)
 
 
-@inlined_kernel
+@borrowing_kernel
 def decide(e: int, world: World, pilot: Pilot) -> None:
     """One controller step of environment `e`: set-points, belief and state to rotor commands."""
     if pilot.level == ROTORS:

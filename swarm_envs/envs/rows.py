@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
 from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.observation import RATE_SCALE, Float32Array
 from swarm_envs.neighbors import FEW, nearest, sort_along_x
@@ -15,7 +15,7 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.trajectories import Reference
 
 
-@kernel
+@borrowing_kernel
 def write_self(
     e: int,
     i: int,
@@ -47,7 +47,7 @@ def write_self(
     return 22 + code.shape[1]
 
 
-@kernel
+@borrowing_kernel
 def write_neighbor(
     e: int,
     i: int,
@@ -68,7 +68,7 @@ def write_neighbor(
     row[9 + code.shape[1]] = 1.0
 
 
-@kernel
+@borrowing_kernel
 def write_obstacles(
     e: int, i: int, position: FloatArray, obstacles: FloatArray, places: int, row: Float32Array
 ) -> int:
@@ -93,7 +93,7 @@ def write_obstacles(
     return 4 * places
 
 
-@kernel
+@borrowing_kernel
 def write_task(
     e: int,
     i: int,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World
 from swarm_envs.state import BoolArray, FloatArray, IntArray
@@ -71,7 +71,7 @@ def airframe_of(team: Team, bounds_g: Mapping[str, float], num_envs: int = 1) ->
     return Airframe(*(np.repeat(np.array([row]), num_envs, axis=0) for row in (area, bound)))
 
 
-@inlined_kernel
+@borrowing_kernel
 def count(e: int, world: World, tally: Tally, airframe: Airframe) -> None:
     """Add one physics step of environment `e`, its force just evaluated, to the tally.
 

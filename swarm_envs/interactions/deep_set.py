@@ -14,7 +14,7 @@ may be given at once, their M drones one after the other: blocks are then fuller
 
 from __future__ import annotations
 
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.interactions.blocks import Scratch, network, put_environment, put_pair
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.state import FloatArray, IntArray
@@ -26,7 +26,7 @@ LOW, FELT = 0, 1
 """Marks of a drone: it feels the ground; it feels anything at all (else its force is exactly 0)."""
 
 
-@inlined_kernel
+@borrowing_kernel
 def begin(field: ForceField, position: FloatArray, scratch: Scratch) -> None:
     """Set the codes of M drones at (M, 3) m to zero and mark those that are low."""
     anchor, codes, marks = field.anchor_height, scratch.codes, scratch.marks
@@ -48,7 +48,7 @@ def add_block(field: ForceField, n: int, count: int, scratch: Scratch) -> None:
             codes[part, i, k] += weight * layers[result, k, lane]
 
 
-@inlined_kernel
+@borrowing_kernel
 def add_neighbours(
     field: ForceField,
     types: IntArray,
@@ -77,7 +77,7 @@ def add_neighbours(
             add_block(field, kind, count % lanes, scratch)
 
 
-@inlined_kernel
+@borrowing_kernel
 def add_environment(
     field: ForceField, position: FloatArray, velocity: FloatArray, scratch: Scratch
 ) -> None:
@@ -118,7 +118,7 @@ def add_output_block(
         out[place[1, lane], 2] += force if place[0, lane] == NEAR else -force
 
 
-@inlined_kernel
+@borrowing_kernel
 def add_outputs(field: ForceField, types: IntArray, scratch: Scratch, out: FloatArray) -> None:
     """Add rho of every drone's codes, in newton, to the vertical part of `out` (M, 3)."""
     layers, codes, half = scratch.layers, scratch.codes, field.layout.shape[0] // 2
@@ -140,7 +140,7 @@ def add_outputs(field: ForceField, types: IntArray, scratch: Scratch, out: Float
             add_output_block(field, n, count % lanes, scratch, out)
 
 
-@inlined_kernel
+@borrowing_kernel
 def deep_set_forces(
     field: ForceField,
     types: IntArray,

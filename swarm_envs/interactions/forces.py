@@ -74,7 +74,7 @@ def all_forces(
         swarm_forces(field, drones, kinds[a:b], places[a:b], speeds[a:b], scratch, forces[a:b])
 
 
-@kernel
+@borrowing_kernel
 def active_pairs(window: FloatArray, position: FloatArray) -> int:
     """Number of ordered pairs of one environment inside the interaction volume.
 

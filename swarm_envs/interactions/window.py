@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.neighbors import FEW, sort_along_x, within_x
 from swarm_envs.state import FloatArray, IntArray
 
 
-@kernel
+@borrowing_kernel
 def fade(distance: float, full: float, end: float) -> float:
     """Weight 1 up to `full`, 0 from `end`, a quintic smoothstep between: twice differentiable."""
     if distance <= full:
@@ -18,7 +18,7 @@ def fade(distance: float, full: float, end: float) -> float:
     return 1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0))
 
 
-@kernel
+@borrowing_kernel
 def pair_weight(window: FloatArray, dx: float, dy: float, dz: float) -> float:
     """Weight of a pair at offset (dx, dy, dz), m: 1 well inside the volume, 0 at its edge.
 
@@ -34,7 +34,7 @@ def pair_weight(window: FloatArray, dx: float, dy: float, dz: float) -> float:
     return lateral * fade(abs(dz), window[2], window[3])
 
 
-@kernel
+@borrowing_kernel
 def clamp(value: float, low: float, high: float) -> float:
     """The value, moved into [low, high]."""
     return min(max(value, low), high)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.noise import normal
 from swarm_envs.state import FloatArray
 
@@ -45,7 +45,7 @@ def new_gusts(num_envs: int, strength: float, correlation_s: float, dt: float) -
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def gust(e: int, step: int, gusts: Gusts, mass: FloatArray, out: FloatArray) -> None:
     """Advance the gusts of environment `e` by a step and write the force on its drones.
 

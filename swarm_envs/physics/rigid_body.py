@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.state import FloatArray, Parameters, SwarmState
 from swarm_envs.vehicles import GRAVITY
 
@@ -85,7 +85,7 @@ def rotor_wrench(
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def integrate(
     e: int, state: SwarmState, parameters: Parameters, force: FloatArray, dt: float
 ) -> None:

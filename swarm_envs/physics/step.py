@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
 from swarm_envs.interactions.crowd import Crowd, crowd_for, crowd_forces
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import outside_measured_range
@@ -59,7 +59,7 @@ class World(NamedTuple):
     """(E, N) drones of each environment, as last sorted along x."""
 
 
-@inlined_kernel
+@borrowing_kernel
 def blow(count: int, environments: IntArray, world: World, crowd: Crowd) -> None:
     """Evaluate the interaction force at the present state of environments in which it is due.
 
@@ -90,7 +90,7 @@ def blow(count: int, environments: IntArray, world: World, crowd: Crowd) -> None
                 world.force[e, i, k] *= world.force_scale[e]
 
 
-@inlined_kernel
+@borrowing_kernel
 def drain(e: int, world: World) -> None:
     """Take one step's charge from the batteries of environment `e`; their rotors' limits follow."""
     state, parameters, drones = world.state, world.parameters, world.force.shape[1]
@@ -108,7 +108,7 @@ def drain(e: int, world: World) -> None:
         )
 
 
-@inlined_kernel
+@borrowing_kernel
 def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
     """Rotor lag and battery of environment `e` over one step, towards `commands` (E, N, 4), N."""
     thrust = world.state.rotor_thrust
@@ -117,7 +117,7 @@ def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
         drain(e, world)
 
 
-@inlined_kernel
+@borrowing_kernel
 def touch(e: int, world: World) -> None:
     """Add what environment `e` touches now to the contacts."""
     state = world.state
@@ -134,7 +134,7 @@ def touch(e: int, world: World) -> None:
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def step_environment(
     e: int, world: World, commands: FloatArray, external: FloatArray, total: FloatArray
 ) -> None:
@@ -176,7 +176,7 @@ def blow_and_prepare(
     prepare_wrench(e, world, commands, external, out)
 
 
-@inlined_kernel
+@borrowing_kernel
 def prepare_wrench(
     e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
 ) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.mission import Mission
 from swarm_envs.trajectories import Reference
@@ -84,7 +84,7 @@ def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, 
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def _write_rest(e: int, mission: Mission, motion: Motion, time: float, out: Reference) -> None:
     stage = stage_at(time, motion.stage_s, mission.goals.shape[1])
     for i in range(mission.goals.shape[2]):
@@ -93,7 +93,7 @@ def _write_rest(e: int, mission: Mission, motion: Motion, time: float, out: Refe
             out.velocity[e, i, k] = out.acceleration[e, i, k] = out.jerk[e, i, k] = 0.0
 
 
-@inlined_kernel
+@borrowing_kernel
 def _write_lines(e: int, mission: Mission, motion: Motion, time: float, out: Reference) -> None:
     stage = stage_at(time, motion.stage_s, mission.goals.shape[1])
     since = time - stage * motion.stage_s
@@ -110,7 +110,7 @@ def _write_lines(e: int, mission: Mission, motion: Motion, time: float, out: Ref
             out.jerk[e, i, k] = d3 * way
 
 
-@inlined_kernel
+@borrowing_kernel
 def _write_orbits(e: int, mission: Mission, ramp: float, time: float, out: Reference) -> None:
     warp, d1, d2, d3 = ramped_time(time, ramp)
     for i in range(mission.rate.shape[1]):

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from swarm_envs.baselines.neural_swarm.planner.scene import Scene, Work
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.state import FloatArray
 
@@ -19,7 +19,7 @@ INVALID = -1.0
 _SLACK = 1e-9  # rounding
 
 
-@inlined_kernel
+@borrowing_kernel
 def feel(scene: Scene, knot: int, work: Work) -> None:
     """Put the others where they are at a knot, and evaluate the forces on all robots."""
     for j in range(1, work.position.shape[0]):
@@ -50,7 +50,7 @@ def forces_allowed(scene: Scene, knot: int, work: Work) -> bool:
     return True
 
 
-@inlined_kernel
+@borrowing_kernel
 def control_cost(scene: Scene, knot: int, control: FloatArray, work: Work) -> float:
     """Sum over all robots of ||u|| at a knot: this robot's control, the others' against forces."""
     total = math.sqrt(control[0] ** 2 + control[1] ** 2 + control[2] ** 2)
@@ -73,7 +73,7 @@ def closest(a: tuple[float, float, float], b: tuple[float, float, float]) -> flo
     return (a[0] + share * x) ** 2 + (a[1] + share * y) ** 2 + (a[2] + share * z) ** 2
 
 
-@inlined_kernel
+@borrowing_kernel
 def offset(
     scene: Scene, knot: int, j: int, work: Work, acceleration: FloatArray, t: float
 ) -> tuple[float, float, float]:

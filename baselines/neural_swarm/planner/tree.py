@@ -14,7 +14,7 @@ from swarm_envs.baselines.neural_swarm.planner.steering import (
     reach_burst,
     rest_bursts,
 )
-from swarm_envs.compiled import borrowing_kernel, inlined_kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.state import FloatArray, IntArray
 
 NONE = -1
@@ -69,7 +69,7 @@ def search_tree(capacity: int, robots: int) -> Tree:
     )
 
 
-@inlined_kernel
+@borrowing_kernel
 def put_point(tree: Tree, state: FloatArray, knot: float, cost: float) -> None:
     """Write a state (6,), time and cost into `tree.point`, scaled by the metric."""
     for k in range(3):
@@ -94,7 +94,7 @@ def add(tree: Tree, parent: int, control: FloatArray, knot: int, cost: float, wo
     return insert(tree.places, tree.point)
 
 
-@inlined_kernel
+@borrowing_kernel
 def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
     """Copy the first rows (n, 3) of an array into another; by slices, it would make a third."""
     for j in range(robots):
@@ -102,7 +102,7 @@ def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
             target[j, k] = source[j, k]
 
 
-@inlined_kernel
+@borrowing_kernel
 def load(tree: Tree, node: int, work: Work) -> None:
     """Put a node's state and forces into the working memory."""
     for k in range(3):
@@ -110,14 +110,14 @@ def load(tree: Tree, node: int, work: Work) -> None:
     copy_forces(tree.force[node], work.force, len(work.force))
 
 
-@inlined_kernel
+@borrowing_kernel
 def write_state(work: Work, out: FloatArray) -> None:
     """Write this robot's position and velocity into a state (6,)."""
     for k in range(3):
         out[k], out[3 + k] = work.position[0, k], work.velocity[0, k]
 
 
-@inlined_kernel
+@borrowing_kernel
 def plant(scene: Scene, tree: Tree, work: Work) -> float:
     """Start a tree at the scene's start; return the cost of the direct flight, all robots', m/s."""
     direct = tree.vector[0]
@@ -169,7 +169,7 @@ def extend(
     return add(tree, node, control, knot, cost, work)
 
 
-@inlined_kernel
+@borrowing_kernel
 def offset_drift(scene: Scene, tree: Tree, node: int, control: FloatArray) -> bool:
     """Subtract from a control what acts on a node besides drag; whether it is within limits."""
     for k in range(3):
@@ -223,7 +223,7 @@ def finish(scene: Scene, tree: Tree, node: int, edges: int, bound: float, work: 
     return last
 
 
-@inlined_kernel
+@borrowing_kernel
 def at_goal(scene: Scene, tree: Tree, node: int) -> bool:
     """Whether a node is within epsilon of the goal, in position and in velocity."""
     place, speed = 0.0, 0.0
@@ -233,7 +233,7 @@ def at_goal(scene: Scene, tree: Tree, node: int) -> bool:
     return place <= scene.limits[2] ** 2 and speed <= scene.limits[3] ** 2
 
 
-@inlined_kernel
+@borrowing_kernel
 def rest_control(scene: Scene, work: Work, control: FloatArray) -> None:
     """The control after arrival: towards the goal by virtual tracking, or to rest at once."""
     for k in range(3):
@@ -242,7 +242,7 @@ def rest_control(scene: Scene, work: Work, control: FloatArray) -> None:
         control[k] = scene.free[k] * (wanted - work.force[0, k] / scene.mass[0])
 
 
-@inlined_kernel
+@borrowing_kernel
 def settle(
     scene: Scene, tree: Tree, node: int, bound: float, work: Work, states: FloatArray
 ) -> float:
