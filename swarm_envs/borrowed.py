@@ -86,6 +86,11 @@ def _lend_value(context: Any, builder: Any, lent: Any, borrowed: Borrowed, value
     return cgutils.alloca_once_value(builder, value)
 
 
+_KNOWN = ir.values.ArgumentAttributes._known
+_KEPT_NOWHERE = "captures(none)" if "captures(none)" in _KNOWN else "nocapture"
+"""LLVM's word for an address that is not kept: it has changed."""
+
+
 def mark_borrowed(module: ir.Module) -> None:
     """Tell LLVM that what is borrowed is neither written nor kept, so that it is read once."""
     for function in module.functions:
@@ -93,7 +98,7 @@ def mark_borrowed(module: ir.Module) -> None:
             kind = argument.type
             if isinstance(kind, ir.PointerType) and isinstance(kind.pointee, ir.LiteralStructType):
                 argument.add_attribute("noalias")
-                argument.add_attribute("captures(none)")
+                argument.add_attribute(_KEPT_NOWHERE)
 
 
 class _Lent(int):
