@@ -47,7 +47,7 @@ class Chances(NamedTuple):
     """To sample near the guide; else uniformly."""
 
 
-@borrowing_kernel
+@kernel
 def sample(
     scene: Scene,
     tree: Tree,
@@ -72,7 +72,7 @@ def sample(
     return knot, rng.random() * bound
 
 
-@borrowing_kernel
+@kernel
 def choose(
     scene: Scene,
     tree: Tree,
@@ -95,7 +95,7 @@ def choose(
     return found
 
 
-@borrowing_kernel
+@kernel
 def grow_once(
     scene: Scene,
     tree: Tree,
