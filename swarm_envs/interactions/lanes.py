@@ -20,8 +20,10 @@ Numbers = npt.NDArray[np.floating[Any]]
 
 BLOCK_BYTES = 64
 """Size of a row of lanes: eight float64 or sixteen float32."""
-TILES = (8, 4, 1)
+TILES = (4, 1)
 """Numbers of outputs whose sums are in registers at once; the largest that fits is taken."""
+WIDE_TILES = (8, *TILES)
+"""The same where a register holds a whole row of lanes. In half of one, eight do not fit."""
 
 
 def affine(
@@ -76,7 +78,8 @@ def _write_affine(context: Any, builder: Any, signature: Any, arguments: Any) ->
     _, start, inputs, outputs, _, _, lowest = arguments
     layer = _Layer(builder, lowest.type, data, start, inputs, outputs)
     floor, done = layer.spread(lowest), ir.Constant(outputs.type, 0)
-    for tile in TILES:
+    features = context.codegen().magic_tuple()[2]
+    for tile in WIDE_TILES if "+avx512f" in features else TILES:
         count = builder.sdiv(builder.sub(outputs, done), ir.Constant(outputs.type, tile))
         with cgutils.for_range(builder, count) as loop:
             first = builder.add(done, builder.mul(loop.index, ir.Constant(outputs.type, tile)))
