@@ -17,6 +17,7 @@ import numba
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.codegen import JITCPUCodegen
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
@@ -31,6 +32,10 @@ from numba.extending import (
 )
 
 T = TypeVar("T", bound=tuple[Any, ...])
+
+SUPPORTED = hasattr(JITCPUCodegen, "_pass_builder")
+"""Whether this numba has the insides that borrowing, and `swarm_envs.lowering`, are built on. With
+another, kernels are compiled as numba does it: the same results, but slower to compile and call."""
 
 
 class Borrowed(types.Type):  # type: ignore[misc]  # numba is untyped
@@ -114,7 +119,7 @@ def lend(lent: T) -> T:
 
     Only kernels can read it. It keeps the tuple alive, and the call need not look at it.
     """
-    if numba.config.DISABLE_JIT:
+    if numba.config.DISABLE_JIT or not SUPPORTED:
         return lent
     memory = _memory(lent)
     address: Any = _Lent(ctypes.addressof(memory))

@@ -19,6 +19,7 @@ from typing import Any, TypeVar
 import numba
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 
+from swarm_envs import borrowed
 from swarm_envs.lowering import whole_and_part
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -110,11 +111,15 @@ def borrowing_kernel(function: F) -> F:
     return _cached(function, _nrt=False, nogil=True)
 
 
-def _cached(function: F, **options: bool) -> F:
+def _cached(function: F, **options: Any) -> F:
     if numba.config.DISABLE_JIT:
         return function
     options |= {"no_cfunc_wrapper": True}
-    dispatcher = whole_and_part(function, error_model="numpy", **options)
+    options |= {"error_model": "numpy"}
+    if borrowed.SUPPORTED:
+        dispatcher = whole_and_part(function, **options)
+    else:
+        dispatcher = numba.njit(**options)(function)
     with suppress(RuntimeError):  # no writable folder for a cache: compile in each process
         dispatcher._cache = _KernelCache(function)
     compiled: F = dispatcher
