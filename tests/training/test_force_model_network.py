@@ -123,7 +123,9 @@ def test_pair_fades_to_zero_at_the_edge_without_a_step(axis, edge):
     position[:, :, 2] = 1.0
     position[:, 1, axis] += distance
     force = made.force_g(position, torch.zeros_like(position), ("S", "L")).detach()
-    assert torch.count_nonzero(force[distance >= edge]) == 0
+    # Nothing, but for rounding: torch multiplies the last rows of a batch in another order, and the
+    # baseline stands elsewhere in it. The compiled model's zero is exact: interactions/test_models.
+    assert force[distance >= edge].abs().max() < 1e-15
     assert force.abs().max() > 1e-3
     assert force.diff(dim=0).abs().max() < 0.01 * force.abs().max()
 

@@ -47,6 +47,24 @@ class FlatWeights:
         """Give the network other weights, (P,)."""
         self.values.copy_(flat)
 
+    def check_finite(self, step: int, loss: float, learning_rate: float) -> None:
+        """Refuse to go on from weights that no further step could repair.
+
+        Args:
+            step: the optimiser's step that left them, from 1.
+            loss: before that step.
+            learning_rate: which the user may lower.
+
+        Raises:
+            ValueError: a weight is not finite.
+        """
+        if not bool(self.values.isfinite().all()):
+            raise ValueError(
+                f"training diverged: step {step} left weights that are not finite, at loss "
+                f"{loss:g} and learning_rate {learning_rate:g}; give a lower learning_rate, and "
+                "look for labels far from all others"
+            )
+
     def release(self) -> None:
         """Give every parameter storage of its own again, and no gradient."""
         for parameter in self._parameters:

@@ -8,6 +8,7 @@ matrices of a deep set this takes about a quarter of Adam's passes. Biases get p
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import torch
@@ -114,13 +115,20 @@ def _padded_places(shapes: Sequence[tuple[int, int]], size: int) -> Tensor:
 
 
 def _eigenvectors(symmetric: Tensor) -> Tensor:
-    """Eigenvectors of (M, n, n) matrices, those of the largest values first."""
-    found: Tensor
-    try:
-        found = torch.linalg.eigh(symmetric)[1]
-    except RuntimeError:  # tiny gradients, whose products are denormal in float32
-        found = torch.linalg.eigh(symmetric.double())[1].to(symmetric.dtype)
-    return found.flip(-1).contiguous()
+    """Eigenvectors of (M, n, n) matrices, those of the largest values first.
+
+    A gradient of low rank has a product with many eigenvalues of the size of rounding. On these
+    LAPACK's divide and conquer in float32 fails now and then, as the processor rounds: it raises,
+    or says nothing and returns NaN (github.com/pytorch/pytorch/issues/59720). In float64 the
+    products of float32 numbers are far from its limits.
+    """
+    for matrices in (symmetric, symmetric.double()):
+        with suppress(torch.linalg.LinAlgError):
+            found: Tensor = torch.linalg.eigh(matrices)[1]
+            if bool(found.isfinite().all()):
+                return found.to(symmetric.dtype).flip(-1).contiguous()
+    # Any orthogonal basis will do to begin with: with this one SOAP is Adam until it is turned.
+    return torch.eye(symmetric.shape[-1], dtype=symmetric.dtype).expand_as(symmetric).contiguous()
 
 
 def _iterated(symmetric: Tensor, basis: Tensor) -> Tensor:

@@ -134,7 +134,8 @@ def train(
         name: of the network, for the progress bar.
 
     Raises:
-        ValueError: the checkpoint belongs to another configuration, or the rows cannot be split.
+        ValueError: the checkpoint belongs to another configuration, the rows cannot be split, or
+            training diverged.
     """
     torch.set_num_threads(1)
     config = settled(config)
@@ -239,6 +240,7 @@ def _step(run: Training, chosen: Examples, config: TrainConfig, total: int) -> f
     run.weights.clear_gradient()
     loss.backward()  # type: ignore[no-untyped-call]
     run.optimiser.step()
+    run.weights.check_finite(run.step + 1, float(loss.detach()), config.learning_rate)
     hold_spectral_norms(run.weights.matrices(), config.max_spectral_norm, config.spectral)
     run.step += 1
     if config.average_share:
