@@ -32,8 +32,8 @@ _LONGEST_S = 6.0
 """The longest plan, s: more time makes a plan cheaper, but not by much."""
 _SPARE_S = 1.5
 """Of the clock, what is left for settling at the goals, s."""
-_CLEARANCE = 1.5
-"""Clearance over the sum of radii where starts and goals allow it: below it is a near miss."""
+_CLEARANCE = 1.6
+"""Clearance over the sum of radii where starts and goals allow it: below 1.5 is a near miss."""
 _HOVER_SHARE = 1.2
 """Force bound over what is felt hovering at starts and goals, where that is above the paper's."""
 

@@ -78,7 +78,7 @@ def test_bounds_fit_starts_and_goals() -> None:
     under = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 1.5]])
     wide, narrow = bounds_for(task, model, apart, apart), bounds_for(task, model, under, under)
     assert wide.force_g == {"S": 5.0, "L": 10.0}
-    assert wide.clearance_factor == 1.5
+    assert wide.clearance_factor == 1.6
     assert narrow.force_g["S"] > 5.0
     close = np.array([[0.0, 0.0, 1.0], [0.0, 0.18, 1.0]])
     assert bounds_for(task, model, close, close).clearance_factor == pytest.approx(0.18 / 0.155)
