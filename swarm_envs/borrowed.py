@@ -16,7 +16,8 @@ from typing import Any, TypeVar
 import numba
 import numpy as np
 from llvmlite import ir
-from numba.core import cgutils, types
+from numba.core import cgutils
+from numba.core import types as numba_types
 from numba.core.codegen import JITCPUCodegen
 from numba.core.imputils import impl_ret_borrowed
 from numba.core.typing.templates import AttributeTemplate
@@ -32,6 +33,8 @@ from numba.extending import (
 )
 
 T = TypeVar("T", bound=tuple[Any, ...])
+
+types: Any = numba_types  # its names are assembled at run time
 
 SUPPORTED = hasattr(JITCPUCodegen, "_pass_builder")
 """Whether this numba has the insides that borrowing, and `swarm_envs.lowering`, are built on. With
@@ -150,7 +153,7 @@ _SCALARS = {
 }
 
 
-@typeof_impl.register(_Lent)
+@typeof_impl.register(_Lent)  # type: ignore[untyped-decorator]
 def _typeof_lent(lent: _Lent, context: Any) -> Borrowed:
     return lent.kind
 

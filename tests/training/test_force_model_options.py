@@ -111,7 +111,7 @@ def test_average_is_nearer_the_truth_than_a_noisy_last_step(seed, monkeypatch):
             self.rng = torch.Generator().manual_seed(seed)
 
         @torch.no_grad()
-        def step(self):
+        def step(self, closure=None):
             noise = torch.randn(self.truth.shape, generator=self.rng)
             self.values.copy_(self.truth + 1e-2 * noise)
 
@@ -122,6 +122,7 @@ def test_average_is_nearer_the_truth_than_a_noisy_last_step(seed, monkeypatch):
         network = train(rows_of(), SPEC, config, progress=False).network
         found = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
         errors[average] = float(((found - truth) ** 2).mean())
+    assert PLAIN.steps is not None
     share = 1.0 / (0.25 * PLAIN.steps)
     assert errors[0.25] == pytest.approx(share / (2.0 - share) * errors[0.0], rel=0.2)
 

@@ -123,7 +123,7 @@ def _eigenvectors(symmetric: Tensor) -> Tensor:
     products of float32 numbers are far from its limits.
     """
     for matrices in (symmetric, symmetric.double()):
-        with suppress(torch.linalg.LinAlgError):
+        with suppress(torch.linalg.LinAlgError):  # type: ignore[attr-defined]
             found: Tensor = torch.linalg.eigh(matrices)[1]
             if bool(found.isfinite().all()):
                 return found.to(symmetric.dtype).flip(-1).contiguous()
