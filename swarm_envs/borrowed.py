@@ -18,6 +18,8 @@ import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.core.imputils import impl_ret_borrowed
+from numba.core.types.containers import BaseNamedTuple
+from numba.core.types.misc import unliteral
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
@@ -33,7 +35,7 @@ from numba.extending import (
 T = TypeVar("T", bound=tuple[Any, ...])
 
 
-class Borrowed(types.Type):  # type: ignore[misc]  # numba is untyped
+class Borrowed(types.Type):
     """Type of the address of a named tuple, valid while the function that it is handed to runs."""
 
     def __init__(self, lent: Any) -> None:
@@ -49,8 +51,8 @@ def _borrowed(lent: Any) -> Borrowed:
 
 def borrow(argument: Any) -> Any:
     """The type by which an argument of this type is handed to a kernel."""
-    argument = types.unliteral(argument)
-    return _borrowed(argument) if isinstance(argument, types.BaseNamedTuple) else argument
+    argument = unliteral(argument)
+    return _borrowed(argument) if isinstance(argument, BaseNamedTuple) else argument
 
 
 @register_model(Borrowed)
@@ -81,7 +83,7 @@ def _read_field(context: Any, builder: Any, borrowed: Borrowed, address: Any, na
     return impl_ret_borrowed(context, builder, kind, builder.load(field))
 
 
-@lower_cast(types.BaseNamedTuple, Borrowed)  # type: ignore[untyped-decorator]
+@lower_cast(BaseNamedTuple, Borrowed)  # type: ignore[untyped-decorator]
 def _lend_value(context: Any, builder: Any, lent: Any, borrowed: Borrowed, value: Any) -> Any:
     return cgutils.alloca_once_value(builder, value)
 
@@ -140,7 +142,7 @@ _SCALARS = {
 }
 
 
-@typeof_impl.register(_Lent)
+@typeof_impl.register(_Lent)  # type: ignore[untyped-decorator]
 def _typeof_lent(lent: _Lent, context: Any) -> Borrowed:
     return lent.kind
 
