@@ -20,6 +20,8 @@ from numba.core import cgutils
 from numba.core import types as numba_types
 from numba.core.codegen import JITCPUCodegen
 from numba.core.imputils import impl_ret_borrowed
+from numba.core.types.containers import BaseNamedTuple
+from numba.core.types.misc import unliteral
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
@@ -41,7 +43,7 @@ SUPPORTED = hasattr(JITCPUCodegen, "_pass_builder")
 another, kernels are compiled as numba does it: the same results, but slower to compile and call."""
 
 
-class Borrowed(types.Type):  # type: ignore[misc]  # numba is untyped
+class Borrowed(types.Type):
     """Type of the address of a named tuple, valid while the function that it is handed to runs."""
 
     def __init__(self, lent: Any) -> None:
@@ -57,8 +59,8 @@ def _borrowed(lent: Any) -> Borrowed:
 
 def borrow(argument: Any) -> Any:
     """The type by which an argument of this type is handed to a kernel."""
-    argument = types.unliteral(argument)
-    return _borrowed(argument) if isinstance(argument, types.BaseNamedTuple) else argument
+    argument = unliteral(argument)
+    return _borrowed(argument) if isinstance(argument, BaseNamedTuple) else argument
 
 
 @register_model(Borrowed)
@@ -89,7 +91,7 @@ def _read_field(context: Any, builder: Any, borrowed: Borrowed, address: Any, na
     return impl_ret_borrowed(context, builder, kind, builder.load(field))
 
 
-@lower_cast(types.BaseNamedTuple, Borrowed)  # type: ignore[untyped-decorator]
+@lower_cast(BaseNamedTuple, Borrowed)  # type: ignore[untyped-decorator]
 def _lend_value(context: Any, builder: Any, lent: Any, borrowed: Borrowed, value: Any) -> Any:
     return cgutils.alloca_once_value(builder, value)
 

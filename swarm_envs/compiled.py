@@ -61,12 +61,16 @@ class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba is untyped
 class _KernelCache(FunctionCache):  # type: ignore[misc]  # numba is untyped
     """Numba's on-disk cache, stale as soon as any file with kernels has changed.
 
+    That is any of this package, and the file of the kernel itself where it lies elsewhere.
     A file of it that a full disk or a killed process has cut short is compiled anew.
     """
 
     def __init__(self, py_func: Callable[..., Any]) -> None:
         super().__init__(py_func)
-        self._cache_file = _CacheFile(self._cache_path, self._impl.filename_base, _sources_stamp())
+        stamp: Any = _sources_stamp()
+        if not Path(py_func.__code__.co_filename).is_relative_to(_PACKAGE):
+            stamp = stamp, self._impl.locator.get_source_stamp()
+        self._cache_file = _CacheFile(self._cache_path, self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled version for a signature, or None if there is none that can be read."""
@@ -131,7 +135,7 @@ def entry_point(compiled: F, *arguments: object) -> F:
 
     A kernel looks up the types of its arguments at every call, which takes 20 us where there are
     sixty arrays. What is returned here does not: it must only be called with arguments of the very
-    same types.
+    same types. Named tuples that stay are better lent (`swarm_envs.borrowed.lend`), once for all.
     """
     announce_compilation(compiled)
     if numba.config.DISABLE_JIT:
@@ -155,8 +159,8 @@ def announce_compilation(entry: Any) -> None:
     _announced = True
     if not isinstance(entry._cache, _KernelCache):
         _say(
-            "compiling kernels (about 20 s), in every process, because no folder to keep them in "
+            "compiling kernels (about 15 s), in every process, because no folder to keep them in "
             "can be written; set NUMBA_CACHE_DIR to one that can ..."
         )
     elif not entry._cache.holds_anything():
-        _say("compiling kernels, once after installation (about 20 s) ...")
+        _say("compiling kernels, once after installation (about 15 s) ...")

@@ -8,8 +8,10 @@ lie in one module, and that is optimised once.
 
 from __future__ import annotations
 
+import gc
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import update_wrapper
 from typing import Any
 
@@ -18,6 +20,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import register_pass
 from numba.core.typed_passes import NativeLowering
+from numba.core.untyped_passes import InlineInlinables
 
 from swarm_envs.borrowed import borrow, mark_borrowed
 
@@ -89,7 +92,7 @@ class _LowerPart(NativeLowering):  # type: ignore[misc]  # numba is untyped
 
 
 class _WholeCompiler(CompilerBase):  # type: ignore[misc]  # numba is untyped
-    """Numba's pipeline, with another last step."""
+    """Numba's pipeline, with another last step; nothing is inlined before LLVM does."""
 
     lowering = _LowerWhole
 
@@ -102,6 +105,7 @@ class _WholeCompiler(CompilerBase):  # type: ignore[misc]  # numba is untyped
         steps.passes = [
             (self.lowering, text) if step is NativeLowering else (step, text)
             for step, text in steps.passes
+            if step is not InlineInlinables
         ]
         steps._finalized = False
         steps.finalize()
@@ -110,6 +114,18 @@ class _WholeCompiler(CompilerBase):  # type: ignore[misc]  # numba is untyped
 
 class _PartCompiler(_WholeCompiler):
     lowering = _LowerPart
+
+
+@contextmanager
+def _no_collection() -> Iterator[None]:
+    """Let garbage lie: compilation makes little, and looking for it takes a tenth of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def whole_and_part(function: Callable[..., Any], **options: Any) -> Any:
@@ -132,6 +148,6 @@ def whole_and_part(function: Callable[..., Any], **options: Any) -> Any:
     names = ", ".join(inspect.signature(function).parameters)
     forward = update_wrapper(eval(f"lambda {names}: part({names})", {"part": part}), function)
     whole = numba.njit(pipeline_class=_WholeCompiler, **options)(forward)
-    whole.py_func = function
+    whole.py_func, whole.compile = function, _no_collection()(whole.compile)
     whole.get_call_template, whole.get_overload = get_call_template, part.get_overload
     return whole
