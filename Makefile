@@ -49,11 +49,12 @@ $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt
 demo: $(VENV)/.base
 	$(BIN)/swarm-envs demo --out demo
 
+# As many processes as there are cores; each test file stays in one.
 test: $(VENV)/.dev
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 test-all: $(VENV)/.dev test-compat
-	$(BIN)/python -m pytest -m 'slow or not slow'
+	$(BIN)/python -m pytest -n auto --dist loadfile -m 'slow or not slow'
 
 test-compat: test-compat-torchrl test-compat-rllib
 

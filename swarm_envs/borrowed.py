@@ -43,7 +43,7 @@ SUPPORTED = hasattr(JITCPUCodegen, "_pass_builder")
 another, kernels are compiled as numba does it: the same results, but slower to compile and call."""
 
 
-class Borrowed(types.Type):
+class Borrowed(types.Type):  # type: ignore[misc]  # numba is untyped
     """Type of the address of a named tuple, valid while the function that it is handed to runs."""
 
     def __init__(self, lent: Any) -> None:
