@@ -20,9 +20,9 @@ from typing import Literal
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.planner.flight import INVALID
+from swarm_envs.baselines.neural_swarm.planner.growth import Chances, grow
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.scene import make_scene, work_for
-from swarm_envs.baselines.neural_swarm.planner.search import Chances, grow
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     trajectories_through,
