@@ -221,7 +221,7 @@ def test_the_command_fits_a_cell(budget, capsys, tmp_path):
         ([], "give one of --figure 1, --figure 5"),
         (["--figure", "5", "--table", "3"], "give one of --figure 1, --figure 5"),
         (["--table", "3"], "--data PATH"),
-        (["--figure", "6"], "6"),
+        (["--figure", "2"], "2"),
         (["--figure", "5", "--seed", "-1"], "--seed is -1"),
         (["--table", "3", "--data", "x.npz", "--seeds", "0"], "--seeds is 0"),
         (["--table", "3", "--data", "x.npz", "--cells", "H=11"], "did you mean 'H=10'"),
