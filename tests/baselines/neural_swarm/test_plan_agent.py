@@ -37,7 +37,8 @@ def test_a_formation_is_planned_shape_by_shape(labels: str) -> None:
     metrics = fly_episode(env, agent, seed=0)
     assert metrics["success"]
     assert [plan.converged for plan in agent.plans] == [True, True]
-    assert (agent.plans[1].starts == agent.plans[0].goals).all()
+    # A set-point at rest is extrapolated with what rounding has left of the motion.
+    np.testing.assert_allclose(agent.plans[1].starts, agent.plans[0].goals, rtol=0, atol=1e-12)
 
 
 def test_the_plan_does_not_know_what_blows() -> None:
