@@ -17,8 +17,10 @@ OUTER = ("agents", "baselines", "training")
 
 BASE = 0  # vehicles, state and the other single modules at the bottom
 LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
-_BASE_MODULES = ("vehicles", "state", "errors", "compiled", "motors", "files")
-_BASE_MODULES += ("borrowed", "lowering", "neighbors")
+_BASE_MODULES = (
+    *("vehicles", "state", "errors", "motors", "files"),
+    *("compiled", "borrowed", "lowering", "neighbors"),
+)
 LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)
 LEVELS |= dict.fromkeys(("trajectories", "noise", "registration", ""), BASE)
 FACE = 4  # swap_v0 and the like: what users import
