@@ -15,7 +15,7 @@ from swarm_envs.envs.observation import Float32Array, observation_width, type_co
 from swarm_envs.envs.pilot import SETPOINTS
 from swarm_envs.envs.rows import write_observations
 from swarm_envs.envs.sensing import sense
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
 
@@ -71,31 +71,29 @@ class Observer:
         if self._noise is not None:
             state = self._physics.state
             sense(state, self._noise, self.noise_key, decisions, mask, self._sensed)
-        arguments = (
-            self._lent_sensed,
-            self._lent_parameters,
-            self._lent_setpoint,
-            self._pilot.level != SETPOINTS,
-            goal,
-            reference,
-            time_left,
-            self._codes,
-            self.num_neighbors,
-            self._physics.obstacles,
-            self.num_obstacles,
-            mask,
-            self.rows,
-        )
-        self._write = self._write or entry_point(write_observations, *arguments)
-        self._write(*arguments)
-        return self.rows
+        counts, motion = (self.num_neighbors, self.num_obstacles), self._lent_sensed
+        return self._write_rows(motion, goal, reference, time_left, counts, mask, self.rows)
 
     def team_state(
         self, goal: FloatArray, reference: Reference, time_left: FloatArray
     ) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        write_observations(
-            self._lent_state,
+        everywhere, motion = np.ones(len(self._whole), dtype=np.bool_), self._lent_state
+        return self._write_rows(motion, goal, reference, time_left, (0, 0), everywhere, self._whole)
+
+    def _write_rows(
+        self,
+        state: SwarmState,
+        goal: FloatArray,
+        reference: Reference,
+        time_left: FloatArray,
+        counts: tuple[int, int],
+        mask: BoolArray,
+        out: Float32Array,
+    ) -> Float32Array:
+        """Write and return `out`, whose rows have so many neighbours and obstacles."""
+        arguments = (
+            state,
             self._lent_parameters,
             self._lent_setpoint,
             self._pilot.level != SETPOINTS,
@@ -103,10 +101,12 @@ class Observer:
             reference,
             time_left,
             self._codes,
-            0,
+            counts[0],
             self._physics.obstacles,
-            0,
-            np.ones(len(self._whole), dtype=np.bool_),
-            self._whole,
+            counts[1],
+            mask,
+            out,
         )
-        return self._whole
+        self._write = self._write or entry_point(write_observations, *arguments)
+        self._write(*arguments)
+        return out
