@@ -124,13 +124,21 @@ def _curriculum(arguments: Sequence[str]) -> int:
 
 
 def _reproduce(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.reproduce.options import ReproduceOptions, run
+    from swarm_envs.training.reproduce import papers
 
-    options = _read("reproduce", ReproduceOptions, arguments)
-    if options.work.needs_torch:
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(papers.overview(f"{PROGRAM} reproduce"))
+        return DONE if arguments else MISUSED
+    paper = arguments[0]
+    if paper not in papers.PAPERS:
+        message = unknown_name("paper", paper, papers.PAPERS)
+        return _complain(f"{PROGRAM} reproduce", message, MISUSED)
+    works = papers.load(paper)
+    options = _read(f"reproduce {paper}", works.ReproduceOptions, arguments[1:])
+    if options.needs_torch:
         _need_torch()
     try:
-        print(run(options))
+        print(works.run(options))
     except ValueError as error:  # a model, a table or an older run is not what it should be
         return _complain(f"{PROGRAM} reproduce", str(error), FAILED)
     return DONE

@@ -10,6 +10,7 @@ import pytest
 
 import swarm_envs
 from swarm_envs.cli import COMMANDS, main
+from swarm_envs.training.reproduce.papers import PAPERS
 
 
 def test_no_command_and_help_list_every_command(capsys):
@@ -32,14 +33,28 @@ def test_the_program_exits_with_the_command_s_code(module):
     assert "unknown command 'dmeo'; did you mean 'demo'?" in done.stderr
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_help_explains_every_option(name, capsys):
+CALLS = [[name] for name in COMMANDS if name != "reproduce"]
+CALLS += [["reproduce", paper] for paper in PAPERS]
+
+
+@pytest.mark.parametrize("call", CALLS, ids=" ".join)
+def test_help_explains_every_option(call, capsys):
+    name = call[0]
     with pytest.raises(SystemExit) as end:
-        main([name, "--help"])
+        main([*call, "--help"])
     assert end.value.code == 0
     text = capsys.readouterr().out
     assert "--seed" in text or name == "replay"  # which draws nothing at random
     assert "--out" in text
+
+
+def test_reproduce_knows_its_papers(capsys):
+    assert main(["reproduce", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(paper in shown for paper in PAPERS)
+    assert main(["reproduce"]) == 2
+    assert main(["reproduce", "neural-swarm3", "--figure", "5"]) == 2
+    assert "did you mean 'neural-swarm2'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Options of `swarm-envs reproduce`, and what it does with them."""
+"""Options of `swarm-envs reproduce neural-swarm2`, and what it does with them."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
-
-import tyro
+from typing import Any, Literal, NamedTuple
 
 from swarm_envs.errors import check_name
 from swarm_envs.files import write_json
@@ -22,7 +20,7 @@ CELL_NAMES = tuple(cell.name for cell in CELLS)
 
 @dataclass(frozen=True, kw_only=True)
 class ReproduceOptions:
-    """Remake a figure or a table of a paper, with the paper's values beside ours.
+    """Remake a figure or a table of Neural-Swarm2, with the paper's values beside ours.
 
     `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model,
     with `--bins` its calibration too. `--figure 8` flies stacked swaps with and without
@@ -33,8 +31,6 @@ class ReproduceOptions:
     it is killed and called again.
     """
 
-    paper: Annotated[Literal["neural-swarm2"], tyro.conf.Positional]
-    """whose figure or table"""
     figure: Literal[1, 5, 6, 7, 8, 9] | None = None
     """number of the figure"""
     table: Literal[3] | None = None
@@ -112,6 +108,11 @@ class ReproduceOptions:
     def work(self) -> Work:
         """What is remade."""
         return WORKS[self._asked]
+
+    @property
+    def needs_torch(self) -> bool:
+        """Whether something is trained."""
+        return self.work.needs_torch
 
     @property
     def name(self) -> str:
@@ -249,7 +250,7 @@ WORKS: Mapping[tuple[str, int | str], Work] = {
 }
 """Everything that can be remade. To add one, name it here and in `ReproduceOptions`."""
 
-_ALL = ("paper", "figure", "table", "study", "out", "json", "seed")
+_ALL = ("figure", "table", "study", "out", "json", "seed")
 
 
 def _changed(options: ReproduceOptions) -> list[str]:
