@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -58,7 +59,7 @@ class Trajectory:
 
         Past the end: the last position, at rest.
         """
-        knots = self._knots()
+        knots = self._knots
         time = np.minimum(times, self.duration_s)
         interval = np.minimum(time / self.input_sampling_s + 1e-9, len(self.jerk) - 1).astype(int)
         since = (time - interval * self.input_sampling_s)[:, None]
@@ -79,15 +80,18 @@ class Trajectory:
         """Positions (T, 3), m, at times (T,) since its start, s."""
         return self.states(times)[:, 0]
 
+    @cached_property
     def _knots(self) -> FloatArray:
         """States (h_s + 1, 3, 3) where the jerk changes."""
         dt = self.input_sampling_s
-        step = np.array([[1.0, dt, dt**2 / 2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])
-        push = np.array([dt**3 / 6, dt**2 / 2, dt])[:, None]
         knots = np.empty((len(self.jerk) + 1, 3, 3))
         knots[0] = self.state
-        for k, jerk in enumerate(self.jerk):
-            knots[k + 1] = step @ knots[k] + push * jerk
+        position, velocity, acceleration = np.moveaxis(knots, 1, 0)
+        acceleration[1:] = self.state[2] + dt * np.cumsum(self.jerk, axis=0)
+        change = dt * acceleration[:-1] + dt**2 / 2 * self.jerk
+        velocity[1:] = self.state[1] + np.cumsum(change, axis=0)
+        way = dt * velocity[:-1] + dt**2 / 2 * acceleration[:-1] + dt**3 / 6 * self.jerk
+        position[1:] = self.state[0] + np.cumsum(way, axis=0)
         return knots
 
 
