@@ -1,0 +1,1 @@
+"""MLR-DMPC (Gräfe et al., DMPC-Swarm): distributed MPC that never collides, whatever is lost."""

@@ -1,0 +1,132 @@
+"""What MLR-DMPC is tuned by: times, bounds, distances and weights, with the published values."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarm_envs.state import FloatArray
+
+Corner = tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class MlrDmpcConfig:
+    """Parameters of the optimisation (Sec. 4.2.3, Appendix B) and of its rounds (Sec. 3.1).
+
+    Raises:
+        ValueError: a value is out of range, or a time is no multiple of what it is sampled by.
+    """
+
+    round_s: float = 0.2
+    """Duration of a round (T), s."""
+    horizon_rounds: int = 15
+    """Rounds that a plan covers (H)."""
+    input_sampling_s: float = 0.2
+    """For how long each jerk lasts (T_s), s."""
+    state_sampling_s: float = 0.2
+    """Between the instants at which bounds of the state hold (T_b), s."""
+    collision_sampling_s: float = 0.1
+    """Between the instants at which distances are kept (T_c), s; finer ones close the gap between
+    samples, at a cost."""
+    position_weight: float = 1.0
+    """Of the squared distance to the target at the end of the plan, 1/m^2."""
+    velocity_weight: float = 1e-4
+    """Of the squared velocity, at each input sample."""
+    acceleration_weight: float = 0.005
+    """Of the squared acceleration, at each input sample."""
+    jerk_weight: float = 0.001
+    """Of the squared jerk, at each input sample."""
+    speed_limit: float = 2.0
+    """By axis, m/s."""
+    acceleration_limit: float = 5.0
+    """By axis, m/s^2."""
+    jerk_limit: float = 5.0
+    """By axis, m/s^3."""
+    box: tuple[Corner, Corner] = ((-2.0, -2.0, 0.3), (2.0, 2.0, 3.0))
+    """Lower and upper corner of where drones may fly, m."""
+    distance_m: float = 0.25
+    """Least scaled distance between references (d_hat_min), m."""
+    scaling: Corner = (1.0, 1.0, 6.0)
+    """Diagonal of Theta: distances are divided by it, so drones stay further off vertically."""
+    soft_m: float = 0.3
+    """Largest soft margin (epsilon) at the end of a plan, m."""
+    soft_weight: float = 0.5
+    """Weight of a neighbour straight ahead or behind."""
+    soft_turn: float = 2.0
+    """A neighbour at angle phi to the left weighs exp(soft_turn sin phi) as much."""
+    soft_near_m: float = 0.8
+    """Closer to the target than this, m, soft margins weigh next to nothing."""
+    soft_near_factor: float = 1e-7
+    """What they weigh there, as a share."""
+    arrival_m: float = 0.05
+    """A drone has arrived when it is this close to its target, m."""
+
+    def __post_init__(self) -> None:
+        """Check what the class says."""
+        for name in _POSITIVE:
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise ValueError(f"{name} is {getattr(self, name)!r}, but must be positive")
+        for name in _NOT_NEGATIVE:
+            if not (math.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise ValueError(f"{name} is {getattr(self, name)!r}, but must not be negative")
+        for part, whole in (
+            ("input_sampling_s", "round_s"),
+            ("state_sampling_s", "round_s"),
+            ("collision_sampling_s", "round_s"),
+        ):
+            _check_multiple(part, getattr(self, part), whole, getattr(self, whole))
+        if self.horizon_rounds < 3:
+            raise ValueError(
+                f"horizon_rounds is {self.horizon_rounds}, but must be at least 3: a plan ends at "
+                "rest"
+            )
+        lower, upper = np.array(self.box)
+        if not (np.isfinite(self.box).all() and (lower < upper).all()):
+            raise ValueError(f"box is {self.box}, but its corners must be lower and upper, finite")
+        if min(self.scaling) <= 0.0 or not np.isfinite(self.scaling).all():
+            raise ValueError(f"scaling is {self.scaling}, but must be positive")
+
+    @property
+    def num_inputs(self) -> int:
+        """Jerks of a plan (h_s)."""
+        return round(self.horizon_rounds * self.round_s / self.input_sampling_s)
+
+    @property
+    def num_states(self) -> int:
+        """Instants at which bounds of the state hold (h_b)."""
+        return round(self.horizon_rounds * self.round_s / self.state_sampling_s)
+
+    @property
+    def num_samples(self) -> int:
+        """Instants at which distances are kept (h_c): T_c, 2 T_c, ... to the end of the plan."""
+        return round(self.horizon_rounds * self.round_s / self.collision_sampling_s)
+
+    @property
+    def samples_per_round(self) -> int:
+        """By how many collision samples a plan is older after a round."""
+        return round(self.round_s / self.collision_sampling_s)
+
+    @property
+    def inverse_scaling(self) -> FloatArray:
+        """(3,) diagonal of the inverse of Theta."""
+        return 1.0 / np.array(self.scaling)
+
+
+def _check_multiple(part: str, small: float, whole: str, large: float) -> None:
+    ratio = large / small
+    if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
+        raise ValueError(f"{part} is {small!r} s, but must divide {whole}, {large!r} s")
+
+
+_POSITIVE = (
+    *("round_s", "input_sampling_s", "state_sampling_s", "collision_sampling_s"),
+    *("position_weight", "jerk_weight", "speed_limit", "acceleration_limit", "jerk_limit"),
+    *("distance_m", "arrival_m"),
+)
+_NOT_NEGATIVE = (
+    *("velocity_weight", "acceleration_weight", "soft_m", "soft_weight", "soft_turn"),
+    *("soft_near_m", "soft_near_factor"),
+)
