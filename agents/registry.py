@@ -25,6 +25,8 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "detour": "swarm_envs.agents.detour:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
+        "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent",
+        "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent.compensated",
     }
 )
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is
