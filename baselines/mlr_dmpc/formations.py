@@ -19,6 +19,8 @@ SEQUENCE = ("plane", "pyramid", "cube", "sphere", "plane")
 """The formations of Fig. 3, the first of which is where the drones start."""
 _LARGEST_SHARE = 0.95
 """Of the box that a formation takes by axis."""
+_UPRIGHT_SHARE = 0.75
+"""Of the box that it may take standing upright; else the lean that takes least is chosen."""
 _TILTS = tuple(sorted(product(range(0, 61, 5), repeat=2), key=lambda tilt: (sum(tilt), tilt)))
 
 
@@ -34,7 +36,7 @@ def circle(num_drones: int, radius: float, height: float) -> tuple[FloatArray, F
 def formation(
     name: str, num_drones: int, config: MlrDmpcConfig, distance: float = 0.3, spacing: float = 0.6
 ) -> FloatArray:
-    """Places (N, 3) of a shape in the middle of the box, m, leant over so that it takes least of it.
+    """Places (N, 3) of a shape in the middle of the box, m, leant over where it takes too much.
 
     Args:
         name: of `swarm_envs.tasks.shapes`.
@@ -50,7 +52,7 @@ def formation(
     unit = shape_points(name, num_drones, 1.0)
     leant = [_leant(unit, tilt, config, distance, spacing) for tilt in _TILTS]
     share = [float((np.ptp(points, axis=0) / (high - low)).max()) for points in leant]
-    best = int(np.argmin(np.round(share, 6)))
+    best = 0 if share[0] <= _UPRIGHT_SHARE else int(np.argmin(np.round(share, 6)))
     if share[best] <= _LARGEST_SHARE:
         points = leant[best]
         return np.asarray(points - (points.min(axis=0) + points.max(axis=0) - low - high) / 2)
