@@ -25,6 +25,10 @@ PAPERS: Mapping[str, Paper] = MappingProxyType(
             "interaction forces, the controller that knows them, the planner",
             "swarm_envs.training.reproduce.options",
         ),
+        "dmpc-swarm": Paper(
+            "distributed MPC over a radio that loses messages",
+            "swarm_envs.training.reproduce.dmpc_swarm.options",
+        ),
     }
 )
 """Every paper by the name that the command takes."""
