@@ -6,7 +6,7 @@ import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.files import write_json
@@ -30,8 +30,9 @@ class ReproduceOptions:
     """Remake a figure of DMPC-Swarm, the public simulation's times beside ours.
 
     `--figure 3b` flies five formations with one, two and three compute units, `--figure 3c` with
-    each trigger, `--figure 4` a circle while no compute unit hears anything for two seconds. `--study
-    loss` sweeps the share of messages lost, met by our recovery, by the paper's, and not at all.
+    each trigger, `--figure 4` a circle while no compute unit hears anything for two seconds.
+    `--study loss` sweeps the share of messages lost, met by our recovery, by the paper's, and not
+    at all.
     What takes a while goes on where it was when it is killed and called again.
     """
 
