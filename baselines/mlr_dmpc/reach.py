@@ -6,7 +6,7 @@ Every plan that satisfies (13b)-(13e) lies in the boxes [low, high] of `reach` a
   a[k+1] <= a[k] + dt j_high forward, a[k] <= a[k+1] - dt j_low backward from a = 0 at the end, and
   its own bound holds at the state samples.
 - v[k+1] = v[k] + dt (a[k] + a[k+1]) / 2 grows with both accelerations, so their bounds bound it
-  forward; backward from v = 0 at the end, v[k] = v[k+1] - dt (a[k] + a[k+1]) / 2; and its own bound.
+  forward, and backward from v = 0 at the end; its own bound holds at the state samples.
 - At a time tau <= dt past a knot, with j = (a[k+1] - a[k]) / dt, p = p[k] + tau v[k] +
   (tau^2 / 2 - tau^3 / (6 dt)) a[k] + tau^3 / (6 dt) a[k+1]: every factor is non-negative, so again
   bounds bound it, forward and backward from the box.
