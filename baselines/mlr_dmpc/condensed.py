@@ -1,0 +1,155 @@
+"""Plans as linear functions of few variables: the dynamics and the rest at the end, eliminated.
+
+Each axis is a triple integrator with 15 jerks, of which three are spent on the rest at the end. The
+other twelve are scaled so that the quadratic part of the cost is half their squared length.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.state import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Affine:
+    """A quantity at some instants, of one axis: `start` times its first state, plus `free` times z.
+
+    Its value is (K,) for a state (3,) and variables z (n,), or (K, 3) for all axes at once.
+    """
+
+    start: FloatArray
+    """(K, 3) by position, velocity and acceleration at the start."""
+    free: FloatArray
+    """(K, n) by the variables."""
+
+    def at(self, state: FloatArray, z: FloatArray) -> FloatArray:
+        """Values (K, 3) for a state (3, 3), rows by derivative, and variables (n, 3) by axis."""
+        return self.start @ state + self.free @ z
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """What of the optimisation (13) depends on the parameters alone.
+
+    The cost of an axis is |z|^2 / 2 + (gradient @ offset) z, where offset is the first state with
+    the target taken off its position.
+    """
+
+    positions: Affine
+    """At the collision samples, m."""
+    bounded: Affine
+    """Position, velocity and acceleration at the state samples, then jerks: what is bounded."""
+    jerks: Affine
+    """Of each interval, m/s^3."""
+    jerks_inverse: FloatArray
+    """(n, h_s) variables by jerks that end at rest."""
+    gradient: FloatArray
+    """(n, 3) slope of the cost at z = 0."""
+    lower: FloatArray
+    """(B, 3) least value of what is bounded."""
+    upper: FloatArray
+    """(B, 3) largest value of what is bounded."""
+    rest_by_state: FloatArray
+    """(2, 3) velocity and acceleration at the end, by the first state."""
+    rest_by_jerk: FloatArray
+    """(2, h_s) likewise, by the jerks."""
+    collision_times: FloatArray
+    """(S,) of the collision samples since the start, s."""
+    state_times: FloatArray
+    """(h_b,) of the state samples since the start, s."""
+
+    @property
+    def num_free(self) -> int:
+        """Variables of an axis (n)."""
+        return self.positions.free.shape[1]
+
+
+def derivatives(times: FloatArray, num_inputs: int, step: float) -> tuple[FloatArray, FloatArray]:
+    """Position, velocity and acceleration by the first state and by the jerks, of one axis.
+
+    Args:
+        times: (T,) since the start, s, none past the end.
+        num_inputs: jerks (h_s).
+        step: how long each lasts (T_s), s.
+
+    Returns:
+        By the first state: (3, T, 3); by the jerks: (3, T, h_s).
+    """
+    since = np.maximum(times[:, None] - step * np.arange(num_inputs + 1), 0.0)
+    by_jerk = np.stack([-np.diff(since**p, axis=1) / f for p, f in ((3, 6.0), (2, 2.0), (1, 1.0))])
+    one, zero = np.ones_like(times), np.zeros_like(times)
+    rows = [(one, times, times**2 / 2), (zero, one, times), (zero, zero, one)]
+    return np.stack([np.stack(row, axis=1) for row in rows]), by_jerk
+
+
+@lru_cache(maxsize=8)
+def condensed(config: MlrDmpcConfig) -> Condensed:
+    """The condensed program of a configuration."""
+    knots = config.input_sampling_s * np.arange(1, config.num_inputs + 1)
+    inputs = _resting_inputs(config)
+    states = _affine(knots, inputs, config)
+    weight = np.array([0.0, config.velocity_weight, config.acceleration_weight])
+    terms = [(2.0 * w, part) for w, part in zip(weight, states, strict=True)]
+    end = Affine(states[0].start[-1:], states[0].free[-1:])
+    terms += [(2.0 * config.position_weight, end), (2.0 * config.jerk_weight, inputs)]
+    hessian = sum(w * part.free.T @ part.free for w, part in terms)
+    slope = sum(w * part.free.T @ part.start for w, part in terms)
+    scale = np.linalg.inv(np.linalg.cholesky(np.asarray(hessian)))
+    jerks = Affine(inputs.start, inputs.free @ scale.T)
+    return _assembled(config, jerks, scale @ np.asarray(slope))
+
+
+def _assembled(config: MlrDmpcConfig, jerks: Affine, gradient: FloatArray) -> Condensed:
+    collision = config.collision_sampling_s * np.arange(1, config.num_samples + 1)
+    sampled = config.state_sampling_s * np.arange(1, config.num_states + 1)
+    parts = [*_affine(sampled, jerks, config), jerks]
+    limits = (config.speed_limit, config.acceleration_limit, config.jerk_limit)
+    lower = [config.box[0], *((-limit,) * 3 for limit in limits)]
+    upper = [config.box[1], *((limit,) * 3 for limit in limits)]
+    counts = [len(part.start) for part in parts]
+    by_state, by_jerk = _end(config)
+    return Condensed(
+        positions=_affine(collision, jerks, config)[0],
+        bounded=Affine(
+            np.concatenate([part.start for part in parts]),
+            np.concatenate([part.free for part in parts]),
+        ),
+        jerks=jerks,
+        jerks_inverse=np.linalg.pinv(jerks.free),
+        gradient=gradient,
+        lower=np.repeat(np.array(lower), counts, axis=0),
+        upper=np.repeat(np.array(upper), counts, axis=0),
+        rest_by_state=by_state[1:, 0],
+        rest_by_jerk=by_jerk[1:, 0],
+        collision_times=collision,
+        state_times=sampled,
+    )
+
+
+def _affine(times: FloatArray, jerks: Affine, config: MlrDmpcConfig) -> list[Affine]:
+    """Position, velocity and acceleration at times, for jerks that depend on variables."""
+    by_state, by_jerk = derivatives(times, config.num_inputs, config.input_sampling_s)
+    return [
+        Affine(s + j @ jerks.start, j @ jerks.free) for s, j in zip(by_state, by_jerk, strict=True)
+    ]
+
+
+def _resting_inputs(config: MlrDmpcConfig) -> Affine:
+    """Jerks that end at rest: the least ones that do, plus a base of those that change nothing."""
+    by_state, by_jerk = _end(config)
+    last = np.eye(config.num_inputs)[-1:]
+    rest = np.concatenate([by_jerk[1], by_jerk[2], last])
+    needed = np.concatenate([by_state[1], by_state[2], np.zeros((1, 3))])
+    base = np.linalg.svd(rest)[2][len(rest) :].T
+    return Affine(-np.linalg.pinv(rest) @ needed, base)
+
+
+def _end(config: MlrDmpcConfig) -> tuple[FloatArray, FloatArray]:
+    """The derivatives at the end of a plan."""
+    end = np.array([config.num_inputs * config.input_sampling_s])
+    return derivatives(end, config.num_inputs, config.input_sampling_s)
