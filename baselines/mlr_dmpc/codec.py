@@ -96,7 +96,7 @@ class Codec:
     def size(self, message: UnitMessage) -> int:
         """Bytes of a message."""
         count, width = len(message.donations), self._id_bytes
-        size = 4 + width * (count + len(message.missing))
+        size = 5 + width * (count + len(message.missing))
         size += 3 * len(message.missing) + (width + 1) * len(message.priorities)
         if message.kind is not Kind.ANSWER:
             size += width * RECENT
@@ -118,7 +118,7 @@ class Codec:
         if self.size(message) > limit:
             message = message._replace(members=None)
         while self.size(message) > limit and message.missing:
-            message = message._replace(missing=message.missing[:-1])
+            message = message._replace(missing=message.missing[:-1], complete=False)
         room = (limit - self.size(message)) // (self._id_bytes + 1)
         if room < 0:
             raise ValueError(f"{message} does not fit into {limit} bytes: use fewer compute units")
@@ -129,7 +129,7 @@ class Codec:
         head = message.kind | (message.selection is not None) << 2
         head |= (message.members is not None) << 3
         head |= len(message.donations) << 4 | len(message.missing) << 6
-        out = struct.pack("<BHB", head, *message.view)
+        out = struct.pack("<BHBB", head, *message.view, message.complete)
         if message.kind is not Kind.ANSWER:
             out += self._ids(message.recent)
         if message.selection is not None:
@@ -143,10 +143,7 @@ class Codec:
                 out += sum(1 << i for i in ids).to_bytes(size, "little")
         if message.trajectory is not None:
             out += self._ids((message.drone,))
-            if message.kind is not Kind.PLAN:
-                out += _packed_identity(message.trajectory.identity)
-            out += message.trajectory.state.astype("<f4").tobytes()
-            out += message.trajectory.jerk[:-1].astype("<f4").tobytes()
+            out += pack_trajectory(message.trajectory, message.kind is not Kind.PLAN)
         for drone, level in message.priorities:
             out += self._ids((drone,)) + bytes([level])
         return out
@@ -154,9 +151,9 @@ class Codec:
     def unpack(self, data: bytes, unit: int, round_: int) -> UnitMessage:
         """The message that was sent in a unit's slot in a round."""
         reader = _Reader(data)
-        head, epoch, proposer = struct.unpack("<BHB", reader.take(4))
+        head, epoch, proposer, complete = struct.unpack("<BHBB", reader.take(5))
         view, kind = ViewId(epoch, proposer), Kind(head & 3)
-        message = UnitMessage(kind, round_, unit, view)
+        message = UnitMessage(kind, round_, unit, view, complete=bool(complete))
         if kind is not Kind.ANSWER:
             message = message._replace(recent=self._read_ids(reader, RECENT))
         if head >> 2 & 1:
@@ -187,12 +184,9 @@ class Codec:
 
     def _with_trajectory(self, reader: _Reader, message: UnitMessage) -> UnitMessage:
         (drone,) = self._read_ids(reader, 1)
-        identity = Identity(message.round + 1, message.unit)
-        if message.kind is not Kind.PLAN:
-            identity = _unpacked_identity(reader.take(3), message.round)
-        numbers = np.frombuffer(reader.take(self._trajectory_bytes), "<f4").reshape(-1, 3)
-        jerk = np.concatenate([numbers[3:], np.zeros((1, 3))])
-        trajectory = Trajectory(identity, numbers[:3], jerk, self._config.input_sampling_s)
+        sent = Identity(message.round + 1, message.unit) if message.kind is Kind.PLAN else None
+        size = self._trajectory_bytes + (3 if sent is None else 0)
+        trajectory, _ = unpack_trajectory(reader.take(size), sent, message.round, self._config)
         return message._replace(drone=drone, trajectory=trajectory)
 
     def _steps(self, kinematics: FloatArray) -> npt.NDArray[np.int64]:
@@ -213,6 +207,35 @@ class Codec:
         special = {256**size - 1: NONE, 256**size - 2: UNSURE}
         read = (int.from_bytes(reader.take(size), "little") for _ in range(count))
         return tuple(special.get(i, i) for i in read)
+
+
+def pack_trajectory(trajectory: Trajectory, named: bool) -> bytes:
+    """A trajectory in float32, after its identity if that is not clear from the slot.
+
+    The last jerk is zero and is not sent.
+    """
+    name = _packed_identity(trajectory.identity) if named else b""
+    numbers = np.concatenate([trajectory.state, trajectory.jerk[:-1]])
+    return name + numbers.astype("<f4").tobytes()
+
+
+def unpack_trajectory(
+    data: bytes, identity: Identity | None, round_: int, config: MlrDmpcConfig
+) -> tuple[Trajectory, bytes]:
+    """A trajectory, and the bytes after it.
+
+    Args:
+        data: bytes that begin with it.
+        identity: if that is not among them.
+        round_: when it was sent.
+        config: how many jerks there are.
+    """
+    if identity is None:
+        identity, data = _unpacked_identity(data[:3], round_), data[3:]
+    size = 36 + 12 * (config.num_inputs - 1)
+    numbers = np.frombuffer(data[:size], "<f4").reshape(-1, 3)
+    jerk = np.concatenate([numbers[3:], np.zeros((1, 3))])
+    return Trajectory(identity, numbers[:3], jerk, config.input_sampling_s), data[size:]
 
 
 class _Reader:

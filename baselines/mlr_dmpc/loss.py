@@ -18,6 +18,17 @@ _UINT = npt.NDArray[np.uint64]
 _MESSAGE, _OUTAGE, _TURN, _BURST = range(4)
 
 
+def _names(who: Who) -> tuple[str, ...]:
+    return (who,) if isinstance(who, str) else who
+
+
+def _check_probabilities(model: object, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(model, name)
+        if not (math.isfinite(value) and 0.0 <= value <= 1.0):
+            raise ValueError(f"{name} is {value!r}, but must be a share in [0, 1]")
+
+
 @dataclass(frozen=True, kw_only=True)
 class Jam:
     """Rounds in which what some send does not reach some others.
@@ -216,14 +227,3 @@ def _mixed(key: _UINT) -> _UINT:
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return key ^ (key >> np.uint64(31))
-
-
-def _names(who: Who) -> tuple[str, ...]:
-    return (who,) if isinstance(who, str) else who
-
-
-def _check_probabilities(model: object, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(model, name)
-        if not (math.isfinite(value) and 0.0 <= value <= 1.0):
-            raise ValueError(f"{name} is {value!r}, but must be a share in [0, 1]")

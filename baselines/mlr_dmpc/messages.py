@@ -92,6 +92,8 @@ class UnitMessage(NamedTuple):
     """Drones to which the slot is given in the next rounds."""
     missing: tuple[Missing, ...] = ()
     """Contents that the unit lacks."""
+    complete: bool = False
+    """Whether it lacks nothing else and has located every drone."""
     members: View | None = None
     """The view itself, while it is new."""
     priorities: tuple[tuple[int, int], ...] = ()

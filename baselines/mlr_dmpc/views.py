@@ -46,6 +46,7 @@ class Absences:
     """
 
     def __init__(self, num_units: int) -> None:
+        self.count = num_units
         self._rounds = [0] * num_units
         self._evidence = [0.0] * num_units
 
