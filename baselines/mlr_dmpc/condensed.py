@@ -54,6 +54,10 @@ class Condensed:
     """(B, 3) least value of what is bounded."""
     upper: FloatArray
     """(B, 3) largest value of what is bounded."""
+    rest_by_state: FloatArray
+    """(2, 3) velocity and acceleration at the end, by the first state."""
+    rest_by_jerk: FloatArray
+    """(2, h_s) likewise, by the jerks."""
     collision_times: FloatArray
     """(S,) of the collision samples since the start, s."""
     state_times: FloatArray
@@ -108,6 +112,7 @@ def _assembled(config: MlrDmpcConfig, jerks: Affine, gradient: FloatArray) -> Co
     lower = [config.box[0], *((-limit,) * 3 for limit in limits)]
     upper = [config.box[1], *((limit,) * 3 for limit in limits)]
     counts = [len(part.start) for part in parts]
+    by_state, by_jerk = _end(config)
     return Condensed(
         positions=_affine(collision, jerks, config)[0],
         bounded=Affine(
@@ -119,6 +124,8 @@ def _assembled(config: MlrDmpcConfig, jerks: Affine, gradient: FloatArray) -> Co
         gradient=gradient,
         lower=np.repeat(np.array(lower), counts, axis=0),
         upper=np.repeat(np.array(upper), counts, axis=0),
+        rest_by_state=by_state[1:, 0],
+        rest_by_jerk=by_jerk[1:, 0],
         collision_times=collision,
         state_times=sampled,
     )
@@ -134,10 +141,15 @@ def _affine(times: FloatArray, jerks: Affine, config: MlrDmpcConfig) -> list[Aff
 
 def _resting_inputs(config: MlrDmpcConfig) -> Affine:
     """Jerks that end at rest: the least ones that do, plus a base of those that change nothing."""
-    end = np.array([config.num_inputs * config.input_sampling_s])
-    by_state, by_jerk = derivatives(end, config.num_inputs, config.input_sampling_s)
+    by_state, by_jerk = _end(config)
     last = np.eye(config.num_inputs)[-1:]
     rest = np.concatenate([by_jerk[1], by_jerk[2], last])
     needed = np.concatenate([by_state[1], by_state[2], np.zeros((1, 3))])
     base = np.linalg.svd(rest)[2][len(rest) :].T
     return Affine(-np.linalg.pinv(rest) @ needed, base)
+
+
+def _end(config: MlrDmpcConfig) -> tuple[FloatArray, FloatArray]:
+    """The derivatives at the end of a plan."""
+    end = np.array([config.num_inputs * config.input_sampling_s])
+    return derivatives(end, config.num_inputs, config.input_sampling_s)

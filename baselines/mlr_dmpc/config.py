@@ -61,6 +61,24 @@ class MlrDmpcConfig:
     """Closer to the target than this, m, soft margins weigh next to nothing."""
     soft_near_factor: float = 1e-7
     """What they weigh there, as a share."""
+    deadlock_speed: float = 0.15
+    """A faster drone is in no deadlock, m/s."""
+    deadlock_m: float = 0.1
+    """Nor is one whose plan ends this near its target, m."""
+    contact_factor: float = 1.1
+    """Drones within this many times `distance_m` touch."""
+    deadlock_residual: float = 0.1
+    """Share of the pull to the target that contacts need not balance."""
+    detour_range_m: float = 0.6
+    """Nearer than this, m, drones make room for one in a deadlock."""
+    detour_step_m: float = 0.5
+    """How far they go, m."""
+    detour_noise_m: float = 0.1
+    """Standard deviation of where to, by axis, m."""
+    detour_rounds: int = 10
+    """For how many rounds they make room."""
+    detour_pause_rounds: int = 5
+    """For how many more rounds they then fly on, whoever waits."""
     arrival_m: float = 0.05
     """A drone has arrived when it is this close to its target, m."""
 

@@ -57,7 +57,10 @@ class Working(NamedTuple):
 
 @kernel
 def broken_rows(rows: Rows, z: FloatArray, threshold: float) -> Working:
-    """The rows not yet done with slack below a threshold, m, at variables z (n, 3), now done."""
+    """Rows not yet done with slack below a threshold, m, at variables z (n, 3), now done.
+
+    Of each trajectory's half-spaces only the most broken: its neighbours in time seldom bind then.
+    """
     free = z.shape[0]
     picked = _pick(rows, z, threshold)
     count = picked.shape[0]
@@ -99,19 +102,21 @@ def _pick(rows: Rows, z: FloatArray, threshold: float) -> IntArray:
     position = rows.base + rows.by_variables @ z
     last = position.shape[0] - 1
     for r in range(rows.normals.shape[0]):
+        worst, at = threshold, -1
         for s in range(last + 1):
-            along = 0.0
-            for i in range(3):
-                along += rows.normals[r, s, i] * position[s, i]
-            if along - rows.offsets[r, s] < threshold and not rows.done[r, s]:
-                rows.done[r, s] = True
-                picked[count] = 2, r, s
-                count += 1
-            soft = s == last and r < rows.soft_done.shape[0] and not rows.soft_done[r]
-            if soft and along - rows.soft_offsets[r] < threshold:
-                rows.soft_done[r] = True
-                picked[count] = 3, r, s
-                count += 1
+            if not rows.done[r, s]:
+                slack = _along(rows.normals, position, r, s) - rows.offsets[r, s]
+                if slack < worst:
+                    worst, at = slack, s
+        if at >= 0:
+            rows.done[r, at] = True
+            picked[count] = 2, r, at
+            count += 1
+        soft = r < rows.soft_done.shape[0] and not rows.soft_done[r]
+        if soft and _along(rows.normals, position, r, last) - rows.soft_offsets[r] < threshold:
+            rows.soft_done[r] = True
+            picked[count] = 3, r, last
+            count += 1
     return picked[:count]
 
 
@@ -126,3 +131,13 @@ def least_slack(positions: FloatArray, normals: FloatArray, offsets: FloatArray)
                 along += normals[r, s, i] * positions[s, i]
             least = min(least, along)
     return least
+
+
+@kernel
+def _along(normals: FloatArray, positions: FloatArray, r: int, s: int) -> float:
+    """Normal . p of half-space r at sample s."""
+    return (
+        normals[r, s, 0] * positions[s, 0]
+        + normals[r, s, 1] * positions[s, 1]
+        + normals[r, s, 2] * positions[s, 2]
+    )

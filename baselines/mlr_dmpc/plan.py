@@ -7,11 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.condensed import Condensed, condensed, derivatives
+from swarm_envs.baselines.mlr_dmpc.condensed import Condensed, condensed
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.generation import least_slack
 from swarm_envs.baselines.mlr_dmpc.neighbors import HalfSpaces, Neighbors
-from swarm_envs.baselines.mlr_dmpc.program import TOLERANCE, Program, optimum, program
+from swarm_envs.baselines.mlr_dmpc.program import TOLERANCE, Program, optimum, program, sampled
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
 from swarm_envs.state import FloatArray
 
@@ -100,18 +100,13 @@ def broken(plan: Trajectory, problem: Program, fixed: Condensed) -> str:
     Half-spaces hold to half of `TOLERANCE`, bounds to all of it, unless the trajectory that is
     flown holds them less: then as well as that does.
     """
-    by_state, by_jerk = derivatives(
-        np.array([plan.duration_s]), len(plan.jerk), plan.input_sampling_s
-    )
-    rest = by_state[1:, 0] @ plan.state + by_jerk[1:, 0] @ plan.jerk
+    rest = fixed.rest_by_state @ plan.state + fixed.rest_by_jerk @ plan.jerk
     if not (error := np.abs(rest).max()) <= TOLERANCE or plan.jerk[-1].any():
         return f"does not end at rest: {error:.1e}"
-    states = plan.states(fixed.state_times)
-    bounded = np.concatenate([*np.moveaxis(states, 1, 0), plan.jerk])
+    positions, bounded = sampled(plan, 0.0, fixed)
     excess = np.maximum(problem.accepted_lower - bounded, bounded - problem.accepted_upper)
     if not (worst := float(excess.max())) <= 0.0:
         return f"breaks a bound by {worst:.1e}"
-    positions = plan.positions(fixed.collision_times)
     slack = least_slack(positions, problem.rows.normals, problem.accepted_offsets)
     if not slack >= 0.0:
         return f"breaks a half-space by {-slack:.1e} m"

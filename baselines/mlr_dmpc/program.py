@@ -16,6 +16,7 @@ from swarm_envs.baselines.mlr_dmpc.neighbors import (
     Neighbors,
     voronoi_planes,
 )
+from swarm_envs.baselines.mlr_dmpc.reach import out_of_reach, reach
 from swarm_envs.baselines.mlr_dmpc.soft import soft_weights
 from swarm_envs.baselines.mlr_dmpc.solvers import Solver, solver
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
@@ -85,8 +86,7 @@ def program(
     fixed = condensed(config)
     since = config.round_s * (start_round - own.identity.start_round)
     state = own.states(np.array([since]))[0].astype(np.float32).astype(np.float64)
-    positions = own.positions(since + fixed.collision_times)
-    bounded = _bounded(own, since, fixed, config)
+    positions, bounded = sampled(own, since, fixed)
     spaces = voronoi_planes(positions, neighbors, config)
     if planes is not None:
         spaces = HalfSpaces(*(np.concatenate(pair) for pair in zip(spaces, planes, strict=True)))
@@ -101,7 +101,7 @@ def program(
         state,
         fixed.gradient @ offset,
         _rows(fixed, state, build, weights, config, (lower, upper)),
-        fixed.jerks_inverse @ (_jerks(own, since, config) - fixed.jerks.start @ state),
+        fixed.jerks_inverse @ (bounded[-config.num_inputs :] - fixed.jerks.start @ state),
         float(slack.min(initial=np.inf)),
         spaces.offsets + np.minimum(-TOLERANCE / 2, slack),
         np.minimum(fixed.lower - TOLERANCE, bounded),
@@ -117,16 +117,21 @@ def _rows(
     config: MlrDmpcConfig,
     bounds: tuple[FloatArray, FloatArray],
 ) -> Rows:
-    counted = weights > _NEGLIGIBLE_WEIGHT
+    low, high = reach(state, *bounds, config)
+    done = out_of_reach(low, high, spaces.normals, spaces.offsets)
+    end = spaces.normals[: len(weights), -1:]
+    soft_offsets = spaces.offsets[: len(weights), -1] + config.soft_m
+    soft_done = out_of_reach(low[-1:], high[-1:], end, soft_offsets[:, None])[:, 0]
+    soft_done |= (weights <= _NEGLIGIBLE_WEIGHT) | (config.soft_m == 0.0)
     return Rows(
         fixed.positions.start @ state,
         fixed.positions.free,
         spaces.normals,
         spaces.offsets,
-        np.zeros(spaces.offsets.shape, dtype=bool),
-        spaces.offsets[: len(weights), -1] + config.soft_m,
+        done,
+        soft_offsets,
         1.0 / np.sqrt(np.maximum(weights, _NEGLIGIBLE_WEIGHT)),
-        ~counted | (config.soft_m == 0.0),
+        soft_done,
         fixed.bounded.start @ state,
         fixed.bounded.free,
         *bounds,
@@ -134,18 +139,18 @@ def _rows(
     )
 
 
-def _jerks(own: Trajectory, since: float, config: MlrDmpcConfig) -> FloatArray:
-    """Jerks (h_s, 3) that are still to come, zero after the end, m/s^3."""
-    past = round(since / config.input_sampling_s)
-    out = np.zeros_like(own.jerk)
-    out[: max(len(out) - past, 0)] = own.jerk[past:]
-    return out
-
-
-def _bounded(own: Trajectory, since: float, fixed: Condensed, config: MlrDmpcConfig) -> FloatArray:
-    """Bounded quantities (B, 3) of the plan that is flown."""
-    states = own.states(since + fixed.state_times)
-    return np.concatenate([*np.moveaxis(states, 1, 0), _jerks(own, since, config)])
+def sampled(
+    trajectory: Trajectory, since: float, fixed: Condensed
+) -> tuple[FloatArray, FloatArray]:
+    """Positions (S, 3), m, and bounded quantities (B, 3) of what is left of a trajectory."""
+    times = since + np.concatenate([fixed.collision_times, fixed.state_times])
+    states = trajectory.states(times)
+    samples = len(fixed.collision_times)
+    past = round(since / trajectory.input_sampling_s)
+    jerk = np.zeros_like(trajectory.jerk)
+    jerk[: max(len(jerk) - past, 0)] = trajectory.jerk[past:]
+    bounded = states[samples:].transpose(1, 0, 2).reshape(-1, 3)
+    return states[:samples, 0], np.concatenate([bounded, jerk])
 
 
 def optimum(problem: Program, name: str) -> Optimum:

@@ -1,13 +1,13 @@
-"""Reference trajectories of the nominal system: a triple integrator with piecewise constant jerk."""
+"""Reference trajectories of the nominal system, a triple integrator: pieces of constant jerk."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.compiled import borrowing_kernel, kernel
 from swarm_envs.state import FloatArray
 
 NOBODY = 255
@@ -25,7 +25,7 @@ class Identity(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """A plan as it is sent, (12): a state and jerks. After its end the drone rests at its last point.
+    """A plan as it is sent, (12): a state and jerks. After its end the drone rests where that is.
 
     State and jerk are rounded to float32, as messages carry them, before anything is checked: what
     is flown is what was sent.
@@ -59,40 +59,41 @@ class Trajectory:
 
         Past the end: the last position, at rest.
         """
-        knots = self._knots
-        time = np.minimum(times, self.duration_s)
-        interval = np.minimum(time / self.input_sampling_s + 1e-9, len(self.jerk) - 1).astype(int)
-        since = (time - interval * self.input_sampling_s)[:, None]
-        position, velocity, acceleration = np.moveaxis(knots[interval], 1, 0)
-        jerk = self.jerk[interval]
-        out = np.stack(
-            [
-                position + since * (velocity + since * (acceleration / 2 + since * jerk / 6)),
-                velocity + since * (acceleration + since * jerk / 2),
-                acceleration + since * jerk,
-            ],
-            axis=1,
-        )
-        out[times >= self.duration_s - 1e-9, 1:] = 0.0
-        return out
+        at = np.asarray(times, dtype=np.float64)
+        return _states(self.state, self.jerk, self.input_sampling_s, at)
 
     def positions(self, times: FloatArray) -> FloatArray:
         """Positions (T, 3), m, at times (T,) since its start, s."""
         return self.states(times)[:, 0]
 
-    @cached_property
-    def _knots(self) -> FloatArray:
-        """States (h_s + 1, 3, 3) where the jerk changes."""
-        dt = self.input_sampling_s
-        knots = np.empty((len(self.jerk) + 1, 3, 3))
-        knots[0] = self.state
-        position, velocity, acceleration = np.moveaxis(knots, 1, 0)
-        acceleration[1:] = self.state[2] + dt * np.cumsum(self.jerk, axis=0)
-        change = dt * acceleration[:-1] + dt**2 / 2 * self.jerk
-        velocity[1:] = self.state[1] + np.cumsum(change, axis=0)
-        way = dt * velocity[:-1] + dt**2 / 2 * acceleration[:-1] + dt**3 / 6 * self.jerk
-        position[1:] = self.state[0] + np.cumsum(way, axis=0)
-        return knots
+
+@kernel
+def _states(state: FloatArray, jerk: FloatArray, step: float, times: FloatArray) -> FloatArray:
+    """What `Trajectory.states` says."""
+    intervals = jerk.shape[0]
+    knots = np.empty((intervals + 1, 3, 3))
+    knots[0] = state
+    for k in range(intervals):
+        _advance(knots[k], jerk[k], step, knots[k + 1])
+    out = np.empty((times.shape[0], 3, 3))
+    end = intervals * step
+    for t in range(times.shape[0]):
+        if times[t] >= end - 1e-9:
+            out[t], out[t, 0] = 0.0, knots[intervals, 0]
+        else:
+            k = max(int(times[t] / step + 1e-9), 0)
+            _advance(knots[k], jerk[k], times[t] - k * step, out[t])
+    return out
+
+
+@borrowing_kernel
+def _advance(state: FloatArray, jerk: FloatArray, time: float, out: FloatArray) -> None:
+    """Write the state (3, 3) that a constant jerk (3,) leads to."""
+    for i in range(3):
+        position, velocity, acceleration = state[0, i], state[1, i], state[2, i]
+        out[2, i] = acceleration + time * jerk[i]
+        out[1, i] = velocity + time * (acceleration + time * jerk[i] / 2)
+        out[0, i] = position + time * (velocity + time * (acceleration / 2 + time * jerk[i] / 6))
 
 
 def hover(position: FloatArray, num_inputs: int, input_sampling_s: float) -> Trajectory:

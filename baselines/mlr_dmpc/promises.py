@@ -1,0 +1,56 @@
+"""Planning next to a plan that was sent but not heard: by what it is known to have kept.
+
+Drone j's plan q of round r, by unit v, has kept n . Theta^-1 (q - p) >= d against the trajectory p
+that drone i flew, with n the unit vector from p to j's old trajectory c, if v knew p. If i still
+flies p, a new plan p' of i with n . Theta^-1 (p' - p) <= 0 keeps n . Theta^-1 (q - p') >= d,
+whatever q is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.knowledge import Knowledge
+from swarm_envs.baselines.mlr_dmpc.neighbors import HalfSpaces
+from swarm_envs.baselines.mlr_dmpc.samples import sampled
+from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
+
+
+def promised_planes(
+    know: Knowledge,
+    drone: int,
+    own: Trajectory,
+    other: int,
+    round_: int,
+    config: MlrDmpcConfig,
+) -> HalfSpaces | None:
+    """Half-spaces for a drone that keep it clear of another's unknown plans, if there are any.
+
+    Args:
+        know: what the unit knows.
+        drone: i, which is to be planned.
+        own: what it flies.
+        other: j.
+        round_: k.
+        config: parameters.
+    """
+    if know.void(drone, round_) or know.void(other, round_):
+        return None
+    tracker, parents = know.trackers[other], []
+    for identity in tracker.missing:
+        promise = tracker.promise(identity)
+        start = own.identity.start_round
+        if promise is None or start > promise.round:
+            return None
+        author = identity.compute_unit
+        knows = own.identity.compute_unit == author
+        if not (knows or know.knew(author, drone, start, promise.round)):
+            return None
+        parents += promise.parents
+    positions = sampled(own, round_ + 1, config)
+    others = np.stack([sampled(parent, round_ + 1, config) for parent in parents])
+    away = (positions - others) * config.inverse_scaling
+    away /= np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
+    normals = away * config.inverse_scaling
+    return HalfSpaces(normals, np.einsum("psi,si->ps", normals, positions))
