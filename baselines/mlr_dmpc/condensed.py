@@ -93,7 +93,7 @@ def condensed(config: MlrDmpcConfig) -> Condensed:
     knots = config.input_sampling_s * np.arange(1, config.num_inputs + 1)
     inputs = _resting_inputs(config)
     states = _affine(knots, inputs, config)
-    weight = np.array([0.0, config.velocity_weight, config.acceleration_weight])
+    weight = (config.path_weight, config.velocity_weight, config.acceleration_weight)
     terms = [(2.0 * w, part) for w, part in zip(weight, states, strict=True)]
     end = Affine(states[0].start[-1:], states[0].free[-1:])
     terms += [(2.0 * config.position_weight, end), (2.0 * config.jerk_weight, inputs)]

@@ -33,6 +33,8 @@ class MlrDmpcConfig:
     samples, at a cost."""
     position_weight: float = 1.0
     """Of the squared distance to the target at the end of the plan, 1/m^2."""
+    path_weight: float = 0.0
+    """Of the squared distance to the target on the way there, at each input sample, 1/m^2."""
     velocity_weight: float = 1e-4
     """Of the squared velocity, at each input sample."""
     acceleration_weight: float = 0.005
@@ -145,6 +147,6 @@ _POSITIVE = (
     *("distance_m", "arrival_m"),
 )
 _NOT_NEGATIVE = (
-    *("velocity_weight", "acceleration_weight", "soft_m", "soft_weight", "soft_turn"),
+    *("path_weight", "velocity_weight", "acceleration_weight", "soft_m", "soft_weight", "soft_turn"),
     *("soft_near_m", "soft_near_factor"),
 )
