@@ -104,7 +104,7 @@ class MlrDmpcAgent:
             loss=self._loss,
             recovery=self._recovery,
             seed=seed,
-            obstacles=task.obstacles,
+            obstacles=None,
         )
 
     def act(self, observations: Observations, view: View | None) -> Actions:

@@ -9,7 +9,7 @@ import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.loss import LossModel
-from swarm_envs.baselines.mlr_dmpc.simulate import Recovery
+from swarm_envs.baselines.mlr_dmpc.swarm import Recovery
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
 from swarm_envs.state import FloatArray
 
