@@ -34,7 +34,7 @@ def circle(num_drones: int, radius: float, height: float) -> tuple[FloatArray, F
 
 
 def formation(
-    name: str, num_drones: int, config: MlrDmpcConfig, distance: float = 0.3, spacing: float = 0.6
+    name: str, num_drones: int, config: MlrDmpcConfig, distance: float = 0.36, spacing: float = 0.6
 ) -> FloatArray:
     """Places (N, 3) of a shape in the middle of the box, m, leant over where it takes too much.
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.loss import LossModel
-from swarm_envs.baselines.mlr_dmpc.swarm import Recovery
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
 from swarm_envs.state import FloatArray
 
@@ -29,7 +28,7 @@ class Setting:
     """`HT`, `RR` or `DT`."""
     loss: LossModel | float = 0.0
     """Of messages."""
-    recovery: Recovery = True
+    recovery: bool | str = True
     """As for `simulate`."""
     seed: int = 0
     """Of losses and detours."""
