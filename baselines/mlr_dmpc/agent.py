@@ -26,6 +26,8 @@ from swarm_envs.tasks.motion import ORBITS
 
 _TRACKING_M = 0.05
 """What is kept free between a reference and walls beside the drone's radius, m."""
+_ROOM = 1.2
+"""Distance of starts and of goals over that of references: at the very limit nobody gets past."""
 
 
 class MlrDmpcAgent:
@@ -148,18 +150,13 @@ def _scaling(config: MlrDmpcConfig, places: FloatArray) -> tuple[float, float, f
     first, second = np.triu_indices(places.shape[1], 1)
     apart = np.abs(places[:, first] - places[:, second])
     level = np.hypot(apart[..., 0] / wanted[0], apart[..., 1] / wanted[1])
-    needed = np.sqrt(np.maximum(_room(config) ** 2 - level**2, 0.0))
+    needed = np.sqrt(np.maximum((_ROOM * config.distance_m) ** 2 - level**2, 0.0))
     close = needed > 0.0
     if close.any():
         largest = min(largest, float((apart[..., 2][close] / needed[close]).min()))
     if largest < 1.0:
         raise ValueError(
-            f"two starts or goals of this episode are closer than {config.distance_m} m, the least "
-            "distance of references; spread them, or give a config with a smaller distance_m"
+            f"two starts or goals of this episode are closer than {_ROOM * config.distance_m:.3g} "
+            "m, what drones need; spread them, or give a config with a smaller distance_m"
         )
     return (wanted[0], wanted[1], largest)
-
-
-def _room(config: MlrDmpcConfig) -> float:
-    """The least distance of starts and goals, a little above that of references, m."""
-    return config.distance_m + 1e-3
