@@ -12,11 +12,11 @@ Every plan that satisfies (13b)-(13e) lies in the boxes [low, high] of `reach` a
   bounds bound it, forward and backward from the box.
 
 A half-space normal . p >= offset that holds at the worst corner of the box thus holds for every
-plan: it cannot bind, and leaving it out changes nothing. As the plane of eq. (15) is anchored at
-the plan p0 that is flown, at the known trajectory q of the other, that is so for every trajectory q
-with |Theta^-1 (q - p0)| >= d + r (d + 2 r if the other may be planned anew), where r is the largest
-|Theta^-1 (p - p0)| of p in the box: whoever cannot come within reach costs no row. Each candidate
-trajectory of a drone has rows of its own, and each is tested.
+plan: it cannot bind, and leaving it out changes nothing. The plane of eq. (15) lies between the
+plan p0 that is flown and the known trajectory q of the other, its normal within an angle alpha of
+Theta^-1 (p0 - q). So it holds for every q with |Theta^-1 (q - p0)| cos alpha >= d + r (d + 2 r if
+the other may be planned anew), where r is the largest |Theta^-1 (p - p0)| of p in the box: whoever
+cannot come within reach costs no row. Each candidate of a drone has its own rows; each is tested.
 """
 
 from __future__ import annotations
