@@ -91,6 +91,9 @@ class MlrDmpcConfig:
     turn_rad: float = 0.3
     """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
     from above, rad: two that meet head on then pass on the right. Published: 0."""
+    turn_share: float = 0.5
+    """Nor by more than this share of the angle at which the gap along the normal would be too
+    small; below 1."""
     arrival_m: float = 0.05
     """A drone has arrived when it is this close to its target, m."""
 
@@ -113,6 +116,8 @@ class MlrDmpcConfig:
                 f"horizon_rounds is {self.horizon_rounds}, but must be at least 3: a plan ends at "
                 "rest"
             )
+        if not 0.0 <= self.turn_share < 1.0:
+            raise ValueError(f"turn_share is {self.turn_share!r}, but must be in [0, 1)")
         for name in ("contact_factor", "detour_rounds"):
             if not getattr(self, name) >= 1:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, but must be at least 1")

@@ -52,7 +52,7 @@ def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig)
     Any unit normal proves Lemma 3. For Corollary 1 both drones need one plane: the turn depends on
     the gap alone, which is the same for both, and so is its sense. For Theorem 1 the present plan
     must satisfy its rows: along the turned normal the gap stays above the distance kept, since the
-    turn is at most half of where it would not.
+    turn is at most `turn_share` of where it would not.
 
     Args:
         own: (S, 3) positions of the present plan at the collision samples, m.
@@ -70,6 +70,7 @@ def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig)
             config.inverse_scaling,
             config.distance_m,
             config.turn_rad,
+            config.turn_share,
         )
     )
 
@@ -82,6 +83,7 @@ def _voronoi_planes(
     shrink: FloatArray,
     distance: float,
     turn: float,
+    turn_share: float,
 ) -> tuple[FloatArray, FloatArray]:
     count, samples = others.shape[:2]
     normals, offsets = np.empty((count, samples, 3)), np.empty((count, samples))
@@ -94,7 +96,7 @@ def _voronoi_planes(
             gap = max(np.sqrt(square), 1e-12)
             for i in range(3):
                 normals[c, s, i] /= gap
-            _turn(normals[c, s], min(distance / gap, 1.0), turn)
+            _turn(normals[c, s], min(distance / gap, 1.0), turn, turn_share)
             offset = distance
             if concurrent[c]:
                 offset *= 0.5
@@ -108,11 +110,11 @@ def _voronoi_planes(
 
 
 @borrowing_kernel
-def _turn(normal: FloatArray, share: float, turn: float) -> None:
-    """Turn a unit normal (3,) about the vertical, to half of where the gap falls to its share."""
+def _turn(normal: FloatArray, least_gap: float, turn: float, share: float) -> None:
+    """Turn a unit normal (3,) about the vertical; `least_gap` of the gap must be left along it."""
     level = normal[0] ** 2 + normal[1] ** 2
-    least = (share - normal[2] ** 2) / max(level, 1e-12)
-    angle = min(turn, 0.5 * math.acos(max(min(least, 1.0), -1.0)))
+    least = (least_gap - normal[2] ** 2) / max(level, 1e-12)
+    angle = min(turn, share * math.acos(max(min(least, 1.0), -1.0)))
     x, y = normal[0], normal[1]
     normal[0] = math.cos(angle) * x - math.sin(angle) * y
     normal[1] = math.sin(angle) * x + math.cos(angle) * y

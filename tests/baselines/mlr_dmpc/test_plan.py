@@ -100,7 +100,7 @@ def assert_holds(plan: Trajectory, case: Situation, config: MlrDmpcConfig) -> No
     """Every constraint by the letter of eq. (13)-(15), without our rows."""
     own, start, neighbors, _ = case
     since = config.round_s * (start - own.identity.start_round)
-    times = config.collision_sampling_s * np.arange(1, config.num_samples + 1)
+    times = np.arange(1.0, config.num_samples + 1.0) * config.collision_sampling_s
     old, new = own.positions(since + times), plan.positions(times)
     scale = np.array(config.scaling)
     for other, concurrent in zip(neighbors.positions, neighbors.concurrent, strict=True):
@@ -112,7 +112,7 @@ def assert_holds(plan: Trajectory, case: Situation, config: MlrDmpcConfig) -> No
         elif config.turn_rad == 0.0:
             along = np.sum(normal * (new - (old + other) / 2) / scale, axis=1) / length
             assert (along >= config.distance_m / 2 - 5e-7).all()
-    p, v, a = np.moveaxis(plan.states(config.state_sampling_s * np.arange(1, 16)), 1, 0)
+    p, v, a = np.moveaxis(plan.states(np.arange(1.0, 16.0) * config.state_sampling_s), 1, 0)
     lower, upper = np.array(config.box)
     assert (p >= lower - 2e-6).all() and (p <= upper + 2e-6).all()
     assert np.abs(v).max() <= config.speed_limit + 2e-6
