@@ -53,9 +53,9 @@ def out_of_reach(
     low: FloatArray, high: FloatArray, normals: FloatArray, offsets: FloatArray
 ) -> BoolArray:
     """(R, S) whether normal . p >= offset for all p of the box (S, 3) at that sample."""
-    out = np.empty(offsets.shape, dtype=np.bool_)
-    for r in range(out.shape[0]):
-        for s in range(out.shape[1]):
+    out: BoolArray = np.empty(offsets.shape, dtype=np.bool_)
+    for r in range(offsets.shape[0]):
+        for s in range(offsets.shape[1]):
             least = 0.0
             for i in range(3):
                 normal = normals[r, s, i]

@@ -49,7 +49,7 @@ def test_every_obstacle_is_behind_its_planes():
 
 
 def test_a_start_inside_is_refused():
-    own = hover(np.array([0.0, 0.0, 1.0]), 15, 0.2)
+    own = hover(np.array([0.0, 0.0, 0.5]), 15, 0.2)
     with pytest.raises(ValueError, match=r"inside obstacle 0 .*start outside"):
         obstacle_planes(own, 1, ROWS, MARGIN, CONFIG)
 
