@@ -1,7 +1,7 @@
 """What MLR-DMPC is tuned by: times, bounds, distances and weights.
 
 Values are those published, unless a field says otherwise: with `path_weight=0.0, soft_m=0.3,
-soft_near_m=0.8` all are.
+soft_near_m=0.8, turn_rad=0.0` all are.
 """
 
 from __future__ import annotations
@@ -88,6 +88,12 @@ class MlrDmpcConfig:
     """For how many rounds they make room."""
     detour_pause_rounds: int = 5
     """For how many more rounds they then fly on, whoever waits."""
+    turn_rad: float = 0.3
+    """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
+    from above, rad: two that meet head on then pass on the right. Published: 0."""
+    turn_share: float = 0.5
+    """Nor by more than this share of the angle at which the gap along the normal would be too
+    small; below 1."""
     arrival_m: float = 0.05
     """A drone has arrived when it is this close to its target, m."""
 
@@ -110,6 +116,11 @@ class MlrDmpcConfig:
                 f"horizon_rounds is {self.horizon_rounds}, but must be at least 3: a plan ends at "
                 "rest"
             )
+        if not 0.0 <= self.turn_share < 1.0:
+            raise ValueError(f"turn_share is {self.turn_share!r}, but must be in [0, 1)")
+        for name in ("contact_factor", "detour_rounds"):
+            if not getattr(self, name) >= 1:
+                raise ValueError(f"{name} is {getattr(self, name)!r}, but must be at least 1")
         lower, upper = np.array(self.box)
         if not (np.isfinite(self.box).all() and (lower < upper).all()):
             raise ValueError(f"box is {self.box}, but its corners must be lower and upper, finite")
@@ -151,7 +162,7 @@ def _check_multiple(part: str, small: float, whole: str, large: float) -> None:
 _POSITIVE = (
     *("round_s", "input_sampling_s", "state_sampling_s", "collision_sampling_s"),
     *("position_weight", "jerk_weight", "speed_limit", "acceleration_limit", "jerk_limit"),
-    *("distance_m", "arrival_m"),
+    *("distance_m", "arrival_m", "deadlock_speed", "detour_range_m", "detour_step_m"),
 )
 _NOT_NEGATIVE = (
     *(
@@ -162,5 +173,6 @@ _NOT_NEGATIVE = (
         "soft_weight",
         "soft_turn",
     ),
-    *("soft_near_m", "soft_near_factor"),
+    *("soft_near_m", "soft_near_factor", "turn_rad", "detour_noise_m", "detour_pause_rounds"),
+    *("deadlock_m", "deadlock_residual"),
 )

@@ -39,6 +39,8 @@ class Planned(NamedTuple):
     """How many were solved, each with more rows than the one before."""
     num_rows: int
     """Rows of the last program."""
+    in_reach: int
+    """Trajectories and obstacles that the drone can come near to: the others cost no row."""
 
 
 def plan_trajectory(
@@ -91,6 +93,7 @@ def plan_trajectory(
         found.iterations,
         found.programs,
         found.num_rows,
+        problem.in_reach,
     )
 
 

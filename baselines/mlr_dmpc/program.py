@@ -24,7 +24,9 @@ from swarm_envs.state import BoolArray, FloatArray
 
 TOLERANCE = 1e-6
 """By how much a plan may break a bound, SI; a half-space by half of that, as two drones may."""
-_BOUND_MARGIN = 5e-6
+_BOUND_MARGIN = 2e-5
+_BOUND_ROUNDING = 2e-6
+_ROW_ROUNDING = 1e-6
 _FIRST_SLACK = 0.1
 _STRIDE = 3
 _BROKEN = -1e-7
@@ -46,6 +48,8 @@ class Program:
     """(n, 3) variables of the plan that is flown."""
     shifted_slack: float
     """Least slack of the half-spaces at the plan that is flown, m."""
+    in_reach: int
+    """Trajectories and obstacles with a half-space that may bind."""
     accepted_offsets: FloatArray
     """(R, S) least normal . p of an accepted plan, m."""
     accepted_lower: FloatArray
@@ -82,7 +86,9 @@ def program(
 ) -> Program:
     """The program of a plan from where `own` will be at the start of a round (arguments as there).
 
-    No row asks for more than the plan that is flown gives, so that plan stays feasible.
+    No row asks for all that the plan that is flown gives, so that plan stays feasible, although its
+    state is rounded at the new start. As an instant is planned for at most every second round of
+    the horizon, what roundings give away stays below the margins that bounds and rows begin with.
     """
     fixed = condensed(config)
     since = config.round_s * (start_round - own.identity.start_round)
@@ -95,15 +101,19 @@ def program(
     offset = np.array(state)
     offset[0] -= target
     weights = soft_weights(positions[-1], target, neighbors.positions[:, -1], config)
-    build = HalfSpaces(spaces.normals, spaces.offsets + np.minimum(ROW_MARGIN, slack))
-    lower = np.minimum(fixed.lower + _BOUND_MARGIN, bounded)
-    upper = np.maximum(fixed.upper - _BOUND_MARGIN, bounded)
+    build = HalfSpaces(
+        spaces.normals, spaces.offsets + np.minimum(ROW_MARGIN, slack - _ROW_ROUNDING)
+    )
+    lower = np.minimum(fixed.lower + _BOUND_MARGIN, bounded - _BOUND_ROUNDING)
+    upper = np.maximum(fixed.upper - _BOUND_MARGIN, bounded + _BOUND_ROUNDING)
+    rows = _rows(fixed, state, build, weights, config, (lower, upper))
     return Program(
         state,
         fixed.gradient @ offset,
-        _rows(fixed, state, build, weights, config, (lower, upper)),
+        rows,
         fixed.jerks_inverse @ (bounded[-config.num_inputs :] - fixed.jerks.start @ state),
         float(slack.min(initial=np.inf)),
+        int((~rows.done).any(axis=1).sum()),
         spaces.offsets + np.minimum(-TOLERANCE / 2, slack),
         np.minimum(fixed.lower - TOLERANCE, bounded),
         np.maximum(fixed.upper + TOLERANCE, bounded),

@@ -12,11 +12,11 @@ Every plan that satisfies (13b)-(13e) lies in the boxes [low, high] of `reach` a
   bounds bound it, forward and backward from the box.
 
 A half-space normal . p >= offset that holds at the worst corner of the box thus holds for every
-plan: it cannot bind, and leaving it out changes nothing. As the plane of eq. (15) is anchored at
-the plan p0 that is flown, at the known trajectory q of the other, that is so for every trajectory q
-with |Theta^-1 (q - p0)| >= d + r (d + 2 r if the other may be planned anew), where r is the largest
-|Theta^-1 (p - p0)| of p in the box: whoever cannot come within reach costs no row. Each candidate
-trajectory of a drone has rows of its own, and each is tested.
+plan: it cannot bind, and leaving it out changes nothing. The plane of eq. (15) lies between the
+plan p0 that is flown and the known trajectory q of the other, its normal within an angle alpha of
+Theta^-1 (p0 - q). So it holds for every q with |Theta^-1 (q - p0)| cos alpha >= d + r (d + 2 r if
+the other may be planned anew), where r is the largest |Theta^-1 (p - p0)| of p in the box: whoever
+cannot come within reach costs no row. Each candidate of a drone has its own rows; each is tested.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ def out_of_reach(
     low: FloatArray, high: FloatArray, normals: FloatArray, offsets: FloatArray
 ) -> BoolArray:
     """(R, S) whether normal . p >= offset for all p of the box (S, 3) at that sample."""
-    out = np.empty(offsets.shape, dtype=np.bool_)
-    for r in range(out.shape[0]):
-        for s in range(out.shape[1]):
+    out: BoolArray = np.empty(offsets.shape, dtype=np.bool_)
+    for r in range(offsets.shape[0]):
+        for s in range(offsets.shape[1]):
             least = 0.0
             for i in range(3):
                 normal = normals[r, s, i]

@@ -17,7 +17,7 @@ from swarm_envs.state import BoolArray, FloatArray
 
 SOLVERS = ("daqp", "quadprog", "osqp")
 """Names of the solvers."""
-OSQP_TOLERANCE = 1e-7
+_OSQP_TOLERANCE = 1e-6
 _TOLERANCE = 1e-8
 
 
@@ -81,9 +81,9 @@ def _osqp(slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: Bool
         bound,
         np.full(len(bound), np.inf),
         verbose=False,
-        eps_abs=OSQP_TOLERANCE,
-        eps_rel=OSQP_TOLERANCE,
-        max_iter=20_000,
+        eps_abs=_OSQP_TOLERANCE,
+        eps_rel=_OSQP_TOLERANCE,
+        max_iter=100_000,
         polishing=True,
     )
     done = program.solve(raise_error=False)

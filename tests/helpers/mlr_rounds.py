@@ -143,6 +143,17 @@ def least_distance(known: Neighbors, config: MlrDmpcConfig) -> float:
     return least
 
 
+def keep_clear(swarm: Rounds) -> None:
+    """All that any drone may fly is apart, to the end of every plan; every plan was feasible."""
+    assert (
+        least_distance(swarm.known(np.zeros(0, dtype=np.int64)), swarm.config)
+        >= swarm.config.distance_m - 1e-6
+    )
+    for planned in swarm.planned:
+        assert planned.shifted_slack >= -1e-6
+    swarm.planned.clear()
+
+
 def circle(n: int, radius: float = 1.5, height: float = 1.0) -> tuple[FloatArray, FloatArray]:
     """Starts (n, 3) on a circle, and the opposite places as targets, m."""
     angle = 2.0 * np.pi * np.arange(n) / n

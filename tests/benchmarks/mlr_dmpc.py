@@ -1,0 +1,147 @@
+"""How long MLR-DMPC takes for a trajectory, and its swarms to arrive, without message loss.
+
+    python -m tests.benchmarks.mlr_dmpc [--drones 4 8 16 32 64 128 256] [--plans 400]
+        [--picture scale.png] [--json FILE]
+    python -m tests.benchmarks.mlr_dmpc --flights [--seeds 5]
+
+A trajectory's time holds the building of its rows, the solver and the check. Boxes grow with the
+swarm: side 4 (N / 16)^(1/2) m. Times are CPU times of one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.shapes import shape_points
+from tests.helpers.mlr_rounds import Rounds, circle, scattered
+
+Row = dict[str, Any]
+SIZES = (4, 8, 16, 32, 64, 128, 256)
+FORMATIONS = ("plane", "pyramid", "cube", "sphere", "plane")
+
+
+def box_of(n: int) -> MlrDmpcConfig:
+    """The published parameters in a box for n drones."""
+    half = 2.0 * np.sqrt(n / 16)
+    return MlrDmpcConfig(box=((-half, -half, 0.3), (half, half, 3.0)))
+
+
+def plan_row(n: int, plans: int, solver: str) -> Row:
+    """Trajectories of n drones on their way between random places, an eighth planned at once."""
+    config, rng = box_of(n), np.random.default_rng(n)
+    starts, targets = scattered(n, config, rng), scattered(n, config, rng)
+    swarm = Rounds(starts, targets, max(2, n // 8), config, solver=solver)
+    for _ in range(3):
+        swarm.step()  # compiles
+    swarm.planned.clear()
+    while len(swarm.planned) < plans:
+        swarm.step()
+        if swarm.arrived().all():
+            swarm.targets = swarm.targets[rng.permutation(n)]
+    times = [planned.total_ms for planned in swarm.planned]
+    return {
+        "drones": n,
+        "plans": len(times),
+        "median_ms": float(np.median(times)),
+        "p99_ms": float(np.quantile(times, 0.99)),
+        "solver_ms": float(np.median([planned.solve_ms for planned in swarm.planned])),
+        "rows": float(np.mean([planned.num_rows for planned in swarm.planned])),
+        "in_reach": float(np.mean([planned.in_reach for planned in swarm.planned])),
+        "rejected": sum(not planned.accepted for planned in swarm.planned),
+    }
+
+
+def formation(name: str) -> FloatArray:
+    """Sixteen targets in the published box: (16, 3), m.
+
+    Drones above each other need 1.5 m, and the box has room for 2.7: the cube leans by 20 degrees.
+    """
+    spacing = {"plane": 0.8, "pyramid": 0.8, "cube": 0.9, "sphere": 0.55}[name]
+    points = shape_points(name, 16, spacing)
+    lean = np.radians(20.0) if name == "cube" else 0.0
+    turn = [[1.0, 0.0, 0.0], [0.0, np.cos(lean), np.sin(lean)], [0.0, -np.sin(lean), np.cos(lean)]]
+    if name == "sphere":
+        points *= 1.25 / np.linalg.norm(points[0])
+    return points @ np.array(turn) + [0.0, 0.0, 1.0 if name == "plane" else 1.65]
+
+
+def formation_row(units: int, seed: int) -> Row:
+    """The sequence of formations of Fig. 3, each begun when all have arrived at the last."""
+    shapes = [formation(name) for name in FORMATIONS]
+    swarm, times = Rounds(shapes[0], shapes[0], units, MlrDmpcConfig(), seed), []
+    for shape in shapes[1:]:
+        swarm.targets = shape
+        times.append(swarm.run(60.0))
+    return {"what": "formations", "units": units, "seed": seed, "s": sum(times)}
+
+
+def circle_row(units: int, seed: int) -> Row:
+    """Sixteen drones change places on a circle."""
+    swarm = Rounds(*circle(16), units, MlrDmpcConfig(), seed)
+    return {"what": "circle", "units": units, "seed": seed, "s": swarm.run(60.0)}
+
+
+def text(row: Row) -> str:
+    """A row as one line."""
+    parts = (f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items())
+    return ", ".join(parts)
+
+
+def draw(path: Path, rows: list[Row]) -> None:
+    """Draw times and neighbours in reach by the size of the swarm."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    sizes = [row["drones"] for row in rows]
+    axes.loglog(sizes, [row["median_ms"] for row in rows], "o-", label="median, ms")
+    axes.loglog(sizes, [row["p99_ms"] for row in rows], "o--", label="99 %, ms")
+    axes.loglog(sizes, [row["in_reach"] for row in rows], "s:", label="trajectories in reach")
+    axes.loglog(sizes, sizes, "k:", alpha=0.4, label="drones")
+    axes.set(xlabel="drones", title="A trajectory of MLR-DMPC, one core")
+    axes.legend()
+    figure.savefig(path)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Measure, print, and write what was asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
+    parser.add_argument("--drones", type=int, nargs="+", default=SIZES, help="sizes of swarms")
+    parser.add_argument("--plans", type=int, default=400, help="trajectories of each size")
+    parser.add_argument("--solver", default="daqp", help="daqp, quadprog or osqp")
+    parser.add_argument("--flights", action="store_true", help="circle and formations instead")
+    parser.add_argument("--seeds", type=int, default=5, help="flights of each kind (default 5)")
+    parser.add_argument("--picture", type=Path, help="also draw the times there")
+    parser.add_argument("--json", type=Path, help="also write the rows there")
+    options = parser.parse_args(arguments)
+    rows: list[Row] = []
+    if options.flights:
+        jobs = [
+            (f, m, s)
+            for f in (circle_row, formation_row)
+            for m in (3, 2, 1)
+            for s in range(options.seeds)
+        ]
+        for flight, units, seed in tqdm(jobs, unit="flight"):
+            rows.append(flight(units, seed))
+    else:
+        for n in tqdm(options.drones, unit="swarm"):
+            rows.append(plan_row(n, options.plans, options.solver))
+    print("\n".join(map(text, rows)))
+    if options.picture is not None:
+        draw(options.picture, rows)
+    if options.json is not None:
+        from swarm_envs.files import write_json
+
+        write_json(options.json, rows)
+
+
+if __name__ == "__main__":
+    main()
