@@ -123,6 +123,9 @@ class Knowledge:
             self._lose()
         for state in inbox.states:
             self._locate(state)
+        for message in inbox.slots.values():
+            if message.current is not None and message.view == self.view.id:
+                self.select(last, message.current)
         for unit in self.view.units:
             self._account(unit, own if unit == self.unit else inbox.slots.get(unit), last, given)
         self.reported = {

@@ -86,6 +86,8 @@ class UnitMessage(NamedTuple):
     """The trajectory."""
     selection: tuple[int, ...] | None = None
     """By the round's leader: drones that may be planned anew in the next round, by rank."""
+    current: tuple[int, ...] | None = None
+    """The same for this round, as far as the unit knows: others may have missed it."""
     recent: tuple[int, ...] = (UNSURE,) * RECENT
     """Drones that the unit planned for in this round and the ones before, newest first."""
     donations: tuple[int, ...] = ()

@@ -71,6 +71,7 @@ class ComputeUnit:
     _sent: UnitMessage | None = None
     _gifts: dict[int, int] = field(default_factory=dict)
     _trusted: bool = False
+    _in_the_way: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Nothing done yet."""
@@ -114,16 +115,22 @@ class ComputeUnit:
         lacking: list[Missing],
         complete: bool,
     ) -> UnitMessage:
-        first = self.knowledge.unit % max(len(lacking), 1)
-        wanted = [*lacking[first:], *lacking[:first]][:3]
+        wanted = sorted(lacking, key=self._wish)[:3]
         message = message._replace(
             recent=self._recent,
+            current=self.knowledge.selection(round_),
             missing=tuple(wanted),
             complete=complete and len(lacking) <= len(wanted),
             members=self.knowledge.membership.announced(round_),
         )
         order = [(i, int(own[i])) for i in ranked(own, round_) if own[i] > JUST_PLANNED]
         return self.codec.filled(message, order)
+
+    def _wish(self, missing: Missing) -> tuple[bool, bool, int]:
+        """Order of wishes: what stood in the way, what is surely flown, then by turns."""
+        sure = len(self.knowledge.trackers[missing.drone].possible) == 1
+        turn = (missing.drone + 5 * self.knowledge.unit) % len(self.knowledge.trackers)
+        return missing.drone not in self._in_the_way, not sure, turn
 
     def _priorities(self, round_: int) -> Levels:
         """Own priorities of all drones for the next round."""
@@ -148,8 +155,11 @@ class ComputeUnit:
             return None
         others = [dict(message.priorities) for message in know.reported.values()]
         current = know.selection(round_) or ()
+        others = [
+            {i: one for i, one in theirs.items() if i not in current and i not in know.gone}
+            for theirs in others
+        ]
         joint = consensus(own, others)
-        joint[[i for i in range(len(own)) if i in current or i in know.gone]] = JUST_PLANNED
         order = [i for i in ranked(joint, round_) if joint[i] > JUST_PLANNED and i in view.drones]
         chosen = self._placed(order[: len(view.units)], round_ + 1)
         know.select(round_ + 1, chosen)
@@ -159,7 +169,7 @@ class ComputeUnit:
         """Selected drones in an order in which no unit gets one whose trajectory it lacks."""
         know, size = self.knowledge, len(self.knowledge.view.units)
         lacks = {unit: {m.drone for m in wishes} for unit, wishes in know.wishes.items()}
-        lacks[know.unit] = {m.drone for m in know.missing()}
+        lacks[know.unit] = {i for i in chosen if know.trackers[i].sole is None}
         slots = [NONE] * size
         taker = {know.view.rank(unit, round_): unit for unit in know.view.units}
         for drone in chosen:
@@ -203,21 +213,21 @@ class ComputeUnit:
         return message
 
     def _give(self, lacking: list[Missing], round_: int) -> None:
-        """Give the slots of the next rounds to drones whose trajectories are lacking."""
+        """Give the next slots to drones, if so much is lacking that others cannot pass it on."""
         know = self.knowledge
         asked = {drone for (_, r), drone in know.donated.items() if r > round_}
-        wanted = list(dict.fromkeys(m.drone for m in lacking if m.drone not in asked))
+        wanted = [m.drone for m in lacking if len(know.trackers[m.drone].possible) == 1]
+        if 2 * len(wanted) <= len(know.view.drones):
+            return
+        wanted = [drone for drone in wanted if drone not in asked]
         turn = know.unit * len(wanted) // max(len(know.view.units), 1)
-        wanted = [*wanted[turn:], *wanted[:turn]]
-        few = len(lacking) <= len(know.view.units)
-        for ahead in (1, 2, 3)[: 1 if few else 3]:
-            leads = len(know.view.units) > 1 and know.view.leader(round_ + ahead) == know.unit
-            if wanted and not (few and leads):
-                self._gifts[round_ + ahead] = wanted.pop(0)
+        for ahead, drone in enumerate([*wanted[turn:], *wanted[:turn]][:3], start=1):
+            self._gifts[round_ + ahead] = drone
 
     def _plan(self, round_: int) -> Planned | None:
         """Plan for the assigned drone, if what is known is enough."""
         know, report = self.knowledge, self.report
+        self._in_the_way = []
         report.doing = self._obstacle_to_planning(round_)
         if report.doing:
             return None
@@ -227,6 +237,7 @@ class ComputeUnit:
         own = know.trackers[drone].sole
         if own is None:
             report.doing = "lacks own" if know.trackers[drone].missing else "several own"
+            self._in_the_way = [drone]
             return None
         rivals: list[Rival] = []
         planes: list[HalfSpaces | None] = []
@@ -240,6 +251,7 @@ class ComputeUnit:
                     found = promised_planes(know, drone, own, other, round_, self._config)
                 if found is None:
                     report.doing = "lacks another"
+                    self._in_the_way = [other]
                     return None
                 planes.append(found)
             candidates = know.trackers[other].candidates
