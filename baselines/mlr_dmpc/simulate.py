@@ -13,7 +13,7 @@ from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.loss import LossModel
 from swarm_envs.baselines.mlr_dmpc.planning import Obstacles
 from swarm_envs.baselines.mlr_dmpc.result import MlrDmpcResult, Unreachable, Violation
-from swarm_envs.baselines.mlr_dmpc.samples import end_position, is_at_rest
+from swarm_envs.baselines.mlr_dmpc.samples import end_position
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, RoundReport, UnitOutage
 from swarm_envs.state import FloatArray
 
@@ -22,7 +22,8 @@ Targets = FloatArray | Callable[[float], FloatArray]
 
 REFERENCE_RATE = 100.0
 _TOLERANCE = 1e-6
-_QUIET_ROUNDS = 30
+_SETTLED_ROUNDS = 35
+"""After so many rounds at rest a drone is taken to stay."""
 
 
 def simulate(
@@ -173,14 +174,17 @@ class _Flight:
         here = [self._errors[-1][drone.index, 0] <= swarm.config.arrival_m for drone in flying]
         if all(near) and all(here) and not waiting:
             return True
-        quiet = [report.accepted for report in self.reports[-_QUIET_ROUNDS:]]
-        return bool(self.unreachable()) and len(quiet) == _QUIET_ROUNDS and not any(quiet)
+        stuck = {drone for pair in self.unreachable() for drone in pair}
+        return bool(stuck) and all(
+            one or drone.index in stuck for drone, one in zip(flying, near, strict=True)
+        )
 
     def unreachable(self) -> tuple[Unreachable, ...]:
         """Targets that other drones rest on."""
         swarm, config = self.swarm, self.swarm.config
         drones = [drone for drone in swarm.crew.drones if drone.airborne]
-        rest = [d for d in drones if is_at_rest(d.flying, swarm.round, config)]
+        settled = swarm.round - config.horizon_rounds - _SETTLED_ROUNDS
+        rest = [d for d in drones if d.flying.identity.start_round <= settled]
         out = []
         for drone in drones:
             target = swarm.targets[drone.index]
