@@ -90,10 +90,10 @@ def derivatives(times: FloatArray, num_inputs: int, step: float) -> tuple[FloatA
 @lru_cache(maxsize=8)
 def condensed(config: MlrDmpcConfig) -> Condensed:
     """The condensed program of a configuration."""
-    knots = config.input_sampling_s * np.arange(1, config.num_inputs + 1)
+    knots = _instants(config.input_sampling_s, config.num_inputs)
     inputs = _resting_inputs(config)
     states = _affine(knots, inputs, config)
-    weight = np.array([0.0, config.velocity_weight, config.acceleration_weight])
+    weight = (config.path_weight, config.velocity_weight, config.acceleration_weight)
     terms = [(2.0 * w, part) for w, part in zip(weight, states, strict=True)]
     end = Affine(states[0].start[-1:], states[0].free[-1:])
     terms += [(2.0 * config.position_weight, end), (2.0 * config.jerk_weight, inputs)]
@@ -105,8 +105,8 @@ def condensed(config: MlrDmpcConfig) -> Condensed:
 
 
 def _assembled(config: MlrDmpcConfig, jerks: Affine, gradient: FloatArray) -> Condensed:
-    collision = config.collision_sampling_s * np.arange(1, config.num_samples + 1)
-    sampled = config.state_sampling_s * np.arange(1, config.num_states + 1)
+    collision = _instants(config.collision_sampling_s, config.num_samples)
+    sampled = _instants(config.state_sampling_s, config.num_states)
     parts = [*_affine(sampled, jerks, config), jerks]
     limits = (config.speed_limit, config.acceleration_limit, config.jerk_limit)
     lower = [config.box[0], *((-limit,) * 3 for limit in limits)]
@@ -120,7 +120,7 @@ def _assembled(config: MlrDmpcConfig, jerks: Affine, gradient: FloatArray) -> Co
             np.concatenate([part.free for part in parts]),
         ),
         jerks=jerks,
-        jerks_inverse=np.linalg.pinv(jerks.free),
+        jerks_inverse=np.asarray(np.linalg.pinv(jerks.free), dtype=np.float64),
         gradient=gradient,
         lower=np.repeat(np.array(lower), counts, axis=0),
         upper=np.repeat(np.array(upper), counts, axis=0),
@@ -153,3 +153,8 @@ def _end(config: MlrDmpcConfig) -> tuple[FloatArray, FloatArray]:
     """The derivatives at the end of a plan."""
     end = np.array([config.num_inputs * config.input_sampling_s])
     return derivatives(end, config.num_inputs, config.input_sampling_s)
+
+
+def _instants(step: float, count: int) -> FloatArray:
+    """(count,) step, 2 step, ..."""
+    return np.arange(1, count + 1, dtype=np.float64) * step

@@ -56,13 +56,14 @@ class Working(NamedTuple):
 
 
 @kernel
-def broken_rows(rows: Rows, z: FloatArray, threshold: float) -> Working:
+def broken_rows(rows: Rows, z: FloatArray, threshold: float, stride: int) -> Working:
     """Rows not yet done with slack below a threshold, m, at variables z (n, 3), now done.
 
-    Of each trajectory's half-spaces only the most broken: its neighbours in time seldom bind then.
+    Of each trajectory's half-spaces only every `stride`-th, the most broken among them: others
+    close in time seldom bind then.
     """
     free = z.shape[0]
-    picked = _pick(rows, z, threshold)
+    picked = _pick(rows, z, threshold, stride)
     count = picked.shape[0]
     matrix, bound = np.zeros((count, 3 * free)), np.empty(count)
     scale, source = np.zeros(count), np.full(count, -1)
@@ -86,7 +87,7 @@ def broken_rows(rows: Rows, z: FloatArray, threshold: float) -> Working:
 
 
 @kernel
-def _pick(rows: Rows, z: FloatArray, threshold: float) -> IntArray:
+def _pick(rows: Rows, z: FloatArray, threshold: float, stride: int) -> IntArray:
     """(m, 3) kind (lower, upper, half-space, soft), row and sample or axis of what is broken."""
     most = rows.bounds_done.size + rows.done.size + rows.soft_done.size
     picked, count = np.empty((most, 3), np.int64), 0
@@ -108,10 +109,12 @@ def _pick(rows: Rows, z: FloatArray, threshold: float) -> IntArray:
                 slack = _along(rows.normals, position, r, s) - rows.offsets[r, s]
                 if slack < worst:
                     worst, at = slack, s
-        if at >= 0:
-            rows.done[r, at] = True
-            picked[count] = 2, r, at
-            count += 1
+        for s in range(at % stride if at >= 0 else last + 1, last + 1, stride):
+            slack = _along(rows.normals, position, r, s) - rows.offsets[r, s]
+            if slack < threshold and not rows.done[r, s]:
+                rows.done[r, s] = True
+                picked[count] = 2, r, s
+                count += 1
         soft = r < rows.soft_done.shape[0] and not rows.soft_done[r]
         if soft and _along(rows.normals, position, r, last) - rows.soft_offsets[r] < threshold:
             rows.soft_done[r] = True

@@ -30,9 +30,9 @@ class Planned(NamedTuple):
     shifted_slack: float
     """Least slack of the rows at the trajectory that is flown, m; by Theorem 1 never negative."""
     solve_ms: float
-    """In the solver, all programs together, ms."""
+    """In the solver, all programs together, CPU time of this thread, ms."""
     total_ms: float
-    """From call to return, ms."""
+    """From call to return, CPU time of this thread, ms."""
     iterations: int
     """Steps of the solver, all programs together."""
     programs: int
@@ -69,7 +69,7 @@ def plan_trajectory(
     Raises:
         ValueError: there is no such solver.
     """
-    begin = time.perf_counter()
+    begin = time.thread_time()
     fixed = condensed(config)
     problem = program(own, start_round, neighbors, target, config, planes)
     found = optimum(problem, solver)
@@ -87,7 +87,7 @@ def plan_trajectory(
         reason,
         problem.shifted_slack,
         found.solve_ms,
-        1e3 * (time.perf_counter() - begin),
+        1e3 * (time.thread_time() - begin),
         found.iterations,
         found.programs,
         found.num_rows,
