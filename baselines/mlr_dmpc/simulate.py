@@ -171,7 +171,7 @@ class _Flight:
             np.linalg.norm(end - swarm.targets[drone.index]) <= swarm.config.arrival_m
             for drone, end in zip(flying, ends, strict=True)
         ]
-        here = [self._errors[-1][drone.index, 0] <= swarm.config.arrival_m for drone in flying]
+        here = [(self._errors[-1][d.index] <= swarm.config.arrival_m).all() for d in flying]
         if all(near) and all(here) and not waiting:
             return True
         stuck = {drone for pair in self.unreachable() for drone in pair}

@@ -23,7 +23,7 @@ from swarm_envs.baselines.mlr_dmpc.plan import Planned
 from swarm_envs.baselines.mlr_dmpc.planning import Planner, Rival, joined
 from swarm_envs.baselines.mlr_dmpc.promises import promised_planes
 from swarm_envs.baselines.mlr_dmpc.samples import least_distance, sampled
-from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
+from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Trajectory
 from swarm_envs.baselines.mlr_dmpc.triggers import (
     JUST_PLANNED,
     REINITIALISED,
@@ -140,10 +140,11 @@ class ComputeUnit:
         current = know.selection(round_) or ()
         view = know.view.drones
         for drone, tracker in enumerate(know.trackers):
-            known = drone in view and drone not in know.gone and tracker.sole is not None
-            if not known or drone in current:
+            here = drone in view and drone not in know.gone
+            newest = tracker.settled(round_) if here and drone not in current else None
+            if newest is None:
                 own[drone] = JUST_PLANNED
-            elif know.void(drone, round_) and tracker.sole.identity.compute_unit == 255:
+            elif newest.identity.compute_unit == NOBODY and know.void(drone, round_):
                 own[drone] = REINITIALISED
         return own
 
