@@ -108,7 +108,7 @@ class Codec:
         return size
 
     def filled(self, message: UnitMessage, ranked: list[tuple[int, int]]) -> UnitMessage:
-        """The message with as many priorities as fit; the view and what is missing go first.
+        """The message with as many priorities as fit; what others can do without goes first.
 
         Raises:
             ValueError: even without them it does not fit.
@@ -116,6 +116,8 @@ class Codec:
         limit = self.limit(message.kind)
         if self.size(message) > limit:
             message = message._replace(members=None)
+        if self.size(message) > limit:
+            message = message._replace(current=None)
         while self.size(message) > limit and message.missing:
             message = message._replace(missing=message.missing[:-1], complete=False)
         room = (limit - self.size(message)) // (self._id_bytes + 1)

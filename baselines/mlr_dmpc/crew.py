@@ -111,7 +111,7 @@ class OurCrew:
         one = self.units[unit]
         if one is None:  # comes back, and knows of targets what drones will say
             one = self.units[unit] = self._unit(unit, targets, k)
-            return one.step(None, k)
+            self._inboxes.pop(unit, None)
         message = one.step(self._inboxes.get(unit), k)
         self.reports[unit] = one.report
         return message

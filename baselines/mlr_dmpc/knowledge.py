@@ -127,7 +127,8 @@ class Knowledge:
             if message.current is not None and message.view == self.view.id:
                 self.select(last, message.current)
         for unit in self.view.units:
-            self._account(unit, own if unit == self.unit else inbox.slots.get(unit), last, given)
+            said = own if unit == self.unit and own is not None else inbox.slots.get(unit)
+            self._account(unit, said, last, given)
         self.reported = {
             unit: message
             for unit, message in inbox.slots.items()

@@ -96,9 +96,9 @@ class ComputeUnit:
         self._trusted |= complete and not lacking
         own = self._priorities(round_)
         selection = self._lead(own, round_)
-        given = round_ in self._gifts
+        given = round_ in self._gifts or self._listening(round_)
         message = self._carry(round_, selection, lacking)
-        if given:
+        if round_ in self._gifts:
             self.report.doing = "donated"
         planned = message.kind is Kind.PLAN and not given
         self._recent = (message.drone if planned else NONE, *self._recent[: RECENT - 1])
@@ -128,9 +128,13 @@ class ComputeUnit:
 
     def _wish(self, missing: Missing) -> tuple[bool, bool, int]:
         """Order of wishes: what stood in the way, what is surely flown, then by turns."""
-        sure = len(self.knowledge.trackers[missing.drone].possible) == 1
         turn = (missing.drone + 5 * self.knowledge.unit) % len(self.knowledge.trackers)
-        return missing.drone not in self._in_the_way, not sure, turn
+        return missing.drone not in self._in_the_way, not self._sure(missing), turn
+
+    def _sure(self, missing: Missing) -> bool:
+        """Whether the drone has said that it flies what is missing."""
+        confirmed = self.knowledge.trackers[missing.drone].confirmed
+        return missing.identity.start_round <= confirmed
 
     def _priorities(self, round_: int) -> Levels:
         """Own priorities of all drones for the next round."""
@@ -193,7 +197,7 @@ class ComputeUnit:
             return message._replace(
                 kind=Kind.PLAN, drone=self.report.drone, trajectory=planned.trajectory
             )
-        if lacking and planned is None and self.report.doing.startswith("lacks"):
+        if lacking and planned is None and not self._listening(round_):
             self._give(lacking, round_)
             gifts = tuple(self._gifts.get(round_ + ahead, NONE) for ahead in (1, 2, 3))
             while gifts and gifts[-1] == NONE:
@@ -217,8 +221,9 @@ class ComputeUnit:
         """Give the next slots to drones, if so much is lacking that others cannot pass it on."""
         know = self.knowledge
         asked = {drone for (_, r), drone in know.donated.items() if r > round_}
-        wanted = [m.drone for m in lacking if len(know.trackers[m.drone].possible) == 1]
-        if 2 * len(wanted) <= len(know.view.drones):
+        wanted = [m.drone for m in lacking if self._sure(m)]
+        plans = any(message.kind is Kind.PLAN for message in know.reported.values())
+        if len(wanted) <= len(know.view.units) and (plans or self._recent[0] != NONE):
             return
         wanted = [drone for drone in wanted if drone not in asked]
         turn = know.unit * len(wanted) // max(len(know.view.units), 1)
@@ -267,9 +272,13 @@ class ComputeUnit:
         report.planned = self.planner.plan(drone, own, kept, know.unit, round_, joint)
         return report.planned
 
+    def _listening(self, round_: int) -> bool:
+        """Whether the slot may still be given away from before the unit crashed."""
+        return self.since > 0 and round_ < self.since + LISTENING_ROUNDS
+
     def _obstacle_to_planning(self, round_: int) -> str:
         know = self.knowledge
-        if self.since and round_ < self.since + LISTENING_ROUNDS:
+        if self._listening(round_):
             return "listening"
         if not know.membership.member:
             return "not a member"

@@ -35,7 +35,7 @@ class Instance:
     joins: tuple[tuple[int, int], ...] = ()
     leaves: tuple[tuple[int, int], ...] = ()
     informed: bool = True
-    rounds: int = 40
+    rounds: int = 30
     recovery: bool | str = True
     trigger: str = "HT"
 
