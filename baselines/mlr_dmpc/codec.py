@@ -57,7 +57,7 @@ class Codec:
         return SLOT_BYTES + max(0, self._trajectory_bytes - _TRAJECTORY_BYTES)
 
     def carried(self, kinematics: FloatArray) -> FloatArray:
-        """(n, 3) position (and velocity, acceleration) as 16 bit carry them, within their bounds."""
+        """(n, 3) position (and velocity, acceleration) as 16 bit carry them, within bounds."""
         count = len(kinematics)
         return self._lower[:count] + self._steps(kinematics) * (self._span[:count] / _STEPS)
 

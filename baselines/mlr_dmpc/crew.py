@@ -117,9 +117,7 @@ class OurCrew:
         return message
 
     def _unit(self, unit: int, targets: FloatArray, since: int) -> ComputeUnit:
-        know = Knowledge(
-            unit, self._view, self.num_units, targets, self._options.config, since
-        )
+        know = Knowledge(unit, self._view, self.num_units, targets, self._options.config, since)
         return ComputeUnit(know, Planner(self._options), self.codec, since)
 
     def listen(
@@ -181,8 +179,7 @@ class PaperCrew:
         self._pack_state = codec.pack_state
         self._carried = codec.carried_targets
         self._papers = [
-            PaperDrone(i, one, ViewId(0, 0), options.config, codec)
-            for i, one in enumerate(hovers)
+            PaperDrone(i, one, ViewId(0, 0), options.config, codec) for i, one in enumerate(hovers)
         ]
         self.drones: list[Drone] = list(self._papers)
         self._kind = PaperUnit if recovery else TrustingUnit

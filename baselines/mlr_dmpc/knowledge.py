@@ -172,9 +172,7 @@ class Knowledge:
         jerk = np.zeros((self._config.num_inputs, 3))
         return Trajectory(state.identity, still, jerk, self._config.input_sampling_s)
 
-    def _account(
-        self, unit: int, message: UnitMessage | None, last: int, given: set[int]
-    ) -> None:
+    def _account(self, unit: int, message: UnitMessage | None, last: int, given: set[int]) -> None:
         """Add what a member's slot may have told a drone in the last round."""
         if message is not None and message.trajectory is not None:
             tracker = self.trackers[message.drone]

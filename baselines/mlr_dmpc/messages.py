@@ -31,7 +31,7 @@ class DroneState(NamedTuple):
     target: FloatArray
     """(3,) where it wants to go, m, as the message carries it."""
     kinematics: FloatArray
-    """(1, 3) position at rest in float32; else (3, 3) position, velocity, acceleration in 16 bit."""
+    """(1, 3) position at rest, float32; else (3, 3) with velocity and acceleration, 16 bit."""
     joining: bool = False
     """It is not in the air yet: no plan for it has been accepted."""
     leaving: bool = False

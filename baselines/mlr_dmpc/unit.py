@@ -17,12 +17,13 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
     Missing,
     UnitMessage,
 )
-from swarm_envs.baselines.mlr_dmpc.network import Inbox
 from swarm_envs.baselines.mlr_dmpc.neighbors import HalfSpaces
+from swarm_envs.baselines.mlr_dmpc.network import Inbox
 from swarm_envs.baselines.mlr_dmpc.plan import Planned
 from swarm_envs.baselines.mlr_dmpc.planning import Planner, Rival, joined
 from swarm_envs.baselines.mlr_dmpc.promises import promised_planes
 from swarm_envs.baselines.mlr_dmpc.samples import least_distance, sampled
+from swarm_envs.baselines.mlr_dmpc.sharing import placed, relayed
 from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Trajectory
 from swarm_envs.baselines.mlr_dmpc.triggers import (
     JUST_PLANNED,
@@ -139,8 +140,8 @@ class ComputeUnit:
     def _priorities(self, round_: int) -> Levels:
         """Own priorities of all drones for the next round."""
         know = self.knowledge
-        newest = [tracker.newest() for tracker in know.trackers]
-        own = self.planner.look(newest, know.targets, round_)
+        known = [tracker.newest() for tracker in know.trackers]
+        own = self.planner.look(known, know.targets, round_)
         current = know.selection(round_) or ()
         view = know.view.drones
         for drone, tracker in enumerate(know.trackers):
@@ -166,22 +167,9 @@ class ComputeUnit:
         ]
         joint = consensus(own, others)
         order = [i for i in ranked(joint, round_) if joint[i] > JUST_PLANNED and i in view.drones]
-        chosen = self._placed(order[: len(view.units)], round_ + 1)
+        chosen = placed(know, order[: len(view.units)], round_ + 1)
         know.select(round_ + 1, chosen)
         return chosen
-
-    def _placed(self, chosen: list[int], round_: int) -> tuple[int, ...]:
-        """Selected drones in an order in which no unit gets one whose trajectory it lacks."""
-        know, size = self.knowledge, len(self.knowledge.view.units)
-        lacks = {unit: {m.drone for m in wishes} for unit, wishes in know.wishes.items()}
-        lacks[know.unit] = {i for i in chosen if know.trackers[i].sole is None}
-        slots = [NONE] * size
-        taker = {know.view.rank(unit, round_): unit for unit in know.view.units}
-        for drone in chosen:
-            free = [rank for rank in range(size) if slots[rank] == NONE]
-            fits = [r for r in free if drone not in lacks.get(taker[r], ())]
-            slots[(fits or free)[0]] = drone
-        return tuple(slots)
 
     def _carry(
         self, round_: int, selection: tuple[int, ...] | None, lacking: list[Missing]
@@ -203,19 +191,7 @@ class ComputeUnit:
             while gifts and gifts[-1] == NONE:
                 gifts = gifts[:-1]
             message = message._replace(donations=gifts)
-        return self._relay(message)
-
-    def _relay(self, message: UnitMessage) -> UnitMessage:
-        """Pass on what somebody else lacks."""
-        know = self.knowledge
-        for unit in sorted(know.wishes, key=lambda unit: (unit - know.unit) % 256):
-            for wish in know.wishes[unit]:
-                contents = know.trackers[wish.drone].contents(wish.identity)
-                if contents is not None:
-                    return message._replace(
-                        kind=Kind.RELAY, drone=wish.drone, trajectory=contents
-                    )
-        return message
+        return relayed(know, message)
 
     def _give(self, lacking: list[Missing], round_: int) -> None:
         """Give the next slots to drones, if so much is lacking that others cannot pass it on."""

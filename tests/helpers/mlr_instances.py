@@ -181,7 +181,7 @@ def same(known: Trajectory, flown: Trajectory, round_: int) -> bool:
     """Whether a trajectory is the flown one, from a round on; at rest, its place is all of it."""
     if known.identity != flown.identity:
         return False
-    times = 0.2 * (round_ + np.arange(20) - flown.identity.start_round)
+    times = 0.2 * (np.arange(20.0) + round_ - flown.identity.start_round)
     return bool(np.abs(known.positions(times) - flown.positions(times)).max() < 1e-6)
 
 

@@ -20,7 +20,10 @@ def test_two_that_fly_past_each_other_are_closest_where_geometry_says():
 def test_exact_minima_agree_with_fine_sampling_and_are_never_above_it():
     rng = np.random.default_rng(0)
     rounds, drones, dt = 30, 5, 0.2
-    states, jerks = rng.normal(size=(rounds, drones, 3, 3)), 5 * rng.normal(size=(rounds, drones, 3))
+    states, jerks = (
+        rng.normal(size=(rounds, drones, 3, 3)),
+        5 * rng.normal(size=(rounds, drones, 3)),
+    )
     found = closest_distances(states, jerks, dt, SHRINK)
     t = np.linspace(0.0, dt, 4001)[:, None, None, None]
     p, v, a = np.moveaxis(states, 2, 0)

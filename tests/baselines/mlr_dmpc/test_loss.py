@@ -60,10 +60,10 @@ def test_a_jam_covers_its_rounds_senders_receivers_and_direction():
 
 def test_bursts_last_as_long_as_their_model_says():
     process = LossProcess(PRESETS["bursts"], 1, 1, seed=0)
-    bad = np.array([not process.arrivals(k)[0, 1] for k in range(20_000)])
+    bad = np.array([not process.arrivals(k)[0, 1] for k in range(5_000)])
     starts = np.flatnonzero(np.diff(bad.astype(int)) == 1)
-    assert bad.mean() == pytest.approx(0.02 / 0.22, rel=0.15)
-    assert bad.sum() / len(starts) == pytest.approx(5.0, rel=0.15)
+    assert bad.mean() == pytest.approx(0.02 / 0.22, rel=0.2)
+    assert bad.sum() / len(starts) == pytest.approx(5.0, rel=0.2)
 
 
 def test_the_blackout_preset_makes_units_deaf_for_ten_rounds():

@@ -33,11 +33,11 @@ def trajectory(rng: np.random.Generator, identity: Identity) -> Trajectory:
 
 def same(one: UnitMessage | PaperMessage, other: UnitMessage | PaperMessage) -> bool:
     mine, theirs = one.trajectory, other.trajectory
-    if (mine is None) != (theirs is None) or one._replace(trajectory=None) != other._replace(
-        trajectory=None
-    ):
+    if one._replace(trajectory=None) != other._replace(trajectory=None):
         return False
-    return mine is None or (
+    if mine is None or theirs is None:
+        return mine is theirs
+    return (
         mine.identity == theirs.identity
         and np.array_equal(mine.state, theirs.state)
         and np.array_equal(mine.jerk, theirs.jerk)
@@ -123,7 +123,7 @@ def test_drones_states_survive_packing_in_32_bytes(seed, flags):
 
 def test_what_16_bit_carry_is_finer_than_a_tenth_of_a_millimetre():
     codec, rng = Codec(16, 3, CONFIG), np.random.default_rng(0)
-    points = rng.uniform(*np.array(CONFIG.box), (1000, 3))
+    points = rng.uniform(CONFIG.box[0], CONFIG.box[1], (1000, 3))
     assert np.abs(codec.carried_targets(points) - points).max() < 1e-4
 
 

@@ -53,8 +53,8 @@ def test_six_drones_change_places(trouble):
 
 def test_the_same_seed_gives_the_same_flight_and_another_seed_another():
     def fly(seed: int) -> np.ndarray:
-        args = {"compute_units": 2, "loss": 0.2, "duration_s": 6.0, "seed": seed}
-        return simulate(SIX, opposite(SIX), **args).reference_positions
+        flown = simulate(SIX, opposite(SIX), 2, loss=0.2, duration_s=6.0, seed=seed)
+        return flown.reference_positions
 
     assert fly(1).tobytes() == fly(1).tobytes() != fly(2).tobytes()
 
@@ -162,7 +162,10 @@ FAR = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     [
         ({"targets": FAR * [0.2, 1, 1]}, r"targets\[0\] and targets\[1\] are 0.200 m apart"),
         ({"starts": FAR * [0.1, 1, 1]}, r"starts\[0\] and starts\[1\] are 0.100 m apart"),
-        ({"targets": FAR + [1.5, 0, 0]}, r"targets\[1\] = \[2.5, 0.0, 1.0\] is outside the box"),
+        (
+            {"targets": FAR + np.array([1.5, 0, 0])},
+            r"targets\[1\] = \[2.5, 0.0, 1.0\] is outside the box",
+        ),
         ({"targets": FAR[:1]}, "there are 1 targets, but 2 drones"),
         ({"targets": FAR[:, :2]}, r"must be \(N, 3\)"),
         ({"starts": FAR * np.nan}, "not finite"),
