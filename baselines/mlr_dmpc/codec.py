@@ -57,7 +57,7 @@ class Codec:
         return SLOT_BYTES + max(0, self._trajectory_bytes - _TRAJECTORY_BYTES)
 
     def carried(self, kinematics: FloatArray) -> FloatArray:
-        """(n, 3) position (and velocity, acceleration) as 16 bit carry them, within their bounds."""
+        """(n, 3) position (and velocity, acceleration) as 16 bit carry them, within bounds."""
         count = len(kinematics)
         return self._lower[:count] + self._steps(kinematics) * (self._span[:count] / _STEPS)
 
@@ -100,8 +100,7 @@ class Codec:
         size += 3 * len(message.missing) + (width + 1) * len(message.priorities)
         if message.kind is not Kind.ANSWER:
             size += width * RECENT
-        if message.selection is not None:
-            size += width * self._num_units
+        size += width * self._num_units * sum(one is not None for one in _selections(message))
         if message.members is not None:
             size += sum(self._mask_bytes)
         if message.trajectory is not None:
@@ -109,7 +108,7 @@ class Codec:
         return size
 
     def filled(self, message: UnitMessage, ranked: list[tuple[int, int]]) -> UnitMessage:
-        """The message with as many priorities as fit; the view and what is missing go first.
+        """The message with as many priorities as fit; what others can do without goes first.
 
         Raises:
             ValueError: even without them it does not fit.
@@ -117,6 +116,8 @@ class Codec:
         limit = self.limit(message.kind)
         if self.size(message) > limit:
             message = message._replace(members=None)
+        if self.size(message) > limit:
+            message = message._replace(current=None)
         while self.size(message) > limit and message.missing:
             message = message._replace(missing=message.missing[:-1], complete=False)
         room = (limit - self.size(message)) // (self._id_bytes + 1)
@@ -129,12 +130,14 @@ class Codec:
         head = message.kind | (message.selection is not None) << 2
         head |= (message.members is not None) << 3
         head |= len(message.donations) << 4 | len(message.missing) << 6
-        out = struct.pack("<BHBB", head, *message.view, message.complete)
+        flags = message.complete | (message.current is not None) << 1
+        out = struct.pack("<BHBB", head, *message.view, flags)
         if message.kind is not Kind.ANSWER:
             out += self._ids(message.recent)
-        if message.selection is not None:
-            padding = (NONE,) * (self._num_units - len(message.selection))
-            out += self._ids(message.selection + padding)
+        for selection in _selections(message):
+            if selection is not None:
+                padding = (NONE,) * (self._num_units - len(selection))
+                out += self._ids(selection + padding)
         out += self._ids(message.donations)
         for missing in message.missing:
             out += self._ids((missing.drone,)) + _packed_identity(missing.identity)
@@ -151,16 +154,15 @@ class Codec:
     def unpack(self, data: bytes, unit: int, round_: int) -> UnitMessage:
         """The message that was sent in a unit's slot in a round."""
         reader = _Reader(data)
-        head, epoch, proposer, complete = struct.unpack("<BHBB", reader.take(5))
+        head, epoch, proposer, flags = struct.unpack("<BHBB", reader.take(5))
         view, kind = ViewId(epoch, proposer), Kind(head & 3)
-        message = UnitMessage(kind, round_, unit, view, complete=bool(complete))
+        message = UnitMessage(kind, round_, unit, view, complete=bool(flags & 1))
         if kind is not Kind.ANSWER:
             message = message._replace(recent=self._read_ids(reader, RECENT))
         if head >> 2 & 1:
-            selection = self._read_ids(reader, self._num_units)
-            while selection and selection[-1] == NONE:
-                selection = selection[:-1]
-            message = message._replace(selection=selection)
+            message = message._replace(selection=self._read_ids(reader, self._num_units))
+        if flags >> 1 & 1:
+            message = message._replace(current=self._read_ids(reader, self._num_units))
         donations = self._read_ids(reader, head >> 4 & 3)
         missing = []
         for _ in range(head >> 6):
@@ -236,6 +238,10 @@ def unpack_trajectory(
     numbers = np.frombuffer(data[:size], "<f4").reshape(-1, 3)
     jerk = np.concatenate([numbers[3:], np.zeros((1, 3))])
     return Trajectory(identity, numbers[:3], jerk, config.input_sampling_s), data[size:]
+
+
+def _selections(message: UnitMessage) -> tuple[tuple[int, ...] | None, ...]:
+    return message.selection, message.current
 
 
 class _Reader:

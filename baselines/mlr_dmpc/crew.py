@@ -111,15 +111,13 @@ class OurCrew:
         one = self.units[unit]
         if one is None:  # comes back, and knows of targets what drones will say
             one = self.units[unit] = self._unit(unit, targets, k)
-            return one.step(None, k)
+            self._inboxes.pop(unit, None)
         message = one.step(self._inboxes.get(unit), k)
         self.reports[unit] = one.report
         return message
 
     def _unit(self, unit: int, targets: FloatArray, since: int) -> ComputeUnit:
-        know = Knowledge(
-            unit, self._view, self.num_units, targets, self._options.config, since
-        )
+        know = Knowledge(unit, self._view, self.num_units, targets, self._options.config, since)
         return ComputeUnit(know, Planner(self._options), self.codec, since)
 
     def listen(
@@ -181,8 +179,7 @@ class PaperCrew:
         self._pack_state = codec.pack_state
         self._carried = codec.carried_targets
         self._papers = [
-            PaperDrone(i, one, ViewId(0, 0), options.config, codec)
-            for i, one in enumerate(hovers)
+            PaperDrone(i, one, ViewId(0, 0), options.config, codec) for i, one in enumerate(hovers)
         ]
         self.drones: list[Drone] = list(self._papers)
         self._kind = PaperUnit if recovery else TrustingUnit

@@ -144,5 +144,3 @@ class Drone:
         self.flying = Trajectory(identity, state, jerk, self._config.input_sampling_s)
         self._gave_up = round_
         return True
-
-

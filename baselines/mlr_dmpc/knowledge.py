@@ -123,8 +123,12 @@ class Knowledge:
             self._lose()
         for state in inbox.states:
             self._locate(state)
+        for message in inbox.slots.values():
+            if message.current is not None and message.view == self.view.id:
+                self.select(last, message.current)
         for unit in self.view.units:
-            self._account(unit, own if unit == self.unit else inbox.slots.get(unit), last, given)
+            said = own if unit == self.unit and own is not None else inbox.slots.get(unit)
+            self._account(unit, said, last, given)
         self.reported = {
             unit: message
             for unit, message in inbox.slots.items()
@@ -168,9 +172,7 @@ class Knowledge:
         jerk = np.zeros((self._config.num_inputs, 3))
         return Trajectory(state.identity, still, jerk, self._config.input_sampling_s)
 
-    def _account(
-        self, unit: int, message: UnitMessage | None, last: int, given: set[int]
-    ) -> None:
+    def _account(self, unit: int, message: UnitMessage | None, last: int, given: set[int]) -> None:
         """Add what a member's slot may have told a drone in the last round."""
         if message is not None and message.trajectory is not None:
             tracker = self.trackers[message.drone]

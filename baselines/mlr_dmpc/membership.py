@@ -8,8 +8,8 @@ from swarm_envs.baselines.mlr_dmpc.messages import DroneState, UnitMessage
 from swarm_envs.baselines.mlr_dmpc.network import Inbox
 from swarm_envs.baselines.mlr_dmpc.views import Absences, View, ViewId
 
-LISTENING_ROUNDS = 4
-"""A unit that comes back does not plan for so long: a slot given away before stays given away."""
+LISTENING_ROUNDS = 2
+"""A unit that comes back is silent for so long: a slot given away before stays given away."""
 _ANNOUNCED_ROUNDS = 20
 _LONE_ROUNDS = 15
 

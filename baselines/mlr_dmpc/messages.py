@@ -31,7 +31,7 @@ class DroneState(NamedTuple):
     target: FloatArray
     """(3,) where it wants to go, m, as the message carries it."""
     kinematics: FloatArray
-    """(1, 3) position at rest in float32; else (3, 3) position, velocity, acceleration in 16 bit."""
+    """(1, 3) position at rest, float32; else (3, 3) with velocity and acceleration, 16 bit."""
     joining: bool = False
     """It is not in the air yet: no plan for it has been accepted."""
     leaving: bool = False
@@ -86,6 +86,8 @@ class UnitMessage(NamedTuple):
     """The trajectory."""
     selection: tuple[int, ...] | None = None
     """By the round's leader: drones that may be planned anew in the next round, by rank."""
+    current: tuple[int, ...] | None = None
+    """The same for this round, as far as the unit knows: others may have missed it."""
     recent: tuple[int, ...] = (UNSURE,) * RECENT
     """Drones that the unit planned for in this round and the ones before, newest first."""
     donations: tuple[int, ...] = ()

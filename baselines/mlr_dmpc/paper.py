@@ -206,7 +206,9 @@ class PaperUnit:
         self, message: PaperMessage, inbox: Inbox[PaperMessage] | None, own: Levels, round_: int
     ) -> PaperMessage:
         """Lines 13 to 20."""
-        heard = [] if inbox is None else [m.priorities for m in inbox.slots.values() if m.priorities]
+        heard = (
+            [] if inbox is None else [m.priorities for m in inbox.slots.values() if m.priorities]
+        )
         joint = own
         if heard:
             first = np.array(heard[0], dtype=np.int64)

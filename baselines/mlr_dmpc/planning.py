@@ -46,7 +46,7 @@ class PlanningOptions:
     trigger: str = "HT"
     """`HT`, `RR` or `DT`."""
     measure: str = "end"
-    """Distances are from the `end` of the newest trajectory, or from the `next` round's position."""
+    """Distances are from the `end` of the newest trajectory, or the `next` round's position."""
     solver: str = "daqp"
     """Of the programs."""
     seed: int = 0

@@ -37,7 +37,8 @@ def promised_planes(
     """
     if know.void(drone, round_) or know.void(other, round_):
         return None
-    tracker, parents = know.trackers[other], []
+    tracker = know.trackers[other]
+    parents: list[Trajectory] = []
     for identity in tracker.missing:
         promise = tracker.promise(identity)
         start = own.identity.start_round

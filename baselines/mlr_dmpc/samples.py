@@ -19,7 +19,7 @@ def sampled(trajectory: Trajectory, start_round: int, config: MlrDmpcConfig) -> 
     step, count = config.collision_sampling_s, config.num_samples
     known = _POSITIONS.get(trajectory)
     if known is None or known[0] != step:
-        flown = trajectory.positions(step * np.arange(count + 1))
+        flown = trajectory.positions(step * np.arange(count + 1, dtype=np.float64))
         known = step, np.concatenate([flown, np.repeat(flown[-1:], count, axis=0)])
         _POSITIONS[trajectory] = known
     age = (start_round - trajectory.identity.start_round) * config.samples_per_round
@@ -31,7 +31,7 @@ def state_at(trajectory: Trajectory, round_: int, config: MlrDmpcConfig) -> Floa
     """State (3, 3), position, velocity and acceleration, at the start of a round."""
     known = _STATES.get(trajectory)
     if known is None or known[0] != config.round_s:
-        times = config.round_s * np.arange(config.horizon_rounds + 1)
+        times = config.round_s * np.arange(config.horizon_rounds + 1, dtype=np.float64)
         known = config.round_s, trajectory.states(times)
         _STATES[trajectory] = known
     age = round_ - trajectory.identity.start_round

@@ -32,9 +32,7 @@ class UnitOutage:
 
     def covers(self, round_: int) -> bool:
         """Whether the unit is dead in a round."""
-        return self.first_round <= round_ and (
-            self.last_round is None or round_ <= self.last_round
-        )
+        return self.first_round <= round_ and (self.last_round is None or round_ <= self.last_round)
 
 
 @dataclass(frozen=True)
@@ -103,9 +101,7 @@ class MlrDmpcSwarm:
         """The round that comes next."""
         self._joins, self._leaves = dict(joins or {}), dict(leaves or {})
         self._outages = tuple(outages)
-        self._network: Network[Any] = Network(
-            len(starts), compute_units, LossModel.of(loss), seed
-        )
+        self._network: Network[Any] = Network(len(starts), compute_units, LossModel.of(loss), seed)
         options = PlanningOptions(
             config=self.config,
             num_drones=len(starts),
@@ -166,8 +162,8 @@ class MlrDmpcSwarm:
         if measured is not None:
             for drone, seen in zip(crew.drones, measured, strict=True):
                 drone.give_up(seen, k)
-        for drone, since in self._leaves.items():
-            crew.drones[drone].leaving = crew.drones[drone].leaving or k >= since
+        for index, since in self._leaves.items():
+            crew.drones[index].leaving |= k >= since
         alive = {
             unit
             for unit in range(crew.num_units)

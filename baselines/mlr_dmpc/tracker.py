@@ -65,6 +65,15 @@ class Tracker:
         known = [one for one in self.possible if one in self._contents]
         return self._contents[max(known)] if known else None
 
+    def settled(self, round_: int) -> Trajectory | None:
+        """The newest candidate, if by the next round the drone will have said what it flies.
+
+        That is so if nothing is missing, and there is one, or one more was sent in the last round.
+        """
+        if not self.covering or sum(one.start_round < round_ for one in self.possible) > 1:
+            return None
+        return self.newest()
+
     def promise(self, identity: Identity) -> Promise | None:
         """What is known of a plan of unknown contents."""
         return self._promises.get(identity)

@@ -17,13 +17,14 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
     Missing,
     UnitMessage,
 )
-from swarm_envs.baselines.mlr_dmpc.network import Inbox
 from swarm_envs.baselines.mlr_dmpc.neighbors import HalfSpaces
+from swarm_envs.baselines.mlr_dmpc.network import Inbox
 from swarm_envs.baselines.mlr_dmpc.plan import Planned
 from swarm_envs.baselines.mlr_dmpc.planning import Planner, Rival, joined
 from swarm_envs.baselines.mlr_dmpc.promises import promised_planes
 from swarm_envs.baselines.mlr_dmpc.samples import least_distance, sampled
-from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
+from swarm_envs.baselines.mlr_dmpc.sharing import placed, relayed
+from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Trajectory
 from swarm_envs.baselines.mlr_dmpc.triggers import (
     JUST_PLANNED,
     REINITIALISED,
@@ -71,6 +72,7 @@ class ComputeUnit:
     _sent: UnitMessage | None = None
     _gifts: dict[int, int] = field(default_factory=dict)
     _trusted: bool = False
+    _in_the_way: list[int] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         """Nothing done yet."""
@@ -95,9 +97,9 @@ class ComputeUnit:
         self._trusted |= complete and not lacking
         own = self._priorities(round_)
         selection = self._lead(own, round_)
-        given = round_ in self._gifts
+        given = round_ in self._gifts or self._listening(round_)
         message = self._carry(round_, selection, lacking)
-        if given:
+        if round_ in self._gifts:
             self.report.doing = "donated"
         planned = message.kind is Kind.PLAN and not given
         self._recent = (message.drone if planned else NONE, *self._recent[: RECENT - 1])
@@ -114,10 +116,10 @@ class ComputeUnit:
         lacking: list[Missing],
         complete: bool,
     ) -> UnitMessage:
-        first = self.knowledge.unit % max(len(lacking), 1)
-        wanted = [*lacking[first:], *lacking[:first]][:3]
+        wanted = sorted(lacking, key=self._wish)[:3]
         message = message._replace(
             recent=self._recent,
+            current=self.knowledge.selection(round_),
             missing=tuple(wanted),
             complete=complete and len(lacking) <= len(wanted),
             members=self.knowledge.membership.announced(round_),
@@ -125,18 +127,29 @@ class ComputeUnit:
         order = [(i, int(own[i])) for i in ranked(own, round_) if own[i] > JUST_PLANNED]
         return self.codec.filled(message, order)
 
+    def _wish(self, missing: Missing) -> tuple[bool, bool, int]:
+        """Order of wishes: what stood in the way, what is surely flown, then by turns."""
+        turn = (missing.drone + 5 * self.knowledge.unit) % len(self.knowledge.trackers)
+        return missing.drone not in self._in_the_way, not self._sure(missing), turn
+
+    def _sure(self, missing: Missing) -> bool:
+        """Whether the drone has said that it flies what is missing."""
+        confirmed = self.knowledge.trackers[missing.drone].confirmed
+        return missing.identity.start_round <= confirmed
+
     def _priorities(self, round_: int) -> Levels:
         """Own priorities of all drones for the next round."""
         know = self.knowledge
-        newest = [tracker.newest() for tracker in know.trackers]
-        own = self.planner.look(newest, know.targets, round_)
+        known = [tracker.newest() for tracker in know.trackers]
+        own = self.planner.look(known, know.targets, round_)
         current = know.selection(round_) or ()
         view = know.view.drones
         for drone, tracker in enumerate(know.trackers):
-            known = drone in view and drone not in know.gone and tracker.sole is not None
-            if not known or drone in current:
+            here = drone in view and drone not in know.gone
+            newest = tracker.settled(round_) if here and drone not in current else None
+            if newest is None:
                 own[drone] = JUST_PLANNED
-            elif know.void(drone, round_) and tracker.sole.identity.compute_unit == 255:
+            elif newest.identity.compute_unit == NOBODY and know.void(drone, round_):
                 own[drone] = REINITIALISED
         return own
 
@@ -148,25 +161,15 @@ class ComputeUnit:
             return None
         others = [dict(message.priorities) for message in know.reported.values()]
         current = know.selection(round_) or ()
+        others = [
+            {i: one for i, one in theirs.items() if i not in current and i not in know.gone}
+            for theirs in others
+        ]
         joint = consensus(own, others)
-        joint[[i for i in range(len(own)) if i in current or i in know.gone]] = JUST_PLANNED
         order = [i for i in ranked(joint, round_) if joint[i] > JUST_PLANNED and i in view.drones]
-        chosen = self._placed(order[: len(view.units)], round_ + 1)
+        chosen = placed(know, order[: len(view.units)], round_ + 1)
         know.select(round_ + 1, chosen)
         return chosen
-
-    def _placed(self, chosen: list[int], round_: int) -> tuple[int, ...]:
-        """Selected drones in an order in which no unit gets one whose trajectory it lacks."""
-        know, size = self.knowledge, len(self.knowledge.view.units)
-        lacks = {unit: {m.drone for m in wishes} for unit, wishes in know.wishes.items()}
-        lacks[know.unit] = {m.drone for m in know.missing()}
-        slots = [NONE] * size
-        taker = {know.view.rank(unit, round_): unit for unit in know.view.units}
-        for drone in chosen:
-            free = [rank for rank in range(size) if slots[rank] == NONE]
-            fits = [r for r in free if drone not in lacks.get(taker[r], ())]
-            slots[(fits or free)[0]] = drone
-        return tuple(slots)
 
     def _carry(
         self, round_: int, selection: tuple[int, ...] | None, lacking: list[Missing]
@@ -182,42 +185,31 @@ class ComputeUnit:
             return message._replace(
                 kind=Kind.PLAN, drone=self.report.drone, trajectory=planned.trajectory
             )
-        if lacking and planned is None and self.report.doing.startswith("lacks"):
+        if lacking and planned is None and not self._listening(round_):
             self._give(lacking, round_)
             gifts = tuple(self._gifts.get(round_ + ahead, NONE) for ahead in (1, 2, 3))
             while gifts and gifts[-1] == NONE:
                 gifts = gifts[:-1]
             message = message._replace(donations=gifts)
-        return self._relay(message)
-
-    def _relay(self, message: UnitMessage) -> UnitMessage:
-        """Pass on what somebody else lacks."""
-        know = self.knowledge
-        for unit in sorted(know.wishes, key=lambda unit: (unit - know.unit) % 256):
-            for wish in know.wishes[unit]:
-                contents = know.trackers[wish.drone].contents(wish.identity)
-                if contents is not None:
-                    return message._replace(
-                        kind=Kind.RELAY, drone=wish.drone, trajectory=contents
-                    )
-        return message
+        return relayed(know, message)
 
     def _give(self, lacking: list[Missing], round_: int) -> None:
-        """Give the slots of the next rounds to drones whose trajectories are lacking."""
+        """Give the next slots to drones, if so much is lacking that others cannot pass it on."""
         know = self.knowledge
         asked = {drone for (_, r), drone in know.donated.items() if r > round_}
-        wanted = list(dict.fromkeys(m.drone for m in lacking if m.drone not in asked))
+        wanted = [m.drone for m in lacking if self._sure(m)]
+        plans = any(message.kind is Kind.PLAN for message in know.reported.values())
+        if len(wanted) <= len(know.view.units) and (plans or self._recent[0] != NONE):
+            return
+        wanted = [drone for drone in wanted if drone not in asked]
         turn = know.unit * len(wanted) // max(len(know.view.units), 1)
-        wanted = [*wanted[turn:], *wanted[:turn]]
-        few = len(lacking) <= len(know.view.units)
-        for ahead in (1, 2, 3)[: 1 if few else 3]:
-            leads = len(know.view.units) > 1 and know.view.leader(round_ + ahead) == know.unit
-            if wanted and not (few and leads):
-                self._gifts[round_ + ahead] = wanted.pop(0)
+        for ahead, drone in enumerate([*wanted[turn:], *wanted[:turn]][:3], start=1):
+            self._gifts[round_ + ahead] = drone
 
     def _plan(self, round_: int) -> Planned | None:
         """Plan for the assigned drone, if what is known is enough."""
         know, report = self.knowledge, self.report
+        self._in_the_way = []
         report.doing = self._obstacle_to_planning(round_)
         if report.doing:
             return None
@@ -227,6 +219,7 @@ class ComputeUnit:
         own = know.trackers[drone].sole
         if own is None:
             report.doing = "lacks own" if know.trackers[drone].missing else "several own"
+            self._in_the_way = [drone]
             return None
         rivals: list[Rival] = []
         planes: list[HalfSpaces | None] = []
@@ -240,6 +233,7 @@ class ComputeUnit:
                     found = promised_planes(know, drone, own, other, round_, self._config)
                 if found is None:
                     report.doing = "lacks another"
+                    self._in_the_way = [other]
                     return None
                 planes.append(found)
             candidates = know.trackers[other].candidates
@@ -254,9 +248,13 @@ class ComputeUnit:
         report.planned = self.planner.plan(drone, own, kept, know.unit, round_, joint)
         return report.planned
 
+    def _listening(self, round_: int) -> bool:
+        """Whether the slot may still be given away from before the unit crashed."""
+        return self.since > 0 and round_ < self.since + LISTENING_ROUNDS
+
     def _obstacle_to_planning(self, round_: int) -> str:
         know = self.knowledge
-        if self.since and round_ < self.since + LISTENING_ROUNDS:
+        if self._listening(round_):
             return "listening"
         if not know.membership.member:
             return "not a member"

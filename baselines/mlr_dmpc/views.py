@@ -34,7 +34,7 @@ class View(NamedTuple):
 
 
 SILENCE = 11.5
-"""Log-odds of its being loss alone at which a silent unit is left out: one in a hundred thousand."""
+"""A unit is left out when only one silence in exp(11) would be as long by loss alone."""
 LEAST_SILENT_ROUNDS = 6
 
 

@@ -1,0 +1,236 @@
+"""A swarm's flight without any environment: references that are followed perfectly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from tqdm import tqdm
+
+from swarm_envs.baselines.mlr_dmpc.checks import checked_points
+from swarm_envs.baselines.mlr_dmpc.closest import closest_distances
+from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.loss import LossModel
+from swarm_envs.baselines.mlr_dmpc.planning import Obstacles
+from swarm_envs.baselines.mlr_dmpc.result import MlrDmpcResult, Unreachable, Violation
+from swarm_envs.baselines.mlr_dmpc.samples import end_position
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, RoundReport, UnitOutage
+from swarm_envs.state import FloatArray
+
+Targets = FloatArray | Callable[[float], FloatArray]
+"""(N, 3), m, or what gives them at a time, s."""
+
+REFERENCE_RATE = 100.0
+_TOLERANCE = 1e-6
+_SETTLED_ROUNDS = 35
+"""After so many rounds at rest a drone is taken to stay."""
+
+
+def simulate(
+    starts: FloatArray,
+    targets: Targets,
+    compute_units: int = 3,
+    trigger: str = "HT",
+    loss: float | str | LossModel = 0.0,
+    recovery: bool | str = True,
+    seed: int = 0,
+    duration_s: float = 60.0,
+    *,
+    config: MlrDmpcConfig | None = None,
+    solver: str = "daqp",
+    measure: str = "end",
+    informed: bool = True,
+    outages: Sequence[UnitOutage] = (),
+    joins: Mapping[int, int] | None = None,
+    leaves: Mapping[int, int] | None = None,
+    obstacles: Obstacles | None = None,
+    stop_on_arrival: bool = True,
+    progress: bool = False,
+) -> MlrDmpcResult:
+    """Fly a swarm from starts to targets.
+
+    Args:
+        starts: (N, 3) where the drones hover, m.
+        targets: (N, 3) where they are to go, m, or a function of time in s that gives that.
+        compute_units: M, at most N.
+        trigger: which drones are planned anew: `HT`, `RR` or `DT`.
+        loss: share of messages lost, a preset's name or a model.
+        recovery: True: ours; "paper": Algorithms 1 and 2 to the letter; False: loss is ignored, and
+            drones collide.
+        seed: of losses and detours: the same seed gives the same flight.
+        duration_s: longest flight, s.
+        config: parameters.
+        solver: `daqp`, `quadprog` or `osqp`.
+        measure: priorities by the `end` of plans or by the `next` round's position, (A2).
+        informed: whether compute units know the starts; else they know nothing.
+        outages: of compute units.
+        joins: round at which a drone, by index, switches on.
+        leaves: round from which a drone, by index, wants to leave the air.
+        obstacles: half-spaces for the plans.
+        stop_on_arrival: whether the flight ends when all have arrived; never with moving targets.
+        progress: whether to show a bar.
+
+    Returns:
+        References, statistics and all messages.
+
+    Raises:
+        ValueError: see `MlrDmpcSwarm`; also a duration that is not positive, or moving targets
+            that are at some round outside the box or too close to each other.
+    """
+    config = config or MlrDmpcConfig()
+    if not (np.isfinite(duration_s) and duration_s > 0.0):
+        raise ValueError(f"duration_s is {duration_s!r}, but must be positive")
+    rounds = max(round(duration_s / config.round_s), 1)
+    course = _course(targets, rounds, config, len(np.asarray(starts)))
+    swarm = MlrDmpcSwarm(
+        starts,
+        course[0],
+        config=config,
+        compute_units=compute_units,
+        trigger=trigger,
+        loss=loss,
+        recovery=recovery,
+        seed=seed,
+        solver=solver,
+        measure=measure,
+        informed=informed,
+        outages=outages,
+        joins=joins,
+        leaves=leaves,
+        obstacles=obstacles,
+    )
+    flight = _Flight(swarm)
+    ends = stop_on_arrival and not callable(targets)
+    for k in tqdm(range(rounds), desc="rounds", unit="round", disable=not progress):
+        flight.note()
+        if ends and flight.over():
+            break
+        flight.reports.append(swarm.run_round(course[k] if callable(targets) else None))
+    return flight.result()
+
+
+def _course(targets: Targets, rounds: int, config: MlrDmpcConfig, count: int) -> list[FloatArray]:
+    if not callable(targets):
+        return [checked_points("targets", targets, config, count)]
+    return [
+        checked_points(f"targets at {k * config.round_s:.1f} s", points, config, count)
+        for k in range(rounds)
+        for points in [np.asarray(targets(k * config.round_s), dtype=np.float64)]
+    ]
+
+
+class _Flight:
+    """What is noted along a flight."""
+
+    def __init__(self, swarm: MlrDmpcSwarm) -> None:
+        self.swarm, self.reports = swarm, list[RoundReport]()
+        config = swarm.config
+        self._pieces = round(config.round_s / config.input_sampling_s)
+        per_round = round(config.round_s * REFERENCE_RATE)
+        self._fine = np.arange(per_round) / REFERENCE_RATE
+        self._coarse = np.arange(config.samples_per_round) * config.collision_sampling_s
+        self._knots = np.arange(self._pieces) * config.input_sampling_s
+        self._references: list[FloatArray] = []
+        self._starts: list[FloatArray] = []
+        self._errors: list[FloatArray] = []
+        self._violations: list[Violation] = []
+        self._least = np.inf
+
+    def note(self) -> None:
+        """Note the references of the round that begins."""
+        swarm = self.swarm
+        times = np.concatenate([self._fine, self._coarse, self._knots])
+        states = swarm.reference(times)
+        states[~np.array(swarm.airborne)] = np.nan
+        fine, coarse = len(self._fine), len(self._fine) + len(self._coarse)
+        self._references.append(states[:, :fine, 0])
+        self._starts.append(states[:, coarse:])
+        away = states[:, :fine, 0] - swarm.targets[:, None]
+        self._errors.append(np.linalg.norm(away, axis=-1))
+        self._check(states[:, fine:coarse, 0])
+
+    def _check(self, positions: FloatArray) -> None:
+        config = self.swarm.config
+        apart = (positions[:, None] - positions) * config.inverse_scaling
+        gap = np.sqrt((apart * apart).sum(axis=-1))
+        gap = np.where(np.isnan(gap), np.inf, gap)
+        gap[np.arange(len(gap)), np.arange(len(gap))] = np.inf
+        self._least = min(self._least, float(gap.min()))
+        for i, j, s in np.argwhere(gap < config.distance_m - _TOLERANCE):
+            if i < j:
+                time = self.swarm.round * config.round_s + float(self._coarse[s])
+                self._violations.append(Violation(time, int(i), int(j), float(gap[i, j, s])))
+
+    def over(self) -> bool:
+        """Whether all who can have arrived, or nothing will change any more."""
+        swarm = self.swarm
+        flying = [drone for drone in swarm.crew.drones if drone.airborne]
+        waiting = any(not d.airborne and not d.gone for d in swarm.crew.drones)
+        ends = [end_position(drone.flying, swarm.config) for drone in flying]
+        near = [
+            np.linalg.norm(end - swarm.targets[drone.index]) <= swarm.config.arrival_m
+            for drone, end in zip(flying, ends, strict=True)
+        ]
+        here = [(self._errors[-1][d.index] <= swarm.config.arrival_m).all() for d in flying]
+        if all(near) and all(here) and not waiting:
+            return True
+        stuck = {drone for pair in self.unreachable() for drone in pair}
+        return bool(stuck) and all(
+            one or drone.index in stuck for drone, one in zip(flying, near, strict=True)
+        )
+
+    def unreachable(self) -> tuple[Unreachable, ...]:
+        """Targets that other drones rest on."""
+        swarm, config = self.swarm, self.swarm.config
+        drones = [drone for drone in swarm.crew.drones if drone.airborne]
+        settled = swarm.round - config.horizon_rounds - _SETTLED_ROUNDS
+        rest = [d for d in drones if d.flying.identity.start_round <= settled]
+        out = []
+        for drone in drones:
+            target = swarm.targets[drone.index]
+            if np.linalg.norm(end_position(drone.flying, config) - target) <= config.arrival_m:
+                continue
+            for other in rest:
+                apart = (end_position(other.flying, config) - target) * config.inverse_scaling
+                if other is not drone and np.linalg.norm(apart) < config.distance_m:
+                    out.append(Unreachable(drone.index, other.index))
+        return tuple(out)
+
+    def result(self) -> MlrDmpcResult:
+        """All that was noted."""
+        swarm, config = self.swarm, self.swarm.config
+        references = np.concatenate(self._references, axis=1).swapaxes(0, 1)
+        arrivals = _arrivals(np.concatenate(self._errors, axis=1), config.arrival_m)
+        there = arrivals[~np.isnan(references[-1, :, 0])]
+        knots = np.concatenate(self._starts, axis=1).swapaxes(0, 1)
+        pairs = closest_distances(
+            knots[:, :, :3], knots[:, :, 3], config.input_sampling_s, config.inverse_scaling
+        )
+        plans = [unit.planned for report in self.reports for unit in report.units if unit.planned]
+        voided = [unit for report in self.reports for unit in report.units if unit.voided]
+        failed = [p for p in plans if not p.accepted and p.shifted_slack >= -_TOLERANCE]
+        return MlrDmpcResult(
+            np.arange(len(references)) / REFERENCE_RATE,
+            references,
+            swarm.targets,
+            float(there.max()) if len(there) and not np.isnan(there).any() else None,
+            arrivals,
+            np.array([plan.solve_ms for plan in plans]),
+            np.array([plan.total_ms for plan in plans]),
+            len(failed),
+            min((p.shifted_slack for p in plans), default=np.inf) if not voided else np.nan,
+            tuple(self._violations),
+            pairs,
+            float(pairs.min()),
+            self._least,
+            self.unreachable(),
+            tuple(self.reports),
+            tuple(swarm.log),
+        )
+
+
+def _arrivals(errors: FloatArray, near: float) -> FloatArray:
+    """(N,) when each came near its target for good, s, by errors (N, time), m."""
+    away = ~(errors <= near)
+    last = np.where(away.any(axis=1), away.shape[1] - np.argmax(away[:, ::-1], axis=1), 0)
+    return np.where(last < away.shape[1], last / REFERENCE_RATE, np.nan)
