@@ -70,14 +70,14 @@ def fly_together(
 
 @borrowing_kernel
 def fly_compiled(
+    running: BoolArray,
+    steps: int,
     world: World,
     pilot: Pilot,
     tally: Tally,
     airframe: Airframe,
     external: FloatArray,
     total: FloatArray,
-    running: BoolArray,
-    steps: int,
     first: int,
     last: int,
     together: IntArray,
@@ -87,14 +87,14 @@ def fly_compiled(
     """Fly `steps` physics steps of the running environments first to last - 1, compiled.
 
     Args:
+        running: (E,) environments to fly.
+        steps: number of steps of 1/240 s.
         world: changed in place.
         pilot: changed in place.
         tally: changed in place.
         airframe: what the tally knows of the drones.
         external: (E, N, 3) force of gusts, N; zeros without.
         total: (E, N, 3) scratch.
-        running: (E,) environments to fly.
-        steps: number of steps of 1/240 s.
         first: the first environment to fly.
         last: one past the last.
         together: (C,) scratch: the environments that are flown together.
@@ -200,10 +200,13 @@ class Flight:
         self._bounds_g = bounds_g
         self._airframe = airframe_of(physics.team, bounds_g, envs)
         tuples = (physics.world, self.pilot, self.tally, self._airframe)
-        self._arguments: tuple[Any, ...] = (*map(lend, tuples), external)
-        self._total = np.zeros((envs, drones, 3))
-        self._parts = parts(envs, threads)
-        self._memories = [self._memory() for _ in self._parts]
+        lent, total = (*map(lend, tuples), external), np.zeros((envs, drones, 3))
+        self._in_bullet: tuple[Any, ...] = ()
+        if isinstance(physics, BulletPhysics):
+            self._in_bullet = (*lent, physics.wrench, *self._memory())
+        self._parts: list[tuple[Any, ...]] = [
+            (*lent, total, first, last, *self._memory()) for first, last in parts(envs, threads)
+        ]
         self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None
         self._entry: Callable[..., None] | None = None
 
@@ -249,21 +252,19 @@ class Flight:
             self._workers.shutdown()
 
     def _fly_compiled(self, steps: int, running: BoolArray) -> None:
-        shared = (*self._arguments, self._total, running, steps)
-        calls: list[tuple[Any, ...]] = [
-            (*shared, *part, *own) for part, own in zip(self._parts, self._memories, strict=True)
-        ]
+        mine, *others = self._parts
         if self._entry is None:
-            self._entry = entry_point(fly_compiled, *calls[0])
+            self._entry = entry_point(fly_compiled, running, steps, *mine)
         fly: Callable[..., None] = self._entry
-        workers = self._workers
-        waiting = [] if workers is None else [workers.submit(fly, *call) for call in calls[1:]]
-        fly(*calls[0])
+        workers, waiting = self._workers, []
+        if workers is not None:
+            waiting = [workers.submit(fly, running, steps, *part) for part in others]
+        fly(running, steps, *mine)
         for future in waiting:
             future.result()
 
     def _fly_bullet(self, physics: BulletPhysics, steps: int, running: BoolArray) -> None:
-        arguments = (*self._arguments, physics.wrench, *self._memories[0])
+        arguments = self._in_bullet
         if self._entry is None:
             self._entry = entry_point(prepare_flight, 0, True, *arguments)
         for e in np.flatnonzero(running).tolist():
