@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,18 +68,13 @@ class Observer:
             aims.time,
             aims.horizon_s,
             self._codes,
+            physics.world.order,
+            physics.obstacles,
         )
-        scratch = np.zeros(self.num_neighbors, np.int64), np.zeros(self.num_neighbors)
-        further = (physics.world.order, physics.obstacles)
-        self._measured = (
-            lend(self._sensed.read_only()),
-            *shared,
-            *scratch,
-            *further,
-            self.num_obstacles,
-        )
-        alone = (array[:0] for array in scratch)
-        self._true = (lend(physics.state.read_only()), *shared, *alone, *further, 0)
+        self._workers = flight.workers
+        self._measured = (lend(self._sensed.read_only()), *shared, self.num_obstacles)
+        self._true = (lend(physics.state.read_only()), *shared, 0)
+        self._scratch = [_scratch(self.num_neighbors) for _ in range(self._workers.threads)]
 
     def set_team(self, e: int, team: Team) -> None:
         """Let environment `e` be flown by another team of as many drones."""
@@ -95,20 +90,27 @@ class Observer:
         if self._noise is not None:
             state = self._physics.state
             sense(state, self._noise, self.noise_key, decisions, mask, self._sensed)
-        self._write = self._write or entry_point(
-            write_observations, mask, self.rows, *self._measured
-        )
-        self._write(mask, self.rows, *self._measured)
+        self._write_rows((mask, self.rows, *self._measured), self._scratch)
         return self.rows
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
         everywhere = np.ones(len(self._whole), dtype=np.bool_)
-        self._write = self._write or entry_point(
-            write_observations, everywhere, self._whole, *self._true
-        )
-        self._write(everywhere, self._whole, *self._true)
+        nobody = [_scratch(0)] * self._workers.threads
+        self._write_rows((everywhere, self._whole, *self._true), nobody)
         return self._whole
+
+    def _write_rows(self, given: tuple[Any, ...], scratch: Sequence[_Scratch]) -> None:
+        if self._write is None:
+            self._write = entry_point(write_observations, 0, 0, *given, *scratch[0])
+        self._workers.share(self._write, given, scratch)
+
+
+_Scratch = tuple[IntArray, FloatArray]
+
+
+def _scratch(num_neighbors: int) -> _Scratch:
+    return np.zeros(num_neighbors, np.int64), np.zeros(num_neighbors)
 
 
 def _rows(envs: int, drones: int, num_neighbors: int = 0, num_obstacles: int = 0) -> Float32Array:

@@ -115,6 +115,8 @@ def write_task(
 
 @borrowing_kernel
 def write_observations(
+    first: int,
+    last: int,
     mask: BoolArray,
     out: Float32Array,
     state: SwarmState,
@@ -126,15 +128,17 @@ def write_observations(
     time: FloatArray,
     horizon_s: float,
     code: FloatArray,
-    others: IntArray,
-    square: FloatArray,
     order: IntArray,
     obstacles: FloatArray,
     num_obstacles: int,
+    others: IntArray,
+    square: FloatArray,
 ) -> None:
-    """Write the observation rows of every environment in the mask.
+    """Write the observation rows of the environments first to last - 1 that are in the mask.
 
     Args:
+        first: the first environment to look at.
+        last: one past the last.
         mask: (E,) environments to write.
         out: (E, N, width) rows.
         state: of the swarm.
@@ -146,14 +150,14 @@ def write_observations(
         time: (E,) s.
         horizon_s: the clock, s.
         code: (E, N, types) one-hot types.
-        others: (K,) scratch: for so many neighbours.
-        square: (K,) scratch.
         order: (E, N) any permutation of the drones, sorted in place where they are many.
         obstacles: (M', 7) rows of `swarm_envs.physics.obstacles`.
         num_obstacles: M.
+        others: (K,) scratch: for so many neighbours.
+        square: (K,) scratch.
     """
     many, width = out.shape[1] > FEW, 10 + code.shape[2]
-    for e in range(out.shape[0]):
+    for e in range(first, last):
         if not mask[e]:
             continue
         types, position = code[e], state.position[e]
