@@ -45,6 +45,8 @@ _HASH = hash(Flags())
 class _WholeLibrary(JITCodeLibrary):  # type: ignore[misc]  # numba is untyped
     """The code of a kernel and all its parts, optimised when it is complete."""
 
+    _linking_libraries: list[Any]
+
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
 
