@@ -28,12 +28,12 @@ MEGABYTE = 1_000_000
 
 @pytest.fixture(scope="module")
 def crash() -> Recording:
-    """Six drones straight to their goals, until two of them meet; a column stands by."""
+    """Six drones straight to their goals, until two meet and two nearly; a column stands by."""
     agent = load("tracking")
     env = swap_v0.parallel_env(team="SLS" * 2, physics="batch", **agent.requires)
     for seed in range(20):
         recording = record_episode(env, agent, seed)
-        if recording.about.metrics["collided_drones"]:
+        if recording.about.metrics["collided_drones"] and near_misses(recording):
             break
     env.close()
     column = Solid(True, (-1.9, -1.9, 0.0), (-1.5, -1.5, 2.5))
