@@ -19,10 +19,11 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags
 from numba.core.compiler_machinery import register_pass
+from numba.core.registry import cpu_target
 from numba.core.typed_passes import NativeLowering
 from numba.core.untyped_passes import InlineInlinables
 
-from swarm_envs.borrowed import borrow, mark_borrowed
+from swarm_envs.borrowed import borrow, mark_borrowed, types
 
 
 class _Flags(Flags):  # type: ignore[misc]  # numba is untyped
@@ -44,8 +45,18 @@ _HASH = hash(Flags())
 class _WholeLibrary(JITCodeLibrary):  # type: ignore[misc]  # numba is untyped
     """The code of a kernel and all its parts, optimised when it is complete."""
 
+    _linking_libraries: list[Any]
+
     def _optimize_functions(self, module: Any) -> None:
         module.data_layout = self._codegen._data_layout
+
+    def finalize(self) -> None:
+        """Take in all that parts need, each once."""
+        needed = dict.fromkeys(self._linking_libraries)
+        for library in self._linking_libraries:
+            needed |= library.needed if isinstance(library, _PartLibrary) else {}
+        self._linking_libraries = list(needed)
+        super().finalize()
 
     def _optimize_final_module(self) -> None:
         builder = self._codegen._pass_builder()
@@ -55,14 +66,18 @@ class _WholeLibrary(JITCodeLibrary):  # type: ignore[misc]  # numba is untyped
 class _PartLibrary(_WholeLibrary):
     """The code of a part, for others to take in."""
 
+    needed: dict[Any, None]
+    """The code that this one calls, and that calls, and so on."""
+
     def add_ir_module(self, ir_module: Any) -> None:
         mark_borrowed(ir_module)
         super().add_ir_module(ir_module)
 
-    def _optimize_final_module(self) -> None:
-        """Leave it to the whole."""
-
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
+        """Take in nothing, and leave that to the whole, but know what it will need."""
+        self.needed = dict.fromkeys(self._linking_libraries)
+        for library in self._linking_libraries:
+            self.needed |= library.needed if isinstance(library, _PartLibrary) else {}
         self._finalize_dynamic_globals()
         self._finalized = True
 
@@ -117,13 +132,29 @@ class _PartCompiler(_WholeCompiler):
 
 
 @contextmanager
-def _no_collection() -> Iterator[None]:
-    """Let garbage lie: compilation makes little, and looking for it takes a tenth of the time."""
-    enabled = gc.isenabled()
+def _in_haste() -> Iterator[None]:
+    """Let garbage lie, and find out once what an operator does with operands of certain types.
+
+    Compilation makes little garbage, and looking for it takes a tenth of the time. To ask anew for
+    each of thousands of additions takes another.
+    """
+    enabled, context = gc.isenabled(), cpu_target.typing_context
+    resolve, found = context.resolve_function_type, {}
+
+    def look_up(function: Any, arguments: Any, keywords: Any) -> Any:
+        if keywords or not isinstance(function, types.Function):
+            return resolve(function, arguments, keywords)
+        key = function, tuple(arguments)
+        if key not in found:
+            found[key] = resolve(function, arguments, keywords)
+        return found[key]
+
     gc.disable()
+    context.resolve_function_type = look_up
     try:
         yield
     finally:
+        context.resolve_function_type = resolve
         if enabled:
             gc.enable()
 
@@ -148,6 +179,6 @@ def whole_and_part(function: Callable[..., Any], **options: Any) -> Any:
     names = ", ".join(inspect.signature(function).parameters)
     forward = update_wrapper(eval(f"lambda {names}: part({names})", {"part": part}), function)
     whole = numba.njit(pipeline_class=_WholeCompiler, **options)(forward)
-    whole.py_func, whole.compile = function, _no_collection()(whole.compile)
+    whole.py_func, whole.compile = function, _in_haste()(whole.compile)
     whole.get_call_template, whole.get_overload = get_call_template, part.get_overload
     return whole

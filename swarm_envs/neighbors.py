@@ -48,31 +48,41 @@ def insert_sorted(value: int, count: int, values: IntArray, first: int) -> None:
 
 
 @borrowing_kernel
-def within_x(
-    position: FloatArray, order: IntArray, place: int, reach: float, found: IntArray, first: int
+def within_box(
+    position: FloatArray,
+    order: IntArray,
+    place: int,
+    lateral: float,
+    vertical: float,
+    found: IntArray,
+    first: int,
 ) -> int:
-    """List the drones whose x is less than `reach` from that of the drone at a place of the order.
+    """List the drones inside a box around the drone at a place of the order.
 
     Args:
         position: (N, 3) m.
         order: (N,) drones sorted along x.
         place: in that order.
-        reach: m.
+        lateral: half the box's size in x and y, m.
+        vertical: half its height, m.
         found: their indices, ascending, written from `first` on.
         first: where to begin.
 
     Returns:
         How many there are.
     """
-    x, count = position[order[place], 0], 0
+    i, count = order[place], 0
     for step in (-1, 1):
         b = place + step
         while 0 <= b < order.shape[0]:
             j = order[b]
-            if not abs(position[j, 0] - x) < reach:
+            if not abs(position[j, 0] - position[i, 0]) < lateral:
                 break
-            insert_sorted(j, count, found, first)
-            count += 1
+            beside = abs(position[j, 1] - position[i, 1]) < lateral
+            level = abs(position[j, 2] - position[i, 2]) < vertical
+            if beside & level:  # one branch, seldom taken
+                insert_sorted(j, count, found, first)
+                count += 1
             b += step
     return count
 
@@ -103,28 +113,27 @@ def nearest(
     if place < 0:
         for j in range(position.shape[0]):
             if j != i:
-                count = _offer(i, j, position, count, found, square)
+                count = _offer(j, squared_distance(position, i, j), count, found, square)
         return count
+    places, bound = found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for step in (-1, 1):
         b = place + step
         while 0 <= b < order.shape[0]:
             j = order[b]
-            dx = position[j, 0] - position[i, 0]
-            if count == found.shape[0] and (count == 0 or dx * dx > square[count - 1]):
+            dx, d = position[j, 0] - position[i, 0], squared_distance(position, i, j)
+            if dx * dx > bound:
                 break
-            count = _offer(i, j, position, count, found, square)
+            if d <= bound:
+                count = _offer(j, d, count, found, square)
+                if count == places:
+                    bound = square[count - 1]
             b += step
     return count
 
 
 @borrowing_kernel
-def _offer(
-    i: int, j: int, position: FloatArray, count: int, found: IntArray, square: FloatArray
-) -> int:
-    """Put drone `j` where it belongs among the `count` nearest of `i`; return their number."""
-    d = 0.0
-    for k in range(3):
-        d += (position[j, k] - position[i, k]) ** 2
+def _offer(j: int, d: float, count: int, found: IntArray, square: FloatArray) -> int:
+    """Put drone `j`, at squared distance `d`, among the `count` nearest; return their number."""
     place = count
     while place > 0 and (
         square[place - 1] > d or (square[place - 1] == d and found[place - 1] > j)
@@ -140,9 +149,15 @@ def _offer(
 
 
 @borrowing_kernel
+def squared_distance(position: FloatArray, i: int, j: int) -> float:
+    """Squared distance of two drones' centres, m^2."""
+    dx = position[j, 0] - position[i, 0]
+    dy = position[j, 1] - position[i, 1]
+    dz = position[j, 2] - position[i, 2]
+    return dx * dx + dy * dy + dz * dz
+
+
+@borrowing_kernel
 def distance_between(position: FloatArray, i: int, j: int) -> float:
     """Distance of two drones' centres, m."""
-    dx = position[i, 0] - position[j, 0]
-    dy = position[i, 1] - position[j, 1]
-    dz = position[i, 2] - position[j, 2]
-    return math.sqrt(dx * dx + dy * dy + dz * dz)
+    return math.sqrt(squared_distance(position, i, j))

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import kernel
+from swarm_envs.borrowed import lend
+from swarm_envs.compiled import borrowing_kernel, entry_point, kernel
 from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.pilot import RATES, ROTORS, SETPOINTS, Pilot
 from swarm_envs.state import BoolArray, FloatArray
@@ -33,6 +34,11 @@ _ROUNDING = 1e-6
 _LARGEST = 1e30
 """Of numbers in an unbounded Box: further, float32 observations could not hold what follows."""
 
+Apply = Callable[[FloatArray, BoolArray], None]
+"""Writes actions (E, N, width) into set-points or commands of a pilot, where running (E,)."""
+Write = Callable[[FloatArray, Pilot, BoolArray, float], None]
+"""The same, told the pilot and the time until the next decision, s."""
+
 
 @dataclass(frozen=True)
 class ActionMode:
@@ -45,11 +51,11 @@ class ActionMode:
     """Whether numbers must lie in [-1, 1]."""
     level: int
     """Where in the loop it enters: SETPOINTS, RATES or ROTORS of `swarm_envs.envs.flight`."""
-    apply: Callable[[FloatArray, Pilot, BoolArray, float], None]
-    """Write actions (E, N, width) into set-points or commands, where running (E,)."""
+    bind: Callable[[Pilot, float], Apply]
+    """What applies actions to this pilot, whose decisions last so many seconds."""
 
 
-@kernel
+@borrowing_kernel
 def accelerate(
     actions: FloatArray, setpoint: Setpoint, running: BoolArray, decision_s: float
 ) -> None:
@@ -66,12 +72,12 @@ def accelerate(
         decision_s: time until the next decision, s.
     """
     velocity, acceleration, jerk = setpoint.velocity, setpoint.acceleration, setpoint.jerk
-    tau, coast = max(ACCELERATION_LAG, 0.5 * decision_s), np.empty(3)
+    tau = max(ACCELERATION_LAG, 0.5 * decision_s)
     for e in range(actions.shape[0]):
         if not running[e]:
             continue
         for i in range(actions.shape[1]):
-            square = 0.0
+            square, coast = 0.0, jerk[e, i]
             for k in range(3):
                 asked = ACCELERATION_LIMIT * actions[e, i, k]
                 coast[k] = velocity[e, i, k] + tau * acceleration[e, i, k] + asked * decision_s
@@ -122,32 +128,44 @@ def approach_velocity(
     return out
 
 
-def _apply_velocity(
-    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
-) -> None:
-    asked = approach_velocity(actions, pilot.setpoint, running, decision_s)
-    accelerate(asked, pilot.setpoint, running, decision_s)
+def _accelerator(pilot: Pilot, decision_s: float) -> Apply:
+    """The usual action, called without a look at its arguments' types: that would take longer."""
+    setpoint, entry = lend(pilot.setpoint), None
+
+    def apply(actions: FloatArray, running: BoolArray) -> None:
+        nonlocal entry
+        entry = entry or entry_point(accelerate, actions, setpoint, running, decision_s)
+        entry(actions, setpoint, running, decision_s)
+
+    return apply
 
 
-def _apply_ctbr(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
+def _velocity_keeper(pilot: Pilot, decision_s: float) -> Apply:
+    apply = _accelerator(pilot, decision_s)
+    return lambda actions, running: apply(
+        approach_velocity(actions, pilot.setpoint, running, decision_s), running
+    )
+
+
+def _by_writing(write: Write) -> Callable[[Pilot, float], Apply]:
+    return lambda pilot, decision_s: (
+        lambda actions, running: write(actions, pilot, running, decision_s)
+    )
+
+
+def _write_ctbr(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
     given, most = actions[running], 4.0 * pilot.nominal.max_rotor_thrust[running]
     limits = np.array([TILT_RATE_LIMIT, TILT_RATE_LIMIT, YAW_RATE_LIMIT])
     pilot.asked[running, :, 0] = 0.5 * (given[..., 0] + 1.0) * most
     pilot.asked[running, :, 1:] = limits * given[..., 1:]
 
 
-def _apply_acceleration(
-    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
-) -> None:
-    accelerate(actions, pilot.setpoint, running, decision_s)
-
-
-def _apply_rotors(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
+def _write_rotors(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
     share = 0.5 * (actions[running] + 1.0)
     pilot.commands[running] = share * pilot.nominal.max_rotor_thrust[running][..., None]
 
 
-def _apply_setpoint(
+def _write_setpoint(
     actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
 ) -> None:
     given = actions[running]
@@ -160,14 +178,25 @@ def _apply_setpoint(
 ACTIONS: dict[str, ActionMode] = {
     mode.name: mode
     for mode in (
-        ActionMode("acceleration", 3, True, SETPOINTS, _apply_acceleration),
-        ActionMode("velocity", 3, True, SETPOINTS, _apply_velocity),
-        ActionMode("ctbr", 4, True, RATES, _apply_ctbr),
-        ActionMode("rotors", 4, True, ROTORS, _apply_rotors),
-        ActionMode("setpoint", 14, False, SETPOINTS, _apply_setpoint),
+        ActionMode("acceleration", 3, True, SETPOINTS, _accelerator),
+        ActionMode("velocity", 3, True, SETPOINTS, _velocity_keeper),
+        ActionMode("ctbr", 4, True, RATES, _by_writing(_write_ctbr)),
+        ActionMode("rotors", 4, True, ROTORS, _by_writing(_write_rotors)),
+        ActionMode("setpoint", 14, False, SETPOINTS, _by_writing(_write_setpoint)),
     )
 }
 """Every action mode by name."""
+
+
+@borrowing_kernel
+def all_within(actions: FloatArray, limit: float) -> bool:
+    """Whether every number of (E, N, width) is finite and at most `limit` in size."""
+    within = True
+    for e in range(actions.shape[0]):
+        for i in range(actions.shape[1]):
+            for k in range(actions.shape[2]):
+                within &= abs(actions[e, i, k]) <= limit
+    return within
 
 
 def check_actions(
@@ -186,7 +215,7 @@ def check_actions(
             f"numbers of action {mode.name!r}"
         )
     limit = 1.0 + _ROUNDING if mode.bounded else _LARGEST
-    if np.abs(array).max() <= limit:
+    if all_within(array, limit):
         return array
     wrong = ~np.isfinite(array)
     rule, fix = "every number must be finite", "look for what made it so"

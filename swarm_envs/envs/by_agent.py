@@ -13,6 +13,8 @@ from swarm_envs.envs.core import StepResult, SwarmCore
 from swarm_envs.errors import unknown_name
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 
+_NO_CONTACT: dict[str, Any] = {"drone": None, "floor": False, "wall": False, "obstacle": None}
+
 
 def join_actions(
     mode: ActionMode, agents: Sequence[str], actions: Mapping[str, npt.ArrayLike]
@@ -28,9 +30,9 @@ def join_actions(
             f"actions are {type(actions).__name__}, but must be a dict with an action for each of "
             "env.agents"
         )
-    if len(actions) != len(agents) or any(a not in actions for a in agents):
+    rows = [actions[agent] for agent in agents if agent in actions]
+    if not len(rows) == len(agents) == len(actions):
         _refuse_agents(agents, actions)
-    rows = [actions[agent] for agent in agents]
     try:
         joined = np.array(rows)
     except (ValueError, TypeError):
@@ -68,26 +70,32 @@ def infos_by_agent(
         result: of the step.
         ended: whether the episode did: then metrics are told.
     """
-    names = core.task.reward_names
-    columns = result.reward_terms[:, 0].T.tolist()
-    contacts = core.physics.contacts
-    touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
-    floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
+    # Whatever is touched ends the episode, so that until then nothing is.
+    names, columns = core.task.reward_names, result.reward_terms[:, 0].T.tolist()
     infos: dict[str, dict[str, Any]] = {
         agent: {
             "reward_terms": dict(zip(names, column, strict=True)),
-            "contact": {
-                "drone": None if other == NO_DRONE else agents[other],
-                "floor": on_floor,
-                "wall": at_wall,
-                "obstacle": None if hit == NO_OBSTACLE else hit,
-            },
+            "contact": _NO_CONTACT.copy(),
         }
-        for agent, column, other, on_floor, at_wall, hit in zip(
-            agents, columns, touched, floor, wall, obstacle, strict=True
-        )
+        for agent, column in zip(agents, columns, strict=True)
     }
     if ended:
-        for info in infos.values():
-            info["episode_metrics"] = core.metrics()
+        for info, contact in zip(infos.values(), _contacts(core, agents), strict=True):
+            info["contact"], info["episode_metrics"] = contact, core.metrics()
     return infos
+
+
+def _contacts(core: SwarmCore, agents: Sequence[str]) -> list[dict[str, Any]]:
+    """What each drone touched in the last decision, which ended the episode if it was anything."""
+    contacts = core.physics.contacts
+    touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
+    floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
+    return [
+        {
+            "drone": None if other == NO_DRONE else agents[other],
+            "floor": on_floor,
+            "wall": at_wall,
+            "obstacle": None if hit == NO_OBSTACLE else hit,
+        }
+        for other, on_floor, at_wall, hit in zip(touched, floor, wall, obstacle, strict=True)
+    ]

@@ -20,9 +20,9 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.engine import make_physics
 from swarm_envs.envs.episodes import draw_placements, randomize
 from swarm_envs.envs.flight import Flight
-from swarm_envs.envs.judge import Rules, judge, new_verdict, success_rules
+from swarm_envs.envs.judge import Rules, judge, new_verdict, success_rules, tick
 from swarm_envs.envs.observation import Float32Array
-from swarm_envs.envs.observer import Observer
+from swarm_envs.envs.observer import Aims, Observer
 from swarm_envs.envs.report import episode_metrics
 from swarm_envs.envs.snapshot import Snapshot, rebuild, restore_snapshot, take_snapshot
 from swarm_envs.envs.teams import fly_task, task_for
@@ -76,8 +76,6 @@ class SwarmCore:
         self.running: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self.verdict = new_verdict(num_envs, drones)
         self.generators = [np.random.default_rng() for _ in range(num_envs)]
-        self.observer = Observer(self.flight, config)
-        self.rows = self.observer.rows
         self._substeps = PHYSICS_RATE // config.decision_rate
         clock = task.episode_s if config.horizon_s is None else config.horizon_s
         self._rules = Rules(
@@ -91,20 +89,36 @@ class SwarmCore:
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._reference = new_reference(num_envs, drones)
+        aims = Aims(self.mission.goal, self._reference, self.time, self._rules.horizon_s)
+        self.observer = Observer(self.flight, config, aims)
+        self.rows = self.observer.rows
+        self._apply = self.mode.bind(self.flight.pilot, config.decision_s)
+        self._flown = self.running.copy()
         self._lend()
+        self._tick: Callable[..., None] | None = None
         self._refer: Callable[..., None] | None = None
         self._judge: Callable[..., None] | None = None
         self._write_terms: Callable[..., None] | None = None
         self._weigh: Callable[..., None] = weigh
 
     def _lend(self) -> None:
-        """Lend to kernels what stays for the life of the core."""
-        contacts = self.physics.contacts
-        self._lent_mission, self._lent_contacts = lend(self.mission), lend(contacts)
-        self._lent_reference, self._lent_verdict = lend(self._reference), lend(self.verdict)
-        self._lent_rules, self._lent_record = lend(self._rules), lend(self.record)
-        self._lent_motion = lend(self.motion)
-        self._lent_situation = lend(self.verdict.situation(self.mission, contacts))
+        """Put together what kernels take at every decision, all of which stays."""
+        contacts, rules, mission = self.physics.contacts, self._rules, lend(self.mission)
+        situation = self.verdict.situation(self.mission, contacts)
+        self._clock = (int(self.config.decision_rate), self.decisions, self.time)
+        self._referred = (mission, lend(self.motion), self.time, lend(self._reference))
+        self._judged: tuple[Any, ...] = (
+            self.time,
+            self.physics.state.position,
+            self._reference.position,
+            lend(contacts),
+            lend(rules),
+            mission,
+            lend(self.record),
+            lend(self.verdict),
+            self.running,
+        )
+        self._rewarded = (lend(situation), rules.decision_s, rules.horizon_s)
 
     @property
     def form(self) -> tuple[str, int, int]:
@@ -167,7 +181,7 @@ class SwarmCore:
         self.running[where] = True
         self.verdict.clear(where)
         self._look_up_reference()
-        return self._observe(where)
+        return self.observer.observe(where, self.decisions)
 
     def step(self, actions: npt.ArrayLike) -> StepResult:
         """Fly every running environment from this decision to the next.
@@ -181,16 +195,14 @@ class SwarmCore:
         """
         shape = (self.num_envs, self.num_drones, self.mode.width)
         checked = check_actions(self.mode, actions, shape)
-        flown = self.running.copy()
-        self.mode.apply(checked, self.flight.pilot, flown, self.config.decision_s)
+        flown = self._flown
+        flown[:] = self.running
+        self._apply(checked, flown)
         self.flight.fly(self._substeps, flown)
-        self.decisions += flown
-        self.time[:] = self.decisions / self.config.decision_rate
-        self._look_up_reference()
-        self._decide(checked)
+        self._decide(checked, flown)
         rewards, terms = self._reward(flown)
         return StepResult(
-            self._observe(flown),
+            self.observer.observe(flown, self.decisions),
             rewards,
             terms,
             self.verdict.terminated.copy(),
@@ -202,49 +214,33 @@ class SwarmCore:
         return episode_metrics(self, e)
 
     def _look_up_reference(self) -> None:
-        arguments = (self._lent_mission, self._lent_motion, self.time, self._lent_reference)
-        self._refer = self._refer or entry_point(self.task.write_reference, *arguments)
-        self._refer(*arguments)
+        self._refer = self._refer or entry_point(self.task.write_reference, *self._referred)
+        self._refer(*self._referred)
 
-    def _decide(self, actions: FloatArray) -> None:
-        arguments = (
-            actions,
-            self.time,
-            self.physics.state.position,
-            self._reference.position,
-            self._lent_contacts,
-            self._lent_rules,
-            self._lent_mission,
-            self._lent_record,
-            self._lent_verdict,
-            self.running,
-        )
-        self._judge = self._judge or entry_point(judge, *arguments)
-        self._judge(*arguments)
+    def _decide(self, actions: FloatArray, flown: BoolArray) -> None:
+        """Tell the time, and judge what was flown."""
+        if self._tick is None or self._judge is None:
+            self._tick = entry_point(tick, flown, *self._clock)
+            self._judge = entry_point(judge, actions, *self._judged)
+        self._tick(flown, *self._clock)
+        self._look_up_reference()
+        self._judge(actions, *self._judged)
 
     def _reward(self, flown: BoolArray) -> tuple[FloatArray, FloatArray]:
         shape = (self.num_envs, self.num_drones)
         rewards: FloatArray = np.empty(shape)
         terms: FloatArray = np.empty((len(self._weights), *shape))
-        clock = (self._rules.decision_s, self._rules.horizon_s)
         if self._write_terms is None:
             write = self.task.write_reward_terms
-            self._write_terms = entry_point(write, self._lent_situation, *clock, terms)
+            self._write_terms = entry_point(write, *self._rewarded, terms)
             self._weigh = entry_point(weigh, terms, self._weights, flown, rewards)
-        self._write_terms(self._lent_situation, *clock, terms)
+        self._write_terms(*self._rewarded, terms)
         self._weigh(terms, self._weights, flown, rewards)
         return rewards, terms
 
-    def _observe(self, mask: BoolArray) -> Float32Array:
-        goal, reference = self.mission.goal, self._lent_reference
-        return self.observer.observe(mask, self.decisions, goal, reference, self._time_left())
-
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        return self.observer.team_state(self.mission.goal, self._lent_reference, self._time_left())
-
-    def _time_left(self) -> FloatArray:
-        return np.maximum(1.0 - self.time / self._rules.horizon_s, 0.0)
+        return self.observer.team_state()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""

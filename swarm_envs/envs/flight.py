@@ -6,9 +6,7 @@ step at a time, with the same controller and the same bookkeeping.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -19,6 +17,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.pilot import Pilot, believe, decide, new_pilot
 from swarm_envs.envs.tally import Airframe, Tally, airframe_of, count, new_tally
+from swarm_envs.envs.workers import Workers
 from swarm_envs.interactions import load
 from swarm_envs.interactions.crowd import Crowd, crowd_for
 from swarm_envs.physics import BulletPhysics, Physics
@@ -70,16 +69,16 @@ def fly_together(
 
 @borrowing_kernel
 def fly_compiled(
+    first: int,
+    last: int,
+    running: BoolArray,
+    steps: int,
     world: World,
     pilot: Pilot,
     tally: Tally,
     airframe: Airframe,
     external: FloatArray,
     total: FloatArray,
-    running: BoolArray,
-    steps: int,
-    first: int,
-    last: int,
     together: IntArray,
     crowd: Crowd,
     belief_crowd: Crowd,
@@ -87,16 +86,16 @@ def fly_compiled(
     """Fly `steps` physics steps of the running environments first to last - 1, compiled.
 
     Args:
+        first: the first environment to fly.
+        last: one past the last.
+        running: (E,) environments to fly.
+        steps: number of steps of 1/240 s.
         world: changed in place.
         pilot: changed in place.
         tally: changed in place.
         airframe: what the tally knows of the drones.
         external: (E, N, 3) force of gusts, N; zeros without.
         total: (E, N, 3) scratch.
-        running: (E,) environments to fly.
-        steps: number of steps of 1/240 s.
-        first: the first environment to fly.
-        last: one past the last.
         together: (C,) scratch: the environments that are flown together.
         crowd: working memory for C environments and the world's force model.
         belief_crowd: the same for the controller's.
@@ -165,12 +164,6 @@ def prepare_flight(
     prepare_wrench(e, world, pilot.commands, external, wrench)
 
 
-def parts(num_envs: int, threads: int) -> list[tuple[int, int]]:
-    """Contiguous ranges (first, last + 1) of environments, one a thread, as equal as can be."""
-    edges = np.linspace(0, num_envs, min(threads, num_envs) + 1).round().astype(int).tolist()
-    return list(itertools.pairwise(edges))
-
-
 class Flight:
     """The controller and the physics of E environments, flown from decision to decision.
 
@@ -200,11 +193,14 @@ class Flight:
         self._bounds_g = bounds_g
         self._airframe = airframe_of(physics.team, bounds_g, envs)
         tuples = (physics.world, self.pilot, self.tally, self._airframe)
-        self._arguments: tuple[Any, ...] = (*map(lend, tuples), external)
-        self._total = np.zeros((envs, drones, 3))
-        self._parts = parts(envs, threads)
-        self._memories = [self._memory() for _ in self._parts]
-        self._workers = ThreadPoolExecutor(threads - 1) if len(self._parts) > 1 else None
+        lent, total = (*map(lend, tuples), external), np.zeros((envs, drones, 3))
+        memory = self._memory()
+        self._in_bullet: tuple[Any, ...] = ()
+        if isinstance(physics, BulletPhysics):
+            self._in_bullet = (*lent, physics.wrench, *memory)
+        self.workers = Workers(envs, threads, len(memory[0]))
+        memories = [memory, *(self._memory() for _ in range(self.workers.threads - 1))]
+        self._by_thread: list[tuple[Any, ...]] = [(*lent, total, *own) for own in memories]
         self._entry: Callable[..., None] | None = None
 
     def _memory(self) -> tuple[IntArray, Crowd, Crowd]:
@@ -245,25 +241,15 @@ class Flight:
 
     def close(self) -> None:
         """Let the worker threads end."""
-        if self._workers is not None:
-            self._workers.shutdown()
+        self.workers.close()
 
     def _fly_compiled(self, steps: int, running: BoolArray) -> None:
-        shared = (*self._arguments, self._total, running, steps)
-        calls: list[tuple[Any, ...]] = [
-            (*shared, *part, *own) for part, own in zip(self._parts, self._memories, strict=True)
-        ]
         if self._entry is None:
-            self._entry = entry_point(fly_compiled, *calls[0])
-        fly: Callable[..., None] = self._entry
-        workers = self._workers
-        waiting = [] if workers is None else [workers.submit(fly, *call) for call in calls[1:]]
-        fly(*calls[0])
-        for future in waiting:
-            future.result()
+            self._entry = entry_point(fly_compiled, 0, 0, running, steps, *self._by_thread[0])
+        self.workers.share(self._entry, (running, steps), self._by_thread)
 
     def _fly_bullet(self, physics: BulletPhysics, steps: int, running: BoolArray) -> None:
-        arguments = (*self._arguments, physics.wrench, *self._memories[0])
+        arguments = self._in_bullet
         if self._entry is None:
             self._entry = entry_point(prepare_flight, 0, True, *arguments)
         for e in np.flatnonzero(running).tolist():

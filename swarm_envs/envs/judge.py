@@ -12,7 +12,7 @@ import numpy as np
 
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
-from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import Situation, Success, TrackingSuccess
 from swarm_envs.tasks.metrics import Record, measure
 from swarm_envs.tasks.mission import Mission
@@ -103,6 +103,22 @@ def new_verdict(num_envs: int, num_drones: int) -> Verdict:
         error=np.zeros(shape),
         effort=np.zeros(shape),
     )
+
+
+@borrowing_kernel
+def tick(flown: BoolArray, rate: int, decisions: IntArray, time: FloatArray) -> None:
+    """Count the decision of every environment that flew, and tell the time.
+
+    Args:
+        flown: (E,) which did.
+        rate: decisions a second.
+        decisions: (E,) of this episode, changed in place.
+        time: (E,) s, written.
+    """
+    for e in range(flown.shape[0]):
+        if flown[e]:
+            decisions[e] += 1
+        time[e] = decisions[e] / rate
 
 
 @borrowing_kernel

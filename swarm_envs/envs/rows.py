@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.control.state import Setpoint
 from swarm_envs.envs.observation import RATE_SCALE, Float32Array
 from swarm_envs.neighbors import FEW, nearest, sort_along_x
 from swarm_envs.physics.obstacles import nearest_point
 from swarm_envs.physics.rigid_body import rotation_entries
-from swarm_envs.state import BoolArray, FloatArray, Parameters, SwarmState
+from swarm_envs.state import BoolArray, FloatArray, IntArray, Parameters, SwarmState
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.trajectories import Reference
 
@@ -113,54 +113,63 @@ def write_task(
     row[12] = time_left
 
 
-@kernel
+@borrowing_kernel
 def write_observations(
+    first: int,
+    last: int,
+    mask: BoolArray,
+    out: Float32Array,
     state: SwarmState,
     parameters: Parameters,
     setpoint: Setpoint,
     direct: bool,
     goal: FloatArray,
     reference: Reference,
-    time_left: FloatArray,
+    time: FloatArray,
+    horizon_s: float,
     code: FloatArray,
-    num_neighbors: int,
+    order: IntArray,
     obstacles: FloatArray,
     num_obstacles: int,
-    mask: BoolArray,
-    out: Float32Array,
+    others: IntArray,
+    square: FloatArray,
 ) -> None:
-    """Write the observation rows of every environment in the mask.
+    """Write the observation rows of the environments first to last - 1 that are in the mask.
 
     Args:
+        first: the first environment to look at.
+        last: one past the last.
+        mask: (E,) environments to write.
+        out: (E, N, width) rows.
         state: of the swarm.
         parameters: of the drones.
         setpoint: of the controller.
         direct: whether there is no controller, so that set-points mean nothing.
         goal: (E, N, 3) m.
         reference: arrays (E, N, 3).
-        time_left: (E,) share of the clock.
+        time: (E,) s.
+        horizon_s: the clock, s.
         code: (E, N, types) one-hot types.
-        num_neighbors: K.
+        order: (E, N) any permutation of the drones, sorted in place where they are many.
         obstacles: (M', 7) rows of `swarm_envs.physics.obstacles`.
         num_obstacles: M.
-        mask: (E,) environments to write.
-        out: (E, N, width) rows.
+        others: (K,) scratch: for so many neighbours.
+        square: (K,) scratch.
     """
-    others, square = np.empty(num_neighbors, np.int64), np.empty(num_neighbors)
-    order, many = np.arange(out.shape[1]), out.shape[1] > FEW
-    width = 10 + code.shape[2]
-    for e in range(out.shape[0]):
+    many, width = out.shape[1] > FEW, 10 + code.shape[2]
+    for e in range(first, last):
         if not mask[e]:
             continue
         types, position = code[e], state.position[e]
+        time_left = max(1.0 - time[e] / horizon_s, 0.0)
         if many:
-            sort_along_x(position, order)
+            sort_along_x(position, order[e])
         for place in range(out.shape[1]):
-            i = order[place]
+            i = order[e, place] if many else place
             row = out[e, i]
             start = write_self(e, i, state, parameters, setpoint, direct, types, row)
-            found = nearest(i, place if many else -1, position, order, others, square)
-            for k in range(num_neighbors):
+            found = nearest(i, place if many else -1, position, order[e], others, square)
+            for k in range(others.shape[0]):
                 if k < found:
                     write_neighbor(e, i, others[k], state, goal, types, row[start:])
                 else:
@@ -169,4 +178,4 @@ def write_observations(
             if num_obstacles > 0:
                 seen = write_obstacles(e, i, state.position, obstacles, num_obstacles, row[start:])
                 start += seen
-            write_task(e, i, state, goal, reference, time_left[e], row[start:])
+            write_task(e, i, state, goal, reference, time_left, row[start:])

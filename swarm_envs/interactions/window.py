@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from swarm_envs.compiled import borrowing_kernel
-from swarm_envs.neighbors import FEW, sort_along_x, within_x
+from swarm_envs.neighbors import FEW, sort_along_x, within_box
 from swarm_envs.state import FloatArray, IntArray
 
 
@@ -68,7 +68,8 @@ def find_pairs(
         for place in range(drones):
             if drones > FEW:
                 i = sorted_here[place]
-                close = within_x(here, sorted_here, place, window[1], pairs[1], count)
+                near = pairs[1]
+                close = within_box(here, sorted_here, place, window[1], window[3], near, count)
             else:
                 i, close = place, drones - 1
             begin = count

@@ -153,6 +153,19 @@ def approach(e: int, i: int, j: int, distance: float, ratio: float, seen: Contac
 
 
 @borrowing_kernel
+def reach_of(e: int, i: int, largest: float, seen: Contacts) -> float:
+    """How near a drone must be to drone `i` to change what was seen, its contacts being updated, m.
+
+    Args:
+        e: the environment.
+        i: the drone.
+        largest: sum of its radius and the largest of all, m.
+        seen: contacts so far.
+    """
+    return max(seen.separation[e, i], seen.clearance[e, i] * largest)
+
+
+@borrowing_kernel
 def sweep_pairs(
     position: FloatArray, radius: FloatArray, order: IntArray, e: int, seen: Contacts
 ) -> None:
@@ -171,13 +184,15 @@ def sweep_pairs(
         largest = max(largest, radius[i])
     for place in range(order.shape[0]):
         i = order[place]
+        x, matters = position[i, 0], reach_of(e, i, radius[i] + largest, seen)
         for step in (-1, 1):
             b = place + step
             while 0 <= b < order.shape[0]:
                 j = order[b]
-                matters = max(seen.separation[e, i], seen.clearance[e, i] * (radius[i] + largest))
-                if abs(position[j, 0] - position[i, 0]) > matters:
+                if abs(position[j, 0] - x) > matters:
                     break
                 distance = distance_between(position, i, j)
-                approach(e, i, j, distance, distance / (radius[i] + radius[j]), seen)
+                if distance <= matters:
+                    approach(e, i, j, distance, distance / (radius[i] + radius[j]), seen)
+                    matters = reach_of(e, i, radius[i] + largest, seen)
                 b += step

@@ -15,7 +15,7 @@ import argparse
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -92,12 +92,24 @@ def thread_row(force_rate: int, repetitions: int) -> Row:
     return row | spread([b / a for a, b in zip(one, two, strict=True)]) | {"unit": "times"}
 
 
-def scale_row(envs: int, drones: int, repetitions: int) -> Row:
-    """CPU time of one decision of the whole batch, ms."""
-    core = make_core(envs, drones, threads=1)
-    agents = envs * drones
-    times = [1e3 * agents / rate for rate in rates_of([core], repetitions)[0]]
-    return _row("one decision", core) | spread(times) | {"unit": "ms"}
+Sizes = tuple[tuple[int, int], ...]
+"""Environments, and drones in each."""
+
+
+@cache
+def scale_rows(sizes: Sizes, repetitions: int) -> dict[tuple[int, int], Row]:
+    """CPU time of one decision of each of these batches, ms, measured in turn."""
+    cores = [make_core(envs, drones, threads=1) for envs, drones in sizes]
+    rows = {}
+    for size, core, rates in zip(sizes, cores, rates_of(cores, repetitions), strict=True):
+        times = [1e3 * size[0] * size[1] / rate for rate in rates]
+        rows[size] = _row("one decision", core) | spread(times) | {"unit": "ms"}
+    return rows
+
+
+def scale_row(size: tuple[int, int], sizes: Sizes, repetitions: int) -> Row:
+    """The row of one of these sizes, all of which are measured with the first that is asked for."""
+    return scale_rows(sizes, repetitions)[size]
 
 
 def _row(what: str, core: SwarmCore) -> Row:
@@ -141,10 +153,10 @@ def jobs(options: argparse.Namespace) -> Iterator[Job]:
         yield partial(thread_row, force_rate, repetitions)
     for rates in RATES:
         yield partial(batch_peer_row, options.peers, rates, *BATCH, repetitions)
-    for envs in ENVIRONMENTS:
-        yield partial(scale_row, envs, BATCH[1], repetitions)
-    for drones in DRONES:
-        yield partial(scale_row, 1, drones, repetitions)
+    many, large = tuple((e, BATCH[1]) for e in ENVIRONMENTS), tuple((1, n) for n in DRONES)
+    for sizes in (many, large):
+        for size in sizes:
+            yield partial(scale_row, size, sizes, repetitions)
     yield memory_row
 
 

@@ -28,8 +28,9 @@ def test_rows_say_how_many_pairs_were_evaluated(small):
 
 
 def test_growth_is_drawn_from_its_rows(small, tmp_path):
-    rows = [bench.scale_row(envs, 4, 1) for envs in (1, 2)]
-    rows += [bench.scale_row(1, drones, 1) for drones in (5, 6)]
+    many, large = ((1, 4), (2, 4)), ((1, 5), (1, 6))
+    rows = [bench.scale_row(size, sizes, 1) for sizes in (many, large) for size in sizes]
+    assert [(row["environments"], row["drones"]) for row in rows] == [*many, *large]
     assert all(row["unit"] == "ms" and row["value"] > 0.0 for row in rows)
     bench.draw(rows, tmp_path / "speed.png")
     assert (tmp_path / "speed.png").read_bytes()[:4] == b"\x89PNG"

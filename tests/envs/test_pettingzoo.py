@@ -159,3 +159,19 @@ def test_render_and_close_twice():
     silent = swap_v0.parallel_env(team="LS", physics="batch")
     silent.reset(seed=1)
     assert silent.render() is None
+
+
+def test_infos_belong_to_whoever_gets_them():
+    env = swap_v0.parallel_env(num_drones=2, physics="batch")
+    env.reset(seed=1)
+    zero = {agent: np.zeros(3, np.float32) for agent in env.agents}
+    infos = env.step(zero)[4]
+    assert infos["drone_0"]["contact"] == {
+        "drone": None,
+        "floor": False,
+        "wall": False,
+        "obstacle": None,
+    }
+    infos["drone_0"]["contact"]["floor"] = True
+    assert not infos["drone_1"]["contact"]["floor"]
+    assert not env.step(zero)[4]["drone_0"]["contact"]["floor"]

@@ -1,0 +1,60 @@
+"""Threads that share a batch do all of it, each part once, with memory of their own."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarm_envs.envs.workers import Workers, parts
+
+
+@contextmanager
+def working(num_envs: int, threads: int, together: int = 1) -> Iterator[Workers]:
+    workers = Workers(num_envs, threads, together)
+    try:
+        yield workers
+    finally:
+        workers.close()
+
+
+@given(st.integers(1, 200), st.integers(1, 40))
+def test_parts_are_everything_once_and_as_equal_as_can_be(num_envs: int, count: int) -> None:
+    found = parts(num_envs, count)
+    assert [e for first, last in found for e in range(first, last)] == list(range(num_envs))
+    sizes = [last - first for first, last in found]
+    assert len(found) == count
+    assert max(sizes) - min(sizes) <= 1
+
+
+@pytest.mark.parametrize(("num_envs", "threads", "together"), [(1, 2, 1), (5, 2, 32), (64, 3, 8)])
+def test_every_environment_is_seen_once_and_no_memory_is_shared(num_envs, threads, together):
+    with working(num_envs, threads, together) as workers:
+        assert workers.threads == min(num_envs, threads)
+        seen: list[int] = []
+        users: dict[int, set[int]] = {k: set() for k in range(workers.threads)}
+
+        def call(first: int, last: int, given: str, mine: int) -> None:
+            assert given == "given"
+            seen.extend(range(first, last))
+            users[mine].add(threading.get_ident())
+
+        workers.share(call, ("given",), [(k,) for k in range(workers.threads)])
+    assert sorted(seen) == list(range(num_envs))
+    assert all(len(threads) <= 1 for threads in users.values())
+
+
+def test_what_fails_on_a_thread_is_raised():
+    def call(first: int, last: int, mine: int) -> None:
+        if mine == 1:
+            raise ValueError("no")
+        done.wait(5.0)
+
+    done = threading.Event()
+    with working(64, 2) as workers, pytest.raises(ValueError, match="no"):
+        threading.Timer(0.05, done.set).start()
+        workers.share(call, (), [(0,), (1,)])
