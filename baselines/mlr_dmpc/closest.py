@@ -47,7 +47,7 @@ def closest_distances(
 
 def _least(terms: FloatArray, duration_s: float) -> float:
     """Least length of a cubic curve with coefficients (4, 3) over an interval from 0."""
-    square = sum(np.convolve(terms[:, x], terms[:, x]) for x in range(3))
+    square = np.sum([np.convolve(terms[:, x], terms[:, x]) for x in range(3)], axis=0)
     slope = square[1:] * np.arange(1, 7)
     size = np.abs(slope).max(initial=0.0)
     slope[np.abs(slope) < 1e-14 * size] = 0.0
