@@ -14,7 +14,9 @@ import numpy as np
 
 from swarm_envs.agents import Actions, Observations
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.corridors import obstacle_planes
 from swarm_envs.baselines.mlr_dmpc.loss import LossModel
+from swarm_envs.baselines.mlr_dmpc.planning import Obstacles
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.control.config import ControllerConfig
@@ -23,6 +25,7 @@ from swarm_envs.envs.view import View
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.motion import ORBITS
+from swarm_envs.tasks.obstacles import obstacle_rows
 
 _TRACKING_M = 0.05
 """What is kept free between a reference and walls beside the drone's radius, m."""
@@ -106,7 +109,7 @@ class MlrDmpcAgent:
             loss=self._loss,
             recovery=self._recovery,
             seed=seed,
-            obstacles=None,
+            obstacles=_obstacles(task, self.config),
         )
 
     def act(self, observations: Observations, view: View | None) -> Actions:
@@ -137,6 +140,15 @@ def _box(
         (float(low[0]), float(low[1]), float(low[2])),
         (float(high[0]), float(high[1]), float(high[2])),
     )
+
+
+def _obstacles(task: Task, config: MlrDmpcConfig) -> Obstacles | None:
+    """Half-spaces that keep a plan off the task's obstacles."""
+    if not task.obstacles:
+        return None
+    rows = obstacle_rows(task.obstacles)
+    margin = float(task.radius.max()) + _TRACKING_M
+    return lambda own, start_round: obstacle_planes(own, start_round, rows, margin, config)
 
 
 def _scaling(config: MlrDmpcConfig, places: FloatArray) -> tuple[float, float, float]:

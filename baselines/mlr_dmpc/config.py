@@ -7,7 +7,7 @@ soft_near_m=0.8, turn_rad=0.0` all are.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -88,9 +88,10 @@ class MlrDmpcConfig:
     """For how many rounds they make room."""
     detour_pause_rounds: int = 5
     """For how many more rounds they then fly on, whoever waits."""
-    turn_rad: float = 0.3
+    turn_rad: float = 0.4
     """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
-    from above, rad: two that meet head on then pass on the right. Published: 0."""
+    from above, rad: two that meet head on then pass on the right. This is for two drones; see
+    `for_swarm`. Published: 0."""
     turn_share: float = 0.5
     """Nor by more than this share of the angle at which the gap along the normal would be too
     small; below 1."""
@@ -126,6 +127,13 @@ class MlrDmpcConfig:
             raise ValueError(f"box is {self.box}, but its corners must be lower and upper, finite")
         if min(self.scaling) <= 0.0 or not np.isfinite(self.scaling).all():
             raise ValueError(f"scaling is {self.scaling}, but must be positive")
+
+    def for_swarm(self, num_drones: int) -> MlrDmpcConfig:
+        """The parameters with which a swarm of N flies: planes are turned by 2 / N of `turn_rad`.
+
+        In a crowd nothing is so symmetric as to stay stuck, and the turn costs time.
+        """
+        return replace(self, turn_rad=self.turn_rad * min(1.0, 2.0 / max(num_drones, 1)))
 
     @property
     def num_inputs(self) -> int:

@@ -93,8 +93,9 @@ class MlrDmpcSwarm:
         leaves: Mapping[int, int] | None = None,
         obstacles: Obstacles | None = None,
     ) -> None:
-        self.config = config or MlrDmpcConfig()
-        starts = checked_points("starts", starts, self.config)
+        given = config or MlrDmpcConfig()
+        starts = checked_points("starts", starts, given)
+        self.config = given.for_swarm(len(starts))
         self._targets = checked_points("targets", targets, self.config, len(starts))
         checked_options(compute_units, len(starts), trigger, recovery, measure, seed)
         self.round = 0

@@ -34,7 +34,8 @@ class Rounds:
         solver: str = "daqp",
         planes_for: PlanesFor | None = None,
     ) -> None:
-        self.config, self.compute_units, self.solver = config, compute_units, solver
+        self.config = config = config.for_swarm(len(starts))
+        self.compute_units, self.solver = compute_units, solver
         self.targets, self.planes_for = np.array(targets), planes_for
         still = (config.num_inputs, config.input_sampling_s)
         self.candidates: list[list[Trajectory]] = [[hover(p, *still)] for p in starts]

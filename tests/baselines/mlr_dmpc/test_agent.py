@@ -12,6 +12,7 @@ from swarm_envs.baselines.mlr_dmpc.agent import MlrDmpcAgent
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.formations import scaled_distances
 from swarm_envs.physics import bullet_available
+from swarm_envs.tasks.obstacles import Column
 
 DISTANCE = MlrDmpcConfig().distance_m
 
@@ -81,6 +82,15 @@ def test_heights_are_scaled_as_starts_and_goals_allow():
     assert 1.0 < low < 6.0
     scaled = (starts[0] - starts[1]) / agent.config.scaling
     assert np.linalg.norm(scaled) == pytest.approx(1.2 * DISTANCE)
+
+
+def test_obstacles_are_flown_around():
+    agent, city = MlrDmpcAgent(), (Column((0.0, 0.1), 0.2),)
+    env = swap(2, "batch", obstacles=city)
+    starts = np.array([[-1.2, 0.0, 1.0], [1.2, 0.3, 1.0]])
+    metrics = fly_episode(env, agent, 0, options={"start": starts, "goal": -starts + [0, 0, 2]})
+    assert metrics["success"], metrics
+    assert metrics["minimum_obstacle_distance_m"] > 0.0
 
 
 def test_what_it_cannot_fly_is_refused():
