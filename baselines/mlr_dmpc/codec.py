@@ -66,6 +66,10 @@ class Codec:
         steps = np.rint((targets - self._lower[0]) / self._span[0] * _STEPS)
         return np.asarray(self._lower[0] + steps * (self._span[0] / _STEPS))
 
+    def state_size(self, state: DroneState) -> int:
+        """Bytes of a drone's message."""
+        return 25 if state.resting else 31
+
     def pack_state(self, state: DroneState) -> bytes:
         """A drone's message, at most 32 bytes."""
         flags = sum(getattr(state, name) << bit for bit, name in enumerate(_FLAGS))

@@ -146,7 +146,7 @@ class OurCrew:
 
     def bytes_sent(self, log: RoundLog[UnitMessage]) -> int:
         """In all slots of a round."""
-        states = sum(len(self.codec.pack_state(state)) for state in log.states.values())
+        states = sum(self.codec.state_size(state) for state in log.states.values())
         return states + sum(self.codec.size(message) for message in log.slots.values())
 
 
@@ -176,7 +176,7 @@ class PaperCrew:
             raise ValueError(f"drones {sorted(joins)} join, which only recovery=True can handle")
         self.num_units, self._options = options.num_units, options
         codec = Codec(len(hovers), options.num_units, options.config)
-        self._pack_state = codec.pack_state
+        self._state_size = codec.state_size
         self._carried = codec.carried_targets
         self._papers = [
             PaperDrone(i, one, ViewId(0, 0), options.config, codec) for i, one in enumerate(hovers)
@@ -243,5 +243,5 @@ class PaperCrew:
 
     def bytes_sent(self, log: RoundLog[PaperMessage]) -> int:
         """In all slots of a round."""
-        states = sum(len(self._pack_state(state)) for state in log.states.values())
+        states = sum(self._state_size(state) for state in log.states.values())
         return states + sum(len(message.pack()) for message in log.slots.values())

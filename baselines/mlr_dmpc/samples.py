@@ -51,7 +51,7 @@ def is_at_rest(trajectory: Trajectory, round_: int, config: MlrDmpcConfig) -> bo
     return round_ - trajectory.identity.start_round >= config.horizon_rounds
 
 
-def least_distance(one: FloatArray, other: FloatArray, config: MlrDmpcConfig) -> float:
-    """Least scaled distance of positions (S, 3) at the same instants, m."""
-    apart = (one - other) * config.inverse_scaling
-    return float(np.sqrt((apart * apart).sum(axis=-1).min()))
+def least_distances(one: FloatArray, others: FloatArray, config: MlrDmpcConfig) -> FloatArray:
+    """Least scaled distances (C,) of positions (S, 3) from others (C, S, 3), m."""
+    apart = (others - one) * config.inverse_scaling
+    return np.sqrt(np.einsum("csi,csi->cs", apart, apart).min(axis=1))

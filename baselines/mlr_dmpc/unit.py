@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import reduce
 
+import numpy as np
+
 from swarm_envs.baselines.mlr_dmpc.codec import Codec
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.knowledge import Knowledge
@@ -22,7 +24,7 @@ from swarm_envs.baselines.mlr_dmpc.network import Inbox
 from swarm_envs.baselines.mlr_dmpc.plan import Planned
 from swarm_envs.baselines.mlr_dmpc.planning import Planner, Rival, joined
 from swarm_envs.baselines.mlr_dmpc.promises import promised_planes
-from swarm_envs.baselines.mlr_dmpc.samples import least_distance, sampled
+from swarm_envs.baselines.mlr_dmpc.samples import least_distances, sampled
 from swarm_envs.baselines.mlr_dmpc.sharing import placed, relayed
 from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Trajectory
 from swarm_envs.baselines.mlr_dmpc.triggers import (
@@ -279,10 +281,12 @@ class ComputeUnit:
         know, start = self.knowledge, round_ + 1
         least = self._config.distance_m - _CONTRADICTION
         mine = sampled(own, start, self._config)
-        kept = []
-        for rival in rivals:
-            theirs = sampled(rival.trajectory, start, self._config)
-            near = least_distance(mine, theirs, self._config) < least
+        kept: list[Rival] = []
+        if not rivals:
+            return kept
+        theirs = np.stack([sampled(rival.trajectory, start, self._config) for rival in rivals])
+        gaps = least_distances(mine, theirs, self._config)
+        for rival, near in zip(rivals, gaps < least, strict=True):
             if near and drone in know.joining:
                 return None
             if not near or know.void(drone, round_) or know.void(rival.drone, round_):

@@ -115,7 +115,7 @@ def test_drones_states_survive_packing_in_32_bytes(seed, flags):
     state = DroneState(3, round_, identity, ViewId(7, 1), target, kinematics, *marks)
     data = codec.pack_state(state)
     back = codec.unpack_state(data, 3, round_)
-    assert len(data) <= STATE_BYTES
+    assert len(data) == codec.state_size(state) <= STATE_BYTES
     assert back[:4] == state[:4] and back[6:] == state[6:]
     assert back.target == pytest.approx(state.target, abs=1e-12)
     assert back.kinematics == pytest.approx(state.kinematics, abs=1e-12)
