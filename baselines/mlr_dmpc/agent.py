@@ -89,7 +89,7 @@ class MlrDmpcAgent:
         task, start = env.core.task, env.view.state.position
         if task.motion.kind == ORBITS:
             raise ValueError(
-                f"MlrDmpcAgent flies to goals at rest, but those of {task.name} circle; use swap or "
+                f"MlrDmpcAgent flies to goals at rest, but those of {task.name} circle; use swap, "
                 "formation, or the agent 'tracking-compensated'"
             )
         goals = env.core.mission.goals[0]

@@ -11,8 +11,10 @@ from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.compiled import borrowing_kernel, kernel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
+SPARE_M = 2e-6
+"""Rows keep this much more than the distance, m: what tolerances may take from a pair."""
 ROW_MARGIN = 1e-5
-"""Rows are built for this much more than the distance kept, m: room for tolerance and rounding."""
+"""Rows are built for this much more again, m: room for the solver's tolerance."""
 
 
 class Neighbors(NamedTuple):
@@ -68,7 +70,7 @@ def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig)
             neighbors.positions,
             neighbors.concurrent,
             config.inverse_scaling,
-            config.distance_m,
+            config.distance_m + SPARE_M,
             config.turn_rad,
             config.turn_share,
         )

@@ -1,9 +1,10 @@
 """Planning next to a plan that was sent but not heard: by what it is known to have kept.
 
 Drone j's plan q of round r, by unit v, has kept n . Theta^-1 (q - p) >= d against the trajectory p
-that drone i flew, with n the unit vector from p to j's old trajectory c, if v knew p. If i still
-flies p, a new plan p' of i with n . Theta^-1 (p' - p) <= 0 keeps n . Theta^-1 (q - p') >= d,
-whatever q is.
+that drone i flew, with n the normal of the plane (15) between p and j's old trajectory c, if v knew
+p. If i still flies p, a new plan p' of i with n . Theta^-1 (p' - p) <= 0 keeps
+n . Theta^-1 (q - p') >= d, whatever q is. Half-spaces of this kind leave no slack to what is flown:
+half of `SPARE_M` goes into the rounding of its state.
 """
 
 from __future__ import annotations
@@ -12,7 +13,12 @@ import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.knowledge import Knowledge
-from swarm_envs.baselines.mlr_dmpc.neighbors import HalfSpaces
+from swarm_envs.baselines.mlr_dmpc.neighbors import (
+    SPARE_M,
+    HalfSpaces,
+    Neighbors,
+    voronoi_planes,
+)
 from swarm_envs.baselines.mlr_dmpc.samples import sampled
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
 
@@ -51,7 +57,8 @@ def promised_planes(
         parents += promise.parents
     positions = sampled(own, round_ + 1, config)
     others = np.stack([sampled(parent, round_ + 1, config) for parent in parents])
-    away = (positions - others) * config.inverse_scaling
-    away /= np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
-    normals = away * config.inverse_scaling
-    return HalfSpaces(normals, np.einsum("psi,si->ps", normals, positions))
+    nobody = np.zeros(len(others), dtype=np.int64)
+    beside = Neighbors(others, nobody, np.zeros(len(others), dtype=bool))
+    normals = voronoi_planes(positions, beside, config).normals
+    flown = np.einsum("psi,si->ps", normals, positions)
+    return HalfSpaces(normals, flown - SPARE_M / 2)

@@ -101,7 +101,7 @@ def test_what_it_cannot_fly_is_refused():
     env = swap(2, "batch")
     starts, goals = np.array([[0.0, 0, 1], [0.15, 0, 1]]), np.array([[1.0, 0, 1], [-1, 0, 1]])
     env.reset(seed=0, options={"start": starts, "goal": goals})
-    with pytest.raises(ValueError, match="closer than 0.3 m"):
+    with pytest.raises(ValueError, match=r"closer than 0\.3 m"):
         MlrDmpcAgent().reset(env, 0)
     env.reset(seed=0, options={"start": 2 * starts, "goal": goals})
     agent = MlrDmpcAgent()

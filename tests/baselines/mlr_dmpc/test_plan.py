@@ -172,7 +172,7 @@ def test_what_cannot_be_solved_leaves_what_is_flown():
     at = np.concatenate([at, at * [-1.0, 1.0, 1.0]])
     near = Neighbors(at, np.array([1, 2]), np.array([False, False]))
     planned = plan_trajectory(own, 1, 0, near, np.array([1.0, 0.0, 1.0]), CONFIG)
-    assert planned.shifted_slack == pytest.approx(-0.15, abs=1e-6)
+    assert planned.shifted_slack == pytest.approx(-0.15, abs=5e-6)
     after = planned.trajectory.positions(condensed(CONFIG).collision_times)
     assert (np.abs(after[:, 0]) <= 1e-6).all(), "between the two, neither may come nearer"
 
