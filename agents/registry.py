@@ -18,6 +18,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
     {
         "hover": "swarm_envs.agents.simple:HoverAgent",
         "random": "swarm_envs.agents.simple:RandomAgent",
+        "straight-line": "swarm_envs.agents.simple:StraightLineAgent",
         "tracking": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent",
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"

@@ -46,7 +46,7 @@ class FlyOptions:
     team: str | None = None
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     agent: str = "tracking"
-    """who flies: hover, random, tracking, detour (these two also -compensated),
+    """who flies: hover, random, straight-line, tracking, detour (these two also -compensated),
     neural-swarm-planner, or path/to/file.py:Class"""
     seed: int = 0
     """of the episode and the agent"""
