@@ -25,6 +25,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         ),
         "detour": "swarm_envs.agents.detour:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
+        "swap-ppo": "swarm_envs.agents.policy:swap_ppo",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
     }
 )
@@ -38,8 +39,9 @@ def load(name: str) -> Agent:
     """Make an agent.
 
     Args:
-        name: one that ships (a key of `SHIPPED`), or a class in a file, `path/to/file.py:Class`,
-            which is called without arguments.
+        name: one that ships (a key of `SHIPPED`); a trained policy: the folder of its training
+            run or its .safetensors file; or a class in a file, `path/to/file.py:Class`, which is
+            called without arguments.
 
     Raises:
         ValueError: no agent has this name, or what the file holds is no agent; the message says
@@ -51,11 +53,21 @@ def load(name: str) -> Agent:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path)
     file, colon, path = name.rpartition(":")
+    if not colon and _names_policy(name):
+        from swarm_envs.agents.policy import PolicyAgent
+
+        return PolicyAgent.load(Path(name))
     if not colon:
         hint = f"{name}:Class" if name.endswith(".py") else "path/to/file.py:Class"
         known = unknown_name("agent", name, SHIPPED)
         raise ValueError(f"{known}; for one of your own write {hint!r}")
     return _make(name, _import_file(Path(file)), path)
+
+
+def _names_policy(name: str) -> bool:
+    """Whether a name is a folder, or a file with a suffix of trained weights."""
+    weights = (".safetensors", ".pt", ".pth", ".pkl", ".zip", ".npz", ".onnx")
+    return Path(name).is_dir() or Path(name).suffix in weights or name.endswith("/")
 
 
 def _import_file(file: Path) -> ModuleType:

@@ -171,6 +171,17 @@ def _export(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _train(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.train import check, run
+    from swarm_envs.training.rl.config import TrainConfig
+
+    config = _read("train", TrainConfig, arguments)
+    check(config)
+    _need_torch()
+    run(config)
+    return DONE
+
+
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
@@ -178,6 +189,7 @@ COMMANDS: Mapping[str, Command] = {
     "replay": Command("play a recorded episode in a browser", _replay),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
+    "train": Command("train a policy by reinforcement learning", _train),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "export": Command("write a force model as a C header for a microcontroller", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
