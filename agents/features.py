@@ -88,10 +88,11 @@ def features(rows: Float32Array, num_neighbors: int) -> Float32Array:
         rows[..., places.position] / 2.0,
         rows[..., places.time_left],
     ]
-    shape = (*rows.shape[:-1], num_neighbors, -1)
-    around = _neighbor_features(rows[..., places.neighbors].reshape(shape))
-    flat = around.reshape(*rows.shape[:-1], -1)
-    made: Float32Array = np.concatenate([*own, flat], axis=-1, dtype=np.float32)
+    before = rows.shape[:-1]
+    if num_neighbors:
+        seen = rows[..., places.neighbors].reshape(*before, num_neighbors, -1)
+        own.append(_neighbor_features(seen).reshape(*before, -1))
+    made: Float32Array = np.concatenate(own, axis=-1, dtype=np.float32)
     return made
 
 
