@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
@@ -40,6 +41,10 @@ def run(config: TrainConfig) -> None:
         Misuse: the options make no run.
         ValueError: the folder holds another run, or a damaged one.
     """
+    if importlib.util.find_spec("stable_baselines3") is None:
+        raise ImportError(
+            "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[sb3]'"
+        )
     from swarm_envs.files import write_json
     from swarm_envs.training.rl.run import finished_report, train
 
