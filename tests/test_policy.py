@@ -41,7 +41,8 @@ def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
 def observed(count: int, neighbors: int, drones: int) -> tuple[np.ndarray, dict[str, slice]]:
     """Rows of teams that fly at random, and where each field stands."""
     env = swap_v0.parallel_env(num_drones=drones, physics="batch", num_neighbors=neighbors)
-    rows, rng = [], np.random.default_rng(0)
+    rows: list[np.ndarray] = []
+    rng = np.random.default_rng(0)
     while len(rows) < count:
         seen, _ = env.reset(seed=len(rows))
         for _ in range(25):

@@ -24,8 +24,8 @@ def test_episodes_are_of_every_kind_as_often_as_is_said():
         order = [int(np.linalg.norm(start - g, axis=1).argmin()) for g in goal]
         np.testing.assert_allclose(start[order], goal, atol=1e-12)
         assert all(order[i] != i for i in range(4))
-        circles += np.ptp(start[:, 2]) == 0
-        crowds += np.ptp(start[:, 2]) > 0 and np.ptp(start, axis=0).max() <= 1.6
+        circles += bool(np.ptp(start[:, 2]) == 0)
+        crowds += bool(np.ptp(start[:, 2]) > 0 and np.ptp(start, axis=0).max() <= 1.6)
     assert circles == pytest.approx(250, abs=45)
     # Four points of the random box, 3.4 m wide, lie within 1.6 m in x and in y by chance too: with
     # r = 1.6 / 3.4 it happens in a share of (4 r^3 - 3 r^4)^2 = 0.07.
