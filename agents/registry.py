@@ -18,12 +18,14 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
     {
         "hover": "swarm_envs.agents.simple:HoverAgent",
         "random": "swarm_envs.agents.simple:RandomAgent",
+        "straight-line": "swarm_envs.agents.simple:StraightLineAgent",
         "tracking": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent",
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
         ),
         "detour": "swarm_envs.agents.detour:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
+        "swap-ppo": "swarm_envs.agents.policy:swap_ppo",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
         "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent",
         "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent.compensated",
@@ -39,8 +41,9 @@ def load(name: str) -> Agent:
     """Make an agent.
 
     Args:
-        name: one that ships (a key of `SHIPPED`), or a class in a file, `path/to/file.py:Class`,
-            which is called without arguments.
+        name: one that ships (a key of `SHIPPED`); a trained policy: the folder of its training
+            run or its .safetensors file; or a class in a file, `path/to/file.py:Class`, which is
+            called without arguments.
 
     Raises:
         ValueError: no agent has this name, or what the file holds is no agent; the message says
@@ -52,11 +55,21 @@ def load(name: str) -> Agent:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path)
     file, colon, path = name.rpartition(":")
+    if not colon and _names_policy(name):
+        from swarm_envs.agents.policy import PolicyAgent
+
+        return PolicyAgent.load(Path(name))
     if not colon:
         hint = f"{name}:Class" if name.endswith(".py") else "path/to/file.py:Class"
         known = unknown_name("agent", name, SHIPPED)
         raise ValueError(f"{known}; for one of your own write {hint!r}")
     return _make(name, _import_file(Path(file)), path)
+
+
+def _names_policy(name: str) -> bool:
+    """Whether a name is a folder, or a file with a suffix of trained weights."""
+    weights = (".safetensors", ".pt", ".pth", ".pkl", ".zip", ".npz", ".onnx")
+    return Path(name).is_dir() or Path(name).suffix in weights or name.endswith("/")
 
 
 def _import_file(file: Path) -> ModuleType:

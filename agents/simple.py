@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.agents.protocol import Actions, Observations
+from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 
 class HoverAgent:
@@ -57,3 +59,34 @@ class RandomAgent:
             agent: self._rng.uniform(-1.0, 1.0, self._width).astype(np.float32)
             for agent in observations
         }
+
+
+class StraightLineAgent:
+    """Flies straight at its goal, whoever is in the way: a PD law on what it observes of itself.
+
+    What any policy that avoids others must beat. The acceleration asked for is
+    4 / s^2 (goal - position) - 4 / s velocity, the way to the goal cut at 1 m.
+    """
+
+    requires: Mapping[str, Any] = MappingProxyType(
+        {"action": "acceleration", "observation": "flat", "decision_rate": 48}
+    )
+    privileged = False
+
+    def __init__(self) -> None:
+        self._goal = self._velocity = slice(0)
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Note where observations have goal and velocity."""
+        places = {field.name: field.where for field in env.observation_layout}
+        self._goal, self._velocity = places["task.goal"], places["self.velocity"]
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """The acceleration of every drone, cut at what the environment allows."""
+        return {agent: self._act(row) for agent, row in observations.items()}
+
+    def _act(self, row: Float32Array) -> Float32Array:
+        way, velocity = row[self._goal], SPEED_LIMIT * row[self._velocity]
+        asked = 4.0 * way / max(float(np.linalg.norm(way)), 1.0) - 4.0 * velocity
+        size = float(np.abs(asked).max()) / ACCELERATION_LIMIT
+        return (asked / ACCELERATION_LIMIT / max(size, 1.0)).astype(np.float32)

@@ -151,6 +151,12 @@ def _fly(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _evaluate(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.evaluate import EvaluateOptions, run
+
+    return FAILED if run(_read("evaluate", EvaluateOptions, arguments)) else DONE
+
+
 def _replay(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.replay import ReplayOptions, run
 
@@ -158,57 +164,32 @@ def _replay(arguments: Sequence[str]) -> int:
     return DONE
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExportOptions:
-    """Write a fitted force model as a C99 header for a microcontroller.
-
-    It holds the weights as float32 and needs no library; see docs/forces.md.
-    """
-
-    out: Path
-    """the header to write, such as learned.h"""
-    model: str = "learned"
-    """`learned`, or the path of weights that `swarm-envs fit` made"""
-    name: str | None = None
-    """prefix of everything that the header defines; by default the file's name"""
-    seed: int = 0
-    """the states of the header's self-test are drawn from it"""
-    json: Path | None = None
-    """write what the header holds to this file too"""
-
-    def __post_init__(self) -> None:
-        """Refuse a seed that no generator takes."""
-        if self.seed < 0:
-            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
-
-
 def _export(arguments: Sequence[str]) -> int:
-    options = _read("export", ExportOptions, arguments)
-    for option, file in (("--out", options.out), ("--json", options.json)):
-        if file is not None:
-            _check_file(option, file)
-    from swarm_envs.files import write_json, written_whole
-    from swarm_envs.interactions import load
-    from swarm_envs.interactions.c_header import c_header
+    from swarm_envs.commands.export import ExportOptions, run
 
-    name = options.out.stem if options.name is None else options.name
-    model = load(options.model)
-    text = c_header(model, name, options.seed)
-    with written_whole(options.out) as partial:
-        partial.write_text(text, encoding="utf-8")
-    facts = {"model": model.name, "types": list(model.types), "weights": model.field.weights.size}
-    if options.json is not None:
-        write_json(options.json, {"header": str(options.out), "name": name, **facts})
-    print(f"wrote {options.out}: {name}_force_z(...), {facts['weights']} weights of {model.name!r}")
+    run(_read("export", ExportOptions, arguments))
+    return DONE
+
+
+def _train(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.train import check, run
+    from swarm_envs.training.rl.config import TrainConfig
+
+    config = _read("train", TrainConfig, arguments)
+    check(config)
+    _need_torch()
+    run(config)
     return DONE
 
 
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
+    "evaluate": Command("many episodes of agents on the same seeds, and their scores", _evaluate),
     "replay": Command("play a recorded episode in a browser", _replay),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
+    "train": Command("train a policy by reinforcement learning", _train),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "export": Command("write a force model as a C header for a microcontroller", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),

@@ -16,6 +16,7 @@ from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.core import StepResult, SwarmCore
 from swarm_envs.envs.forms import observation_space, shaper
 from swarm_envs.envs.joint import split_teams
+from swarm_envs.envs.options import Blueprint
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
@@ -39,11 +40,11 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     Its copies and pickles have simulators of their own, and fly on as it would.
 
     Args:
-        task: name of the task, such as `swap_v0`.
+        task: name of the task, such as `swap_v0`; or a blueprint, made with a task of one's own.
         num_envs: E.
         seed: of environment 0, counted up for the others.
         **options: as the task's `parallel_env()` takes them; the batched engine flies unless
-            `physics` says otherwise.
+            `physics` says otherwise. None with a blueprint, which has them already.
 
     Raises:
         TypeError: an option does not exist, or has a wrong type.
@@ -51,10 +52,12 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     """
 
     def __init__(
-        self, task: str, num_envs: int = 1, seed: int | None = None, **options: Any
+        self, task: str | Blueprint, num_envs: int = 1, seed: int | None = None, **options: Any
     ) -> None:
         count = check_integer("num_envs", num_envs, 1)
-        blueprint = batch_of(task, **options)
+        if not isinstance(task, str) and options:
+            raise TypeError(f"{', '.join(options)}: give options to the blueprint, not beside it")
+        blueprint = batch_of(task, **options) if isinstance(task, str) else task
         self.core = SwarmCore(blueprint.task, blueprint.config, count)
         drones, edge = self.core.num_drones, 1.0 if self.core.mode.bounded else np.inf
         self._shape = shaper(*self.core.form)

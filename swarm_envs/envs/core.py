@@ -32,7 +32,7 @@ from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.metrics import new_record
 from swarm_envs.tasks.mission import new_mission
 from swarm_envs.tasks.motion import Motion, new_reference
-from swarm_envs.tasks.rewards import weigh
+from swarm_envs.tasks.rewards import check_reward_weights, weigh
 
 
 class StepResult(NamedTuple):
@@ -208,6 +208,19 @@ class SwarmCore:
             self.verdict.terminated.copy(),
             self.verdict.truncated.copy(),
         )
+
+    def set_reward_weights(self, weights: Mapping[str, float]) -> None:
+        """Weigh reward terms otherwise from the next step on: for curricula of trainers.
+
+        Args:
+            weights: by term; terms left out keep theirs.
+
+        Raises:
+            ValueError: there is no such term, or a weight is not finite.
+        """
+        check_reward_weights(weights)
+        for name, weight in weights.items():
+            self._weights[self.task.reward_names.index(name)] = weight
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
         """What environment `e`'s episode is judged by, so far; see `episode_metrics`."""

@@ -1,0 +1,141 @@
+"""What a policy network is told of an observation row: the same numbers, made easy to learn from.
+
+A row of `swarm_envs.envs.observation` holds everything that a drone senses. A small network learns
+faster when it need not find out by itself how near is near, or where two straight ways meet.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.envs.observation import Float32Array, observation_layout
+from swarm_envs.tasks.base import SPEED_LIMIT
+
+FEATURES = "goal-and-closest-approach-1"
+"""Name of this choice of features: files of policies say by it what their numbers are."""
+
+_GOAL_REACH = 0.5
+"""Beyond this distance the goal's vector is a direction, m."""
+_NEAR = 0.4
+"""Length over which nearness falls by e, m."""
+_AHEAD = 2.0
+"""How far ahead closest approaches are looked for, s."""
+_OTHERS_GOAL = 1.0
+"""A neighbour's way to its goal is seen up to this length, m."""
+_SELF_WIDTH, _NEIGHBOR_WIDTH = 18, 17
+
+
+class _Places(NamedTuple):
+    """Where a row has what features are made of."""
+
+    position: slice
+    velocity: slice
+    attitude: slice
+    thrust: slice
+    setpoint_offset: slice
+    goal: slice
+    time_left: slice
+    neighbors: slice
+    """Of all of them: K times the width of one."""
+
+
+def feature_width(num_neighbors: int) -> int:
+    """Numbers that `features` makes of a row with K neighbours."""
+    return _SELF_WIDTH + _NEIGHBOR_WIDTH * num_neighbors
+
+
+def features(rows: Float32Array, num_neighbors: int) -> Float32Array:
+    """Features of flat observation rows without obstacles.
+
+    Of the drone (18): the vector to its goal, over 0.5 m and cut there; its distance, m; velocity
+    over 2 m/s; the direction of its thrust, and its share of the largest; the controller's
+    set-point relative to the drone, m; position, over 2 m; time left.
+    Of each neighbour (17): relative position, m; exp(-d / 0.4 m); relative velocity over 2 m/s; of
+    the closest approach, if both fly straight on: the time until then over 2 s, which is as far as
+    it is looked for, the relative position then, m, and exp(-distance / 0.4 m); the vector from
+    the neighbour to its goal, cut at 1 m; speed at which it comes nearer, over 2 m/s; mask. All
+    zero where there is no neighbour.
+
+    Args:
+        rows: (..., width) as `observation="flat"` gives them, `num_obstacles=0`.
+        num_neighbors: K.
+
+    Returns:
+        (..., `feature_width(K)`) float32.
+
+    Raises:
+        ValueError: rows have another width.
+    """
+    places = _places(num_neighbors)
+    if rows.shape[-1] != places.time_left.stop:
+        raise ValueError(
+            f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
+            f"{num_neighbors} and num_obstacles=0 have {places.time_left.stop}"
+        )
+    goal = rows[..., places.goal]
+    distance = _length(goal)
+    attitude = rows[..., places.attitude]
+    own: list[npt.NDArray[Any]] = [
+        goal / np.maximum(distance, _GOAL_REACH),
+        distance,
+        rows[..., places.velocity],
+        attitude[..., 2::3],
+        rows[..., places.thrust],
+        rows[..., places.setpoint_offset],
+        rows[..., places.position] / 2.0,
+        rows[..., places.time_left],
+    ]
+    before = rows.shape[:-1]
+    if num_neighbors:
+        seen = rows[..., places.neighbors].reshape(*before, num_neighbors, -1)
+        own.append(_neighbor_features(seen).reshape(*before, -1))
+    made: Float32Array = np.concatenate(own, axis=-1, dtype=np.float32)
+    return made
+
+
+def _neighbor_features(neighbors: Float32Array) -> Float32Array:
+    """(..., K, 17) of (..., K, width) fields of neighbours."""
+    position, velocity = neighbors[..., 0:3], neighbors[..., 3:6]
+    goal, mask = neighbors[..., 6:9], neighbors[..., -1:]
+    distance, motion = _length(position), velocity * np.float32(SPEED_LIMIT)
+    approach = -(position * motion).sum(axis=-1, keepdims=True)
+    square = np.square(motion).sum(axis=-1, keepdims=True)
+    time = np.clip(approach / np.maximum(square, 1e-6), 0.0, _AHEAD)
+    closest = position + time * motion
+    parts = [
+        position,
+        np.exp(-distance / _NEAR),
+        velocity,
+        time / _AHEAD,
+        closest,
+        np.exp(-_length(closest) / _NEAR),
+        goal / np.maximum(_length(goal), _OTHERS_GOAL),
+        approach / np.maximum(distance, 1e-6) / SPEED_LIMIT,
+        mask,
+    ]
+    made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32) * mask
+    return made
+
+
+def _length(vectors: Float32Array) -> Float32Array:
+    length: Float32Array = np.sqrt(np.square(vectors).sum(axis=-1, keepdims=True))
+    return length
+
+
+def _places(num_neighbors: int) -> _Places:
+    found = {field.name: field.where for field in observation_layout(num_neighbors)}
+    around = [where for name, where in found.items() if name.startswith("neighbor_")]
+    whole = slice(around[0].start, around[-1].stop) if around else slice(0, 0)
+    return _Places(
+        position=found["self.position"],
+        velocity=found["self.velocity"],
+        attitude=found["self.attitude"],
+        thrust=found["self.thrust"],
+        setpoint_offset=found["self.setpoint_offset"],
+        goal=found["task.goal"],
+        time_left=found["task.time_left"],
+        neighbors=whole,
+    )

@@ -1,0 +1,216 @@
+"""`swarm-envs evaluate`: many episodes of one or more agents, all on the same seeds."""
+
+from __future__ import annotations
+
+import shutil
+import traceback
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarm_envs.commands.checks import Misuse, check_file, check_folder
+from swarm_envs.commands.fly import find_task
+
+if TYPE_CHECKING:
+    from swarm_envs.agents import Agent
+    from swarm_envs.agents.evaluation import EpisodeFile
+    from swarm_envs.envs.parallel import SwarmParallelEnv
+
+
+@dataclass(frozen=True, kw_only=True)
+class EvaluateOptions:
+    """Fly many episodes of one or more agents on the same seeds, and report what they add up to.
+
+    Interrupted or killed, the same command goes on after the last whole episode. An agent that
+    fails is named in the report, the others go on, and the exit code is 1.
+    """
+
+    task: str = "swap"
+    """what is flown: `swap`, or with its version, `swap_v0`"""
+    layout: str | None = None
+    """of the task, such as `random` or `circle`; its default if not given"""
+    drones: int = 4
+    """number of small drones, if no team is given"""
+    team: str | None = None
+    """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
+    agent: list[str] = field(default_factory=lambda: ["tracking"])
+    """who flies, one or more: names as of `fly`, folders of trained policies, or
+    path/to/file.py:Class"""
+    episodes: int = 256
+    """episodes of each agent"""
+    seed: int = 0
+    """the episodes' seeds are drawn from it: the same for every agent"""
+    physics: str = "batch"
+    """`batch` or `bullet`"""
+    interactions: str = "learned"
+    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
+    force_rate: int = 240
+    """evaluations of the force per second: 240 over an integer"""
+    horizon_s: float | None = None
+    """the clock, s; the task's if not given"""
+    out: Path | None = None
+    """folder for report.json, and for every episode's numbers in episodes/"""
+    json: Path | None = None
+    """write the report to this file; episodes are kept beside it until it is written"""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing can be flown."""
+        least = {"seed": 0, "drones": 1, "episodes": 1, "force_rate": 1}
+        for name, value in least.items():
+            if getattr(self, name) < value:
+                option, given = name.replace("_", "-"), getattr(self, name)
+                raise ValueError(f"--{option} is {given}, but must be {value} or more")
+        if len(set(self.agent)) < len(self.agent) or not self.agent:
+            raise ValueError(f"--agent is {self.agent}; name one or more, each once")
+
+    def setting(self) -> dict[str, Any]:
+        """The options of the environment that were given."""
+        team = {"num_drones": self.drones} if self.team is None else {"team": self.team}
+        names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
+        given = {name: getattr(self, name) for name in names}
+        return {**team, **{name: value for name, value in given.items() if value is not None}}
+
+
+def run(options: EvaluateOptions) -> int:
+    """Fly, print and write; return how many agents failed.
+
+    Raises:
+        Misuse: there is no such task, option or place to write; nothing was flown.
+    """
+    from swarm_envs import make
+    from swarm_envs.files import write_json
+
+    reports = [path for path in (options.json, _inside(options.out, "report.json")) if path]
+    if options.out is not None:
+        check_folder("--out", options.out)
+    for path in reports:
+        check_file("--json", path, (".json",))
+    try:
+        task = find_task(options.task)
+        make(task, **options.setting()).close()
+    except (ValueError, TypeError, ImportError) as error:
+        raise Misuse(str(error)) from error
+    about = {"task": task, **options.setting(), "seed": options.seed}
+    agents = [_report(name, options, about) for name in options.agent]
+    failed = sum("error" in report for report in agents)
+    content = {**about, **(agents[0] if len(agents) == 1 else {}), "agents": agents}
+    for path in reports:
+        write_json(path, content)
+        print(f"wrote {path}", flush=True)
+    print(_table(agents))
+    kept = _kept(options)
+    if options.out is None and kept is not None and kept.is_dir() and not failed:
+        shutil.rmtree(kept)  # the report is whole: nothing is left to go on with
+    return failed
+
+
+def _inside(folder: Path | None, name: str) -> Path | None:
+    return None if folder is None else folder / name
+
+
+def _kept(options: EvaluateOptions) -> Path | None:
+    """Folder in which episodes are kept, if any."""
+    if options.out is not None:
+        return options.out / "episodes"
+    return None if options.json is None else options.json.with_suffix(".episodes")
+
+
+def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[str, Any]:
+    """One agent's scores; or, under `error`, why it has none."""
+    from swarm_envs.agents.scores import score
+
+    report: dict[str, Any] = {"agent": name}
+    try:
+        agent, env = _prepare(name, options, about["task"])
+    except (Exception, SystemExit) as error:
+        return {**report, "error": f"cannot be flown: {type(error).__name__}: {error}"}
+    report |= {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
+    try:
+        return {**report, **score(_fly(name, env, agent, options, about))}
+    except Exception as error:
+        if ":" in name:  # whoever wrote the file needs to see where it failed
+            traceback.print_exception(error.__cause__ or error)
+        return {**report, "error": str(error)}
+    finally:
+        env.close()
+
+
+def _prepare(name: str, options: EvaluateOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
+    """The agent, and the environment as it requires it."""
+    from swarm_envs import make
+    from swarm_envs.agents import load
+
+    agent, given = load(name), options.setting()
+    for option, wanted in agent.requires.items():
+        if option in given and given[option] != wanted:
+            raise ValueError(f"it requires {option}={wanted!r}, not {given[option]!r}")
+    return agent, make(task, **{**given, **agent.requires})
+
+
+def _fly(
+    name: str, env: SwarmParallelEnv, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Every episode of an agent, with a progress bar; what is kept is not flown again."""
+    from tqdm import tqdm
+
+    from swarm_envs.agents.evaluation import evaluate, frozen_seeds
+
+    seeds = frozen_seeds(options.seed, options.episodes)
+    kept = _open(name, agent, options, about)
+    found = kept.episodes if kept is not None else {}
+    before = sum(seed in found for seed in seeds)
+    if before:
+        print(f"{name}: {before} of {len(seeds)} episodes were flown before", flush=True)
+    episodes, good = [], 0
+    flown = evaluate(env, agent, seeds, dict(found), kept.add if kept is not None else None)
+    with tqdm(total=len(seeds), desc=name[-30:], unit="episode", mininterval=0.5) as bar:
+        for episode in flown:
+            episodes.append(episode)
+            good += episode["metrics"]["success"]
+            bar.set_postfix_str(f"success {good / len(episodes):.1%}", refresh=False)
+            bar.update()
+    return episodes
+
+
+def _open(
+    name: str, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
+) -> EpisodeFile | None:
+    from swarm_envs import __version__
+    from swarm_envs.agents.evaluation import EpisodeFile, source_digest
+
+    folder = _kept(options)
+    if folder is None:
+        return None
+    depends = {k: v for k, v in about.items() if k != "seed"}
+    depends |= {"agent": name, "source": source_digest(agent), "version": __version__}
+    return EpisodeFile(folder, name, depends)
+
+
+def _table(agents: list[dict[str, Any]]) -> str:
+    """The reports in a few columns."""
+    heads = ("agent", "success", "95 %", "collided", "near miss", "time, s", "energy, J", "act, ms")
+    rows = [heads, *(_row(report) for report in agents if "error" not in report)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(heads))]
+    lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
+    lines += [f"{r['agent']} FAILED: {r['error']}" for r in agents if "error" in r]
+    if any(report.get("privileged") for report in agents):
+        lines.append("* sees the true state")
+    return "\n" + "\n".join(line.rstrip() for line in lines)
+
+
+def _row(report: dict[str, Any]) -> tuple[str, ...]:
+    low, high = report["intervals"]["success_rate"]
+    return (
+        report["agent"] + ("*" if report["privileged"] else ""),
+        f"{report['success_rate']:.1%}",
+        f"{100 * low:.1f}-{100 * high:.1f}",
+        f"{report['collision_rate']:.1%}",
+        f"{report['near_miss_rate']:.1%}",
+        _number(report["time_to_goal_s"]),
+        _number(report["energy_j"]),
+        f"{report['act_ms']['p50']:.2f} ({report['act_ms']['p99']:.2f})",
+    )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"

@@ -1,0 +1,69 @@
+"""`swarm-envs train`: a policy by reinforcement learning."""
+
+from __future__ import annotations
+
+import importlib.util
+from typing import TYPE_CHECKING, Any
+
+from swarm_envs.commands.checks import Misuse, check_file, check_folder
+from swarm_envs.commands.fly import find_task
+
+if TYPE_CHECKING:
+    from swarm_envs.training.rl.config import TrainConfig
+
+TRAINED = ("swap_v0",)
+"""Tasks for which there is a recipe."""
+
+
+def check(config: TrainConfig) -> str:
+    """The versioned name of the task, if the options make a run.
+
+    Raises:
+        Misuse: there is no such task, no recipe for it, or no place to write.
+    """
+    check_folder("--out", config.out)
+    if config.json is not None:
+        check_file("--json", config.json, (".json",))
+    try:
+        task = find_task(config.task)
+    except ValueError as error:
+        raise Misuse(str(error)) from error
+    if task not in TRAINED:
+        raise Misuse(f"--task is {task!r}, but there is a recipe only for {', '.join(TRAINED)}")
+    return task
+
+
+def run(config: TrainConfig) -> None:
+    """Train, or say that it was done before; print what came out.
+
+    Raises:
+        ImportError: Stable-Baselines3 is not installed.
+        Misuse: the options make no run.
+        ValueError: the folder holds another run, or a damaged one.
+    """
+    if importlib.util.find_spec("stable_baselines3") is None:
+        raise ImportError(
+            "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[sb3]'"
+        )
+    from swarm_envs.files import write_json
+    from swarm_envs.training.rl.run import finished_report, train
+
+    task = check(config)
+    report = finished_report(config, task)
+    if report is not None:
+        print(f"the run in {config.out} was finished before, and stays as it is")
+    else:
+        report = train(config, task)
+    if config.json is not None:
+        write_json(config.json, report)
+    print(_summary(report))
+    print(f"fly it by: swarm-envs evaluate --agent {config.out} --drones {config.drones}")
+
+
+def _summary(report: dict[str, Any]) -> str:
+    chosen = dict(report["chosen"])
+    lines = [
+        f"{report['steps']:,} steps in {report['wall_s']:.0f} s ({report['cpu_s']:.0f} s of CPU)",
+        f"kept: the policy at {chosen.pop('step'):,.0f} steps, on the seeds for choosing",
+    ]
+    return "\n".join(lines + [f"  {name}: {rate:.1%}" for name, rate in chosen.items()])

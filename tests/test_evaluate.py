@@ -1,0 +1,187 @@
+"""The command `evaluate` and what stands behind it: scores, resuming, agents that fail."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarm_envs import swap_v0
+from swarm_envs.agents import fly_episode, load
+from swarm_envs.agents.evaluation import EpisodeFile, frozen_seeds
+from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean, rate_interval, score
+from swarm_envs.cli import main
+
+QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "4", "--seed", "7"]
+
+MINE = """
+import numpy as np
+class Fine:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    def reset(self, env, seed): self.count = 0
+    def act(self, observations, view):
+        self.count += 1
+        return {name: self.say() for name in observations}
+    def say(self): return np.zeros(3, np.float32)
+class Raises(Fine):
+    def say(self): return {}['nothing']
+class Nan(Fine):
+    def say(self): return np.full(3, np.nan if self.count > 2 else 0.0)
+class Unmade(Fine):
+    def __init__(self): raise SystemExit('no')
+class Picky(Fine):
+    requires = {'action': 'acceleration', 'num_drones': 5}
+"""
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    file = tmp_path / "mine.py"
+    file.write_text(MINE, encoding="utf-8")
+    return file
+
+
+def test_the_report_is_what_the_episodes_were(tmp_path, capsys):
+    out = tmp_path / "run"
+    agents = ["--agent", "straight-line", "detour"]
+    arguments = ["evaluate", "--drones", "2", "--episodes", "5", "--seed", "7", *agents]
+    assert main([*arguments, "--out", str(out), "--layout", "circle"]) == 0
+    said = capsys.readouterr()
+    assert "100%" in said.err
+    assert "detour*" in said.out
+    assert "sees the true state" in said.out
+    report = json.loads((out / "report.json").read_text())
+    line, detour = report["agents"]
+    assert (line["privileged"], detour["privileged"]) == (False, True)
+    assert line["collision_rate"] == line["collision_rate_by_kind"]["drone"] == 1.0
+    assert (line["success_rate"], detour["success_rate"]) == (0.0, 1.0)
+    env = swap_v0.parallel_env(
+        num_drones=2, layout="circle", physics="batch", **load("detour").requires
+    )
+    flown = [fly_episode(env, load("detour"), seed) for seed in frozen_seeds(7, 5)]
+    energies = sorted(metrics["energy_j"] for metrics in flown)
+    assert detour["energy_j"] == pytest.approx(np.mean(energies[1:4]), abs=1e-12)
+    low, high = detour["intervals"]["energy_j"]
+    assert energies[0] <= low <= detour["energy_j"] <= high <= energies[-1]
+    separation = min(metrics["minimum_separation_m"] for metrics in flown)
+    assert detour["smallest_separation_m"] == separation
+    env.close()
+
+
+def test_one_agent_s_numbers_stand_at_the_top_and_nothing_else_stays(tmp_path):
+    report = tmp_path / "out.json"
+    assert main(["evaluate", *QUICK, "--agent", "hover", "--json", str(report)]) == 0
+    content = json.loads(report.read_text())
+    assert content["success_rate"] == content["collision_rate"] == 0.0
+    assert content["agents"][0]["length_s"] == content["length_s"] == 0.5
+    assert [file.name for file in tmp_path.iterdir()] == ["out.json"]
+
+
+def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys):
+    report = tmp_path / "out.json"
+    names = ["Raises", "Fine", "Nan", "Unmade", "Picky", "Missing"]
+    agents = [f"{mine}:{name}" for name in names] + ["no-such-agent"]
+    assert main(["evaluate", *QUICK, "--agent", *agents, "--json", str(report)]) == 1
+    said = capsys.readouterr()
+    assert "mine.py" in said.err
+    found = {a["agent"].split(":")[-1]: a for a in json.loads(report.read_text())["agents"]}
+    assert "error" not in found["Fine"]
+    assert "decision 1: KeyError: 'nothing'" in found["Raises"]["error"]
+    assert "decision 3: ValueError" in found["Nan"]["error"]
+    assert "must be finite" in found["Nan"]["error"]
+    assert "SystemExit: no" in found["Unmade"]["error"]
+    assert "requires num_drones=5, not 2" in found["Picky"]["error"]
+    assert "did you mean" in found["Missing"]["error"]
+    assert "unknown agent" in found["no-such-agent"]["error"]
+    assert said.out.count("FAILED") == 6
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--task", "swop"], "did you mean 'swap_v0'"),
+        (["--layout", "rondom"], "did you mean 'random'"),
+        (["--json", "out.txt"], "must end in .json"),
+        (["--force-rate", "7"], "240 over an integer"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_flies(arguments, why, capsys):
+    assert main(["evaluate", "--agent", "hover", *arguments]) == 2
+    assert why in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [["--episodes", "0"], ["--agent", "hover", "hover"]])
+def test_impossible_numbers_are_refused(arguments, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["evaluate", *arguments])
+    assert end.value.code == 2
+    assert arguments[0] in capsys.readouterr().err
+
+
+def test_killed_it_goes_on_and_ends_as_if_it_had_not_been(tmp_path, capsys):
+    out, whole = tmp_path / "a", tmp_path / "b"
+    arguments = ["evaluate", "--agent", "straight-line", "--episodes", "30", "--seed", "3"]
+    command = [sys.executable, "-m", "swarm_envs", *arguments, "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while sum(f.read_text().count("\n") for f in out.glob("episodes/*")) < 3:
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.01)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    (file,) = out.glob("episodes/*")
+    with file.open("a") as torn:
+        torn.write('{"seed": 12')
+    assert main([*arguments, "--out", str(out)]) == 0
+    assert "of 30 episodes were flown before" in capsys.readouterr().out
+    assert main([*arguments, "--out", str(whole)]) == 0
+    first, second = (json.loads((f / "report.json").read_text()) for f in (out, whole))
+    for content in (first, second):
+        del content["act_ms"], content["agents"]
+    assert first == second
+
+
+def test_another_setting_begins_another_file_and_damage_is_named(tmp_path):
+    one = EpisodeFile(tmp_path, "a.py:Mine", {"layout": "random"})
+    one.add({"seed": 1, "metrics": {}, "act_us": []})
+    assert EpisodeFile(tmp_path, "a.py:Mine", {"layout": "circle"}).episodes == {}
+    assert EpisodeFile(tmp_path, "a.py:Mine", {"layout": "random"}).episodes.keys() == {1}
+    with one.path.open("a") as file:
+        file.write("nonsense\n")
+    with pytest.raises(ValueError, match=r"a-py-Mine.*is damaged"):
+        EpisodeFile(tmp_path, "a.py:Mine", {"layout": "random"})
+
+
+def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
+    arguments = ["evaluate", *QUICK, "--agent", f"{mine}:Fine", "--out", str(tmp_path / "run")]
+    for expected in (False, True):
+        assert main(arguments) == 0
+        assert ("flown before" in capsys.readouterr().out) is expected
+    mine.write_text(MINE.replace("zeros", "ones"), encoding="utf-8")
+    assert main(arguments) == 0
+    assert "flown before" not in capsys.readouterr().out
+
+
+def test_seeds_are_frozen_and_fewer_are_the_first_of_more():
+    assert frozen_seeds(7, 3) == frozen_seeds(7, 300)[:3]
+    assert not set(frozen_seeds(7, 2048)) & set(frozen_seeds(8, 2048))
+
+
+def test_statistics_against_what_is_known():
+    values = np.arange(8.0)
+    values[7] = 1e9
+    assert interquartile_mean(values) == pytest.approx(np.mean([2, 3, 4, 5]))
+    sample = np.random.default_rng(0).normal(3.0, 2.0, 400)
+    low, high = bootstrap_interval(sample, lambda x, axis: x.mean(axis=axis))
+    half = 1.96 * sample.std() / 20  # of a mean, by the central limit theorem
+    assert (low, high) == pytest.approx((sample.mean() - half, sample.mean() + half), abs=0.02)
+    assert rate_interval(0, 100) == pytest.approx([0.0, 0.0370], abs=1e-4)  # 3.84 / 103.84
+    with pytest.raises(ValueError, match="no episode"):
+        score([])

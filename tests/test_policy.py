@@ -1,0 +1,208 @@
+"""Policies as files and agents: what they are told, what they answer, what is refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from safetensors import safe_open
+from safetensors.numpy import save_file
+
+from swarm_envs import make, swap_v0
+from swarm_envs.agents import fly_episode, load
+from swarm_envs.agents.batch import fly_batch
+from swarm_envs.agents.features import feature_width, features
+from swarm_envs.agents.policy import FILE, PolicyAgent
+from swarm_envs.agents.policy_file import Policy, PolicyNote, read_policy, write_policy
+from swarm_envs.envs.blueprints import batch_of
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.observation import observation_layout
+
+NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2)
+
+
+def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
+    rng = np.random.default_rng(seed)
+    widths = [feature_width(note.num_neighbors), 8, 3]
+    layers = tuple(
+        (rng.normal(0, 0.3, (out, into)).astype(np.float32), rng.normal(0, 0.1, out))
+        for into, out in pairwise(widths)
+    )
+    rounded = tuple((weight, bias.astype(np.float32)) for weight, bias in layers)
+    return Policy(note, rounded, {"seed": seed})
+
+
+def observed(count: int, neighbors: int, drones: int) -> tuple[np.ndarray, dict[str, slice]]:
+    """Rows of teams that fly at random, and where each field stands."""
+    env = swap_v0.parallel_env(num_drones=drones, physics="batch", num_neighbors=neighbors)
+    rows: list[np.ndarray] = []
+    rng = np.random.default_rng(0)
+    while len(rows) < count:
+        seen, _ = env.reset(seed=len(rows))
+        for _ in range(25):
+            seen = env.step({a: rng.uniform(-1, 1, 3) for a in env.agents})[0]
+            rows += list(seen.values())
+    env.close()
+    layout = {field.name: field.where for field in observation_layout(neighbors)}
+    return np.stack(rows[:count]), layout
+
+
+@pytest.mark.parametrize(("neighbors", "drones"), [(3, 3), (2, 4), (0, 2)])
+def test_features_are_what_is_said_of_them(neighbors, drones):
+    """Against plain Python, a number at a time; closest approaches by looking along both ways."""
+    rows, where = observed(40, neighbors, drones)
+    made = features(rows, neighbors)
+    assert made.shape == (40, feature_width(neighbors))
+    assert made.dtype == np.float32
+    for row, out in zip(rows.astype(np.float64), made, strict=True):
+        goal = row[where["task.goal"]]
+        distance = math.dist(goal, (0, 0, 0))
+        own = [*(goal / 0.5 if distance < 0.5 else goal / distance), distance]
+        own += [*row[where["self.velocity"]], *row[where["self.attitude"]].reshape(3, 3)[:, 2]]
+        own += [*row[where["self.thrust"]], *row[where["self.setpoint_offset"]]]
+        own += [*row[where["self.position"]] / 2, *row[where["task.time_left"]]]
+        np.testing.assert_allclose(out[:18], own, atol=1e-6)
+        for k in range(neighbors):
+            seen = out[18 + 17 * k : 35 + 17 * k]
+            if row[where[f"neighbor_{k}.mask"]][0] == 0:
+                assert not seen.any()
+                continue
+            position, motion = (row[where[f"neighbor_{k}.{n}"]] for n in ("position", "velocity"))
+            ahead = np.linspace(0.0, 2.0, 200_001)
+            along = np.linalg.norm(position + ahead[:, None] * 2.0 * motion, axis=1)
+            nearest = along.argmin()
+            assert seen[3] == pytest.approx(math.exp(-np.linalg.norm(position) / 0.4), abs=1e-6)
+            assert seen[7] == pytest.approx(ahead[nearest] / 2, abs=1e-3)
+            assert seen[11] == pytest.approx(math.exp(-along[nearest] / 0.4), abs=1e-4)
+            faster = np.linalg.norm(position + 1e-5 * motion) - np.linalg.norm(position)
+            assert seen[15] == pytest.approx(-faster / 1e-5, abs=1e-3)
+            to_goal = row[where[f"neighbor_{k}.goal"]]
+            cut = to_goal / max(1.0, float(np.linalg.norm(to_goal)))
+            np.testing.assert_allclose(seen[12:15], cut, atol=1e-6)
+
+
+def test_features_need_rows_of_their_width():
+    with pytest.raises(ValueError, match="rows have 80 numbers, but those with num_neighbors=3"):
+        features(np.zeros((2, 80), np.float32), 3)
+
+
+def test_a_file_gives_back_what_was_written(tmp_path):
+    written = policy()
+    write_policy(tmp_path / FILE, written)
+    for name in (tmp_path, tmp_path / FILE):
+        agent = load(str(name))
+        assert isinstance(agent, PolicyAgent)
+        assert agent.policy.note == NOTE
+        assert agent.policy.digest == written.digest
+        assert agent.policy.provenance == {"seed": 0}
+    assert policy(seed=1).digest != written.digest
+
+
+def test_one_team_and_many_fly_the_same():
+    agent = PolicyAgent(policy())
+    options = {"num_drones": 3, "physics": "batch", "horizon_s": 1.0, **agent.requires}
+    found = batch_of("swap_v0", **options)
+    core = SwarmCore(found.task, found.config, 3)
+    many = fly_batch(core, agent.act_batch, range(5))
+    env = swap_v0.parallel_env(**options)
+    ones = [fly_episode(env, agent, seed) for seed in range(5)]
+    assert [m["length_s"] for m in many] == [m["length_s"] for m in ones]
+    separations = [[m["minimum_separation_m"] for m in flown] for flown in (many, ones)]
+    assert separations[0] == pytest.approx(separations[1], abs=1e-6)  # sums of float32 may differ
+    core.close()
+    env.close()
+
+
+def test_actions_stay_within_their_bounds():
+    loud = policy()
+    loud = replace(loud, layers=tuple((100 * weight, bias) for weight, bias in loud.layers))
+    rows, _ = observed(20, 2, 3)
+    actions = PolicyAgent(loud).act_batch(rows)
+    assert np.abs(actions).max() == 1.0
+
+
+@pytest.mark.parametrize(
+    ("task", "options", "why"),
+    [
+        ("swap_v0", {"num_drones": 4}, r"3 drones .* has 4; .*--drones 4"),
+        ("formation_v0", {"num_drones": 3}, "trained for task 'swap_v0', but .* 'formation_v0'"),
+        ("swap_v0", {"num_drones": 3, "decision_rate": 48}, "requires decision_rate=10"),
+        ("swap_v0", {"num_drones": 3, "action": "velocity"}, "requires action='acceleration'"),
+        ("swap_v0", {"num_drones": 3, "num_neighbors": 3}, "requires num_neighbors=2"),
+        ("swap_v0", {"num_drones": 3, "observation": "dict"}, "requires observation='flat'"),
+    ],
+)
+def test_elsewhere_it_does_not_fly(task, options, why):
+    agent = PolicyAgent(policy())
+    env = make(task, **{"physics": "batch", **agent.requires, **options})
+    with pytest.raises(ValueError, match=why):
+        fly_episode(env, agent, 0)
+    env.close()
+
+
+def rewrite(path: Path, **changes: object) -> None:
+    """Change entries of a policy's note."""
+    with safe_open(path, framework="numpy") as file:
+        note = json.loads(file.metadata()["swarm_envs"])
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    save_file(tensors, path, metadata={"swarm_envs": json.dumps({**note, **changes})})
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"format": "another"}, "format is 'another'"),
+        ({"observation": "0" * 64}, "another layout of observations"),
+        ({"features": "raw"}, "unknown features 'raw'"),
+        ({"task": "swap_v9"}, "did you mean 'swap_v0'"),
+        ({"action": "velocities"}, "did you mean 'velocity'"),
+        ({"action": "ctbr"}, "do not lead from 52 features to the 4 numbers"),
+        ({"num_neighbors": 3}, "do not lead from 69 features"),
+        ({"drones": 0}, "drones is 0"),
+        ({"weights_sha256": "0" * 64}, "are not those that were written"),
+    ],
+)
+def test_a_note_that_does_not_hold_is_refused(tmp_path, changes, why):
+    path = tmp_path / FILE
+    write_policy(path, policy())
+    rewrite(path, **changes)
+    with pytest.raises(ValueError, match=re.escape(why)) as refused:
+        read_policy(path)
+    assert str(path) in str(refused.value)
+
+
+def test_damage_is_named(tmp_path):
+    path = tmp_path / FILE
+    write_policy(path, policy())
+    whole = path.read_bytes()
+    flipped = bytearray(whole)
+    flipped[-5] ^= 1
+    for content in (whole[:-10], whole[:20], b"", bytes(flipped), b"\x80\x04K\x01."):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match="is damaged or no policy"):
+            load(str(tmp_path))
+
+
+def test_pickles_and_missing_files_are_refused(tmp_path):
+    for name in ("policy.pt", "policy.zip", "policy.pkl"):
+        (tmp_path / name).write_bytes(b"\x80\x04K\x01.")
+        with pytest.raises(ValueError, match=r"a pickle.* is refused"):
+            load(str(tmp_path / name))
+    with pytest.raises(FileNotFoundError, match=r"policy\.safetensors'; train a policy"):
+        load(str(tmp_path))
+    with pytest.raises(FileNotFoundError, match="train a policy"):
+        load(str(tmp_path / "runs" / "a.safetensors"))
+
+
+def test_weights_that_are_no_numbers_are_not_written(tmp_path):
+    broken = policy()
+    broken.layers[0][0][0, 0] = np.nan
+    with pytest.raises(ValueError, match=r"actor\.0\.weight.* not finite"):
+        write_policy(tmp_path / FILE, broken)
+    assert not list(tmp_path.iterdir())

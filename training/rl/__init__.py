@@ -1,0 +1,1 @@
+"""Reinforcement learning: one policy for all drones, trained by Stable-Baselines3's PPO."""

@@ -1,0 +1,177 @@
+"""What a training run is told: options alone, readable where torch is not installed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from swarm_envs.errors import check_integer
+from swarm_envs.physics.rigid_body import PHYSICS_RATE
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Train one policy for all drones by reinforcement learning.
+
+    Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
+    with the policy that an uninterrupted run would have. A finished run is not overwritten.
+    """
+
+    out: Path
+    """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
+    task: str = "swap"
+    """what is learned: `swap`, or with its version, `swap_v0`"""
+    layout: Literal["random", "circle"] = "random"
+    """of the task; with `random` half of the episodes are crowded, a quarter on the circle"""
+    algo: Literal["ppo"] = "ppo"
+    """`ppo`: proximal policy optimisation of Stable-Baselines3, one policy for all drones"""
+    drones: int = 4
+    """number of small drones; the policy will fly as many or fewer"""
+    steps: int = 3_000_000
+    """decisions of single drones, rounded up to whole rollouts"""
+    seed: int = 0
+    """of first weights, episodes and exploration; the same seed gives the same policy"""
+    json: Path | None = None
+    """write the report to this file too"""
+
+    environments: int = 128
+    """teams that fly at once"""
+    rollout: int = 32
+    """decisions of each drone between two updates of the policy"""
+    batch_size: int = 2048
+    """decisions per gradient step"""
+    passes: int = 5
+    """over the decisions of a rollout"""
+    learning_rate: float = 1e-3
+    """of Adam at the start; it falls linearly"""
+    last_rate: float = 0.02
+    """what is left of it at the end, as a share"""
+    discount: float = 0.98
+    """gamma: what a reward is worth one decision later"""
+    gae_lambda: float = 0.95
+    """lambda of generalised advantage estimation"""
+    clip: float = 0.2
+    """how far a decision's probability may move per update, as a ratio"""
+    entropy: float = 0.003
+    """weight of the policy's entropy in the loss: keeps it exploring"""
+    hidden: tuple[int, ...] = (64, 64)
+    """widths of the hidden layers of actor and critic, which share none"""
+    deviation: float = math.exp(-0.5)
+    """standard deviation of actions at the start; the same in every state, and learned"""
+    second_stage: float = 0.25
+    """share of the steps that are trained anew from what the others gave: with a fresh Adam, and
+    more exploration again; 0 for one stage"""
+    second_rate: float = 7e-4
+    """of Adam at the start of the second stage"""
+    second_deviation: float = 0.3
+    """least standard deviation of actions at its start"""
+
+    horizon_s: float = 3.5
+    """the clock of training, s: shorter than the task's, since failures come early; the time-out
+    is bootstrapped"""
+    decision_rate: int = 10
+    """decisions per second, in training and in flight"""
+    force_rate: int = 48
+    """evaluations of the air's force per second in training"""
+    num_neighbors: int = 3
+    """K, how many neighbours a drone observes"""
+    interactions: str = "learned"
+    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
+    hard_starts: bool = True
+    """with the layout `random`: crowded starts and circles among the episodes"""
+    proximity: tuple[float, float] = (4.0, 2.0)
+    """cost of being near another drone, from the first quarter to the last of the first stage; too
+    much for too long, and drones hover beside their goals"""
+    crash: float = 1.0
+    """cost of a collision, which also ends the episode"""
+    reward_scale: float = 1.0
+    """all rewards times this"""
+
+    checkpoint_rollouts: int = 20
+    """rollouts between checkpoints"""
+    judge_every: int = 3
+    """checkpoints between evaluations; the last is always evaluated"""
+    judge_episodes: int = 256
+    """episodes of an evaluation, on each layout, on seeds that are the same in every run and never
+    trained on; the policy that does best on them is kept"""
+    tensorboard: bool = True
+    """write event files, where the package tensorboard is installed"""
+    progress: bool = True
+    """show a progress bar"""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing could be trained.
+
+        Raises:
+            ValueError: naming the option, the value and the rule.
+        """
+        check_integer("--seed", self.seed, 0)
+        for name in _COUNTS:
+            check_integer(f"--{name.replace('_', '-')}", getattr(self, name), 1)
+        for name, (low, high) in _RANGES.items():
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ValueError(
+                    f"--{name.replace('_', '-')} is {value}, but must be from {low:g} to {high:g}"
+                )
+        if PHYSICS_RATE % self.decision_rate or PHYSICS_RATE % self.force_rate:
+            raise ValueError(
+                f"--decision-rate is {self.decision_rate} and --force-rate {self.force_rate}, but "
+                f"both must be {PHYSICS_RATE} over an integer"
+            )
+        if not self.hidden or min(self.hidden) < 1:
+            raise ValueError(f"--hidden is {self.hidden}, but must be one or more widths")
+        if min(self.proximity) < 0:
+            raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
+        size = self.rollout_steps
+        if size % self.batch_size:
+            raise ValueError(
+                f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
+                "rollout: environments x drones x rollout"
+            )
+
+    @property
+    def rollout_steps(self) -> int:
+        """Decisions of single drones in a rollout."""
+        return self.environments * self.drones * self.rollout
+
+    @property
+    def rollouts(self) -> int:
+        """Rollouts of the whole run."""
+        return math.ceil(self.steps / self.rollout_steps)
+
+    @property
+    def first_stage(self) -> int:
+        """Rollouts of the first stage."""
+        return max(1, self.rollouts - round(self.second_stage * self.rollouts))
+
+    def segments(self) -> list[range]:
+        """The rollouts between checkpoints; none belongs to both stages."""
+        found = []
+        for first, last in ((0, self.first_stage), (self.first_stage, self.rollouts)):
+            for begin in range(first, last, self.checkpoint_rollouts):
+                found.append(range(begin, min(begin + self.checkpoint_rollouts, last)))
+        return found
+
+
+_COUNTS = (
+    *("drones", "steps", "environments", "rollout", "batch_size", "passes", "num_neighbors"),
+    *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),
+)
+_RANGES = {
+    "learning_rate": (1e-7, 1.0),
+    "last_rate": (0.0, 1.0),
+    "discount": (0.0, 1.0),
+    "gae_lambda": (0.0, 1.0),
+    "clip": (1e-3, 1.0),
+    "entropy": (0.0, 1.0),
+    "deviation": (1e-3, 10.0),
+    "second_stage": (0.0, 0.9),
+    "second_rate": (1e-7, 1.0),
+    "second_deviation": (0.0, 10.0),
+    "horizon_s": (0.2, 1000.0),
+    "crash": (0.0, 1e6),
+    "reward_scale": (1e-6, 1e6),
+}
