@@ -24,15 +24,11 @@ where there is none."""
 STAY = 6
 _UNUSED = -1
 _MOST_NODES = 2**29
-_DEAD = -2
-_WORTHWHILE = 0.1
-"""Share of the waiting robots that shortest paths must serve, lest any path be tried."""
+_FAR = 2**30
 _SMALL = 2**18
 """Up to so many nodes the fewest steps are sought; above, a plan in few steps."""
 _FIRST_GUESS = 3
 """Steps that suffice for random configurations, however large the grid."""
-_PATIENCE = 40
-"""Rounds after which another step is added, on a large grid."""
 
 
 def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
@@ -51,44 +47,57 @@ def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
 
 
 @kernel
-def _reach(table, used_out, used_in, level, sink, pending, queue, steps):  # type: ignore[no-untyped-def]
-    """Number the nodes by their distance from waiting robots in the residual graph.
+def _label(table, used_out, used_in, label, sink, queue, steps):  # type: ignore[no-untyped-def]
+    """Label the nodes with their distance to a free sink in the residual graph.
 
-    A node is ((t V + v) 2 + side), side 0 where flow comes in, 1 where it goes out; `level` has a
-    row for each side. Returns the level of the nearest free sink, or -1.
+    A node is ((t V + v) 2 + side), side 0 where flow comes in, 1 where it goes out; `label` has a
+    row for each side.
     """
     total = table.shape[0]
-    level[:, : (steps + 1) * total] = -1
+    label[:] = _FAR
     tail = 0
     for v in range(total):
-        if pending[v]:
-            level[1, v] = 0
-            queue[tail] = 2 * v + 1
+        place = steps * total + v
+        if sink[v] and used_in[place] < 0:
+            label[0, place] = 1
+            queue[tail] = 2 * place
             tail += 1
-    head, found = 0, -1
+    head = 0
     while head < tail:
         node = queue[head]
         head += 1
         side, place = node & 1, node >> 1
-        depth = level[side, place]
-        if depth == found:
-            break
         t, v = place // total, place % total
         for arc in range(8):
-            following = _arc(table, used_out, used_in, steps, total, side, t, v, arc)
-            if following == -2:
-                if sink[v]:
-                    found = depth
-            elif following >= 0 and level[following & 1, following >> 1] < 0:
-                level[following & 1, following >> 1] = depth + 1
-                queue[tail] = following
+            before = _arc_back(table, used_out, used_in, total, side, t, v, arc)
+            if before >= 0 and label[before & 1, before >> 1] == _FAR:
+                label[before & 1, before >> 1] = label[side, place] + 1
+                queue[tail] = before
                 tail += 1
-    return found
+
+
+@kernel
+def _arc_back(table, used_out, used_in, total, side, t, v, arc):  # type: ignore[no-untyped-def]
+    """The node from which an arc of the residual graph leads here, or -1."""
+    place = t * total + v
+    if side == 0:
+        if arc == 7:  # what passes through may be taken back
+            return 2 * place + 1 if used_in[place] >= 0 and place < used_out.shape[0] else -1
+        u = table[v, arc]
+        if u < 0 or t == 0:
+            return -1
+        came = place - total + u - v
+        return 2 * came + 1 if used_out[came] != (arc ^ 1 if arc < 6 else arc) else -1
+    if arc == 0 and t > 0 and used_in[place] < 0:
+        return 2 * place
+    if arc == 1 and used_out[place] >= 0:  # by taking back the flow that goes on
+        return 2 * (place + total + table[v, used_out[place]] - v)
+    return -1
 
 
 @kernel
 def _arc(table, used_out, used_in, steps, total, side, t, v, arc):  # type: ignore[no-untyped-def]
-    """The node to which an arc of the residual graph leads; -1 if there is none, -2 to a sink."""
+    """The node to which an arc of the residual graph leads, or -1."""
     place = t * total + v
     if side == 1:
         if arc == 7:  # take back what passes through
@@ -103,46 +112,43 @@ def _arc(table, used_out, used_in, steps, total, side, t, v, arc):  # type: igno
     if came >= 0:  # only by taking back the flow that comes in
         before = table[v, came ^ 1] if came < 6 else v
         return 2 * (place - total + before - v) + 1
-    return -2 if t == steps else 2 * place + 1
+    return -1 if t == steps else 2 * place + 1
 
 
 @kernel
-def _augment(table, used_out, used_in, level, sink, pending, stack, arcs, steps, shortest):  # type: ignore[no-untyped-def]
-    """Send robots along paths of the residual graph that share no node; return how many.
+def _augment(table, used_out, used_in, label, sink, pending, path, arcs, steps):  # type: ignore[no-untyped-def]
+    """Send waiting robots to sinks, near ones first, along paths that share no node.
 
-    Along shortest paths only, from level to level; or along any, which makes sense when few are
-    left whose shortest paths are of many different lengths.
+    Returns how many were sent, or -1 if there is one that no sink is left for. A path may be any,
+    not only a shortest one: a search that enters each node once finds ways for nearly all.
     """
     total = table.shape[0]
     sent = 0
     for s in range(total):
-        if not pending[s] or level[1, s] == _DEAD:
+        if not pending[s]:
             continue
+        if label[1, s] == _FAR:
+            return -1
         depth = 0
-        stack[0] = 2 * s + 1
-        arcs[0] = -1
+        path[0] = 2 * s + 1
         while depth >= 0:
-            node = stack[depth]
+            node = path[depth]
             side, place = node & 1, node >> 1
             t, v = place // total, place % total
-            arcs[depth] += 1
-            level[side, place] = _DEAD
-            if arcs[depth] == 8:
-                depth -= 1
-                continue
-            following = _arc(table, used_out, used_in, steps, total, side, t, v, arcs[depth])
-            if following == -2:
-                if sink[v]:
-                    _send(used_out, used_in, stack, arcs, depth)
-                    pending[s] = False
-                    sent += 1
-                    break
-            elif following >= 0:
-                ahead = level[following & 1, following >> 1]
-                if ahead != _DEAD and (not shortest or ahead == depth + 1):
-                    depth += 1
-                    stack[depth] = following
-                    arcs[depth] = -1
+            label[side, place] = _FAR
+            if t == steps and sink[v] and used_in[place] < 0:
+                _send(used_out, used_in, path, arcs, depth)
+                pending[s] = False
+                sent += 1
+                break
+            lowest = _FAR
+            for arc in range(8):
+                following = _arc(table, used_out, used_in, steps, total, side, t, v, arc)
+                if following >= 0 and label[following & 1, following >> 1] < lowest:
+                    lowest = label[following & 1, following >> 1]
+                    arcs[depth] = arc
+                    path[depth + 1] = following
+            depth += 1 if lowest < _FAR else -1
     return sent
 
 
@@ -213,17 +219,13 @@ class _Flow:
     def fill(self) -> None:
         """Send as many as can arrive in time."""
         nodes = 2 * (self.steps + 1) * self.total
-        level = np.empty((2, nodes // 2), dtype=np.int16)
-        queue = np.empty(nodes, dtype=np.int32)
-        stack, arcs = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int8)
-        flow = (self.table, self.out, self.come, level, self.sinks, self.pending)
-        shortest = True
-        for _ in range(nodes if nodes < _SMALL else _PATIENCE):
-            if not self.pending.any() or (shortest and _reach(*flow, queue, self.steps) < 0):
+        label = np.empty((2, nodes // 2), dtype=np.int32)
+        queue, arcs = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int8)
+        flow = (self.table, self.out, self.come, label, self.sinks)
+        while self.pending.any():
+            _label(*flow, queue, self.steps)
+            if _augment(*flow, self.pending, queue, arcs, self.steps) < 0:
                 break
-            level[:] *= shortest
-            sent = _augment(*flow, stack, arcs, self.steps, shortest)
-            shortest = not shortest or sent > _WORTHWHILE * np.count_nonzero(self.pending)
         last = self.come[self.steps * self.total :]
         self.settled = last >= 0
 
