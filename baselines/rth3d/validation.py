@@ -47,7 +47,7 @@ class ValidationReport:
 
 
 @kernel
-def _follow(paths, starts, goals, blocked, holder, last):  # type: ignore[no-untyped-def]
+def follow_paths(paths, starts, goals, blocked, holder, last):  # type: ignore[no-untyped-def]
     """Walk all paths; return (broken rule or 0, time, robot, moves)."""
     steps, count, _ = paths.shape
     for i in range(count):
@@ -148,7 +148,7 @@ def validate(
         given = wide.astype(np.int16)
     last = np.zeros(given.shape[1], dtype=np.int64)
     holder = np.full(instance.shape, -1, dtype=np.int32)
-    rule, time, robot, moves = _follow(
+    rule, time, robot, moves = follow_paths(
         np.ascontiguousarray(given),
         instance.starts,
         instance.goals,
