@@ -190,5 +190,7 @@ def check_instance(
     first = check_points("starts", starts, sides, walls)
     last = check_points("goals", goals, sides, walls)
     if len(first) != len(last):
-        raise ValueError(f"there are {len(first)} starts, but {len(last)} goals; give each robot one")
+        raise ValueError(
+            f"there are {len(first)} starts, but {len(last)} goals; give each robot one"
+        )
     return GridInstance(sides, first, last, walls)

@@ -80,7 +80,9 @@ def _across(aims, shift, low, by_aim, at, node, k, middle, reach, count):  # typ
 
 
 @kernel
-def _exchange(aims, shift, low, by_aim, at, begin, size, middle, reach, excess, depth, path, arcs, last):  # type: ignore[no-untyped-def]
+def _exchange(
+    aims, shift, low, by_aim, at, begin, size, middle, reach, excess, depth, path, arcs, last
+):  # type: ignore[no-untyped-def]
     """Make items change sides along shortest paths from overfull aims to those with room."""
     count = excess.shape[0]
     done = 0

@@ -57,7 +57,9 @@ def _cheapest(rows: tuple[int, ...], headings: tuple[int, ...], obstacle: bool) 
             return
         k = len(chosen)
         for walk, own in _walks(rows[k], headings[k], obstacle):
-            least = sum(_walks(r, h, obstacle)[0][1] for r, h in zip(rows[k + 1 :], headings[k + 1 :]))
+            least = sum(
+                _walks(r, h, obstacle)[0][1] for r, h in zip(rows[k + 1 :], headings[k + 1 :])
+            )
             if cost + own + least >= best[0]:
                 break
             if all(_apart(walk, other) for other in chosen):
