@@ -13,7 +13,7 @@ from itertools import count as _count_up
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.grid import Shape, Vertices
+from swarm_envs.baselines.rth3d.grid import Array, Shape, Vertices
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
@@ -47,7 +47,15 @@ def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
 
 
 @kernel
-def _label(table, used_out, used_in, label, sink, queue, steps):  # type: ignore[no-untyped-def]
+def _label(
+    table: Array,
+    used_out: Array,
+    used_in: Array,
+    label: Array,
+    sink: Array,
+    queue: Array,
+    steps: int,
+) -> None:
     """Label the nodes with their distance to a free sink in the residual graph.
 
     A node is ((t V + v) 2 + side), side 0 where flow comes in, 1 where it goes out; `label` has a
@@ -77,7 +85,9 @@ def _label(table, used_out, used_in, label, sink, queue, steps):  # type: ignore
 
 
 @kernel
-def _arc_back(table, used_out, used_in, total, side, t, v, arc):  # type: ignore[no-untyped-def]
+def _arc_back(
+    table: Array, used_out: Array, used_in: Array, total: int, side: int, t: int, v: int, arc: int
+) -> int:
     """The node from which an arc of the residual graph leads here, or -1."""
     place = t * total + v
     if side == 0:
@@ -96,7 +106,17 @@ def _arc_back(table, used_out, used_in, total, side, t, v, arc):  # type: ignore
 
 
 @kernel
-def _arc(table, used_out, used_in, steps, total, side, t, v, arc):  # type: ignore[no-untyped-def]
+def _arc(
+    table: Array,
+    used_out: Array,
+    used_in: Array,
+    steps: int,
+    total: int,
+    side: int,
+    t: int,
+    v: int,
+    arc: int,
+) -> int:
     """The node to which an arc of the residual graph leads, or -1."""
     place = t * total + v
     if side == 1:
@@ -116,7 +136,17 @@ def _arc(table, used_out, used_in, steps, total, side, t, v, arc):  # type: igno
 
 
 @kernel
-def _augment(table, used_out, used_in, label, sink, pending, path, arcs, steps):  # type: ignore[no-untyped-def]
+def _augment(
+    table: Array,
+    used_out: Array,
+    used_in: Array,
+    label: Array,
+    sink: Array,
+    pending: Array,
+    path: Array,
+    arcs: Array,
+    steps: int,
+) -> int:
     """Send waiting robots to sinks, near ones first, along paths that share no node.
 
     Returns how many were sent, or -1 if there is one that no sink is left for. A path may be any,
@@ -153,7 +183,7 @@ def _augment(table, used_out, used_in, label, sink, pending, path, arcs, steps):
 
 
 @kernel
-def _send(used_out, used_in, stack, arcs, depth):  # type: ignore[no-untyped-def]
+def _send(used_out: Array, used_in: Array, stack: Array, arcs: Array, depth: int) -> None:
     """Change the flow along a path."""
     for k in range(depth + 1):
         side, place = stack[k] & 1, stack[k] >> 1
@@ -167,7 +197,7 @@ def _send(used_out, used_in, stack, arcs, depth):  # type: ignore[no-untyped-def
 
 
 @kernel
-def _without_swaps(table, used_out, used_in, steps):  # type: ignore[no-untyped-def]
+def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) -> None:
     """Let two units that would swap stay: nobody knows the difference."""
     total = table.shape[0]
     for t in range(steps):
@@ -183,7 +213,7 @@ def _without_swaps(table, used_out, used_in, steps):  # type: ignore[no-untyped-
 
 
 @kernel
-def _follow(table, used_out, starts, paths):  # type: ignore[no-untyped-def]
+def _follow(table: Array, used_out: Array, starts: Array, paths: Array) -> None:
     """Write where the unit that leaves each start is after each step."""
     total = table.shape[0]
     for i in range(starts.shape[0]):

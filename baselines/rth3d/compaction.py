@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.grid import Vertices
+from swarm_envs.baselines.rth3d.grid import Array, Vertices
 from swarm_envs.compiled import kernel
 
 Paths = npt.NDArray[np.int32]
@@ -19,7 +19,16 @@ Paths = npt.NDArray[np.int32]
 
 
 @kernel
-def _resolve(i, aim, at, holder, arrived, left, chain, time):  # type: ignore[no-untyped-def]
+def _resolve(
+    i: int,
+    aim: Array,
+    at: Array,
+    holder: Array,
+    arrived: Array,
+    left: Array,
+    chain: Array,
+    time: Array,
+) -> None:
     """Time the move of robot i and of those whom it follows, head first; a ring goes as one."""
     length = 0
     ring = False
@@ -49,7 +58,17 @@ def _resolve(i, aim, at, holder, arrived, left, chain, time):  # type: ignore[no
 
 
 @kernel
-def advance(paths, at, holder, arrived, left, aim, time, movers, chain):  # type: ignore[no-untyped-def]
+def advance(
+    paths: Array,
+    at: Array,
+    holder: Array,
+    arrived: Array,
+    left: Array,
+    aim: Array,
+    time: Array,
+    movers: Array,
+    chain: Array,
+) -> int:
     """Move all events of `paths` forward in time, in place; return the new makespan.
 
     Args:
@@ -58,7 +77,10 @@ def advance(paths, at, holder, arrived, left, aim, time, movers, chain):  # type
         holder: (V,) the robot on each vertex at the start, or -1.
         arrived: (n,) zeros.
         left: (V,) zeros.
-        aim, time, movers, chain: (n,) for work.
+        aim: (n,) for work.
+        time: (n,) for work.
+        movers: (n,) for work.
+        chain: (n,) for work.
     """
     steps, count = paths.shape
     makespan = 0

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.state import BoolArray
 
+Array = npt.NDArray[Any]
+"""Of a kernel's arguments, which are typed when it is compiled."""
 Coordinates = npt.NDArray[np.int32]
 """(n, 3) vertices as coordinates (x, y, z)."""
 Vertices = npt.NDArray[np.int32]
@@ -102,14 +105,14 @@ def check_pattern(obstacles: BoolArray) -> None:
     Raises:
         ValueError: naming the first vertex that breaks the pattern.
     """
-    columns = obstacles.any(axis=2)
+    columns: BoolArray = np.asarray(obstacles.any(axis=2))
     outside = columns.copy()
     outside[1::3, 1::3] = False
     if outside.any():
         x, y = (int(k) for k in np.argwhere(outside)[0])
         raise ValueError(
-            f"there is an obstacle at x = {x}, y = {y}, but obstacles may only stand at x = 3i + 1, "
-            "y = 3j + 1, so that there are lanes beside them; move or shift them there"
+            f"there is an obstacle at x = {x}, y = {y}, but obstacles may only stand at x = 3i + 1,"
+            " y = 3j + 1, so that there are lanes beside them; move them there"
         )
     gaps = columns[:, :, None] & ~obstacles
     if gaps.any():

@@ -55,8 +55,8 @@ class Highways:
     def rows(self) -> npt.NDArray[np.int32]:
         """Along the short axis, the coordinates that have slots."""
         usable = np.arange(self.shape[1] // CELL * CELL, dtype=np.int32)
-        blocked = self.obstacles[: self.cells * CELL].any(axis=(0, 2))[: len(usable)]
-        return usable[~blocked]
+        blocked = np.asarray(self.obstacles[: self.cells * CELL].any(axis=(0, 2)))
+        return usable[~blocked[: len(usable)]]
 
     @property
     def capacity(self) -> int:
@@ -114,7 +114,7 @@ def max_density(shape: Sequence[int], obstacles: npt.ArrayLike | None = None) ->
     """Largest density, robots per vertex, that RTH3D supports on a grid.
 
     1/3 where two sides, upright ones if there are obstacles, are multiples of 3, and 2/9 between
-    buildings; less where strips at the edges are too narrow for highways. 0 if the grid is too thin.
+    buildings; less where strips at the edges are too narrow for highways; 0 if it is too thin.
 
     Raises:
         ValueError: the shape is none, or obstacles break the pattern.

@@ -18,7 +18,7 @@ class _Draw(NamedTuple):
     """What a family is drawn from."""
 
     shape: Shape
-    count: int | None
+    robots: int | None
     generator: np.random.Generator
     obstacles: BoolArray
 
@@ -37,7 +37,7 @@ def _default_count(draw: _Draw) -> int:
 
 def _uniform(draw: _Draw) -> _Pair:
     free = np.flatnonzero(~draw.obstacles)
-    count = _default_count(draw) if draw.count is None else draw.count
+    count = _default_count(draw) if draw.robots is None else draw.robots
     if not 1 <= count <= len(free):
         raise ValueError(f"count is {count}, but must be from 1 to the {len(free)} free vertices")
     starts, goals = (draw.generator.choice(free, count, replace=False) for _ in range(2))

@@ -18,13 +18,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.compiled import kernel
 
 Items = npt.NDArray[np.int32]
 
 
 @kernel
-def _flexible(shift, middle, item, low, reach):  # type: ignore[no-untyped-def]
+def _flexible(shift: Array, middle: int, item: int, low: bool, reach: int) -> bool:
     """Whether an item may change sides: by at most `reach` levels beyond the middle."""
     level = shift[item]
     if level < 0:
@@ -33,7 +34,21 @@ def _flexible(shift, middle, item, low, reach):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _levels(aims, shift, low, by_aim, at, begin, size, half, middle, reach, excess, depth, queue):  # type: ignore[no-untyped-def]
+def _levels(
+    aims: Array,
+    shift: Array,
+    low: Array,
+    by_aim: Array,
+    at: Array,
+    begin: int,
+    size: int,
+    half: int,
+    middle: int,
+    reach: int,
+    excess: Array,
+    depth: Array,
+    queue: Array,
+) -> int:
     """Number columns by their distance from overfull aims; the nearest aim with room, or -1.
 
     Nodes 0 .. K - 1 are aims, K .. 2 K - 1 the columns that are left.
@@ -66,7 +81,18 @@ def _levels(aims, shift, low, by_aim, at, begin, size, half, middle, reach, exce
 
 
 @kernel
-def _across(aims, shift, low, by_aim, at, node, k, middle, reach, count):  # type: ignore[no-untyped-def]
+def _across(
+    aims: Array,
+    shift: Array,
+    low: Array,
+    by_aim: Array,
+    at: Array,
+    node: int,
+    k: int,
+    middle: int,
+    reach: int,
+    count: int,
+) -> int:
     """The node to which the k-th item of a node leads when it changes sides, or -1."""
     if node < count:
         item = by_aim[node, k]
@@ -81,8 +107,21 @@ def _across(aims, shift, low, by_aim, at, node, k, middle, reach, count):  # typ
 
 @kernel
 def _exchange(
-    aims, shift, low, by_aim, at, begin, size, middle, reach, excess, depth, path, arcs, last
-):  # type: ignore[no-untyped-def]
+    aims: Array,
+    shift: Array,
+    low: Array,
+    by_aim: Array,
+    at: Array,
+    begin: int,
+    size: int,
+    middle: int,
+    reach: int,
+    excess: Array,
+    depth: Array,
+    path: Array,
+    arcs: Array,
+    last: int,
+) -> int:
     """Make items change sides along shortest paths from overfull aims to those with room."""
     count = excess.shape[0]
     done = 0
@@ -120,7 +159,17 @@ def _exchange(
 
 
 @kernel
-def _halve(aims, shift, low, by_aim, at, begin, size, bounded, work):  # type: ignore[no-untyped-def]
+def _halve(
+    aims: Array,
+    shift: Array,
+    low: Array,
+    by_aim: Array,
+    at: Array,
+    begin: int,
+    size: int,
+    bounded: bool,
+    work: Array,
+) -> None:
     """Split the levels [begin, begin + size) of a table: the first half of `at` and `by_aim`."""
     count = at.shape[0]
     half = size // 2
@@ -157,7 +206,7 @@ def _halve(aims, shift, low, by_aim, at, begin, size, bounded, work):  # type: i
 
 
 @kernel
-def _low_first(items, low, begin, size, buffer):  # type: ignore[no-untyped-def]
+def _low_first(items: Array, low: Array, begin: int, size: int, buffer: Array) -> None:
     """Sort the low items before the others, the order otherwise kept."""
     kept, end = 0, begin
     for k in range(begin, begin + size):
@@ -172,7 +221,7 @@ def _low_first(items, low, begin, size, buffer):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def split_tables(aims, shift, bounded, levels):  # type: ignore[no-untyped-def]
+def split_tables(aims: Array, shift: Array, bounded: bool, levels: Array) -> None:
     """Put the items of several tables into levels; see `assign_levels`."""
     tables, count, size = aims.shape
     at = np.empty((count, size), dtype=np.int32)

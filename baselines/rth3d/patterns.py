@@ -2,7 +2,7 @@
 
 A cell is 3 x 3 vertices, long axis first. Its robots stand in the column x = 1, at y = 0, 1, 2, or
 at y = 0, 2 around an obstacle. Whoever goes on to larger x must get into the lane y = 0, to smaller
-x into y = 2, and whoever stays into the row y = 1 between them, in at most three steps (Sec. III-B).
+x into y = 2, and whoever stays into the row y = 1 between them, in three steps (Sec. III-B).
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.balancing import Neighbors, neighbor_table
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import GridInstance, numbers
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
 from swarm_envs.compiled import kernel
 
 _Ints = npt.NDArray[np.int32]
@@ -64,14 +64,14 @@ _INCREMENT = 1442695040888963407
 
 
 @kernel
-def _draw(random):  # type: ignore[no-untyped-def]
+def _draw(random: Array) -> int:
     """30 random bits."""
     random[0] = random[0] * _MULTIPLIER + _INCREMENT
     return (random[0] >> 33) & 0x3FFFFFFF
 
 
 @kernel
-def _distance(terrain, vertex, goal):  # type: ignore[no-untyped-def]
+def _distance(terrain: Terrain, vertex: int, goal: Array) -> int:
     """Length of a shortest path; two more than the Manhattan distance where a column is between."""
     x, y = terrain.at[vertex, 0], terrain.at[vertex, 1]
     found = abs(x - goal[0]) + abs(y - goal[1]) + abs(terrain.at[vertex, 2] - goal[2])
@@ -84,7 +84,7 @@ def _distance(terrain, vertex, goal):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _ask(terrain, crowd, at, robot, entry):  # type: ignore[no-untyped-def]
+def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array) -> None:
     """Sort a robot's choices: near its goal first, then free ones, then at random."""
     entry[0], entry[1] = robot, 0
     goal, here = crowd.goal[robot], at[robot]
@@ -110,7 +110,7 @@ def _ask(terrain, crowd, at, robot, entry):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _decide(terrain, crowd, at, robot):  # type: ignore[no-untyped-def]
+def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int) -> None:
     """Settle the next vertex of a robot and of all whom it pushes away."""
     depth = 0
     _ask(terrain, crowd, at, robot, crowd.asked[0])
@@ -145,7 +145,7 @@ def _decide(terrain, crowd, at, robot):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _sort(terrain, crowd, at):  # type: ignore[no-untyped-def]
+def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
     """Queue the robots by urgency; return the longest way that is left."""
     count = at.shape[0]
     longest, top = 0, crowd.counts.shape[0] - 1
@@ -169,7 +169,9 @@ def _sort(terrain, crowd, at):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def run_pibt(terrain, crowd, paths, begin, end, limit):  # type: ignore[no-untyped-def]
+def run_pibt(
+    terrain: Terrain, crowd: Crowd, paths: Array, begin: int, end: int, limit: int
+) -> tuple[int, int]:
     """Plan steps begin + 1 ... end, unless all arrive before, or none can within `limit` steps.
 
     Returns the last planned step, and the longest way that is left to anyone then.

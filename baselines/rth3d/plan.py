@@ -119,7 +119,7 @@ def plan(
     time_limit: float | None = None,
     watch: Callable[[str], None] | None = None,
 ) -> GridPlan:
-    """Plan collision-free paths on a 6-connected grid for robots that each have a goal of their own.
+    """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
 
     Args:
         starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.

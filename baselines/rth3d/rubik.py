@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.balancing import Neighbors, balance, neighbor_table
+from swarm_envs.baselines.rth3d.balancing import balance, neighbor_table
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Vertices
 from swarm_envs.baselines.rth3d.highways import CELL, Highways
@@ -184,7 +184,7 @@ def _shifts(
     present = np.arange(len(height), dtype=np.int32)
     old_row, goal_row = (k // table.heights % table.rows for k in (present, table.goal))
     across, up = table.highways.shape[2], 1
-    moves = {
+    moves: dict[str, Shift | LongShift] = {
         "heights": Shift((height - present % table.heights)[robots], up),
         "rows": Shift((y[row] - y[old_row])[robots], across),
         "long axis": LongShift(*(part[robots] for part in long)),
@@ -212,9 +212,7 @@ def _write(
             if isinstance(shift, LongShift):
                 write_long_shift(paths, begin, shift.duration, *shift, side)
             else:
-                write_shift(
-                    paths, begin, shift.duration, shift.distance, side, np.int64(shift.stride)
-                )
+                write_shift(paths, begin, shift.duration, shift.distance, side, shift.stride)
             record(shift.duration)
         begin += shift.duration
     paths[begin:] = balanced.last[::-1]

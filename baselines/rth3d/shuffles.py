@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.baselines.rth3d.patterns import STEPS
 from swarm_envs.compiled import kernel
 
@@ -55,7 +56,9 @@ class LongShift(NamedTuple):
 
 
 @kernel
-def write_shift(paths, begin, duration, distance, side, stride):  # type: ignore[no-untyped-def]
+def write_shift(
+    paths: Array, begin: int, duration: int, distance: Array, side: int, stride: int
+) -> None:
     """Write a shuffle across the long axis into rows begin + 1 ... begin + duration."""
     for t in range(1, duration + 1):
         for i in range(distance.shape[0]):
@@ -70,7 +73,16 @@ def write_shift(paths, begin, duration, distance, side, stride):  # type: ignore
 
 
 @kernel
-def write_long_shift(paths, begin, duration, change, run, park, leave, stride):  # type: ignore[no-untyped-def]
+def write_long_shift(
+    paths: Array,
+    begin: int,
+    duration: int,
+    change: Array,
+    run: Array,
+    park: Array,
+    leave: Array,
+    stride: int,
+) -> None:
     """Write a shuffle along the long axis into rows begin + 1 ... begin + duration."""
     lanes = change.shape[1]
     for t in range(1, duration + 1):
@@ -93,7 +105,7 @@ def write_long_shift(paths, begin, duration, change, run, park, leave, stride): 
 
 
 @kernel
-def _park(items, source, goal, place, spot, last):  # type: ignore[no-untyped-def]
+def _park(items: Array, source: Array, goal: Array, place: Array, spot: Array, last: int) -> None:
     """Give everyone of a cell a vertex of the row between the lanes: the far ones the near end."""
     taken = 0 if items.shape[0] == 3 else 2
     for item in items:
@@ -118,7 +130,9 @@ def _park(items, source, goal, place, spot, last):  # type: ignore[no-untyped-de
 
 
 @kernel
-def park_in_cells(table, source, goal, changes, place, spot):  # type: ignore[no-untyped-def]
+def park_in_cells(
+    table: Array, source: Array, goal: Array, changes: Array, place: Array, spot: Array
+) -> None:
     """Plan the long shuffle of all strips that hold as many robots a cell.
 
     Args:

@@ -24,12 +24,13 @@ class Solution:
     method: str
     """What found them: a method, or "pibt, then rth3d-lba"."""
     bound: int | None
-    """What the makespan could not exceed, whatever the robots' labels; None without such a bound."""
+    """What the makespan could not exceed, whatever the labels; None without such a bound."""
     before_compaction: int | None = None
     """Makespan of RTH3D's phases one after another."""
 
     @property
     def makespan(self) -> int:
+        """Steps of the plan."""
         return len(self.paths) - 1
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.grid import check_instance
+from swarm_envs.baselines.rth3d.grid import Array, check_instance
 from swarm_envs.compiled import kernel
 
 _REASONS = (
@@ -47,7 +47,9 @@ class ValidationReport:
 
 
 @kernel
-def follow_paths(paths, starts, goals, blocked, holder, last):  # type: ignore[no-untyped-def]
+def follow_paths(
+    paths: Array, starts: Array, goals: Array, blocked: Array, holder: Array, last: Array
+) -> tuple[int, int, int, int]:
     """Walk all paths; return (broken rule or 0, time, robot, moves)."""
     steps, count, _ = paths.shape
     for i in range(count):
@@ -75,7 +77,7 @@ def follow_paths(paths, starts, goals, blocked, holder, last):  # type: ignore[n
 
 
 @kernel
-def _enter(now, blocked, holder):  # type: ignore[no-untyped-def]
+def _enter(now: Array, blocked: Array, holder: Array) -> tuple[int, int]:
     """Put everyone on the grid; return (broken rule or 0, robot)."""
     for i in range(now.shape[0]):
         x, y, z = now[i, 0], now[i, 1], now[i, 2]
@@ -91,7 +93,7 @@ def _enter(now, blocked, holder):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _step(before, now, holder, i):  # type: ignore[no-untyped-def]
+def _step(before: Array, now: Array, holder: Array, i: int) -> int:
     """0 if robot i waits, -1 if it moves along an edge, else the rule that it breaks."""
     length = 0
     for k in range(3):
@@ -139,8 +141,8 @@ def validate(
     instance = check_instance(starts, goals, shape, obstacles)
     given = np.asarray(paths)
     if given.ndim != 3 or given.shape[1:] != instance.starts.shape or len(given) == 0:
-        rule = f"(T + 1, {len(instance.starts)}, 3) for these starts"
-        raise ValueError(f"paths have shape {given.shape}, but must have {rule}")
+        wanted = f"(T + 1, {len(instance.starts)}, 3) for these starts"
+        raise ValueError(f"paths have shape {given.shape}, but must have {wanted}")
     if not np.issubdtype(given.dtype, np.integer):
         raise ValueError(f"paths are of type {given.dtype}, but must be integers")
     if given.dtype != np.int16:
@@ -148,7 +150,7 @@ def validate(
         given = wide.astype(np.int16)
     last = np.zeros(given.shape[1], dtype=np.int64)
     holder = np.full(instance.shape, -1, dtype=np.int32)
-    rule, time, robot, moves = follow_paths(
+    rule, step, robot, moves = follow_paths(
         np.ascontiguousarray(given),
         instance.starts,
         instance.goals,
@@ -157,8 +159,8 @@ def validate(
         last,
     )
     if rule:
-        reason = f"robot {robot} {_REASONS[rule]} at time {time}"
-        return ValidationReport(ok=False, reason=reason, time=int(time), robot=int(robot))
+        reason = f"robot {robot} {_REASONS[rule]} at time {step}"
+        return ValidationReport(ok=False, reason=reason, time=int(step), robot=int(robot))
     return ValidationReport(
         ok=True,
         reason="",
