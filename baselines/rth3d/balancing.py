@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array, Shape, Vertices
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.state import BoolArray
 
 Neighbors = npt.NDArray[np.int32]
@@ -46,7 +46,7 @@ def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
     return found.reshape(-1, 7)
 
 
-@kernel
+@borrowing_kernel
 def _label(
     table: Array,
     used_out: Array,
@@ -84,7 +84,7 @@ def _label(
                 tail += 1
 
 
-@kernel
+@borrowing_kernel
 def _arc_back(
     table: Array, used_out: Array, used_in: Array, total: int, side: int, t: int, v: int, arc: int
 ) -> int:
@@ -105,7 +105,7 @@ def _arc_back(
     return -1
 
 
-@kernel
+@borrowing_kernel
 def _arc(
     table: Array,
     used_out: Array,
@@ -135,7 +135,7 @@ def _arc(
     return -1 if t == steps else 2 * place + 1
 
 
-@kernel
+@borrowing_kernel
 def _augment(
     table: Array,
     used_out: Array,
@@ -182,7 +182,7 @@ def _augment(
     return sent
 
 
-@kernel
+@borrowing_kernel
 def _send(used_out: Array, used_in: Array, stack: Array, arcs: Array, depth: int) -> None:
     """Change the flow along a path."""
     for k in range(depth + 1):
@@ -196,7 +196,7 @@ def _send(used_out: Array, used_in: Array, stack: Array, arcs: Array, depth: int
                 used_in[stack[k + 1] >> 1] = arcs[k]
 
 
-@kernel
+@borrowing_kernel
 def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) -> None:
     """Let two units that would swap stay: nobody knows the difference."""
     total = table.shape[0]
@@ -212,7 +212,7 @@ def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) ->
                 used_in[here + total] = used_in[there + total] = 6
 
 
-@kernel
+@borrowing_kernel
 def _follow(table: Array, used_out: Array, starts: Array, paths: Array) -> None:
     """Write where the unit that leaves each start is after each step."""
     total = table.shape[0]

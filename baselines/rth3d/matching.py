@@ -19,12 +19,12 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel, kernel
 
 Items = npt.NDArray[np.int32]
 
 
-@kernel
+@borrowing_kernel
 def _flexible(shift: Array, middle: int, item: int, low: bool, reach: int) -> bool:
     """Whether an item may change sides: by at most `reach` levels beyond the middle."""
     level = shift[item]
@@ -33,7 +33,7 @@ def _flexible(shift: Array, middle: int, item: int, low: bool, reach: int) -> bo
     return (middle - level if low else level - middle + 1) <= reach
 
 
-@kernel
+@borrowing_kernel
 def _levels(
     aims: Array,
     shift: Array,
@@ -80,7 +80,7 @@ def _levels(
     return found
 
 
-@kernel
+@borrowing_kernel
 def _across(
     aims: Array,
     shift: Array,
@@ -105,7 +105,7 @@ def _across(
     return -1
 
 
-@kernel
+@borrowing_kernel
 def _exchange(
     aims: Array,
     shift: Array,
@@ -158,7 +158,7 @@ def _exchange(
     return done
 
 
-@kernel
+@borrowing_kernel
 def _halve(
     aims: Array,
     shift: Array,
@@ -205,7 +205,7 @@ def _halve(
         _low_first(by_aim[c], low, begin, size, queue)
 
 
-@kernel
+@borrowing_kernel
 def _low_first(items: Array, low: Array, begin: int, size: int, buffer: Array) -> None:
     """Sort the low items before the others, the order otherwise kept."""
     kept, end = 0, begin

@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.balancing import Neighbors, neighbor_table
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 
 _Ints = npt.NDArray[np.int32]
 
@@ -23,20 +22,25 @@ _Ints = npt.NDArray[np.int32]
 class Terrain(NamedTuple):
     """The grid as kernels read it."""
 
-    table: Neighbors
     at: _Ints
     """(V, 3) coordinates of each vertex."""
+    sides: _Ints
+    """(3,) the shape."""
+    strides: _Ints
+    """(3,) differences of the numbers of neighbours along each axis."""
+    columns: _Ints
+    """(m1, m2) 1 where an obstacle stands; of shape (0, 0) if there is none."""
     along_x: _Ints
-    """(m1, m2) obstacle columns at smaller x in the same row."""
+    """(m1, m2) obstacles at smaller or equal x in the same row."""
     along_y: _Ints
-    """(m1, m2) obstacle columns at smaller y in the same column."""
+    """(m1, m2) obstacles at smaller or equal y in the same column."""
 
 
 class Crowd(NamedTuple):
     """The robots, and memory for their decisions."""
 
-    goal: _Ints
-    """(n, 3)."""
+    where: _Ints
+    """(n, 6) where each robot is now, and its goal."""
     order: _Ints
     """(n,) a random order."""
     urgency: _Ints
@@ -55,6 +59,8 @@ class Crowd(NamedTuple):
     """(n, 10) robots that wait for an answer: who, number of vertices tried, of all, and these."""
     counts: _Ints
     """How many robots have each urgency."""
+    keys: _Ints
+    """(7,) by which choices are sorted."""
     random: npt.NDArray[np.int64]
     """(1,) state of the generator."""
 
@@ -63,39 +69,53 @@ _MULTIPLIER = 6364136223846793005
 _INCREMENT = 1442695040888963407
 
 
-@kernel
+@borrowing_kernel
 def _draw(random: Array) -> int:
     """30 random bits."""
     random[0] = random[0] * _MULTIPLIER + _INCREMENT
     return (random[0] >> 33) & 0x3FFFFFFF
 
 
-@kernel
-def _distance(terrain: Terrain, vertex: int, goal: Array) -> int:
+@borrowing_kernel
+def _distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
     """Length of a shortest path; two more than the Manhattan distance where a column is between."""
-    x, y = terrain.at[vertex, 0], terrain.at[vertex, 1]
-    found = abs(x - goal[0]) + abs(y - goal[1]) + abs(terrain.at[vertex, 2] - goal[2])
-    if x == goal[0]:
-        if terrain.along_y[x, y] != terrain.along_y[x, goal[1]]:
+    found = abs(x - where[3]) + abs(y - where[4]) + abs(z - where[5])
+    if terrain.columns.shape[0] > 0:
+        if x == where[3]:
+            if terrain.along_y[x, y] != terrain.along_y[x, where[4]]:
+                found += 2
+        elif y == where[4] and terrain.along_x[x, y] != terrain.along_x[where[3], y]:
             found += 2
-    elif y == goal[1] and terrain.along_x[x, y] != terrain.along_x[goal[0], y]:
-        found += 2
     return found
 
 
-@kernel
+@borrowing_kernel
 def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array) -> None:
     """Sort a robot's choices: near its goal first, then free ones, then at random."""
     entry[0], entry[1] = robot, 0
-    goal, here = crowd.goal[robot], at[robot]
+    where, here = crowd.where[robot], at[robot]
     bits = _draw(crowd.random)
-    kept = 0
-    keys = np.empty(7, dtype=np.int32)
+    keys, kept = crowd.keys, 0
     for k in range(7):
-        vertex = terrain.table[here, k]
-        if vertex < 0 or crowd.taken[vertex] >= 0:
+        x, y, z = where[0], where[1], where[2]
+        vertex = here
+        if k < 6:
+            axis, step = k >> 1, 2 * (k & 1) - 1
+            to = where[axis] + step
+            if to < 0 or to >= terrain.sides[axis]:
+                continue
+            vertex += step * terrain.strides[axis]
+            if axis == 0:
+                x = to
+            elif axis == 1:
+                y = to
+            else:
+                z = to
+            if terrain.columns.shape[0] > 0 and terrain.columns[x, y] > 0:
+                continue
+        if crowd.taken[vertex] >= 0:
             continue
-        key = 32 * _distance(terrain, vertex, goal) + ((bits >> 4 * k) & 15)
+        key = 32 * _distance(terrain, x, y, z, where) + ((bits >> 4 * k) & 15)
         if crowd.now[vertex] >= 0 and k < 6:
             key += 16
         place = kept
@@ -109,7 +129,7 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array) ->
     entry[2] = kept
 
 
-@kernel
+@borrowing_kernel
 def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int) -> None:
     """Settle the next vertex of a robot and of all whom it pushes away."""
     depth = 0
@@ -144,14 +164,17 @@ def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int) -> None:
             return
 
 
-@kernel
+@borrowing_kernel
 def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
     """Queue the robots by urgency; return the longest way that is left."""
     count = at.shape[0]
     longest, top = 0, crowd.counts.shape[0] - 1
     crowd.counts[:] = 0
     for i in range(count):
-        left = _distance(terrain, at[i], crowd.goal[i])
+        where = crowd.where[i]
+        for axis in range(3):
+            where[axis] = terrain.at[at[i], axis]
+        left = _distance(terrain, where[0], where[1], where[2], where)
         crowd.away[i] = 0 if left == 0 else crowd.away[i] + 1
         longest = max(longest, left)
         crowd.urgency[i] = top - min(left + crowd.away[i], top)
@@ -168,7 +191,7 @@ def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
     return longest
 
 
-@kernel
+@borrowing_kernel
 def run_pibt(
     terrain: Terrain, crowd: Crowd, paths: Array, begin: int, end: int, limit: int
 ) -> tuple[int, int]:
@@ -200,12 +223,14 @@ class Pibt:
     """PIBT on one instance, which may go on from any step of what it has planned."""
 
     def __init__(self, instance: GridInstance, most_steps: int) -> None:
-        walls = instance.obstacles
+        walls, (_, m2, m3) = instance.obstacles, instance.shape
         columns = walls.any(axis=2).astype(np.int32)
         vertex = np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T
         self.terrain = Terrain(
-            neighbor_table(instance.shape, walls),
             np.ascontiguousarray(vertex),
+            np.array(instance.shape, dtype=np.int32),
+            np.array([m2 * m3, m3, 1], dtype=np.int32),
+            columns if walls.any() else np.zeros((0, 0), dtype=np.int32),
             np.cumsum(columns, axis=0, dtype=np.int32),
             np.cumsum(columns, axis=1, dtype=np.int32),
         )
@@ -239,7 +264,8 @@ def _crowd(instance: GridInstance, most_steps: int) -> Crowd:
     count, total = len(instance.starts), int(np.prod(instance.shape))
     integers = {name: np.zeros(count, dtype=np.int32) for name in ("urgency", "away", "queue")}
     return Crowd(
-        goal=instance.goals,
+        where=np.hstack([instance.starts, instance.goals]),
+        keys=np.empty(7, dtype=np.int32),
         order=np.arange(count, dtype=np.int32),
         now=np.full(total, -1, dtype=np.int32),
         taken=np.full(total, -1, dtype=np.int32),

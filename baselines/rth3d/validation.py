@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array, check_instance
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import borrowing_kernel
 
 _REASONS = (
     "",
@@ -46,7 +46,7 @@ class ValidationReport:
         return self.ok
 
 
-@kernel
+@borrowing_kernel
 def follow_paths(
     paths: Array, starts: Array, goals: Array, blocked: Array, holder: Array, last: Array
 ) -> tuple[int, int, int, int]:
@@ -76,7 +76,7 @@ def follow_paths(
     return 0, 0, 0, moves
 
 
-@kernel
+@borrowing_kernel
 def _enter(now: Array, blocked: Array, holder: Array) -> tuple[int, int]:
     """Put everyone on the grid; return (broken rule or 0, robot)."""
     for i in range(now.shape[0]):
@@ -92,7 +92,7 @@ def _enter(now: Array, blocked: Array, holder: Array) -> tuple[int, int]:
     return 0, 0
 
 
-@kernel
+@borrowing_kernel
 def _step(before: Array, now: Array, holder: Array, i: int) -> int:
     """0 if robot i waits, -1 if it moves along an edge, else the rule that it breaks."""
     length = 0

@@ -47,7 +47,7 @@ def random_instance(seed: int) -> GridInstance:
                 continue  # rings on sides that are no multiples of 3
             return found
         walls = buildings(shape) if FAMILIES[family].buildings else None
-        most = int(round(max_density(shape, walls) * np.prod(shape)))
+        most = round(max_density(shape, walls) * float(np.prod(shape)))
         most = min(most, int(np.prod(shape)) // 3)
         if most < 1:
             continue
