@@ -44,9 +44,10 @@ class Crowd(NamedTuple):
     order: _Ints
     """(n,) a random order."""
     urgency: _Ints
-    """(n,) steps since a robot was last at its goal, plus those that it must still go."""
+    """(n,) less the more urgent: `away`, plus the steps that a robot must still go, from the top."""
     away: _Ints
-    """(n,) steps since a robot was last at its goal."""
+    """(n,) steps that a robot has not been at its goal, halved by each step that it is. Were it
+    zero at once, two robots in each other's way could push each other off their goals for ever."""
     now: _Ints
     """(V,) who is on each vertex."""
     taken: _Ints
@@ -90,12 +91,19 @@ def _distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
 
 
 @borrowing_kernel
-def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array) -> None:
-    """Sort a robot's choices: near its goal first, then free ones, then at random."""
+def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, late: bool) -> None:
+    """Sort a robot's choices: near its goal first, then free ones, then at random.
+
+    When the plan is late, one choice in four is at random, lest a few robots hinder each other in
+    the same way for ever; who is at its goal does not wander.
+    """
     entry[0], entry[1] = robot, 0
     where, here = crowd.where[robot], at[robot]
     bits = _draw(crowd.random)
     keys, kept = crowd.keys, 0
+    wander = late and bits >> 28 == 0
+    if wander:
+        wander = _distance(terrain, where[0], where[1], where[2], where) > 0
     for k in range(7):
         x, y, z = where[0], where[1], where[2]
         vertex = here
@@ -115,7 +123,9 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array) ->
                 continue
         if crowd.taken[vertex] >= 0:
             continue
-        key = 32 * _distance(terrain, x, y, z, where) + ((bits >> 4 * k) & 15)
+        key = (bits >> 4 * k) & 15
+        if not wander:
+            key += 32 * _distance(terrain, x, y, z, where)
         if crowd.now[vertex] >= 0 and k < 6:
             key += 16
         place = kept
@@ -130,10 +140,10 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array) ->
 
 
 @borrowing_kernel
-def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int) -> None:
+def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, late: bool) -> None:
     """Settle the next vertex of a robot and of all whom it pushes away."""
     depth = 0
-    _ask(terrain, crowd, at, robot, crowd.asked[0])
+    _ask(terrain, crowd, at, robot, crowd.asked[0], late)
     while depth >= 0:
         entry = crowd.asked[depth]
         who = entry[0]
@@ -151,7 +161,7 @@ def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int) -> None:
             crowd.next[who] = vertex
             if other >= 0 and other != who and crowd.next[other] < 0:
                 depth += 1
-                _ask(terrain, crowd, at, other, crowd.asked[depth])
+                _ask(terrain, crowd, at, other, crowd.asked[depth], late)
             else:
                 settled = True
             break
@@ -175,7 +185,7 @@ def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
         for axis in range(3):
             where[axis] = terrain.at[at[i], axis]
         left = _distance(terrain, where[0], where[1], where[2], where)
-        crowd.away[i] = 0 if left == 0 else crowd.away[i] + 1
+        crowd.away[i] = crowd.away[i] // 2 if left == 0 else crowd.away[i] + 1
         longest = max(longest, left)
         crowd.urgency[i] = top - min(left + crowd.away[i], top)
         crowd.counts[crowd.urgency[i]] += 1
@@ -193,13 +203,15 @@ def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
 
 @borrowing_kernel
 def run_pibt(
-    terrain: Terrain, crowd: Crowd, paths: Array, begin: int, end: int, limit: int
+    terrain: Terrain, crowd: Crowd, paths: Array, begin: int, end: int, limit: int, bound: int
 ) -> tuple[int, int]:
     """Plan steps begin + 1 ... end, unless all arrive before, or none can within `limit` steps.
 
-    Returns the last planned step, and the longest way that is left to anyone then.
+    The plan is late as soon as it cannot end at step `bound`. Returns the last planned step, and
+    the longest way that is left to anyone then.
     """
-    count = paths.shape[1]
+    count, top = paths.shape[1], crowd.counts.shape[0] - 1
+    longest = 0
     for t in range(begin, end + 1):
         at = paths[t]
         longest = _sort(terrain, crowd, at)
@@ -208,9 +220,16 @@ def run_pibt(
         for i in range(count):
             crowd.now[at[i]] = i
             crowd.next[i] = -1
+        late = t + longest > bound
         for k in range(count):
-            if crowd.next[crowd.queue[k]] < 0:
-                _decide(terrain, crowd, at, crowd.queue[k])
+            i = crowd.queue[k]
+            if crowd.next[i] >= 0:
+                continue
+            if crowd.urgency[i] == top and crowd.taken[at[i]] < 0:  # at its goal, and may stay
+                crowd.next[i] = at[i]
+                crowd.taken[at[i]] = i
+            else:
+                _decide(terrain, crowd, at, i, late)
         for i in range(count):
             crowd.now[at[i]] = -1
         for i in range(count):
@@ -248,7 +267,9 @@ class Pibt:
     def run(self, begin: int, steps: int, limit: int) -> tuple[int, int]:
         """Go on from step `begin` for so many steps; see `run_pibt`."""
         end = min(begin + steps, len(self.paths) - 1)
-        last, left = run_pibt(self.terrain, self.crowd, self.paths, begin, end, limit)
+        last, left = run_pibt(
+            self.terrain, self.crowd, self.paths, begin, end, limit, self.instance.lower_bound
+        )
         return int(last), int(left)
 
     def rewind(self, begin: int) -> None:
@@ -257,7 +278,7 @@ class Pibt:
         away = self.crowd.away
         away[:] = 0
         for t in range(begin):  # how long each has been away, as if it had just walked here
-            away[:] = np.where(self.paths[t] == goal, 0, away + 1)
+            away[:] = np.where(self.paths[t] == goal, away // 2, away + 1)
 
 
 def _crowd(instance: GridInstance, most_steps: int) -> Crowd:

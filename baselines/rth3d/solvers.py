@@ -95,7 +95,9 @@ _RESTARTS = (0.8, 0.6, 0.9, 0.4, 0.8, 0.0)
 _WORK = 2.5
 """Steps that all restarts may take together, as a multiple of the lower bound."""
 _STRIDE = 16
-"""Steps between two looks at the clock."""
+"""Steps between two looks at the clock and at the progress."""
+_STRIDES = 4
+"""PIBT has stalled when the farthest robot has come no nearer to its goal for so many strides."""
 
 
 class _Search:
@@ -119,14 +121,16 @@ class _Search:
         """Try once from a step on; return the steps taken."""
         self.pibt.shuffle(self.generator)
         self.pibt.rewind(begin)
-        at = begin
+        at, lefts = begin, [self.bound] * _STRIDES
         while True:
             last, left = self.pibt.run(at, _STRIDE, self.limit)
             self.reached = last
+            lefts.append(left)
+            stalled = last > self.bound and min(lefts[-_STRIDES:]) >= lefts[-_STRIDES - 1]
             if left == 0:
                 self.best = self.pibt.paths[: last + 1].copy()
                 break
-            if last < at + _STRIDE or last + left > self.limit or self.clock.remaining <= 0:
+            if stalled or last < at + _STRIDE or self.clock.remaining <= 0:
                 break
             at = last
         return self.reached - begin
