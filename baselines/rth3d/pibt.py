@@ -44,7 +44,7 @@ class Crowd(NamedTuple):
     order: _Ints
     """(n,) a random order."""
     urgency: _Ints
-    """(n,) less the more urgent: `away`, plus the steps that a robot must still go, from the top."""
+    """(n,) less the more urgent: the top, less `away` and the steps that are left."""
     away: _Ints
     """(n,) steps that a robot has not been at its goal, halved by each step that it is. Were it
     zero at once, two robots in each other's way could push each other off their goals for ever."""

@@ -90,13 +90,15 @@ def solve_rth3d_lba(instance: GridInstance, seed: int, clock: Clock) -> Solution
 _PATIENCE = 1.5
 """PIBT gives up when it takes so many times the lower bound, and `_MARGIN` more steps."""
 _MARGIN = 60
-_RESTARTS = (0.8, 0.6, 0.9, 0.4, 0.8, 0.0)
+_RESTARTS = 4 * (0.9, 0.8, 0.6)
 """From which part of the lower bound on PIBT is tried again, as long as it pays."""
-_WORK = 2.5
+_WORK = 4.0
 """Steps that all restarts may take together, as a multiple of the lower bound."""
+_GOOD_ENOUGH = 1.02
+"""Multiple of the lower bound from which on PIBT is not tried again."""
 _STRIDE = 16
 """Steps between two looks at the clock and at the progress."""
-_STRIDES = 4
+_STRIDES = 3
 """PIBT has stalled when the farthest robot has come no nearer to its goal for so many strides."""
 
 
@@ -140,7 +142,7 @@ class _Search:
         self.attempt(0)
         work = _WORK * self.bound
         for part in _RESTARTS:
-            done = self.best is not None and len(self.best) - 1 <= self.bound
+            done = self.best is not None and len(self.best) - 1 <= _GOOD_ENOUGH * self.bound
             if done or work <= 0 or self.clock.remaining <= 0:
                 return
             work -= self.attempt(min(int(part * self.bound), self.reached))
