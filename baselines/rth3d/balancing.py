@@ -25,10 +25,6 @@ STAY = 6
 _UNUSED = -1
 _MOST_NODES = 2**29
 _FAR = 2**30
-_SMALL = 2**18
-"""Up to so many nodes the fewest steps are sought; above, a plan in few steps."""
-_FIRST_GUESS = 3
-"""Steps that suffice for random configurations, however large the grid."""
 
 
 def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
@@ -279,8 +275,7 @@ def balance(table: Neighbors, starts: Vertices, sinks: BoolArray) -> npt.NDArray
     for steps in _count_up():
         if not flow.pending.any():
             break
-        large = steps * flow.total > _SMALL and steps < _FIRST_GUESS
-        if steps == 0 or large or (steps > 8 and steps % (steps // 5)):
+        if steps == 0 or (steps > 8 and steps % (steps // 5)):
             continue
         if 2 * (steps + 1) * flow.total > _MOST_NODES:
             raise ValueError(

@@ -243,7 +243,7 @@ class Pibt:
 
     def __init__(self, instance: GridInstance, most_steps: int) -> None:
         walls, (_, m2, m3) = instance.obstacles, instance.shape
-        columns = walls.any(axis=2).astype(np.int32)
+        columns = np.asarray(walls.any(axis=2), dtype=np.int32)
         vertex = np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T
         self.terrain = Terrain(
             np.ascontiguousarray(vertex),

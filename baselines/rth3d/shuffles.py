@@ -116,7 +116,7 @@ def _park(items: Array, source: Array, goal: Array, place: Array, spot: Array, l
     for _ in range(items.shape[0]):
         farthest, longest = -1, 0
         for item in items:
-            length = abs(goal[item] - source[item])
+            length = abs(3 * (goal[item] - source[item]) - place[item, last, 0])
             if spot[item] < 0 and length > longest:
                 farthest, longest = item, length
         if farthest < 0:
