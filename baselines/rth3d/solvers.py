@@ -94,6 +94,8 @@ _RESTARTS = 4 * (0.9, 0.8, 0.6)
 """From which part of the lower bound on PIBT is tried again, as long as it pays."""
 _WORK = 4.0
 """Steps that all restarts may take together, as a multiple of the lower bound."""
+_HOPELESS = 0.1
+"""PIBT is not tried again if more than this part of the lower bound was left to a robot."""
 _GOOD_ENOUGH = 1.02
 """Multiple of the lower bound from which on PIBT is not tried again."""
 _STRIDE = 16
@@ -112,7 +114,7 @@ class _Search:
         self.generator = np.random.default_rng(seed)
         self.clock = clock
         self.best: Paths | None = None
-        self.reached = 0
+        self.reached, self.left = 0, self.bound
 
     @property
     def limit(self) -> int:
@@ -126,7 +128,7 @@ class _Search:
         at, lefts = begin, [self.bound] * _STRIDES
         while True:
             last, left = self.pibt.run(at, _STRIDE, self.limit)
-            self.reached = last
+            self.reached, self.left = last, left
             lefts.append(left)
             stalled = last > self.bound and min(lefts[-_STRIDES:]) >= lefts[-_STRIDES - 1]
             if left == 0:
@@ -140,6 +142,8 @@ class _Search:
     def run(self) -> None:
         """The first attempt, and restarts of it while there is something to gain."""
         self.attempt(0)
+        if self.best is None and self.left > _HOPELESS * self.bound:
+            return
         work = _WORK * self.bound
         for part in _RESTARTS:
             done = self.best is not None and len(self.best) - 1 <= _GOOD_ENOUGH * self.bound
