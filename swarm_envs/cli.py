@@ -157,6 +157,13 @@ def _evaluate(arguments: Sequence[str]) -> int:
     return FAILED if run(_read("evaluate", EvaluateOptions, arguments)) else DONE
 
 
+def _plan(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.plan import PlanOptions, run
+
+    run(_read("plan", PlanOptions, arguments))
+    return DONE
+
+
 def _replay(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.replay import ReplayOptions, run
 
@@ -187,6 +194,7 @@ COMMANDS: Mapping[str, Command] = {
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
     "evaluate": Command("many episodes of agents on the same seeds, and their scores", _evaluate),
     "replay": Command("play a recorded episode in a browser", _replay),
+    "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
     "train": Command("train a policy by reinforcement learning", _train),

@@ -1,0 +1,55 @@
+"""What the tests of RTH3D share: random instances, and the checker beside the checkout."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+
+from swarm_envs.baselines.rth3d import FAMILIES, GridInstance, make_instance, max_density
+from swarm_envs.baselines.rth3d.instances import buildings
+
+
+def load_checker(shared: Path) -> Callable[..., dict]:
+    """`validate` of ../shared/tools/mapf, written by others than the planners."""
+    folder = shared / "tools" / "mapf"
+    return load_tool(folder / "validate.py").validate
+
+
+def load_tool(file: Path) -> ModuleType:
+    name = f"mapf_{file.stem}"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, file)
+        assert spec is not None and spec.loader is not None
+        sys.modules[name] = importlib.util.module_from_spec(spec)
+        source = file.read_text(encoding="utf-8").replace("cache=True", "cache=False")
+        exec(compile(source, str(file), "exec"), sys.modules[name].__dict__)
+    return sys.modules[name]
+
+
+def random_instance(seed: int) -> GridInstance:
+    """Any family that fits, sides of 3 to 24, density up to what RTH3D supports."""
+    generator = np.random.default_rng(seed)
+    while True:
+        shape = tuple(int(m) for m in generator.integers(3, 25, size=3))
+        family = str(generator.choice(list(FAMILIES)))
+        sides = FAMILIES[family].sides
+        shape = tuple(max(m // sides, 1) * sides for m in shape)
+        if max(shape) > 24:
+            continue
+        if not FAMILIES[family].free_count:
+            found = make_instance(family, shape, seed=seed)
+            if found.density > max_density(shape, found.obstacles) + 1e-9:
+                continue  # rings on sides that are no multiples of 3
+            return found
+        walls = buildings(shape) if FAMILIES[family].buildings else None
+        most = round(max_density(shape, walls) * float(np.prod(shape)))
+        most = min(most, int(np.prod(shape)) // 3)
+        if most < 1:
+            continue
+        count = most if generator.random() < 0.3 else int(generator.integers(1, most + 1))
+        return make_instance(family, shape, count, seed)

@@ -1,0 +1,214 @@
+"""Plans: valid by two checkers, within their bounds, the same again, and refused with reason."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.rth3d import (
+    METHODS,
+    GridPlan,
+    PlanNotFound,
+    PlanTimeout,
+    buildings,
+    make_instance,
+    max_density,
+    plan,
+    validate,
+)
+from tests.baselines.rth3d.cases import load_checker, random_instance
+
+
+def plan_instance(instance, **options) -> GridPlan:
+    return plan(instance.starts, instance.goals, instance.shape, instance.obstacles, **options)
+
+
+def judge(found: GridPlan, checker) -> None:
+    """Both checkers, ours and the foreign one."""
+    assert found.valid and found.check()
+    m2, m3 = found.shape[1:]
+    wide = found.paths.astype(np.int64)
+    vertices = (wide[..., 0] * m2 + wide[..., 1]) * m3 + wide[..., 2]
+    report = checker(vertices, found.shape, found.starts, found.goals, found.obstacles)
+    assert report["ok"], report
+    assert report["lb"] == found.lower_bound
+    assert report["makespan"] == found.makespan
+
+
+def solve_by_all(seeds, shared_data) -> None:
+    checker = load_checker(shared_data)
+    for seed in seeds:
+        instance = random_instance(seed)
+        makespans = {}
+        for method in METHODS:
+            try:
+                found = plan_instance(instance, method=method, seed=seed)
+            except PlanNotFound:
+                assert method == "pibt"
+                continue
+            judge(found, checker)
+            makespans[method] = found.makespan
+            if found.bound is not None:
+                assert found.makespan <= found.bound
+        assert {"rth3d", "rth3d-lba", "auto"} <= set(makespans)
+        parts = [makespans[name] for name in ("pibt", "rth3d-lba") if name in makespans]
+        assert makespans["auto"] <= min(parts)
+
+
+def test_random_instances_by_every_method(shared_data):
+    solve_by_all(range(25), shared_data)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(10))
+def test_a_thousand_random_instances_by_every_method(block, shared_data):
+    solve_by_all(range(1000 + 100 * block, 1100 + 100 * block), shared_data)
+
+
+def test_the_same_seed_gives_the_same_plan():
+    instance = make_instance("uniform", (12, 9, 7), 200, seed=3)
+    for method in METHODS:
+        first, second = (plan_instance(instance, method=method, seed=5) for _ in range(2))
+        assert first.paths.tobytes() == second.paths.tobytes()
+        assert first.paths.dtype == np.int16
+
+
+def test_before_compaction_the_makespan_obeys_the_paper_s_bound():
+    """m1 + 2 m2 + 2 m3 + o(m1) of Proposition IV.2, with the constant that is claimed."""
+    for shape in [(12, 6, 3), (24, 12, 6), (48, 24, 12)]:
+        m1, m2, m3 = shape
+        for method in ("rth3d", "rth3d-lba"):
+            found = plan_instance(make_instance("uniform", shape, seed=1), method=method)
+            steps = {phase.name: phase.makespan for phase in found.phases}
+            balancing = steps["balance starts"] + steps["balance goals"]
+            assert found.bound == m1 + 2 * m2 + 2 * m3 + 9 + balancing
+            assert found.makespan <= found.before_compaction <= found.bound
+
+
+def test_small_shifts_shorten_plans_and_the_ratio_falls_with_size():
+    ratios = []
+    for shape in [(12, 6, 3), (24, 12, 6), (48, 24, 12)]:
+        instance = make_instance("quasi-random", shape, seed=2)
+        small, other = (plan_instance(instance, method=m) for m in ("rth3d-lba", "rth3d"))
+        assert small.before_compaction < other.before_compaction
+        ratios.append(small.ratio)
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[-1] < 1.4
+
+
+def test_rings_approach_the_bound():
+    """Sec. V-C: the ratio of rings goes to 1, as equal sets are balanced alike."""
+    ratios = []
+    for m in (6, 12, 24):
+        found = plan_instance(make_instance("rings", (2 * m, 2 * m, m)), method="rth3d-lba")
+        ratios.append(found.ratio)
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[-1] <= 1.15
+
+
+def test_a_flat_grid_and_one_on_its_side():
+    rng = np.random.default_rng(0)
+    vertices = np.argwhere(np.ones((12, 9), dtype=bool))
+    starts, goals = rng.permutation(vertices)[:36], rng.permutation(vertices)[:36]
+    flat = plan(starts, goals, (12, 9), method="rth3d-lba")
+    assert flat.paths.shape[2] == 3 and not flat.paths[..., 2].any()
+    upright = [np.column_stack([p[:, :1] * 0, p]) for p in (starts, goals)]
+    turned = plan(*upright, (1, 12, 9), method="rth3d-lba")
+    assert turned.makespan == flat.makespan
+
+
+def test_nobody_has_to_move():
+    starts = np.argwhere(np.ones((3, 3, 3), dtype=bool))[:9]
+    for method in METHODS:
+        found = plan(starts, starts, (3, 3, 3), method=method)
+        assert (found.makespan, found.ratio, found.bound) == (0, 1.0, 0)
+
+
+def test_few_robots_reach_the_bound():
+    found = plan_instance(make_instance("uniform", (24, 12, 6), 20, seed=1))
+    assert found.ratio <= 1.02
+
+
+@pytest.mark.parametrize(
+    ("shape", "obstacles", "density"),
+    [
+        ((9, 6, 3), None, 1 / 3),
+        ((12, 9, 6), buildings((12, 9, 6)), 2 / 9),
+        ((4, 4, 4), None, 3 * 4 / 64),
+        ((8, 9, 5), None, 3 * 2 * 3 * 5 / 360),
+        ((5, 5, 2), buildings((5, 5, 2)), 2 * 2 / 50),
+        ((2, 9, 2), None, 0.0),
+    ],
+)
+def test_what_the_highways_carry(shape, obstacles, density):
+    assert max_density(shape, obstacles) == pytest.approx(density)
+    most = round(density * np.prod(shape))
+    if most == 0:
+        return
+    free = np.argwhere(np.ones(shape, dtype=bool) if obstacles is None else ~obstacles)
+    rng = np.random.default_rng(1)
+    starts, goals = rng.permutation(free)[:most], rng.permutation(free)[:most]
+    assert plan(starts, goals, shape, obstacles, method="rth3d-lba").valid
+    with pytest.raises(ValueError, match=rf"carry {most} at most"):
+        plan(free[: most + 1], free[-most - 1 :], shape, obstacles, method="auto")
+
+
+STARTS, GOALS = [[0, 0, 0], [1, 0, 0]], [[2, 0, 0], [2, 1, 0]]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"starts": [[0, 0, 0], [0, 0, 0]]}, r"starts\[0\] and starts\[1\] are both \(0, 0, 0\)"),
+        ({"goals": [[2, 2, 2], [2, 2, 2]]}, r"goals\[0\] and goals\[1\]"),
+        ({"goals": [[2, 0, 0], [2, 6, 0]]}, r"goals\[1\] is \(2, 6, 0\), which is outside"),
+        ({"starts": [[0, 0, 0], [-1, 0, 0]]}, r"starts\[1\] is \(-1, 0, 0\)"),
+        ({"goals": [[2, 0, 0]]}, "2 starts, but 1 goals"),
+        ({"starts": [[0.0, 0, 0], [1, 0, 0]]}, "must be integers"),
+        ({"starts": np.zeros((0, 3), int)}, "at least one robot"),
+        ({"starts": [0, 1, 2]}, r"must be \(n, 3\)"),
+        ({"shape": (6, 6)}, "outside the grid|must be"),
+        ({"shape": (6, 0, 6)}, "shape is"),
+        ({"shape": (2, 3, 1), "goals": [[1, 1, 0], [1, 2, 0]]}, "too thin"),
+        ({"method": "rthd"}, "did you mean 'rth3d'"),
+        ({"seed": -1}, "seed is -1"),
+        ({"time_limit": 0.0}, "time_limit is 0.0"),
+        ({"obstacles": np.zeros((6, 6, 5), dtype=bool)}, "obstacles have shape"),
+        ({"obstacles": np.zeros((6, 6, 6))}, "must be booleans"),
+    ],
+)
+def test_bad_input_is_refused_with_the_reason(given, said):
+    full = {"starts": STARTS, "goals": GOALS, "shape": (6, 6, 6), "method": "rth3d-lba"} | given
+    if full["shape"] == (6, 6):
+        full["goals"] = [[2, 0, 1], [2, 1, 1]]
+    with pytest.raises(ValueError, match=said):
+        plan(**full)
+
+
+def test_obstacles_outside_the_pattern_are_named():
+    walls = np.zeros((6, 6, 6), dtype=bool)
+    walls[3, 4] = True
+    with pytest.raises(ValueError, match="at x = 3, y = 4, but obstacles may only stand at"):
+        plan(STARTS, GOALS, (6, 6, 6), walls)
+    walls[:] = False
+    walls[1, 4, :5] = True
+    with pytest.raises(ValueError, match="leaves z = 5 free"):
+        plan(STARTS, GOALS, (6, 6, 6), walls)
+    walls[1, 4] = True
+    with pytest.raises(ValueError, match=r"starts\[1\] is \(1, 4, 0\), where an obstacle stands"):
+        plan([[0, 0, 0], [1, 4, 0]], GOALS, (6, 6, 6), walls)
+
+
+def test_a_time_limit_gives_a_valid_plan_or_an_exception():
+    instance = make_instance("mirror", (24, 12, 6), seed=0)
+    plan_instance(instance, method="rth3d-lba")  # compiles
+    for limit in (1e-9, 1e-3, 3e-3, 1e-2, 3e-2, 10.0):
+        for method in ("rth3d-lba", "auto"):
+            try:
+                found = plan_instance(instance, method=method, time_limit=limit)
+            except PlanTimeout as error:
+                assert "time limit" in str(error)
+            else:
+                assert validate(found.paths, instance.starts, instance.goals, instance.shape)
+    with pytest.raises(PlanTimeout):
+        plan_instance(instance, method="rth3d-lba", time_limit=1e-9)

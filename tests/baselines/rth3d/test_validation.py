@@ -1,0 +1,117 @@
+"""The validator and the instances, against known answers and the tools beside the checkout."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.rth3d import FAMILIES, GridPlan, make_instance, plan, validate
+from tests.baselines.rth3d.cases import load_checker, load_tool
+
+SQUARE = np.array([[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]])
+
+
+def report(*rows, shape=(2, 2, 2), obstacles=None):
+    paths = np.array(rows)
+    return validate(paths, paths[0], paths[-1], shape, obstacles)
+
+
+def test_a_ring_of_four_may_turn():
+    found = report(SQUARE, np.roll(SQUARE, -1, axis=0))
+    assert found and (found.makespan, found.sum_of_costs, found.moves) == (1, 4, 4)
+
+
+@pytest.mark.parametrize(
+    ("rows", "reason"),
+    [
+        ([SQUARE[:2], SQUARE[1::-1]], "swaps places with another robot at time 1"),
+        ([SQUARE[:2], SQUARE[[1, 1]], SQUARE[:2]], "on the vertex of another robot at time 1"),
+        ([SQUARE[:1], SQUARE[2:3]], "moves by more than one edge at time 1"),
+        ([[[0, 0, 1]], [[0, 1, 0]]], "moves by more than one edge"),
+        ([[[0, 0, 0]], [[0, 0, -1]], [[0, 0, 0]]], "leaves the grid at time 1"),
+        ([[[0, 0, 0]], [[70000, 0, 0]], [[0, 0, 0]]], "leaves the grid at time 1"),
+    ],
+)
+def test_what_is_broken_is_named(rows, reason):
+    found = report(*rows)
+    assert not found
+    assert reason in found.reason
+
+
+def test_obstacles_starts_and_goals():
+    walls = np.zeros((2, 2, 2), dtype=bool)
+    walls[0, 1, 0] = True
+    detour = [SQUARE[:1], SQUARE[1:2], SQUARE[2:3]]
+    assert "on an obstacle at time 1" in report(*detour, obstacles=walls).reason
+    paths = np.array(detour)
+    assert "begin" in validate(paths, paths[1], paths[2], (2, 2, 2)).reason
+    assert "end" in validate(paths, paths[0], paths[1], (2, 2, 2)).reason
+    with pytest.raises(ValueError, match="paths have shape"):
+        validate(paths[0], paths[0], paths[2], (2, 2, 2))
+
+
+def test_damaged_plans_are_judged_as_by_the_other_checker(shared_data):
+    checker = load_checker(shared_data)
+    instance = make_instance("uniform", (9, 6, 3), seed=0)
+    facts = (instance.starts, instance.goals, instance.shape)
+    good = plan(*facts, method="rth3d-lba").paths
+    rng = np.random.default_rng(0)
+    verdicts = []
+    for _ in range(200):
+        paths = good.copy()
+        time, robot = rng.integers(len(paths)), rng.integers(paths.shape[1])
+        other = rng.integers(paths.shape[1])
+        kind = rng.integers(3)
+        if kind == 0:
+            paths[time, robot] = rng.integers((9, 6, 3))
+        elif kind == 1:
+            paths[: time + 1, [robot, other]] = paths[: time + 1, [other, robot]]
+        else:
+            paths[time:-1, robot] = paths[time + 1 :, robot]
+        numbers = (paths[..., 0].astype(int) * 6 + paths[..., 1]) * 3 + paths[..., 2]
+        theirs = checker(numbers, instance.shape, instance.starts, instance.goals)["ok"]
+        assert bool(validate(paths, *facts)) == theirs
+        verdicts.append(theirs)
+    assert 0 < sum(verdicts) < len(verdicts)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_every_family_is_drawn_from_its_seed(name):
+    first, second, other = (make_instance(name, (18, 18, 9), seed=s) for s in (1, 1, 2))
+    assert first.starts.tobytes() == second.starts.tobytes()
+    assert first.goals.tobytes() == second.goals.tobytes()
+    if name != "rings":
+        assert first.starts.tobytes() != other.starts.tobytes()
+    share = first.density
+    assert share == pytest.approx(2 / 9 if FAMILIES[name].buildings else 1 / 3)
+
+
+def test_rings_are_those_of_the_other_tool(shared_data):
+    tool = load_tool(shared_data / "tools" / "mapf" / "instances.py")
+    shape, starts, goals = tool.rings(12)
+    instance = make_instance("rings", shape)
+    pairs = {tuple(row) for row in np.hstack([starts, goals]).tolist()}
+    assert pairs == {tuple(row) for row in np.hstack([instance.starts, instance.goals]).tolist()}
+
+
+def test_blocks_move_as_a_whole():
+    for name, parts in (("blocks", 3), ("small-blocks", 6)):
+        instance = make_instance(name, (18, 18, 18), seed=4)
+        sides = 18 // parts
+        pairs = np.hstack([instance.starts // sides, instance.goals // sides])
+        assert len(np.unique(pairs, axis=0)) == parts**3
+
+
+def test_a_plan_is_read_as_it_was_written(tmp_path):
+    instance = make_instance("buildings", (9, 9, 4), 40, seed=0)
+    found = plan(instance.starts, instance.goals, instance.shape, instance.obstacles)
+    found.save(tmp_path / "plan.npz")
+    again = GridPlan.load(tmp_path / "plan.npz")
+    assert again.paths.tobytes() == found.paths.tobytes() and again.phases == found.phases
+    assert (again.winner, again.bound, again.ratio) == (found.winner, found.bound, found.ratio)
+    damaged = (tmp_path / "plan.npz").read_bytes()[:-200]
+    (tmp_path / "cut.npz").write_bytes(damaged)
+    with pytest.raises(ValueError, match="no plan, or damaged"):
+        GridPlan.load(tmp_path / "cut.npz")
+    with pytest.raises(ValueError, match="suffix"):
+        found.save(tmp_path / "plan.pkl")
