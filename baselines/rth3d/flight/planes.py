@@ -6,6 +6,7 @@ all four Bezier differences lie beyond a plane at distance d from the origin, th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +31,21 @@ class Planes(NamedTuple):
     """(P, 3) of unit length in the scaled metric."""
     offset: FloatArray
     """(P, 4) one for each Bezier point, m."""
+
+    def some(self, which: IntArray | slice) -> Planes:
+        """Those of a selection."""
+        robot, step = self.robot[which], self.step[which]
+        return Planes(robot, step, self.normal[which], self.offset[which])
+
+
+def joined(parts: Sequence[Planes]) -> Planes:
+    """All planes of several sets."""
+    return Planes(
+        np.concatenate([part.robot for part in parts]),
+        np.concatenate([part.step for part in parts]),
+        np.concatenate([part.normal for part in parts]),
+        np.concatenate([part.offset for part in parts]),
+    )
 
 
 def bezier_points(flight: SplineFlight) -> FloatArray:
@@ -93,7 +109,7 @@ def planes_to_boxes(
         travel: how far a control point may be moved by axis, m.
     """
     points = bezier_points(flight)
-    rows: list[tuple[IntArray, IntArray, FloatArray, FloatArray]] = []
+    parts = [_nobody()]
     for low, high in boxes:
         gaps = np.concatenate([low - points.max(axis=2), points.min(axis=2) - high], axis=-1)
         face = gaps.argmax(axis=-1)
@@ -103,11 +119,13 @@ def planes_to_boxes(
         normal = np.concatenate([-np.eye(3), np.eye(3)])[chosen]
         surface = np.concatenate([-low, high])[chosen]
         keep = surface + np.minimum(distance, best[step, robot])
-        rows.append((robot, step, normal, np.repeat(keep[:, None], 4, axis=1)))
-    if not rows:
-        nothing = np.empty(0, dtype=np.int64)
-        return Planes(nothing, nothing, np.empty((0, 3)), np.empty((0, 4)))
-    return Planes(*(np.concatenate(column) for column in zip(*rows)))
+        parts.append(Planes(robot, step, normal, np.repeat(keep[:, None], 4, axis=1)))
+    return joined(parts)
+
+
+def _nobody() -> Planes:
+    nothing = np.empty(0, dtype=np.int64)
+    return Planes(nothing, nothing, np.empty((0, 3)), np.empty((0, 4)))
 
 
 def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -139,13 +157,13 @@ def _nearest(hulls: FloatArray, out: FloatArray) -> None:
                 if weight[k] > 0.0 and (away < 0 or along[k] > along[away]):
                     away = k
             square = x @ x
-            if square - along[toward] <= 1e-10 * max(square, 1e-12):
+            if square - along[toward] <= 1e-10 * square + 1e-22:
                 break
             direction = points[toward] - points[away]
             length = direction @ direction
             if length == 0.0:
                 break
-            step = min(weight[away], -(x @ direction) / length)
+            step = min(float(weight[away]), -float(x @ direction) / float(length))
             weight[toward] += step
             weight[away] -= step
         for axis in range(3):

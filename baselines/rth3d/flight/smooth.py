@@ -18,6 +18,7 @@ from tqdm import tqdm
 from swarm_envs.baselines.rth3d.flight.planes import (
     BEZIER,
     Planes,
+    joined,
     planes_between,
     planes_to_boxes,
 )
@@ -101,13 +102,12 @@ def _round(flight: SplineFlight, config: SmoothingConfig, bar: tqdm) -> SplineFl
         planes_between(flight, config.distance, scaling, config.travel),
         planes_to_boxes(flight, boxes, config.obstacle_distance, config.travel),
     )
-    joined = Planes(*(np.concatenate(column) for column in zip(*planes)))
-    order = np.argsort(joined.robot, kind="stable")
-    joined = Planes(*(column[order] for column in joined))
-    bounds = np.searchsorted(joined.robot, np.arange(flight.num_robots + 1))
+    together = joined(planes)
+    together = together.some(np.argsort(together.robot, kind="stable"))
+    bounds = np.searchsorted(together.robot, np.arange(flight.num_robots + 1))
     control, hessian = flight.control.copy(), _hessian(len(flight.control), config.jerk_weight)
     for i in range(flight.num_robots):
-        own = Planes(*(column[bounds[i] : bounds[i + 1]] for column in joined))
+        own = together.some(slice(bounds[i], bounds[i + 1]))
         control[:, i] = _solve(flight.control[:, i], own, hessian, config)
         bar.update()
     return replace(flight, control=control)
