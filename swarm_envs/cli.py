@@ -151,6 +151,13 @@ def _fly(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _plan(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.plan import PlanOptions, run
+
+    run(_read("plan", PlanOptions, arguments))
+    return DONE
+
+
 def _replay(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.replay import ReplayOptions, run
 
@@ -207,6 +214,7 @@ COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
     "replay": Command("play a recorded episode in a browser", _replay),
+    "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),

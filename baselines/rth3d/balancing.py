@@ -1,0 +1,265 @@
+"""Unlabelled planning: from any configuration to slots in the fewest steps (Algorithm 1, line 2).
+
+The robots are one flow over a few time steps ([51] of the paper): every vertex at every step is a
+node through which one unit may pass, and the slots at the last step are sinks. A maximum flow that
+takes in all robots is a plan whose makespan is the least there is. It depends on the *set* of
+starts alone, so that equal sets are balanced alike, whoever stands where.
+"""
+
+from __future__ import annotations
+
+from itertools import count as _count_up
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.grid import Shape, Vertices
+from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray
+
+Neighbors = npt.NDArray[np.int32]
+"""(V, 7) the neighbours of each vertex: x - 1, x + 1, y - 1, y + 1, z - 1, z + 1, and itself; -1
+where there is none."""
+
+STAY = 6
+_UNUSED = -1
+_MOST_NODES = 2**29
+_FAR = 2**30
+_SMALL = 2**18
+"""Up to so many nodes the fewest steps are sought; above, a plan in few steps."""
+_FIRST_GUESS = 3
+"""Steps that suffice for random configurations, however large the grid."""
+
+
+def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
+    """The neighbours of every vertex, none across the border or into an obstacle."""
+    vertex = np.arange(np.prod(shape), dtype=np.int32).reshape(shape)
+    vertex = np.where(obstacles, np.int32(-1), vertex)
+    wide = np.pad(vertex, 1, constant_values=-1)
+    inner = slice(1, -1)
+    found = np.empty((*shape, 7), dtype=np.int32)
+    for axis in range(3):
+        for end, shifted in enumerate((slice(0, -2), slice(2, None))):
+            index = tuple(shifted if k == axis else inner for k in range(3))
+            found[..., 2 * axis + end] = wide[index]
+    found[..., STAY] = vertex
+    return found.reshape(-1, 7)
+
+
+@kernel
+def _label(table, used_out, used_in, label, sink, queue, steps):  # type: ignore[no-untyped-def]
+    """Label the nodes with their distance to a free sink in the residual graph.
+
+    A node is ((t V + v) 2 + side), side 0 where flow comes in, 1 where it goes out; `label` has a
+    row for each side.
+    """
+    total = table.shape[0]
+    label[:] = _FAR
+    tail = 0
+    for v in range(total):
+        place = steps * total + v
+        if sink[v] and used_in[place] < 0:
+            label[0, place] = 1
+            queue[tail] = 2 * place
+            tail += 1
+    head = 0
+    while head < tail:
+        node = queue[head]
+        head += 1
+        side, place = node & 1, node >> 1
+        t, v = place // total, place % total
+        for arc in range(8):
+            before = _arc_back(table, used_out, used_in, total, side, t, v, arc)
+            if before >= 0 and label[before & 1, before >> 1] == _FAR:
+                label[before & 1, before >> 1] = label[side, place] + 1
+                queue[tail] = before
+                tail += 1
+
+
+@kernel
+def _arc_back(table, used_out, used_in, total, side, t, v, arc):  # type: ignore[no-untyped-def]
+    """The node from which an arc of the residual graph leads here, or -1."""
+    place = t * total + v
+    if side == 0:
+        if arc == 7:  # what passes through may be taken back
+            return 2 * place + 1 if used_in[place] >= 0 and place < used_out.shape[0] else -1
+        u = table[v, arc]
+        if u < 0 or t == 0:
+            return -1
+        came = place - total + u - v
+        return 2 * came + 1 if used_out[came] != (arc ^ 1 if arc < 6 else arc) else -1
+    if arc == 0 and t > 0 and used_in[place] < 0:
+        return 2 * place
+    if arc == 1 and used_out[place] >= 0:  # by taking back the flow that goes on
+        return 2 * (place + total + table[v, used_out[place]] - v)
+    return -1
+
+
+@kernel
+def _arc(table, used_out, used_in, steps, total, side, t, v, arc):  # type: ignore[no-untyped-def]
+    """The node to which an arc of the residual graph leads, or -1."""
+    place = t * total + v
+    if side == 1:
+        if arc == 7:  # take back what passes through
+            return 2 * place if t > 0 and used_in[place] >= 0 else -1
+        u = table[v, arc]
+        if u < 0 or used_out[place] == arc:
+            return -1
+        return 2 * (place + total + u - v)
+    if arc > 0:
+        return -1
+    came = used_in[place]
+    if came >= 0:  # only by taking back the flow that comes in
+        before = table[v, came ^ 1] if came < 6 else v
+        return 2 * (place - total + before - v) + 1
+    return -1 if t == steps else 2 * place + 1
+
+
+@kernel
+def _augment(table, used_out, used_in, label, sink, pending, path, arcs, steps):  # type: ignore[no-untyped-def]
+    """Send waiting robots to sinks, near ones first, along paths that share no node.
+
+    Returns how many were sent, or -1 if there is one that no sink is left for. A path may be any,
+    not only a shortest one: a search that enters each node once finds ways for nearly all.
+    """
+    total = table.shape[0]
+    sent = 0
+    for s in range(total):
+        if not pending[s]:
+            continue
+        if label[1, s] == _FAR:
+            return -1
+        depth = 0
+        path[0] = 2 * s + 1
+        while depth >= 0:
+            node = path[depth]
+            side, place = node & 1, node >> 1
+            t, v = place // total, place % total
+            label[side, place] = _FAR
+            if t == steps and sink[v] and used_in[place] < 0:
+                _send(used_out, used_in, path, arcs, depth)
+                pending[s] = False
+                sent += 1
+                break
+            lowest = _FAR
+            for arc in range(8):
+                following = _arc(table, used_out, used_in, steps, total, side, t, v, arc)
+                if following >= 0 and label[following & 1, following >> 1] < lowest:
+                    lowest = label[following & 1, following >> 1]
+                    arcs[depth] = arc
+                    path[depth + 1] = following
+            depth += 1 if lowest < _FAR else -1
+    return sent
+
+
+@kernel
+def _send(used_out, used_in, stack, arcs, depth):  # type: ignore[no-untyped-def]
+    """Change the flow along a path."""
+    for k in range(depth + 1):
+        side, place = stack[k] & 1, stack[k] >> 1
+        if side == 1 and k < depth:
+            if arcs[k] == 7:
+                used_out[place] = -1
+                used_in[place] = -1
+            else:
+                used_out[place] = arcs[k]
+                used_in[stack[k + 1] >> 1] = arcs[k]
+
+
+@kernel
+def _without_swaps(table, used_out, used_in, steps):  # type: ignore[no-untyped-def]
+    """Let two units that would swap stay: nobody knows the difference."""
+    total = table.shape[0]
+    for t in range(steps):
+        for v in range(total):
+            here = t * total + v
+            d = used_out[here]
+            if d < 0 or d == 6:
+                continue
+            there = here + table[v, d] - v
+            if used_out[there] == d ^ 1:
+                used_out[here] = used_out[there] = 6
+                used_in[here + total] = used_in[there + total] = 6
+
+
+@kernel
+def _follow(table, used_out, starts, paths):  # type: ignore[no-untyped-def]
+    """Write where the unit that leaves each start is after each step."""
+    total = table.shape[0]
+    for i in range(starts.shape[0]):
+        paths[0, i] = starts[i]
+    for t in range(paths.shape[0] - 1):
+        for i in range(starts.shape[0]):
+            v = paths[t, i]
+            paths[t + 1, i] = table[v, used_out[t * total + v]]
+
+
+class _Flow:
+    """The flow so far, over `steps` steps."""
+
+    def __init__(self, table: Neighbors, starts: Vertices, sinks: BoolArray) -> None:
+        self.table, self.sinks = table, sinks
+        self.total = len(table)
+        self.steps = 0
+        self.pending = np.zeros(self.total, dtype=np.bool_)
+        self.pending[starts] = True
+        self.settled = self.pending & sinks
+        self.pending &= ~sinks
+        self.out = np.full(0, _UNUSED, dtype=np.int8)
+        self.come = np.full(self.total, _UNUSED, dtype=np.int8)
+
+    def lengthen(self, steps: int) -> None:
+        """Give everyone more time; who has arrived stays."""
+        more = steps - self.steps
+        stay = np.where(self.settled, np.int8(STAY), np.int8(_UNUSED))
+        self.out = np.concatenate([self.out, np.tile(stay, more)])
+        self.come = np.concatenate([self.come, np.tile(stay, more)])
+        self.steps = steps
+
+    def fill(self) -> None:
+        """Send as many as can arrive in time."""
+        nodes = 2 * (self.steps + 1) * self.total
+        label = np.empty((2, nodes // 2), dtype=np.int32)
+        queue, arcs = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int8)
+        flow = (self.table, self.out, self.come, label, self.sinks)
+        while self.pending.any():
+            _label(*flow, queue, self.steps)
+            if _augment(*flow, self.pending, queue, arcs, self.steps) < 0:
+                break
+        last = self.come[self.steps * self.total :]
+        self.settled = last >= 0
+
+
+def balance(table: Neighbors, starts: Vertices, sinks: BoolArray) -> npt.NDArray[np.int32]:
+    """Paths that take every robot, no matter which, to a sink of its own, in the fewest steps.
+
+    Args:
+        table: the grid, from `neighbor_table`.
+        starts: (n,) all different.
+        sinks: (V,) which vertices are sinks, at least n of them.
+
+    Returns:
+        (T + 1, n) vertices. T is the least possible up to 8 steps, and then of those that grow by
+        a quarter at most.
+
+    Raises:
+        ValueError: the sinks cannot be reached, or only in more steps than a flow may have.
+    """
+    flow = _Flow(table, starts, sinks)
+    for steps in _count_up():
+        if not flow.pending.any():
+            break
+        large = steps * flow.total > _SMALL and steps < _FIRST_GUESS
+        if steps == 0 or large or (steps > 8 and steps % (steps // 5)):
+            continue
+        if 2 * (steps + 1) * flow.total > _MOST_NODES:
+            raise ValueError(
+                f"after {flow.steps} steps {int(flow.pending.sum())} robots still find no slot; "
+                "the starts or goals are too unevenly spread over so large a grid"
+            )
+        flow.lengthen(steps)
+        flow.fill()
+    _without_swaps(table, flow.out, flow.come, flow.steps)
+    paths = np.empty((flow.steps + 1, len(starts)), dtype=np.int32)
+    _follow(table, flow.out, np.ascontiguousarray(starts), paths)
+    return paths

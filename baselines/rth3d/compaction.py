@@ -1,0 +1,113 @@
+"""Every move as early as the order in which robots visit each vertex allows.
+
+A plan fixes, for every vertex, who visits it after whom. Kept with that order, a robot may enter a
+vertex one step after its last move, and not before the previous visitor has left (in the same step
+is early enough). The earliest times are longest paths in the graph of these events; the original
+times satisfy the same inequalities, so no move gets later, and the plan stays valid.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.grid import Vertices
+from swarm_envs.compiled import kernel
+
+Paths = npt.NDArray[np.int32]
+"""(T + 1, n) the number of each robot's vertex after each step."""
+
+
+@kernel
+def _resolve(i, aim, at, holder, arrived, left, chain, time):  # type: ignore[no-untyped-def]
+    """Time the move of robot i and of those whom it follows, head first; a ring goes as one."""
+    length = 0
+    ring = False
+    while True:
+        chain[length] = i
+        length += 1
+        time[i] = -2
+        leader = holder[aim[i]]
+        if leader < 0 or time[leader] >= 0:
+            break
+        if time[leader] == -2:
+            ring = True
+            break
+        i = leader
+    if ring:
+        latest = 0
+        for k in range(length):
+            latest = max(latest, arrived[chain[k]] + 1)
+        for k in range(length):
+            time[chain[k]] = latest
+        return
+    for k in range(length - 1, -1, -1):
+        i = chain[k]
+        leader = holder[aim[i]]
+        free = time[leader] if leader >= 0 else left[aim[i]]
+        time[i] = max(arrived[i] + 1, free)
+
+
+@kernel
+def advance(paths, at, holder, arrived, left, aim, time, movers, chain):  # type: ignore[no-untyped-def]
+    """Move all events of `paths` forward in time, in place; return the new makespan.
+
+    Args:
+        paths: (T + 1, n) a valid plan; afterwards the new one in its first rows.
+        at: (n,) the vertices of the start.
+        holder: (V,) the robot on each vertex at the start, or -1.
+        arrived: (n,) zeros.
+        left: (V,) zeros.
+        aim, time, movers, chain: (n,) for work.
+    """
+    steps, count = paths.shape
+    makespan = 0
+    for t in range(1, steps):
+        moving = 0
+        row = paths[t]
+        for i in range(count):
+            if row[i] != at[i]:
+                movers[moving] = i
+                moving += 1
+                aim[i] = row[i]
+                time[i] = -1
+            row[i] = -1
+        for k in range(moving):
+            if time[movers[k]] < 0:
+                _resolve(movers[k], aim, at, holder, arrived, left, chain, time)
+        for k in range(moving):
+            i = movers[k]
+            left[at[i]] = time[i]
+            holder[at[i]] = -1
+        for k in range(moving):
+            i = movers[k]
+            arrived[i] = time[i]
+            makespan = max(makespan, time[i])
+            at[i] = aim[i]
+            holder[at[i]] = i
+            paths[time[i], i] = at[i]
+    for t in range(1, makespan + 1):
+        for i in range(count):
+            if paths[t, i] < 0:
+                paths[t, i] = paths[t - 1, i]
+    return makespan
+
+
+def compact(paths: Paths, total: int) -> Paths:
+    """Shorten a plan without a change of who visits a vertex after whom.
+
+    Args:
+        paths: (T + 1, n) a valid plan; its memory is used for the result.
+        total: vertices of the grid.
+
+    Returns:
+        (T' + 1, n) with T' <= T.
+    """
+    count = paths.shape[1]
+    at: Vertices = paths[0].copy()
+    holder = np.full(total, -1, dtype=np.int32)
+    holder[at] = np.arange(count, dtype=np.int32)
+    arrived, left = np.zeros(count, dtype=np.int32), np.zeros(total, dtype=np.int32)
+    work = (np.empty(count, dtype=np.int32) for _ in range(4))
+    makespan = advance(paths, at, holder, arrived, left, *work)
+    return paths[: makespan + 1]

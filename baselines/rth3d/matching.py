@@ -1,0 +1,228 @@
+"""Rubik tables: which robot goes to which height, or row, so that one shuffle suffices (Sec. II-B).
+
+A table has K columns of D items, and each item belongs into a column. Its columns are one side of
+a bipartite multigraph, the columns aimed at are the other, the items are the edges: D-regular. D
+perfect matchings (Hall) put the items into D levels so that in each every column is left by one
+item and aimed at by one. RTH3D takes any; RTH3D-LBA those of which the largest shift from an
+item's present level is small.
+
+The paper finds the matchings one by one, each by a linear bottleneck assignment, so that the last
+have to take what is left. Here levels are halved instead: the items of the lower half of the levels
+are those that lie there already, and as few others as it takes to make both halves regular, found
+by a flow that lets only items within a threshold of the middle change sides. A half is again a
+smaller table. No item then lies further off than the largest threshold that was needed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.compiled import kernel
+
+Items = npt.NDArray[np.int32]
+
+
+@kernel
+def _flexible(shift, middle, item, low, reach):  # type: ignore[no-untyped-def]
+    """Whether an item may change sides: by at most `reach` levels beyond the middle."""
+    level = shift[item]
+    if level < 0:
+        return True
+    return (middle - level if low else level - middle + 1) <= reach
+
+
+@kernel
+def _levels(aims, shift, low, by_aim, at, begin, size, half, middle, reach, excess, depth, queue):  # type: ignore[no-untyped-def]
+    """Number columns by their distance from overfull aims; the nearest aim with room, or -1.
+
+    Nodes 0 .. K - 1 are aims, K .. 2 K - 1 the columns that are left.
+    """
+    count = excess.shape[0]
+    tail, found = 0, -1
+    for k in range(2 * count):
+        depth[k] = -1
+    for k in range(count):
+        if excess[k] > 0:
+            depth[k] = 0
+            queue[tail] = k
+            tail += 1
+    head = 0
+    while head < tail:
+        node = queue[head]
+        head += 1
+        if depth[node] == found:
+            break
+        for k in range(begin, begin + size):
+            following = _across(aims, shift, low, by_aim, at, node, k, middle, reach, count)
+            if following < 0 or depth[following] >= 0:
+                continue
+            depth[following] = depth[node] + 1
+            queue[tail] = following
+            tail += 1
+            if following < count and excess[following] < 0 and found < 0:
+                found = depth[following]
+    return found
+
+
+@kernel
+def _across(aims, shift, low, by_aim, at, node, k, middle, reach, count):  # type: ignore[no-untyped-def]
+    """The node to which the k-th item of a node leads when it changes sides, or -1."""
+    if node < count:
+        item = by_aim[node, k]
+        if low[item] and _flexible(shift, middle, item, True, reach):
+            return count + item // by_aim.shape[1]
+        return -1
+    item = at[node - count, k]
+    if not low[item] and _flexible(shift, middle, item, False, reach):
+        return aims[item]
+    return -1
+
+
+@kernel
+def _exchange(
+    aims, shift, low, by_aim, at, begin, size, middle, reach, excess, depth, path, arcs, last
+):  # type: ignore[no-untyped-def]
+    """Make items change sides along shortest paths from overfull aims to those with room."""
+    count = excess.shape[0]
+    done = 0
+    for k in range(2 * count):
+        arcs[k] = begin - 1
+    for source in range(count):
+        while excess[source] > 0 and depth[source] == 0:
+            top = 0
+            path[0] = source
+            while top >= 0:
+                node = path[top]
+                if depth[node] == last and node < count and excess[node] < 0:
+                    break
+                arcs[node] += 1
+                if depth[node] >= last or arcs[node] >= begin + size:
+                    depth[node] = -2
+                    top -= 1
+                    continue
+                following = _across(
+                    aims, shift, low, by_aim, at, node, arcs[node], middle, reach, count
+                )
+                if following >= 0 and depth[following] == depth[node] + 1:
+                    top += 1
+                    path[top] = following
+            if top < 0:
+                break
+            for k in range(top):
+                node = path[k]
+                item = by_aim[node, arcs[node]] if node < count else at[node - count, arcs[node]]
+                low[item] = not low[item]
+            excess[source] -= 1
+            excess[path[top]] += 1
+            done += 1
+    return done
+
+
+@kernel
+def _halve(aims, shift, low, by_aim, at, begin, size, bounded, work):  # type: ignore[no-untyped-def]
+    """Split the levels [begin, begin + size) of a table: the first half of `at` and `by_aim`."""
+    count = at.shape[0]
+    half = size // 2
+    middle = begin + half
+    excess, depth, queue, path, arcs = work[0], work[1], work[2], work[3], work[4]
+    room = excess[:count]
+    for a in range(count):
+        room[a] = -half
+    for c in range(count):
+        for k in range(begin, begin + size):
+            low[at[c, k]] = k < middle
+            if k < middle:
+                room[aims[at[c, k]]] += 1
+    left = 0
+    for a in range(count):
+        left += max(room[a], 0)
+    reach = 1 if bounded else 2**30
+    while left > 0:
+        last = _levels(
+            aims, shift, low, by_aim, at, begin, size, half, middle, reach, room, depth, queue
+        )
+        if last < 0:
+            reach += 1
+            continue
+        sent = _exchange(
+            aims, shift, low, by_aim, at, begin, size, middle, reach, room, depth, path, arcs, last
+        )
+        left -= sent
+        if sent * 10 < left:
+            reach += 1
+    for c in range(count):
+        _low_first(at[c], low, begin, size, queue)
+        _low_first(by_aim[c], low, begin, size, queue)
+
+
+@kernel
+def _low_first(items, low, begin, size, buffer):  # type: ignore[no-untyped-def]
+    """Sort the low items before the others, the order otherwise kept."""
+    kept, end = 0, begin
+    for k in range(begin, begin + size):
+        if low[items[k]]:
+            items[end] = items[k]
+            end += 1
+        else:
+            buffer[kept] = items[k]
+            kept += 1
+    for k in range(kept):
+        items[end + k] = buffer[k]
+
+
+@kernel
+def split_tables(aims, shift, bounded, levels):  # type: ignore[no-untyped-def]
+    """Put the items of several tables into levels; see `assign_levels`."""
+    tables, count, size = aims.shape
+    at = np.empty((count, size), dtype=np.int32)
+    by_aim = np.empty((count, size), dtype=np.int32)
+    filled = np.empty(count, dtype=np.int32)
+    low = np.empty(count * size, dtype=np.bool_)
+    work = np.empty((5, 2 * count + size), dtype=np.int32)
+    pending = np.empty((2 * size + 2, 2), dtype=np.int32)
+    for g in range(tables):
+        flat_aims, flat_shift = aims[g].reshape(-1), shift[g].reshape(-1)
+        filled[:] = 0
+        for item in range(count * size):
+            at[item // size, item % size] = item
+            a = flat_aims[item]
+            by_aim[a, filled[a]] = item
+            filled[a] += 1
+        pending[0, 0], pending[0, 1] = 0, size
+        top = 1
+        while top > 0:
+            top -= 1
+            begin, length = pending[top, 0], pending[top, 1]
+            if length < 2:
+                continue
+            _halve(flat_aims, flat_shift, low, by_aim, at, begin, length, bounded, work)
+            half = length // 2
+            pending[top, 0], pending[top, 1] = begin, half
+            pending[top + 1, 0], pending[top + 1, 1] = begin + half, length - half
+            top += 2
+        for c in range(count):
+            for k in range(size):
+                levels[g, c, at[c, k] % size] = k
+
+
+def assign_levels(
+    aims: npt.NDArray[np.integer], real: npt.NDArray[np.bool_], bounded: bool
+) -> Items:
+    """A level for every item, so that each level of a table is a perfect matching.
+
+    Args:
+        aims: (G, K, D) which column each item of G tables belongs into, every column D times. Item
+            d of a column lies in level d now.
+        real: (G, K, D) False for items that may be shifted by any distance at no cost.
+        bounded: keep the largest shift small (RTH3D-LBA); otherwise any matchings do (RTH3D).
+
+    Returns:
+        (G, K, D) the level of each item: in each column, and among the items that belong into the
+        same column, all different.
+    """
+    levels = np.empty(aims.shape, dtype=np.int32)
+    present = np.broadcast_to(np.arange(aims.shape[2], dtype=np.int32), aims.shape)
+    shift = np.where(real, present, np.int32(-1)).astype(np.int32)
+    split_tables(np.ascontiguousarray(aims, dtype=np.int32), shift, bounded, levels)
+    return levels

@@ -1,0 +1,221 @@
+"""RTH3D: balance, match, shuffle, for robots on a grid whose axes are long, short, high (Sec. III).
+
+All phases of Algorithms 1-3: balancing; heights; rows; the long axis; rows; heights; balancing
+backwards. What moves between the balanced configurations are *items*, one in every slot: robots,
+and where there are fewer than slots, virtual robots, which nothing is written of.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.balancing import Neighbors, balance, neighbor_table
+from swarm_envs.baselines.rth3d.compaction import Paths
+from swarm_envs.baselines.rth3d.grid import Vertices
+from swarm_envs.baselines.rth3d.highways import CELL, Highways
+from swarm_envs.baselines.rth3d.matching import assign_levels
+from swarm_envs.baselines.rth3d.patterns import STEPS, lane_changes
+from swarm_envs.baselines.rth3d.records import Clock
+from swarm_envs.baselines.rth3d.shuffles import (
+    LongShift,
+    Shift,
+    park_in_cells,
+    write_long_shift,
+    write_shift,
+)
+
+_Ints = npt.NDArray[np.int32]
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """The Rubik table: items, numbered by their first slot, and the slots they belong into."""
+
+    highways: Highways
+    goal: _Ints
+    """(items,) the slot that each item belongs into; slot (c, r, z) is (c R + r) Z + z."""
+    real: npt.NDArray[np.bool_]
+    """(items,) whether the item is a robot."""
+
+    @property
+    def rows(self) -> int:
+        return len(self.highways.rows)
+
+    @property
+    def heights(self) -> int:
+        return self.highways.shape[2]
+
+    @property
+    def cells(self) -> int:
+        return self.highways.cells
+
+
+def _fill_up(first: _Ints, last: _Ints, capacity: int) -> tuple[_Ints, npt.NDArray[np.bool_]]:
+    """Goals of all items: of robots as given, of virtual ones their own slot where that is free."""
+    goal = np.full(capacity, -1, dtype=np.int32)
+    goal[first] = last
+    real = goal >= 0
+    taken = np.zeros(capacity, dtype=np.bool_)
+    taken[last] = True
+    stays = np.flatnonzero(~real & ~taken)
+    goal[stays], taken[stays] = stays, True
+    goal[goal < 0] = np.flatnonzero(~taken)
+    return goal, real
+
+
+def _split_heights(table: _Table, bounded: bool) -> _Ints:
+    """The height at which each item crosses the plane (Algorithm 2)."""
+    shape = (1, table.cells * table.rows, table.heights)
+    aims = table.goal.reshape(shape) // table.heights
+    return assign_levels(aims, table.real.reshape(shape), bounded).reshape(-1)
+
+
+def _split_rows(table: _Table, height: _Ints, bounded: bool) -> _Ints:
+    """The row in which each item crosses its plane along the long axis (Algorithm 3)."""
+    items = np.arange(len(height))
+    shape = (table.heights, table.cells, table.rows)
+    cell, row = np.divmod(items // table.heights, table.rows)
+    at = np.empty(shape, dtype=np.int32)
+    at[height, cell, row] = items
+    aims = table.goal[at] // (table.heights * table.rows)
+    found = np.empty(len(items), dtype=np.int32)
+    found[at] = assign_levels(aims, table.real[at], bounded)
+    return found
+
+
+def _cross(table: _Table, height: _Ints, row: _Ints) -> tuple[_Ints, _Ints, LongShift]:
+    """Plan the long shuffle; return the items' rows and (unused) strips after it, and the shift."""
+    highways, items = table.highways, np.arange(len(height))
+    source = (items // (table.heights * table.rows)).astype(np.int32)
+    goal = (table.goal // (table.heights * table.rows)).astype(np.int32)
+    at = np.empty((table.heights, table.rows, table.cells), dtype=np.int32)
+    at[height, row, source] = items
+    place = np.empty((len(items), STEPS, 2), dtype=np.int8)
+    spot = np.empty(len(items), dtype=np.int32)
+    strip = highways.rows // CELL
+    first_row = np.searchsorted(strip, strip)
+    held = np.bincount(strip, minlength=1)[strip]
+    for number in np.unique(held):
+        rows = np.flatnonzero(held == number)
+        tables = at[:, rows].reshape(-1, number, table.cells)
+        park_in_cells(tables, source, goal, lane_changes(int(number)), place, spot)
+    after = np.where(spot < 0, row, first_row[row] + np.where(held[row] == 3, spot, spot // 2))
+    y = highways.rows[row] % CELL
+    return after.astype(np.int32), spot, _long_shift(highways, source, goal, y, place, spot)
+
+
+def _long_shift(
+    highways: Highways, source: _Ints, goal: _Ints, y: _Ints, place: npt.NDArray[Any], spot: _Ints
+) -> LongShift:
+    """The long shuffle in numbers of vertices."""
+    along, across = highways.shape[1] * highways.shape[2], highways.shape[2]
+    rests, place = spot < 0, place.astype(np.int32)
+    change = (place[..., 0] - 1) * along + (place[..., 1] - y[:, None]) * across
+    change[rests] = 0
+    run = np.where(goal == source, 0, CELL * (goal - source) + spot - place[:, -1, 0])
+    park = np.sign(run) * across
+    aside = np.where(rests, 0, spot - 1)
+    leave = np.stack([aside * across, -aside * along], axis=1)
+    return LongShift(*(a.astype(np.int32) for a in (change, run, park, leave)))
+
+
+@dataclass(frozen=True, eq=False)
+class Balanced:
+    """Paths into the slots, from the starts and from the goals."""
+
+    first: Paths
+    """(T1 + 1, n) from the starts."""
+    last: Paths
+    """(T2 + 1, n) from the goals."""
+
+
+def balance_both(highways: Highways, starts: Vertices, goals: Vertices, clock: Clock) -> Balanced:
+    """Balance the starts and the goals (Algorithm 1, line 2)."""
+    table = neighbor_table(highways.shape, highways.obstacles)
+    sinks = np.zeros(len(table), dtype=np.bool_)
+    sinks[highways.slots] = True
+    with clock.phase("balance starts") as record:
+        first = balance(table, starts, sinks)
+        record(len(first) - 1)
+    with clock.phase("balance goals") as record:
+        last = balance(table, goals, sinks)
+        record(len(last) - 1)
+    return Balanced(first, last)
+
+
+def shuffle(highways: Highways, balanced: Balanced, bounded: bool, clock: Clock) -> Paths:
+    """The whole plan, phase after phase, before compaction.
+
+    Args:
+        highways: slots and lanes.
+        balanced: paths into the slots.
+        bounded: choose matchings with small shifts (RTH3D-LBA).
+        clock: of the phases.
+
+    Returns:
+        (T + 1, n) paths from the starts to the goals.
+    """
+    slot = np.full(int(np.prod(highways.shape)), -1, dtype=np.int32)
+    slot[highways.slots.reshape(-1)] = np.arange(highways.capacity, dtype=np.int32)
+    first, last = slot[balanced.first[-1]], slot[balanced.last[-1]]
+    table = _Table(highways, *_fill_up(first, last, highways.capacity))
+    with clock.phase("match heights") as record:
+        height = _split_heights(table, bounded)
+        record(0)
+    with clock.phase("match rows") as record:
+        row = _split_rows(table, height, bounded)
+        record(0)
+    with clock.phase("change of lanes") as record:
+        after, _, long = _cross(table, height, row)
+        record(0)
+    shifts = _shifts(table, height, row, after, long, first)
+    return _write(highways, balanced, shifts, clock)
+
+
+def _shifts(
+    table: _Table, height: _Ints, row: _Ints, after: _Ints, long: LongShift, robots: _Ints
+) -> list[tuple[str, Shift | LongShift]]:
+    """The five shuffles of the robots alone."""
+    y = table.highways.rows
+    present = np.arange(len(height), dtype=np.int32)
+    old_row, goal_row = (k // table.heights % table.rows for k in (present, table.goal))
+    across, up = table.highways.shape[2], 1
+    moves = {
+        "heights": Shift((height - present % table.heights)[robots], up),
+        "rows": Shift((y[row] - y[old_row])[robots], across),
+        "long axis": LongShift(*(part[robots] for part in long)),
+        "rows to goals": Shift((y[goal_row] - y[after])[robots], across),
+        "heights to goals": Shift((table.goal % table.heights - height)[robots], up),
+    }
+    return list(moves.items())
+
+
+def _write(
+    highways: Highways,
+    balanced: Balanced,
+    shifts: list[tuple[str, Shift | LongShift]],
+    clock: Clock,
+) -> Paths:
+    """All phases one after another."""
+    side = highways.shape[1] * highways.shape[2]
+    lengths = [len(balanced.first) - 1, *(shift.duration for _, shift in shifts)]
+    whole = sum(lengths) + len(balanced.last) - 1
+    paths = np.empty((whole + 1, balanced.first.shape[1]), dtype=np.int32)
+    paths[: lengths[0] + 1] = balanced.first
+    begin = lengths[0]
+    for name, shift in shifts:
+        with clock.phase(name) as record:
+            if isinstance(shift, LongShift):
+                write_long_shift(paths, begin, shift.duration, *shift, side)
+            else:
+                write_shift(
+                    paths, begin, shift.duration, shift.distance, side, np.int64(shift.stride)
+                )
+            record(shift.duration)
+        begin += shift.duration
+    paths[begin:] = balanced.last[::-1]
+    return paths

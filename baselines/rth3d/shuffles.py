@@ -1,0 +1,155 @@
+"""Shuffles on highways: every robot along one axis to where it belongs, all at once (Sec. III-B).
+
+Across the long axis (short and high shuffles) a robot steps from the middle lane x = 3i + 1 of its
+strip into one of the two lanes beside it, those that go up to one side, those that go down to the
+other; runs; and steps back: m + 2 steps at most. Along the long axis, the robots of a cell first
+change lanes (3 steps), run, park in the row between the lanes, and form a column again (2 steps).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.patterns import STEPS
+from swarm_envs.compiled import kernel
+
+Steps = npt.NDArray[np.int32]
+
+
+class Shift(NamedTuple):
+    """A shuffle across the long axis: how each robot moves."""
+
+    distance: Steps
+    """(n,) edges along the axis, with sign."""
+    stride: int
+    """Difference of the numbers of two neighbours along the axis."""
+
+    @property
+    def duration(self) -> int:
+        """Steps until the last robot has stepped back."""
+        longest = int(np.abs(self.distance).max(initial=0))
+        return longest + 2 if longest else 0
+
+
+class LongShift(NamedTuple):
+    """A shuffle along the long axis: how each robot moves."""
+
+    change: Steps
+    """(n, STEPS) what is added to its vertex's number after each step of the change of lanes."""
+    run: Steps
+    """(n,) vertices to run, with sign."""
+    park: Steps
+    """(n,) what is added to its vertex's number when it parks."""
+    leave: Steps
+    """(n, 2) what is added to it in each of the last two steps."""
+
+    @property
+    def duration(self) -> int:
+        """Steps until all columns are formed."""
+        if not self.change.any() and not self.run.any():
+            return 0
+        return STEPS + int(np.abs(self.run).max(initial=0)) + 1 + 2
+
+
+@kernel
+def write_shift(paths, begin, duration, distance, side, stride):  # type: ignore[no-untyped-def]
+    """Write a shuffle across the long axis into rows begin + 1 ... begin + duration."""
+    for t in range(1, duration + 1):
+        for i in range(distance.shape[0]):
+            vertex, d = paths[begin, i], distance[i]
+            length = abs(d)
+            if length and t <= length + 1:
+                sign = 1 if d > 0 else -1
+                vertex += sign * (side + (t - 1) * stride)
+            elif length:
+                vertex += d * stride
+            paths[begin + t, i] = vertex
+
+
+@kernel
+def write_long_shift(paths, begin, duration, change, run, park, leave, stride):  # type: ignore[no-untyped-def]
+    """Write a shuffle along the long axis into rows begin + 1 ... begin + duration."""
+    lanes = change.shape[1]
+    for t in range(1, duration + 1):
+        for i in range(run.shape[0]):
+            vertex = paths[begin, i]
+            if t <= lanes:
+                vertex += change[i, t - 1]
+            else:
+                length = abs(run[i])
+                vertex += change[i, lanes - 1]
+                if t <= lanes + length:
+                    vertex += stride * (t - lanes if run[i] > 0 else lanes - t)
+                else:
+                    vertex += stride * run[i] + park[i]
+                if t >= duration - 1:
+                    vertex += leave[i, 0]
+                if t == duration:
+                    vertex += leave[i, 1]
+            paths[begin + t, i] = vertex
+
+
+@kernel
+def _park(items, source, goal, place, spot, last):  # type: ignore[no-untyped-def]
+    """Give everyone of a cell a vertex of the row between the lanes: the far ones the near end."""
+    taken = 0 if items.shape[0] == 3 else 2
+    for item in items:
+        spot[item] = -1
+        if goal[item] == source[item]:
+            spot[item] = place[item, last, 0]
+            taken |= 1 << spot[item]
+    for _ in range(items.shape[0]):
+        farthest, longest = -1, 0
+        for item in items:
+            length = abs(goal[item] - source[item])
+            if spot[item] < 0 and length > longest:
+                farthest, longest = item, length
+        if farthest < 0:
+            return
+        up = goal[farthest] > source[farthest]
+        free = 0 if up else 2
+        while taken >> free & 1:
+            free += 1 if up else -1
+        taken |= 1 << free
+        spot[farthest] = free
+
+
+@kernel
+def park_in_cells(table, source, goal, changes, place, spot):  # type: ignore[no-untyped-def]
+    """Plan the long shuffle of all strips that hold as many robots a cell.
+
+    Args:
+        table: (S, held, q) the item in each place of each strip: held rows, q cells.
+        source: (items,) the cell in which each item is.
+        goal: (items,) the cell that it belongs into.
+        changes: from `lane_changes(held)`.
+        place: (items, STEPS, 2) written: where in its cell the item is during the change of lanes.
+        spot: (items,) written: the x in its goal's cell at which it parks, -1 if its strip rests.
+    """
+    strips, held, cells = table.shape
+    last = changes.shape[2] - 1
+    arrived = np.empty((cells, held), dtype=np.int32)
+    filled = np.empty(cells, dtype=np.int32)
+    for s in range(strips):
+        filled[:] = 0
+        moving = False
+        for c in range(cells):
+            code, digit = 0, 1
+            for k in range(held):
+                item = table[s, k, c]
+                heading = 0 if goal[item] == c else 1 if goal[item] > c else 2
+                code += digit * heading
+                digit *= 3
+                arrived[goal[item], filled[goal[item]]] = item
+                filled[goal[item]] += 1
+            moving = moving or code > 0
+            for k in range(held):
+                place[table[s, k, c]] = changes[code, k]
+        for c in range(cells):
+            if moving:
+                _park(arrived[c], source, goal, place, spot, last)
+            else:
+                spot[table[s, :, c]] = -1

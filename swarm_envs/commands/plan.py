@@ -1,0 +1,207 @@
+"""`swarm-envs plan`: paths on a grid for many labelled robots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from swarm_envs.commands.checks import Misuse, check_file, check_folder
+
+if TYPE_CHECKING:
+    from swarm_envs.baselines.rth3d import GridInstance, GridPlan
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions:
+    """Plan paths for robots on a grid that each have a goal of their own, by RTH3D and PIBT.
+
+    Draws an instance of a family, plans, validates, and prints the makespan and what bounds it.
+    """
+
+    grid: str = "48x24x12"
+    """vertices along x, y and z, such as 144x72x36; two sides for a flat grid"""
+    density: float | None = None
+    """robots per vertex, such as 0.333; a third if not given, 2/9 between buildings"""
+    robots: int | None = None
+    """number of robots, instead of a density"""
+    family: str = "uniform"
+    """uniform, quasi-random, mirror, rings, blocks, small-blocks, buildings, quasi-buildings"""
+    method: str = "auto"
+    """rth3d, rth3d-lba, pibt, or auto, the best of the last two"""
+    seed: int = 0
+    """of the instance and of pibt"""
+    time_limit_s: float | None = None
+    """seconds after which no further phase of planning begins"""
+    out: Path | None = None
+    """folder for plan.npz, plan.json and plan.png, all three"""
+    save: Path | None = None
+    """write the paths, .npz"""
+    picture: Path | None = None
+    """draw the plan, .png"""
+    json: Path | None = None
+    """write what was measured, .json"""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing can be planned.
+
+        Raises:
+            ValueError: a number out of range, or both a density and a number of robots.
+        """
+        if self.seed < 0:
+            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
+        if self.density is not None and self.robots is not None:
+            raise ValueError("--density and --robots both say how many robots; give one of them")
+        if self.density is not None and not 0 < self.density <= 1:
+            raise ValueError(f"--density is {self.density}, but must be above 0 and at most 1")
+        if self.robots is not None and self.robots < 1:
+            raise ValueError(f"--robots is {self.robots}, but must be 1 or more")
+        if self.time_limit_s is not None and not self.time_limit_s > 0:
+            raise ValueError(f"--time-limit-s is {self.time_limit_s}, but must be above 0")
+        self.shape()
+
+    def shape(self) -> tuple[int, ...]:
+        """Sides of the grid.
+
+        Raises:
+            ValueError: the text is not integers with an x between.
+        """
+        try:
+            return tuple(int(side) for side in self.grid.split("x"))
+        except ValueError as error:
+            rule = "must be two or three integers with an x between, such as 144x72x36"
+            raise ValueError(f"--grid is {self.grid!r}, but {rule}") from error
+
+    def files(self) -> dict[str, Path]:
+        """What to write, by its option."""
+        names = {"save": "plan.npz", "json": "plan.json", "picture": "plan.png"}
+        given = {option: getattr(self, option) for option in names}
+        if self.out is not None:
+            given = {o: path or self.out / names[o] for o, path in given.items()}
+        return {option: path for option, path in given.items() if path is not None}
+
+
+_SUFFIXES = {"save": (".npz",), "json": (".json",), "picture": (".png",)}
+
+
+def run(options: PlanOptions) -> None:
+    """Draw the instance, plan, print and write.
+
+    Raises:
+        Misuse: there is no such family, method, shape or place to write; nothing was planned.
+        ValueError: no plan was found, or not in time.
+    """
+    files = options.files()
+    if options.out is not None:
+        check_folder("--out", options.out)
+    for option, path in files.items():
+        check_file(f"--{option}", path, _SUFFIXES[option])
+    instance = _instance(options)
+    found = _plan(instance, options)
+    for line in summary_lines(found):
+        print(line)
+    writers = {"save": _save, "json": _write_json, "picture": _draw}
+    for option, path in files.items():
+        writers[option](path, found)
+        print(f"wrote {path}", flush=True)
+
+
+def _instance(options: PlanOptions) -> GridInstance:
+    import numpy as np
+
+    from swarm_envs.baselines.rth3d import make_instance
+    from swarm_envs.baselines.rth3d.grid import check_shape
+
+    try:
+        shape = check_shape(options.shape())
+        count = options.robots
+        if options.density is not None:
+            count = round(options.density * float(np.prod(shape)))
+        return make_instance(options.family, shape, count, options.seed)
+    except ValueError as error:
+        raise Misuse(str(error)) from error
+
+
+def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
+    from tqdm import tqdm
+
+    from swarm_envs.baselines.rth3d import METHODS, PlanNotFound, PlanTimeout, plan
+    from swarm_envs.errors import check_name
+
+    try:
+        check_name("method", options.method, METHODS)
+    except ValueError as error:
+        raise Misuse(str(error)) from error
+    with tqdm(desc="plan", unit="phase", mininterval=0.1) as bar:
+
+        def watch(name: str) -> None:
+            bar.set_description(name)
+            bar.update()
+
+        try:
+            return plan(
+                instance.starts,
+                instance.goals,
+                instance.shape,
+                instance.obstacles,
+                method=options.method,
+                seed=options.seed,
+                time_limit=options.time_limit_s,
+                watch=watch,
+            )
+        except (PlanNotFound, PlanTimeout) as error:
+            raise ValueError(str(error)) from error
+
+
+def facts(found: GridPlan) -> dict[str, Any]:
+    """What was measured, as JSON has it."""
+    return {
+        "shape": list(found.shape),
+        "robots": len(found.starts),
+        "obstacles": int(found.obstacles.sum()),
+        "method": found.method,
+        "winner": found.winner,
+        "seed": found.seed,
+        "makespan": found.makespan,
+        "lower_bound": found.lower_bound,
+        "ratio": found.ratio,
+        "bound": found.bound,
+        "before_compaction": found.before_compaction,
+        "valid": found.valid,
+        "seconds": found.seconds,
+        "phases": [vars(phase) for phase in found.phases],
+    }
+
+
+def summary_lines(found: GridPlan) -> list[str]:
+    """What is printed of a plan."""
+    sides = " x ".join(map(str, found.shape))
+    lines = [
+        f"{len(found.starts):,} robots on {sides}: makespan {found.makespan}, lower bound "
+        f"{found.lower_bound}, ratio {found.ratio:.3f}, by {found.winner}, valid"
+    ]
+    if found.before_compaction is not None:
+        lines.append(f"before compaction {found.before_compaction}")
+    if found.bound is not None:
+        lines.append(f"guaranteed: at most {found.bound}")
+    width = max(len(phase.name) for phase in found.phases)
+    for phase in found.phases:
+        lines.append(f"  {phase.name.ljust(width)}  {phase.makespan:5d}  {phase.seconds:7.2f} s")
+    return lines
+
+
+def _save(path: Path, found: GridPlan) -> None:
+    found.save(path)
+
+
+def _write_json(path: Path, found: GridPlan) -> None:
+    from swarm_envs import __version__
+    from swarm_envs.files import write_json
+
+    write_json(path, facts(found) | {"version": __version__})
+
+
+def _draw(path: Path, found: GridPlan) -> None:
+    from swarm_envs.baselines.rth3d.plot import plot_plan
+
+    plot_plan(path, found)
