@@ -25,6 +25,8 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "detour": "swarm_envs.agents.detour:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
+        "rth3d": "swarm_envs.baselines.rth3d.agent:GridAgent",
+        "rth3d-compensated": "swarm_envs.baselines.rth3d.agent:GridAgent.compensated",
     }
 )
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is

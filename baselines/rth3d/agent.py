@@ -18,7 +18,7 @@ from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, faster, smooth
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, shortest_step
-from swarm_envs.baselines.rth3d.library import plan
+from swarm_envs.baselines.rth3d.plan import plan
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
