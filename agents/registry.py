@@ -29,6 +29,8 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
         "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent",
         "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent.compensated",
+        "rth3d": "swarm_envs.baselines.rth3d.agent:GridAgent",
+        "rth3d-compensated": "swarm_envs.baselines.rth3d.agent:GridAgent.compensated",
     }
 )
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is

@@ -1,0 +1,242 @@
+"""RTH3D as an agent: a plan on a grid for every set of goals, flown as a spline.
+
+Starts and goals need not stand on the grid: each drone begins and ends on a vertex near its own,
+matched so that the squared ways sum to the least, and the flight is checked before it is flown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from swarm_envs.agents import Actions, Observations
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
+from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, faster, smooth
+from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, shortest_step
+from swarm_envs.baselines.rth3d.plan import plan
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
+from swarm_envs.tasks.motion import ORBITS
+from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
+
+NEAR_MISS = 1.5
+"""Least distance of two drones, over the largest sum of their radii."""
+MOST_SMOOTHED = 1000
+"""More drones than this fly the unsmoothed splines."""
+_OBSTACLE_M = 0.1
+"""Distance to obstacles beside the radius, m, where the grid leaves as much."""
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A grid in space."""
+
+    origin: FloatArray
+    """(3,) where the vertex (0, 0, 0) stands, m."""
+    spacing: FloatArray
+    """(3,) m."""
+    shape: tuple[int, int, int]
+    """Vertices by axis."""
+
+    def points(self) -> FloatArray:
+        """(X, Y, Z, 3) where the vertices stand, m."""
+        return self.origin + self.spacing * np.moveaxis(np.indices(self.shape), 0, -1)
+
+    def near(self, points: FloatArray, free: BoolArray) -> IntArray:
+        """(N, 3) a vertex for each point (N, 3) among the free ones (X, Y, Z).
+
+        Raises:
+            ValueError: there are fewer free vertices than points.
+        """
+        cells = np.argwhere(free)
+        if len(cells) < len(points):
+            raise ValueError(
+                f"{len(points)} drones, but the grid {self.shape} in the arena has {len(cells)} "
+                "free vertices; give a smaller spacing"
+            )
+        places = self.origin + self.spacing * cells
+        square = ((points[:, None] - places) ** 2).sum(axis=-1)
+        return np.asarray(cells[linear_sum_assignment(square)[1]])
+
+
+class GridAgent:
+    """Plans every set of goals on a grid and flies the plan.
+
+    Args:
+        spacing: (x, y, z) of the grid, m; wide enough that drones keep 1.5 times the sum of their
+            radii whatever the plan, or it is refused.
+        method: as for `plan`; None for `auto`, and `pibt` where there are obstacles.
+        controller: configuration of the tracking loop; None for its default, which believes in no
+            force.
+        share: of the time that a stage lasts, in which it is flown where limits allow.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    privileged = True
+
+    def __init__(
+        self,
+        spacing: tuple[float, float, float] = (0.4, 0.4, 0.5),
+        method: str | None = None,
+        controller: ControllerConfig | None = None,
+        share: float = 0.7,
+    ) -> None:
+        if not (min(spacing) > 0.0 and np.isfinite(spacing).all()):
+            raise ValueError(f"spacing is {spacing}, but must be positive")
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
+        self.requires: Mapping[str, Any] = {
+            "action": "setpoint",
+            "controller": controller or ControllerConfig(),
+        }
+        self._spacing, self._method, self._share = np.array(spacing), method, share
+        self.flights: list[SplineFlight] = []
+        """The episode's flights, one for each set of goals."""
+        self._agents: list[str] = []
+        self._task: Task | None = None
+        self._goals, self._began, self._seed = np.zeros((0, 3)), 0.0, 0
+
+    @classmethod
+    def compensated(cls) -> GridAgent:
+        """The agent over the controller of Neural-Swarm2, which feeds `load_belief()` forward."""
+        return cls(controller=ControllerConfig(feedforward=load_belief()))
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Plan the way to the first goals; the seed is that of the planner.
+
+        Raises:
+            ValueError: goals that circle, a spacing at which drones could meet, too few vertices,
+                or starts or goals so close to each other that the way onto the grid is not free.
+        """
+        task = env.core.task
+        if task.motion.kind == ORBITS:
+            raise ValueError(
+                f"GridAgent plans to goals at rest, but those of {task.name} circle; use swap or "
+                "formation, or the agent 'tracking-compensated'"
+            )
+        self._agents, self._task, self._seed, self.flights = list(env.agents), task, seed, []
+        self._plan(env.view)
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Position, velocity, acceleration and jerk of the flight; no yaw.
+
+        Raises:
+            ValueError: there is no view, without which goals are unknown.
+        """
+        if view is None:
+            raise ValueError("the grid agent is privileged: pass env.view as the view")
+        if not np.array_equal(view.goals, self._goals):
+            self._plan(view)
+        reference = self.flights[-1].reference(view.time - self._began)
+        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
+        return dict(zip(self._agents, rows, strict=True))
+
+    def _plan(self, view: View) -> None:
+        assert self._task is not None
+        starts = view.setpoint.position.copy()
+        self._goals, self._began = view.goals.copy(), view.time
+        stage_s = self._task.motion.stage_s or view.horizon_s
+        flight = self._fly(self._task, starts, self._goals)
+        slower = max(1.0, self._share * stage_s / flight.duration_s)
+        self.flights.append(replace(flight, step_s=flight.step_s * slower))
+
+    def _fly(self, task: Task, starts: FloatArray, goals: FloatArray) -> SplineFlight:
+        lattice = _lattice(task, self._spacing)
+        free = _free(task, lattice)
+        method = self._method or ("auto" if free.all() else "pibt")
+        found = plan(
+            lattice.near(starts, free),
+            lattice.near(goals, free),
+            lattice.shape,
+            obstacles=None if free.all() else ~free,
+            method=method,
+            seed=self._seed,
+        )
+        points = lattice.origin + lattice.spacing * found.paths
+        control = np.concatenate([[starts] * 3, points, [goals] * 3])
+        flight = SplineFlight(control, shortest_step(lattice.spacing, 1.0, 1.0))
+        return _checked(task, flight)
+
+
+def _lattice(task: Task, spacing: FloatArray) -> Lattice:
+    """The grid in the middle of the arena."""
+    touching = 2.0 * float(task.radius.max())
+    stretch = spacing / spacing[0]
+    kept = spacing[0] * worst_clearance((1.0, float(stretch[1]), float(stretch[2])))
+    if kept < NEAR_MISS * touching:
+        raise ValueError(
+            f"at spacing {spacing.tolist()} m drones could come as close as {kept:.3f} m, but must "
+            f"keep {NEAR_MISS * touching:.3f} m; use a wider spacing"
+        )
+    margin = touching / 2 + _OBSTACLE_M
+    low, high = task.arena[0] + margin, task.arena[1] - margin
+    cells = np.floor((high - low) / spacing + 1e-9).astype(int)
+    origin = (low + high - cells * spacing) / 2
+    return Lattice(origin, spacing, (int(cells[0]) + 1, int(cells[1]) + 1, int(cells[2]) + 1))
+
+
+def _free(task: Task, lattice: Lattice) -> BoolArray:
+    """(X, Y, Z) which vertices are clear of obstacles."""
+    if not task.obstacles:
+        return np.ones(lattice.shape, dtype=bool)
+    gap = obstacle_distances(obstacle_rows(task.obstacles), lattice.points().reshape(-1, 3))
+    clear = gap.min(axis=-1) > float(task.radius.max()) + _OBSTACLE_M
+    return np.asarray(clear.reshape(lattice.shape))
+
+
+def _checked(task: Task, flight: SplineFlight) -> SplineFlight:
+    """The flight, smoothed and as fast as limits allow, if no drone comes near another."""
+    least = NEAR_MISS * 2.0 * float(task.radius.max())
+    close = smallest_distance(flight, (1.0, 1.0, 1.0))
+    if close < least:
+        raise ValueError(
+            f"on the way between the grid and starts or goals, drones would come as close as "
+            f"{close:.3f} m, but must keep {least:.3f} m; spread them, or use another spacing"
+        )
+    if flight.num_robots > MOST_SMOOTHED:
+        return _clear(task, faster(flight, SPEED_LIMIT, ACCELERATION_LIMIT))
+    radius = float(task.radius.max())
+    low, high = task.arena[0] + radius, task.arena[1] - radius
+    config = SmoothingConfig(
+        distance=1.1 * least,
+        box=((low[0], low[1], low[2]), (high[0], high[1], high[2])),
+        obstacles=tuple(_corners(obstacle) for obstacle in task.obstacles),
+        obstacle_distance=radius + _OBSTACLE_M,
+        speed=SPEED_LIMIT,
+        acceleration=ACCELERATION_LIMIT,
+    )
+    return _clear(task, smooth(flight, config))
+
+
+def _clear(task: Task, flight: SplineFlight) -> SplineFlight:
+    """The flight, if no drone touches an obstacle."""
+    if task.obstacles:
+        times = np.linspace(0.0, flight.duration_s, 8 * flight.num_steps + 1)
+        points = np.array([flight.reference(float(time)).position for time in times])
+        gap = obstacle_distances(obstacle_rows(task.obstacles), points.reshape(-1, 3)).min()
+        if gap < float(task.radius.max()):
+            raise ValueError(
+                f"the way around corners comes within {gap:.3f} m of an obstacle; use a smaller "
+                "spacing"
+            )
+    return flight
+
+
+def _corners(
+    obstacle: Any,
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """A box that holds an obstacle."""
+    if isinstance(obstacle, Box):
+        return obstacle.low, obstacle.high
+    (x, y), r = obstacle.center, obstacle.radius
+    return (x - r, y - r, 0.0), (x + r, y + r, obstacle.height)

@@ -1,0 +1,134 @@
+"""How close robots on a grid's splines can come, and the spacing that keeps them apart.
+
+Two robots on valid paths never stand on one vertex and never exchange two. Within a step their
+distance is a spline of four differences of vertices. There are finitely many such windows near
+zero: the least distance over all of them holds for any plan, of any number of robots.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from itertools import product
+
+import numpy as np
+
+from swarm_envs.baselines.rth3d.flight.spline import BASIS, SplineFlight
+from swarm_envs.compiled import kernel
+from swarm_envs.state import FloatArray
+
+_SAMPLES = 64
+_CURVATURE = 4.0
+"""Bounds the second derivative of a difference by the step's share: second differences of relative
+positions, of two robots that each turn back, are at most this many spacings long."""
+
+
+@cache
+def worst_clearance(stretch: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> float:
+    """Least distance of two robots on any valid plan's splines, by the spacing along x.
+
+    Args:
+        stretch: spacing by axis over that along x, in the metric in which distances count: for a
+            scaled distance, with heights divided by Theta, what remains after the division.
+
+    Returns:
+        A lower bound: 0.647 on a cubic lattice, where straight motion has 1 / sqrt(2).
+
+    Raises:
+        ValueError: a stretch is not positive and finite.
+    """
+    if not all(0.0 < s < math.inf for s in stretch):
+        raise ValueError(f"stretch is {stretch}, but must be positive and finite")
+    moves = np.array(sorted(_relative_moves()), dtype=np.float64)
+    time = np.linspace(0.0, 1.0, _SAMPLES + 1)
+    weights = np.vander(time, 4, increasing=True) @ BASIS
+    square = _worst_square(moves, np.array(stretch), weights)
+    between = _CURVATURE * max(stretch) * (0.5 / _SAMPLES) ** 2 / 2.0
+    return math.sqrt(square) - between
+
+
+def _relative_moves() -> set[tuple[int, ...]]:
+    """By how much the difference of two robots changes in a step."""
+    single = [
+        (0, 0, 0),
+        *(tuple(r) for e in np.eye(3, dtype=int) for r in (e.tolist(), (-e).tolist())),
+    ]
+    return {
+        tuple(b - a for a, b in zip(first, second)) for first, second in product(single, single)
+    }
+
+
+@kernel
+def _worst_square(moves: FloatArray, stretch: FloatArray, weights: FloatArray) -> float:
+    """Least square of the stretched distance over all windows whose inner differences are small."""
+    least = np.inf
+    d = np.zeros((4, 3))
+    for cell in range(125):
+        d[1] = cell % 5 - 2, cell // 5 % 5 - 2, cell // 25 - 2
+        if not _apart(d[1]):
+            continue
+        for j in range(len(moves)):
+            d[2] = d[1] + moves[j]
+            if not (_apart(d[2]) and _apart(d[1] + d[2])):
+                continue
+            for i in range(len(moves)):
+                d[0] = d[1] - moves[i]
+                if not (_apart(d[0]) and _apart(d[0] + d[1])):
+                    continue
+                for k in range(len(moves)):
+                    d[3] = d[2] + moves[k]
+                    if _apart(d[3]) and _apart(d[2] + d[3]):
+                        least = min(least, _least_square(d, stretch, weights))
+    return least
+
+
+@kernel
+def _apart(difference: FloatArray) -> bool:
+    """Whether it is not zero: as a difference, one vertex; as a sum of two, an exchange."""
+    return bool(difference[0] != 0.0 or difference[1] != 0.0 or difference[2] != 0.0)
+
+
+@kernel
+def _least_square(d: FloatArray, stretch: FloatArray, weights: FloatArray) -> float:
+    least = np.inf
+    for t in range(len(weights)):
+        square = 0.0
+        for axis in range(3):
+            along = 0.0
+            for k in range(4):
+                along += weights[t, k] * d[k, axis]
+            square += (along * stretch[axis]) ** 2
+        least = min(least, square)
+    return least
+
+
+def least_spacing(distance: float, scaling: tuple[float, float, float]) -> FloatArray:
+    """Spacing (3,), m, at which any valid plan keeps a scaled distance.
+
+    Args:
+        distance: scaled distance to keep, m.
+        scaling: diagonal of Theta, by which distances are divided, such as (1, 1, 6).
+
+    Raises:
+        ValueError: the distance is not positive and finite.
+    """
+    if not 0.0 < distance < math.inf:
+        raise ValueError(f"distance is {distance!r} m, but must be positive and finite")
+    return np.array(scaling) * distance / worst_clearance()
+
+
+def smallest_distance(
+    flight: SplineFlight, scaling: tuple[float, float, float], samples: int = 8
+) -> float:
+    """Smallest scaled distance of any two robots of a flight, at samples of each step, m."""
+    from scipy.spatial import cKDTree
+
+    if flight.num_robots < 2:
+        return math.inf
+    times = np.arange(flight.num_steps * samples + 1) * (flight.step_s / samples)
+    least = math.inf
+    for time in times:
+        points = flight.reference(float(time)).position / np.array(scaling)
+        distance, _ = cKDTree(points).query(points, k=2)
+        least = min(least, float(distance[:, 1].min()))
+    return least

@@ -1,0 +1,135 @@
+"""Paths on a grid as smooth flight: uniform cubic B-splines whose control points are the vertices.
+
+Acceleration is continuous and jerk constant within a step, so that one set-point a step says all of
+it. A robot never leaves the convex hull of four vertices of its path that follow each other; how
+close two robots come is bounded by the spacing alone (`clearance`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.errors import check_array
+from swarm_envs.state import FloatArray
+from swarm_envs.trajectories import Reference
+
+DEGREE = 3
+BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
+"""Coefficients of the power of u, by row, that weigh the four control points of a step."""
+_DERIVATIVE = (
+    np.array([0.0, 1.0, 2.0, 3.0]),
+    np.array([0.0, 0.0, 2.0, 6.0]),
+    np.array([0.0, 0.0, 0.0, 6.0]),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SplineFlight:
+    """Uniform cubic B-splines of n robots that begin and end at rest.
+
+    Args:
+        control: (K, n, 3) control points, m, at least four; the first three are the same and so
+            are the last three.
+        step_s: duration of a step, s.
+
+    Raises:
+        ValueError: too few or infinite control points, a start or an end that is not at rest, or a
+            duration that is not positive.
+    """
+
+    control: FloatArray
+    step_s: float
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown, and freeze."""
+        if np.ndim(self.control) != 3 or len(self.control) < DEGREE + 1:
+            raise ValueError(
+                f"control points have shape {np.shape(self.control)}, but must be (K, n, 3) with K "
+                "of at least 4"
+            )
+        control = check_array("control", self.control, (*np.shape(self.control)[:2], 3)).copy()
+        for name, ends in (("first", control[:3]), ("last", control[-3:])):
+            if not (ends == ends[0]).all():
+                raise ValueError(f"the {name} three control points differ, but must be the same")
+        if not 0.0 < self.step_s < math.inf:
+            raise ValueError(f"step_s is {self.step_s!r}, but must be positive and finite")
+        control.flags.writeable = False
+        object.__setattr__(self, "control", control)
+
+    @property
+    def num_robots(self) -> int:
+        """How many fly (n)."""
+        return self.control.shape[1]
+
+    @property
+    def num_steps(self) -> int:
+        """Pieces of constant jerk."""
+        return len(self.control) - DEGREE
+
+    @property
+    def duration_s(self) -> float:
+        """From rest to rest, s."""
+        return self.num_steps * self.step_s
+
+    def reference(self, time: float) -> Reference:
+        """Where the robots should be at a time since the start, s: arrays (n, 3).
+
+        They rest before the start and after the end.
+        """
+        if not 0.0 < time < self.duration_s:
+            end = self.control[0 if time <= 0.0 else -1]
+            still = np.zeros_like(end)
+            return Reference(end.copy(), still, still.copy(), still.copy())
+        step = min(int(time / self.step_s + 1e-9), self.num_steps - 1)
+        u = time / self.step_s - step
+        piece = np.tensordot(BASIS, self.control[step : step + 4], axes=1)
+        powers = np.array([1.0, u, u * u, u**3])
+        parts = [np.tensordot(powers, piece, axes=1)]
+        for k, factors in enumerate(_DERIVATIVE, start=1):
+            lowered = np.concatenate([np.zeros(k), powers[:-k]])
+            parts.append(np.tensordot(factors * lowered, piece, axes=1) / self.step_s**k)
+        return Reference(*parts)
+
+    def largest(self) -> tuple[float, float, float]:
+        """Largest speed, m/s, acceleration, m/s^2, and jerk, m/s^3, by axis.
+
+        Speed is bounded by the hull of its own control points; the others are exact.
+        """
+        differences = [np.diff(self.control, n=k, axis=0) / self.step_s**k for k in (1, 2, 3)]
+        speed, acceleration, jerk = (float(np.abs(d).max(initial=0.0)) for d in differences)
+        return speed, acceleration, jerk
+
+
+def on_grid(
+    paths: npt.NDArray[np.integer], spacing: FloatArray, origin: FloatArray, step_s: float
+) -> SplineFlight:
+    """The flight along paths on a grid.
+
+    Args:
+        paths: (T + 1, n, 3) vertices, one for each step.
+        spacing: (3,) distance of neighbouring vertices by axis, m.
+        origin: (3,) where the vertex (0, 0, 0) stands, m.
+        step_s: duration of a step, s; `shortest_step` says which is possible.
+    """
+    points = np.asarray(origin) + np.asarray(spacing) * np.asarray(paths, dtype=np.float64)
+    ends = [points[:1]] * 2, [points[-1:]] * 2
+    return SplineFlight(np.concatenate([*ends[0], points, *ends[1]]), step_s)
+
+
+def shortest_step(spacing: FloatArray, speed: float, acceleration: float) -> float:
+    """Duration of a step, s, that keeps any path on a grid within bounds by axis.
+
+    A path moves along one axis a step, so that control points of the speed are at most a spacing
+    apart from rest, those of the acceleration at most two spacings (a turn back).
+
+    Args:
+        spacing: (3,) m.
+        speed: m/s.
+        acceleration: m/s^2.
+    """
+    widest = float(np.max(spacing))
+    return max(widest / speed, math.sqrt(2.0 * widest / acceleration))

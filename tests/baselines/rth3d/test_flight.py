@@ -1,0 +1,185 @@
+"""Grid paths as flight: splines, how close they come, corridors, spacing for forces."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.rth3d.flight.clearance import (
+    least_spacing,
+    smallest_distance,
+    worst_clearance,
+)
+from swarm_envs.baselines.rth3d.flight.forces import space_for_forces
+from swarm_envs.baselines.rth3d.flight.planes import bezier_points, planes_between
+from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, smooth
+from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, on_grid, shortest_step
+from swarm_envs.interactions import load
+from swarm_envs.vehicles import parse_team
+
+UNIT = np.ones(3)
+MOVES = np.concatenate([np.zeros((1, 3), int), np.eye(3, dtype=int), -np.eye(3, dtype=int)])
+
+
+def crowd(n: int, side: int, steps: int, seed: int) -> np.ndarray:
+    """Valid paths of robots that wander, following each other, and never exchange places."""
+    rng = np.random.default_rng(seed)
+    cells = rng.permutation(side**3)[:n]
+    now = np.stack(np.unravel_index(cells, (side,) * 3), axis=1)
+    paths = [now]
+    for _ in range(steps):
+        after, taken = now.copy(), {tuple(cell) for cell in now}
+        for i in rng.permutation(n):
+            there = now[i] + MOVES[rng.integers(len(MOVES))]
+            if (there >= 0).all() and (there < side).all() and tuple(there) not in taken:
+                taken.discard(tuple(now[i]))  # who moves later may follow
+                taken.add(tuple(there))
+                after[i] = there
+        now = after
+        paths.append(now)
+    return np.array(paths)
+
+
+def pair(differences: list[tuple[int, int, int]]) -> np.ndarray:
+    """Paths (T + 1, 2, 3) of two robots with such differences, moving by turns along one axis."""
+    first, second = [np.zeros(3, int)], [np.array(differences[0])]
+    for before, after in itertools.pairwise(differences):
+        change = np.subtract(after, before)
+        move = next(m for m in MOVES if any(((change - m) == k).all() for k in MOVES))
+        second.append(second[-1] + move)
+        first.append(first[-1] - (change - move))
+    return np.stack([first, second], axis=1)
+
+
+def test_derivatives_are_those_of_the_position_and_the_ends_rest():
+    flight = on_grid(crowd(6, 4, 12, 0), 0.5 * UNIT, UNIT, 0.4)
+    h = 1e-5
+    for time in np.random.default_rng(1).uniform(0.0, flight.duration_s, 40):
+        if abs(time / 0.4 - round(time / 0.4)) < 1e-3:
+            continue
+        before, now, after = (flight.reference(float(time + k * h)) for k in (-1, 0, 1))
+        for part in range(3):
+            slope = (after[part] - before[part]) / (2 * h)
+            np.testing.assert_allclose(slope, now[part + 1], atol=1e-6)
+    for time, place in ((-1.0, 0), (0.0, 0), (flight.duration_s, -1), (1e3, -1)):
+        position, *motion = flight.reference(time)
+        np.testing.assert_array_equal(position, flight.control[place])
+        assert not np.any(motion)
+    just = flight.reference(1e-9)
+    np.testing.assert_allclose(just.position, flight.control[0], atol=1e-8)
+    np.testing.assert_allclose(just.velocity, 0.0, atol=1e-6)
+
+
+def test_the_worst_clearance_is_attained_and_never_undercut():
+    bound = worst_clearance()
+    assert 0.6 < bound < 1.0 / math.sqrt(2.0)
+    worst = pair([(-2, -1, 0), (0, -1, 0), (1, 0, 0), (0, 1, 0)])
+    attained = smallest_distance(on_grid(worst, UNIT, 0 * UNIT, 1.0), (1, 1, 1), samples=200)
+    assert bound <= attained < bound + 2e-3
+    for seed in range(20):
+        flight = on_grid(crowd(20, 4, 30, seed), UNIT, 0 * UNIT, 1.0)
+        assert smallest_distance(flight, (1, 1, 1), samples=10) >= bound
+
+
+def test_the_spacing_keeps_a_scaled_distance():
+    spacing = least_spacing(0.25, (1.0, 1.0, 6.0))
+    assert spacing[2] == pytest.approx(6.0 * spacing[0])
+    flight = on_grid(crowd(20, 4, 30, 3), spacing, 0 * UNIT, 1.0)
+    assert smallest_distance(flight, (1.0, 1.0, 6.0)) >= 0.25
+
+
+def test_steps_keep_the_bounds():
+    spacing = np.array([0.5, 0.4, 0.7])
+    step = shortest_step(spacing, 2.0, 5.0)
+    for seed in range(5):
+        speed, acceleration, _ = on_grid(crowd(8, 3, 30, seed), spacing, UNIT, step).largest()
+        assert speed <= 2.0 + 1e-12
+        assert acceleration <= 5.0 + 1e-12
+
+
+def test_planes_hold_now_and_separate_whatever_satisfies_them():
+    flight = on_grid(crowd(12, 4, 10, 5), 0.5 * UNIT, 0 * UNIT, 0.5)
+    planes = planes_between(flight, 0.3, UNIT, 0.2)
+    points = bezier_points(flight)[planes.step, planes.robot]
+    value = np.einsum("pkx,px->pk", points, planes.normal)
+    assert (value >= planes.offset - 1e-7).all()
+    half = len(planes.robot) // 2
+    between = planes.offset[:half] + planes.offset[half:]
+    assert (between > 0.0).all()  # normals are opposite: what sums to it is the distance kept
+    np.testing.assert_allclose(planes.normal[:half], -planes.normal[half:])
+
+
+def test_smoothing_is_faster_and_no_less_safe():
+    flight = on_grid(crowd(14, 4, 12, 2), 0.5 * UNIT, 0 * UNIT, shortest_step(0.5 * UNIT, 2, 5))
+    house = ((0.55, 0.55, -1.0), (0.95, 0.95, 9.0))
+    config = SmoothingConfig(
+        distance=0.33, box=((0, 0, 0), (1.5, 1.5, 1.5)), rounds=3, obstacles=(house,)
+    )
+    before, smoother = smallest_distance(flight, (1, 1, 1)), smooth(flight, config)
+    assert smoother.duration_s < 0.8 * flight.duration_s
+    assert smallest_distance(smoother, (1, 1, 1)) >= min(before, 0.33) - 1e-4
+    np.testing.assert_array_equal(smoother.control[[0, -1]], flight.control[[0, -1]])
+    assert smoother.control.min() >= -1e-6
+    assert smoother.control.max() <= 1.5 + 1e-6
+    speed, acceleration, _ = smoother.largest()
+    assert speed <= 2.0 + 1e-9
+    assert acceleration <= 5.0 + 1e-9
+
+
+def test_smoothing_stays_out_of_a_house():
+    around = [(0, 0), (0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0)]
+    paths = np.array([[(x, y, 0)] for x, y in around])
+    flight = on_grid(paths, UNIT, 0 * UNIT, 1.0)
+    house = ((0.8, 0.0, -1.0), (1.2, 1.2, 9.0))
+    config = SmoothingConfig(distance=0.3, box=((0, 0, 0), (2, 2, 1)), obstacles=(house,))
+    smoother = smooth(flight, config)
+    points = [smoother.reference(t).position[0] for t in np.linspace(0, smoother.duration_s, 200)]
+    gap = np.maximum(np.array(house[0]) - points, np.array(points) - house[1]).max(axis=1)
+    assert gap.min() >= 0.1 - 1e-4
+    free = smooth(flight, replace(config, obstacles=()))
+    assert free.duration_s < smoother.duration_s
+
+
+def test_forces_decide_the_spacing():
+    team, model = parse_team("S" * 8), load("wake")
+    paths = crowd(8, 3, 8, 1)
+    hard, soft = (space_for_forces(paths, team, model, limit) for limit in (4.0, 12.0))
+    for spaced, limit in ((hard, 4.0), (soft, 12.0)):
+        worst = 0.0
+        for time in np.linspace(0.0, spaced.flight.duration_s, 150):
+            state = spaced.flight.reference(float(time))
+            force = model.forces(state.position[None], state.velocity[None], team)
+            worst = max(worst, float(np.abs(force[0, :, 2]).max()) / 9.80665e-3)
+        assert worst <= 1.05 * limit
+    assert np.prod(hard.spacing) > np.prod(soft.spacing)
+    with pytest.raises(ValueError, match=r"within 0.001 g"):
+        space_for_forces(paths, team, model, 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"control": np.zeros((3, 2, 3))}, "at least 4"),
+        ({"control": np.cumsum(np.ones((8, 2, 3)), axis=0)}, "first three control points differ"),
+        ({"control": np.full((8, 2, 3), np.nan)}, "nan"),
+        ({"step_s": 0.0}, "step_s is 0.0"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused(change, said):
+    with pytest.raises(ValueError, match=said):
+        SplineFlight(**{"control": np.zeros((8, 2, 3)), "step_s": 1.0, **change})
+
+
+def test_bad_numbers_are_refused():
+    with pytest.raises(ValueError, match="stretch"):
+        worst_clearance((1.0, 0.0, 1.0))
+    with pytest.raises(ValueError, match="distance is -1"):
+        least_spacing(-1.0, (1.0, 1.0, 1.0))
+    with pytest.raises(ValueError, match="travel is 0"):
+        SmoothingConfig(distance=0.3, box=((0, 0, 0), (1, 1, 1)), travel=0)
+    with pytest.raises(ValueError, match="limit_g"):
+        space_for_forces(np.zeros((4, 1, 3), int), parse_team("S"), load("none"), -1.0)
