@@ -11,10 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, follows_pattern, numbers
 from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.state import BoolArray
 
 _Ints = npt.NDArray[np.int32]
 
@@ -28,8 +31,10 @@ class Terrain(NamedTuple):
     """(3,) the shape."""
     strides: _Ints
     """(3,) differences of the numbers of neighbours along each axis."""
-    columns: _Ints
-    """(m1, m2) 1 where an obstacle stands; of shape (0, 0) if there is none."""
+    walls: BoolArray
+    """(V,) whether an obstacle stands there; of shape (0,) if there is none."""
+    ways: _Ints
+    """(n, V) length of the shortest way to each robot's goal; (0, 0) where a formula says it."""
     along_x: _Ints
     """(m1, m2) obstacles at smaller or equal x in the same row."""
     along_y: _Ints
@@ -40,7 +45,7 @@ class Crowd(NamedTuple):
     """The robots, and memory for their decisions."""
 
     where: _Ints
-    """(n, 6) where each robot is now, and its goal."""
+    """(n, 7) where each robot is now, its goal, and its row of `ways`."""
     order: _Ints
     """(n,) a random order."""
     urgency: _Ints
@@ -66,6 +71,9 @@ class Crowd(NamedTuple):
     """(1,) state of the generator."""
 
 
+_MOST_WAYS = 200_000_000
+"""Entries of `ways`, four bytes each."""
+_FAR = 1 << 20
 _MULTIPLIER = 6364136223846793005
 _INCREMENT = 1442695040888963407
 
@@ -80,8 +88,11 @@ def _draw(random: Array) -> int:
 @borrowing_kernel
 def _distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
     """Length of a shortest path; two more than the Manhattan distance where a column is between."""
-    found = abs(x - where[3]) + abs(y - where[4]) + abs(z - where[5])
-    if terrain.columns.shape[0] > 0:
+    if terrain.ways.shape[0] > 0:
+        vertex = x * terrain.strides[0] + y * terrain.strides[1] + z * terrain.strides[2]
+        return int(terrain.ways[where[6], vertex])
+    found = int(abs(x - where[3]) + abs(y - where[4]) + abs(z - where[5]))
+    if terrain.walls.shape[0] > 0:
         if x == where[3]:
             if terrain.along_y[x, y] != terrain.along_y[x, where[4]]:
                 found += 2
@@ -119,7 +130,7 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, la
                 y = to
             else:
                 z = to
-            if terrain.columns.shape[0] > 0 and terrain.columns[x, y] > 0:
+            if terrain.walls.shape[0] > 0 and terrain.walls[vertex]:
                 continue
         if crowd.taken[vertex] >= 0:
             continue
@@ -249,7 +260,8 @@ class Pibt:
             np.ascontiguousarray(vertex),
             np.array(instance.shape, dtype=np.int32),
             np.array([m2 * m3, m3, 1], dtype=np.int32),
-            columns if walls.any() else np.zeros((0, 0), dtype=np.int32),
+            walls.ravel() if walls.any() else np.zeros(0, dtype=bool),
+            np.zeros((0, 0), dtype=np.int32) if follows_pattern(walls) else _ways(instance),
             np.cumsum(columns, axis=0, dtype=np.int32),
             np.cumsum(columns, axis=1, dtype=np.int32),
         )
@@ -281,11 +293,46 @@ class Pibt:
             away[:] = np.where(self.paths[t] == goal, away // 2, away + 1)
 
 
+def _ways(instance: GridInstance) -> _Ints:
+    """(n, V) length of the shortest way from each vertex to each goal, by breadth-first search.
+
+    Raises:
+        ValueError: it would not fit into memory, or no way leads from a start to its goal.
+    """
+    count, free = len(instance.goals), ~instance.obstacles
+    if count * free.size > _MOST_WAYS:
+        raise ValueError(
+            f"obstacles off the pattern need the ways of {count} robots on {free.size} vertices, "
+            f"but at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
+        )
+    vertex = np.arange(free.size).reshape(instance.shape)
+    edges = []
+    for axis in range(3):
+        low, high = np.moveaxis(vertex, axis, 0)[:-1], np.moveaxis(vertex, axis, 0)[1:]
+        open_ = np.moveaxis(free, axis, 0)[:-1] & np.moveaxis(free, axis, 0)[1:]
+        edges.append(np.stack([low[open_], high[open_]]))
+    first, second = np.concatenate(edges, axis=1)
+    graph = csr_matrix((np.ones(len(first)), (first, second)), shape=(free.size,) * 2)
+    goals = numbers(instance.goals, instance.shape)
+    ways = dijkstra(graph, directed=False, indices=goals, unweighted=True)
+    starts = numbers(instance.starts, instance.shape)
+    closed = np.flatnonzero(np.isinf(ways[np.arange(count), starts]))
+    if len(closed):
+        i = int(closed[0])
+        raise ValueError(
+            f"robot {i} cannot get from {instance.starts[i].tolist()} to "
+            f"{instance.goals[i].tolist()}: obstacles are between; move them, or one of the two"
+        )
+    return np.asarray(np.where(np.isinf(ways), _FAR, ways), dtype=np.int32)
+
+
 def _crowd(instance: GridInstance, most_steps: int) -> Crowd:
     count, total = len(instance.starts), int(np.prod(instance.shape))
     integers = {name: np.zeros(count, dtype=np.int32) for name in ("urgency", "away", "queue")}
     return Crowd(
-        where=np.hstack([instance.starts, instance.goals]),
+        where=np.hstack([instance.starts, instance.goals, np.arange(count)[:, None]]).astype(
+            np.int32
+        ),
         keys=np.empty(7, dtype=np.int32),
         order=np.arange(count, dtype=np.int32),
         now=np.full(total, -1, dtype=np.int32),

@@ -125,7 +125,8 @@ def plan(
         starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.
         goals: (n, 3) integers, all different: where each must get.
         shape: (m1, m2, m3), or (m1, m2) with (n, 2) starts and goals.
-        obstacles: booleans of that shape, True on whole columns at x = 3i + 1, y = 3j + 1; or None.
+        obstacles: booleans of that shape, True on whole columns at x = 3i + 1, y = 3j + 1, or for
+            `"pibt"` anywhere; or None.
         method: `"rth3d"` (any matchings) and `"rth3d-lba"` (small shifts) always succeed up to
             `max_density(shape, obstacles)`; `"pibt"` takes any density and promises nothing;
             `"auto"` is the best of the last two.
@@ -143,8 +144,9 @@ def plan(
         PlanNotFound: `"pibt"` has found none.
     """
     instance = check_instance(starts, goals, shape, obstacles)
-    check_pattern(instance.obstacles)
     solver = METHODS[check_name("method", method, METHODS)]
+    if method != "pibt":
+        check_pattern(instance.obstacles)
     check_integer("seed", seed, 0)
     clock = Clock(_check_limit(time_limit), watch)
     announce_compilation(follow_paths)

@@ -212,3 +212,19 @@ def test_a_time_limit_gives_a_valid_plan_or_an_exception():
                 assert validate(found.paths, instance.starts, instance.goals, instance.shape)
     with pytest.raises(PlanTimeout):
         plan_instance(instance, method="rth3d-lba", time_limit=1e-9)
+
+
+def test_pibt_goes_around_any_obstacle():
+    """A wall with a door: no straight way leads through, and ways are searched."""
+    walls = np.zeros((9, 7, 4), dtype=bool)
+    walls[4] = True
+    walls[4, 3, 0] = False
+    starts = np.argwhere(~walls[:4])[:6]
+    goals = np.argwhere(~walls)[-6:]
+    found = plan(starts, goals, walls.shape, walls, method="pibt")
+    assert validate(found.paths, starts, goals, walls.shape, walls).ok
+    with pytest.raises(ValueError, match="may only stand at"):
+        plan(starts, goals, walls.shape, walls, method="auto")
+    walls[4, 3, 0] = True
+    with pytest.raises(ValueError, match="robot 0 cannot get from"):
+        plan(starts, goals, walls.shape, walls, method="pibt")

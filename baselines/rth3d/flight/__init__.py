@@ -1,0 +1,1 @@
+"""From paths on a grid to flight: splines, how close they come, corridors, spacing for forces."""
