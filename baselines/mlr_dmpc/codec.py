@@ -30,7 +30,7 @@ REQUEST_BYTES = 132
 """A message without a trajectory."""
 _TRAJECTORY_BYTES = 204  # for which the reference's slots are made
 _STEPS = 65535
-_FLAGS = ("joining", "leaving", "gone", "reinitialised")
+_FLAGS = ("joining", "gone", "reinitialised")
 
 
 class Codec:

@@ -43,13 +43,15 @@ class Drone:
         self.index, self.flying, self.lock = index, start, lock
         self.airborne = airborne
         """Whether it is in the air."""
-        self.leaving = False
-        """Whether it wants to leave."""
         self.gone = False
         """Whether it has left the air."""
         self._config, self._codec = config, codec
         self._gifts: dict[tuple[int, int], tuple[int, ...]] = {}
         self._gave_up = -(10**6)
+
+    def leave(self) -> None:
+        """Leave the air. The others avoid it until they hear that it has."""
+        self.gone, self.airborne = True, False
 
     def state(self, round_: int, target: FloatArray) -> DroneState:
         """Its message of a round.
@@ -71,7 +73,6 @@ class Drone:
             target,
             kinematics,
             joining=not self.airborne and not self.gone,
-            leaving=self.leaving,
             gone=self.gone,
             reinitialised=round_ - self._gave_up < _REPORTED_ROUNDS,
         )
@@ -116,11 +117,7 @@ class Drone:
                     self._gifts[message.unit, inbox.round + ahead] = rest
             if message.view == self.lock and self.accepts(message):
                 accepted = message.trajectory
-            members = message.members
-            if self.leaving and members is not None and members.id == self.lock:
-                self.gone |= self.index not in members.drones and members.id.epoch > 0
         if self.gone:
-            self.airborne = False
             return None
         if accepted is not None:
             self.flying, self.airborne = accepted, True

@@ -21,7 +21,7 @@ _LARGEST_SHARE = 0.95
 """Of the box that a formation takes by axis."""
 _UPRIGHT_SHARE = 0.75
 """Of the box that it may take standing upright; else the lean that takes least is chosen."""
-_TILTS = tuple(sorted(product(range(0, 61, 5), repeat=2), key=lambda tilt: (sum(tilt), tilt)))
+_TILTS = sorted(product(range(0, 61, 5), range(0, 61, 5)), key=lambda tilt: (sum(tilt), tilt))
 
 
 def circle(num_drones: int, radius: float, height: float) -> tuple[FloatArray, FloatArray]:

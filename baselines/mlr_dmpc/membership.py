@@ -33,7 +33,7 @@ class Membership:
         self._highest = view.id
         self._absences = Absences(num_units)
         self._joining: set[int] = set()
-        self._leaving: set[int] = set()
+        self._gone: set[int] = set()
         self._behind_since: int | None = None
         self._others_behind = False
         self._retry = since + LISTENING_ROUNDS
@@ -74,8 +74,8 @@ class Membership:
         if self._unit not in self.view.units:
             return round_ >= self._retry and self._proposed(round_)
         gone = {unit for unit in self.view.units if self._absences.gone(unit)}
-        joining, leaving = self._joining - self.view.drones, self._leaving & self.view.drones
-        if not (gone or joining or leaving):
+        joining, left = self._joining - self.view.drones, self._gone & self.view.drones
+        if not (gone or joining or left):
             return False
         first = min((u for u in self.view.units if u not in gone), default=self._unit)
         return first == self._unit and self._proposed(round_)
@@ -92,13 +92,11 @@ class Membership:
 
     def _note(self, state: DroneState) -> None:
         self._highest = max(self._highest, state.lock)
-        for mark, drones in ((state.joining, self._joining), (state.leaving, self._leaving)):
+        for mark, drones in ((state.joining, self._joining), (state.gone, self._gone)):
             if mark:
                 drones.add(state.drone)
             else:
                 drones.discard(state.drone)
-        if state.gone:
-            self._joining.discard(state.drone)
 
     def _propose_blindly(self, round_: int) -> bool:
         """Nobody says who belongs to a higher view: after a while, claim every drone there is."""
@@ -112,7 +110,7 @@ class Membership:
         units = {unit for unit in self.view.units if not self._absences.gone(unit)} | {self._unit}
         units |= {unit for unit in self._seen if self._absences.present(unit)}
         if drones is None:
-            drones = (self.view.drones | self._joining) - self._leaving
+            drones = (self.view.drones | self._joining) - self._gone
         id_ = ViewId(self._highest.epoch + 1, self._unit)
         self._retry = round_ + 2 * (self._retry - self._since)
         self._adopt(View(id_, tuple(sorted(units)), drones), round_)

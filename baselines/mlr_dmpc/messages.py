@@ -34,8 +34,6 @@ class DroneState(NamedTuple):
     """(1, 3) position at rest, float32; else (3, 3) with velocity and acceleration, 16 bit."""
     joining: bool = False
     """It is not in the air yet: no plan for it has been accepted."""
-    leaving: bool = False
-    """It wants to leave the air."""
     gone: bool = False
     """It has left the air."""
     reinitialised: bool = False

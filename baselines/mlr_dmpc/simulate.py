@@ -65,7 +65,7 @@ def simulate(
         informed: whether compute units know the starts; else they know nothing.
         outages: of compute units.
         joins: round at which a drone, by index, switches on.
-        leaves: round from which a drone, by index, wants to leave the air.
+        leaves: round in which a drone, by index, leaves the air, clear of the others.
         obstacles: half-spaces for the plans.
         stop_on_arrival: whether the flight ends when all have arrived; never with moving targets.
         progress: whether to show a bar.

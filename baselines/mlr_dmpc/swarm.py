@@ -66,7 +66,7 @@ class MlrDmpcSwarm:
         informed: whether the units know the starts, as in the public simulation.
         outages: of compute units.
         joins: round at which a drone, by index, switches on; the others are there from the start.
-        leaves: round from which a drone wants to leave the air.
+        leaves: round in which a drone, by index, leaves the air, clear of the others.
         obstacles: half-spaces for the plans.
 
     Raises:
@@ -164,7 +164,8 @@ class MlrDmpcSwarm:
             for drone, seen in zip(crew.drones, measured, strict=True):
                 drone.give_up(seen, k)
         for index, since in self._leaves.items():
-            crew.drones[index].leaving |= k >= since
+            if k >= since:
+                crew.drones[index].leave()
         alive = {
             unit
             for unit in range(crew.num_units)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -26,19 +28,20 @@ def places(rng: np.random.Generator, n: int, arena: np.ndarray) -> np.ndarray:
             return points
 
 
-def swap(n: int, physics: str, **options: object):
+def swap(n: int, physics: str, **options: Any):
     return swap_v0.parallel_env(
         num_drones=n, physics=physics, horizon_s=30.0, **MlrDmpcAgent().requires, **options
     )
 
 
 def test_drones_swap_through_downwash_and_the_references_keep_their_distance():
-    env, agent = swap(5, "batch"), load("mlr-dmpc")
+    env, agent = swap(5, "batch"), MlrDmpcAgent()
     rng = np.random.default_rng(3)
     starts, goals = (places(rng, 5, env.core.task.arena) for _ in range(2))
     apart: list[float] = []
 
     def watch(env) -> None:
+        assert agent.swarm is not None
         flown = agent.swarm.reference(np.zeros(1))[:, 0, 0]
         apart.append(scaled_distances(flown, agent.config).min())
 
@@ -54,6 +57,7 @@ def test_the_same_seed_flies_the_same():
     for _ in range(2):
         agent = MlrDmpcAgent(loss=0.2)
         metrics = fly_episode(env, agent, 5)
+        assert agent.swarm is not None
         found.append((metrics, [one.state.tolist() for one in agent.swarm.flying]))
     assert found[0] == found[1]
 
@@ -62,6 +66,7 @@ def test_set_points_are_the_references_of_the_round():
     env, agent = swap(3, "batch", layout="random"), MlrDmpcAgent()
     observations, _ = env.reset(seed=1)
     agent.reset(env, 1)
+    assert agent.swarm is not None
     for _ in range(6):
         expected = agent.swarm.reference(np.array([0.0, 0.1, 0.2]))
         actions = agent.act(observations, env.view)

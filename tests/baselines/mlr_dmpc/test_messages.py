@@ -101,7 +101,7 @@ def test_a_leaders_plan_still_carries_priorities_in_every_swarm():
 
 
 @settings(max_examples=60, deadline=None)
-@given(seed=st.integers(0, 2**32), flags=st.tuples(*[st.booleans()] * 5))
+@given(seed=st.integers(0, 2**32), flags=st.tuples(*[st.booleans()] * 4))
 def test_drones_states_survive_packing_in_32_bytes(seed, flags):
     rng, codec = np.random.default_rng(seed), Codec(16, 3, CONFIG)
     lower, upper = np.array(CONFIG.box)

@@ -38,7 +38,8 @@ def random_instance(seed: int) -> GridInstance:
         shape = tuple(int(m) for m in generator.integers(3, 25, size=3))
         family = str(generator.choice(list(FAMILIES)))
         sides = FAMILIES[family].sides
-        shape = tuple(max(m // sides, 1) * sides for m in shape)
+        m1, m2, m3 = (max(m // sides, 1) * sides for m in shape)
+        shape = (m1, m2, m3)
         if max(shape) > 24:
             continue
         if not FAMILIES[family].free_count:

@@ -9,7 +9,13 @@ from swarm_envs import formation_v0, ring_v0, swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.protocol import fly_episode
 from swarm_envs.baselines.rth3d.agent import GridAgent, Lattice
-from swarm_envs.tasks.obstacles import Column, buildings, obstacle_distances, obstacle_rows
+from swarm_envs.tasks.obstacles import (
+    Column,
+    Obstacle,
+    buildings,
+    obstacle_distances,
+    obstacle_rows,
+)
 
 LETTERS = tuple(f"letter:{character}" for character in "ARCRU")
 
@@ -24,7 +30,7 @@ def test_drones_swap_on_a_circle():
 
 def test_ten_drones_write_letters_with_places_drawn():
     """Fig. 11 of the paper: ARC-RU by ten drones, each with a place of its own."""
-    agent = load("rth3d-compensated")
+    agent = GridAgent.compensated()
     env = formation_v0.parallel_env(
         num_drones=10, shapes=LETTERS, labels="random", physics="batch", **agent.requires
     )
@@ -35,7 +41,8 @@ def test_ten_drones_write_letters_with_places_drawn():
 
 
 def test_flights_go_around_buildings():
-    agent, city = GridAgent(), (*buildings(), Column((0.0, 0.0), 0.15))
+    agent = GridAgent()
+    city: tuple[Obstacle, ...] = (*buildings(), Column((0.0, 0.0), 0.15))
     env = swap_v0.parallel_env(num_drones=5, obstacles=city, physics="batch", **agent.requires)
     metrics = fly_episode(env, agent, 0)
     assert metrics["success"], metrics
@@ -47,7 +54,7 @@ def test_flights_go_around_buildings():
 
 @pytest.mark.slow
 def test_a_hundred_drones_fly_between_rings_and_blocks():
-    agent = load("rth3d-compensated")
+    agent = GridAgent.compensated()
     env = formation_v0.parallel_env(
         num_drones=100,
         shapes=("rings", "blocks"),

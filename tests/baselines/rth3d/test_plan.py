@@ -81,6 +81,7 @@ def test_before_compaction_the_makespan_obeys_the_paper_s_bound():
             found = plan_instance(make_instance("uniform", shape, seed=1), method=method)
             steps = {phase.name: phase.makespan for phase in found.phases}
             balancing = steps["balance starts"] + steps["balance goals"]
+            assert found.bound is not None and found.before_compaction is not None
             assert found.bound == m1 + 2 * m2 + 2 * m3 + 9 + balancing
             assert found.makespan <= found.before_compaction <= found.bound
 
@@ -90,6 +91,7 @@ def test_small_shifts_shorten_plans_and_the_ratio_falls_with_size():
     for shape in [(12, 6, 3), (24, 12, 6), (48, 24, 12)]:
         instance = make_instance("quasi-random", shape, seed=2)
         small, other = (plan_instance(instance, method=m) for m in ("rth3d-lba", "rth3d"))
+        assert small.before_compaction is not None and other.before_compaction is not None
         assert small.before_compaction < other.before_compaction
         ratios.append(small.ratio)
     assert ratios == sorted(ratios, reverse=True)
@@ -112,8 +114,8 @@ def test_a_flat_grid_and_one_on_its_side():
     starts, goals = rng.permutation(vertices)[:36], rng.permutation(vertices)[:36]
     flat = plan(starts, goals, (12, 9), method="rth3d-lba")
     assert flat.paths.shape[2] == 3 and not flat.paths[..., 2].any()
-    upright = [np.column_stack([p[:, :1] * 0, p]) for p in (starts, goals)]
-    turned = plan(*upright, (1, 12, 9), method="rth3d-lba")
+    begin, end = (np.column_stack([p[:, :1] * 0, p]) for p in (starts, goals))
+    turned = plan(begin, end, (1, 12, 9), method="rth3d-lba")
     assert turned.makespan == flat.makespan
 
 

@@ -88,8 +88,10 @@ def fly(
         recovery=setting.recovery,
         seed=setting.seed,
     )
-    since = np.arange(_SAMPLES) * (config.round_s / _SAMPLES)
-    positions, targets, arrivals = [], [], []
+    since: FloatArray = np.arange(_SAMPLES) * (config.round_s / _SAMPLES)
+    positions: list[FloatArray] = []
+    targets: list[FloatArray] = []
+    arrivals: list[float] = []
     for k in range(round(limit_s / config.round_s)):
         target = formations[len(arrivals)]
         flown = swarm.reference(since)[:, :, 0].transpose(1, 0, 2)
@@ -103,7 +105,7 @@ def fly(
                 break
         swarm.run_round(targets=formations[len(arrivals)])
     position = np.concatenate(positions)
-    time = np.arange(len(position)) * (config.round_s / _SAMPLES)
+    time: FloatArray = np.arange(len(position)) * (config.round_s / _SAMPLES)
     closest = _least_scaled(position, config)
     return Flight(
         time, position, np.concatenate(targets), tuple(arrivals), len(formations), closest
