@@ -88,7 +88,7 @@ def fly(
         recovery=setting.recovery,
         seed=setting.seed,
     )
-    since: FloatArray = np.arange(_SAMPLES) * (config.round_s / _SAMPLES)
+    since = np.arange(_SAMPLES, dtype=np.float64) * (config.round_s / _SAMPLES)
     positions: list[FloatArray] = []
     targets: list[FloatArray] = []
     arrivals: list[float] = []
@@ -105,7 +105,7 @@ def fly(
                 break
         swarm.run_round(targets=formations[len(arrivals)])
     position = np.concatenate(positions)
-    time: FloatArray = np.arange(len(position)) * (config.round_s / _SAMPLES)
+    time = np.arange(len(position), dtype=np.float64) * (config.round_s / _SAMPLES)
     closest = _least_scaled(position, config)
     return Flight(
         time, position, np.concatenate(targets), tuple(arrivals), len(formations), closest
