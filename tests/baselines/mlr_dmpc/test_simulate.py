@@ -180,7 +180,6 @@ FAR = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
         ({"recovery": "paper", "joins": {1: 5}}, "only recovery=True"),
         ({"targets": lambda t: FAR * [1 - 0.5 * t, 1, 1]}, "targets at 1.6 s"),
     ],
-    ids=str,
 )
 def test_bad_input_is_refused_with_the_reason(changes, reason):
     good = {"starts": FAR, "targets": FAR[::-1], "compute_units": 1, "duration_s": 5.0}
