@@ -129,11 +129,11 @@ class MlrDmpcConfig:
             raise ValueError(f"scaling is {self.scaling}, but must be positive")
 
     def for_swarm(self, num_drones: int) -> MlrDmpcConfig:
-        """The parameters with which a swarm of N flies: planes are turned by 2 / N of `turn_rad`.
+        """The parameters with which N drones fly: planes are turned by (2 / N)^2 of `turn_rad`.
 
         In a crowd nothing is so symmetric as to stay stuck, and the turn costs time.
         """
-        return replace(self, turn_rad=self.turn_rad * min(1.0, 2.0 / max(num_drones, 1)))
+        return replace(self, turn_rad=self.turn_rad * min(1.0, 2.0 / max(num_drones, 1)) ** 2)
 
     @property
     def num_inputs(self) -> int:
