@@ -18,13 +18,11 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.state import FloatArray
-from swarm_envs.tasks.shapes import shape_points
+from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation
 from tests.helpers.mlr_rounds import Rounds, circle, scattered
 
 Row = dict[str, Any]
 SIZES = (4, 8, 16, 32, 64, 128, 256)
-FORMATIONS = ("plane", "pyramid", "cube", "sphere", "plane")
 
 
 def box_of(n: int) -> MlrDmpcConfig:
@@ -58,23 +56,9 @@ def plan_row(n: int, plans: int, solver: str) -> Row:
     }
 
 
-def formation(name: str) -> FloatArray:
-    """Sixteen targets in the published box: (16, 3), m.
-
-    Drones above each other need 1.5 m, and the box has room for 2.7: the cube leans by 20 degrees.
-    """
-    spacing = {"plane": 0.8, "pyramid": 0.8, "cube": 0.9, "sphere": 0.55}[name]
-    points = shape_points(name, 16, spacing)
-    lean = np.radians(20.0) if name == "cube" else 0.0
-    turn = [[1.0, 0.0, 0.0], [0.0, np.cos(lean), np.sin(lean)], [0.0, -np.sin(lean), np.cos(lean)]]
-    if name == "sphere":
-        points *= 1.25 / np.linalg.norm(points[0])
-    return points @ np.array(turn) + [0.0, 0.0, 1.0 if name == "plane" else 1.65]
-
-
 def formation_row(units: int, seed: int) -> Row:
     """The sequence of formations of Fig. 3, each begun when all have arrived at the last."""
-    shapes = [formation(name) for name in FORMATIONS]
+    shapes = [formation(name) for name in SEQUENCE]
     swarm, times = Rounds(shapes[0], shapes[0], units, MlrDmpcConfig(), seed), []
     for shape in shapes[1:]:
         swarm.targets = shape

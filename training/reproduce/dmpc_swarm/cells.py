@@ -70,7 +70,7 @@ def loss_cells(seeds: Sequence[int]) -> dict[str, tuple[Setting, ...]]:
 def fly_sequence(setting: Setting) -> Flight:
     """Plane, pyramid, cube, sphere and plane (Fig. 3a) by 16 drones."""
     config = MlrDmpcConfig()
-    places = [formation(name, DRONES, config) for name in SEQUENCE]
+    places = [formation(name, DRONES) for name in SEQUENCE]
     return fly(places[0], places[1:], setting, SEQUENCE_LIMIT_S, config)
 
 
