@@ -184,7 +184,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", TrainConfig, arguments)
     check(config)
-    _need_torch()
+    _need_torch("sb3")
     run(config)
     return DONE
 
@@ -268,10 +268,10 @@ def _read(
     )
 
 
-def _need_torch() -> None:
+def _need_torch(extra: str = "train") -> None:
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
-            "training needs torch; install it by: pip install 'swarm-envs[train]' "
+            f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
 

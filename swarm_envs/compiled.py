@@ -159,8 +159,8 @@ def announce_compilation(entry: Any) -> None:
     _announced = True
     if not isinstance(entry._cache, _KernelCache):
         _say(
-            "compiling kernels (20 to 25 s), in every process, because no folder to keep them in "
+            "compiling kernels (5 to 40 s), in every process, because no folder to keep them in "
             "can be written; set NUMBA_CACHE_DIR to one that can ..."
         )
     elif not entry._cache.holds_anything():
-        _say("compiling kernels, once after installation (20 to 25 s) ...")
+        _say("compiling kernels, once after installation (5 to 40 s) ...")

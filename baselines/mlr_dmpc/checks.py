@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.triggers import MEASURES, TRIGGERS
+from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
 _MOST_UNITS = 254
@@ -63,6 +66,8 @@ def checked_options(
     Raises:
         ValueError: an option is none.
     """
+    check_integer("compute_units", compute_units, 1)
+    check_integer("seed", seed, 0)
     if not 1 <= compute_units <= min(num_drones, _MOST_UNITS):
         raise ValueError(
             f"compute_units is {compute_units!r}, but must be 1 to {min(num_drones, _MOST_UNITS)}: "
@@ -75,5 +80,20 @@ def checked_options(
     ):
         if value not in allowed:
             raise ValueError(f"{name} is {value!r}, but must be one of {list(allowed)}")
-    if seed < 0:
-        raise ValueError(f"seed is {seed}, but must not be negative")
+
+
+def checked_indices(
+    what: str, given: Mapping[int, int], count: int, noun: str = "drone"
+) -> dict[int, int]:
+    """Rounds by index of a drone or a unit.
+
+    Raises:
+        ValueError: there is none of that index, or a round is no integer or negative.
+    """
+    for index, round_ in given.items():
+        check_integer(f"{what}[{index!r}]", round_, 0)
+        if check_integer(f"an index of {what}", index, 0) >= count:
+            raise ValueError(
+                f"{what} names {noun} {index}, but there are {count}: 0 to {count - 1}"
+            )
+    return dict(given)

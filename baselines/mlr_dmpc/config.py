@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
 Corner = tuple[float, float, float]
@@ -112,7 +113,7 @@ class MlrDmpcConfig:
             ("collision_sampling_s", "round_s"),
         ):
             _check_multiple(part, getattr(self, part), whole, getattr(self, whole))
-        if self.horizon_rounds < 3:
+        if check_integer("horizon_rounds", self.horizon_rounds, 1) < 3:
             raise ValueError(
                 f"horizon_rounds is {self.horizon_rounds}, but must be at least 3: a plan ends at "
                 "rest"
@@ -122,6 +123,11 @@ class MlrDmpcConfig:
         for name in ("contact_factor", "detour_rounds"):
             if not getattr(self, name) >= 1:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, but must be at least 1")
+        if np.shape(self.box) != (2, 3) or np.shape(self.scaling) != (3,):
+            raise ValueError(
+                f"box is {self.box} and scaling {self.scaling}, but must be two corners (x, y, z) "
+                "and a triple"
+            )
         lower, upper = np.array(self.box)
         if not (np.isfinite(self.box).all() and (lower < upper).all()):
             raise ValueError(f"box is {self.box}, but its corners must be lower and upper, finite")

@@ -47,13 +47,15 @@ def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
 
     Args:
         pull: (3,) force.
-        contacts: (K, 3) directions in which contacts push, of any length but zero.
+        contacts: (K, 3) directions in which contacts push; those of no length do not.
     """
-    if not len(contacts):
+    length = np.linalg.norm(contacts, axis=1, keepdims=True)
+    touching = length[:, 0] > 1e-9  # two that would end at one place push nowhere
+    if not touching.any():
         return float(np.linalg.norm(pull))
     from scipy.optimize import nnls
 
-    directions = contacts / np.linalg.norm(contacts, axis=1, keepdims=True)
+    directions = contacts[touching] / length[touching]
     return float(nnls(directions.T, -pull)[1])
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.errors import check_integer
 from swarm_envs.state import BoolArray, FloatArray
 
 Who = str | tuple[str, ...]
@@ -50,6 +51,8 @@ class Jam:
 
     def __post_init__(self) -> None:
         """Check what the class says."""
+        for name in ("first_round", "last_round"):
+            check_integer(name, getattr(self, name), 0)
         if not 0 <= self.first_round <= self.last_round:
             raise ValueError(
                 f"a jam from round {self.first_round} to {self.last_round}: rounds must be in "
@@ -118,7 +121,7 @@ class LossModel:
             if loss not in PRESETS:
                 raise ValueError(f"loss is {loss!r}, but the presets are {sorted(PRESETS)}")
             return PRESETS[loss]
-        if not 0.0 <= loss <= 1.0:
+        if isinstance(loss, bool) or not isinstance(loss, int | float) or not 0.0 <= loss <= 1.0:
             raise ValueError(f"loss is {loss!r}, but must be a share in [0, 1]")
         return cls(unit_loss=float(loss), drone_loss=float(loss))
 

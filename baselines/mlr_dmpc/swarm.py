@@ -8,14 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.checks import checked_options, checked_points
+from swarm_envs.baselines.mlr_dmpc.checks import (
+    checked_indices,
+    checked_options,
+    checked_points,
+)
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.crew import Crew, OurCrew, PaperCrew
 from swarm_envs.baselines.mlr_dmpc.loss import LossModel
+from swarm_envs.baselines.mlr_dmpc.neighbors import _voronoi_planes
 from swarm_envs.baselines.mlr_dmpc.network import Network, RoundLog
 from swarm_envs.baselines.mlr_dmpc.planning import Obstacles, PlanningOptions
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, hover
 from swarm_envs.baselines.mlr_dmpc.unit import UnitRound
+from swarm_envs.compiled import announce_compilation
 from swarm_envs.state import FloatArray
 
 
@@ -100,8 +106,12 @@ class MlrDmpcSwarm:
         checked_options(compute_units, len(starts), trigger, recovery, measure, seed)
         self.round = 0
         """The round that comes next."""
-        self._joins, self._leaves = dict(joins or {}), dict(leaves or {})
+        announce_compilation(_voronoi_planes)
+        self._joins = checked_indices("joins", joins or {}, len(starts))
+        self._leaves = checked_indices("leaves", leaves or {}, len(starts))
         self._outages = tuple(outages)
+        failing = {outage.unit: outage.first_round for outage in self._outages}
+        checked_indices("outages", failing, compute_units, "unit")
         self._network: Network[Any] = Network(len(starts), compute_units, LossModel.of(loss), seed)
         options = PlanningOptions(
             config=self.config,

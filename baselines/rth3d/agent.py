@@ -31,6 +31,8 @@ NEAR_MISS = 1.5
 """Least distance of two drones, over the largest sum of their radii."""
 MOST_SMOOTHED = 1000
 """More drones than this fly the unsmoothed splines."""
+_SPACING_M = 0.4
+"""Horizontal spacing where drones are small enough."""
 _OBSTACLE_M = 0.1
 """Distance to obstacles beside the radius, m, where the grid leaves as much."""
 
@@ -71,8 +73,9 @@ class GridAgent:
     """Plans every set of goals on a grid and flies the plan.
 
     Args:
-        spacing: (x, y, z) of the grid, m; wide enough that drones keep 1.5 times the sum of their
-            radii whatever the plan, or it is refused.
+        spacing: (x, y, z) of the grid, m, wide enough that drones keep 1.5 times the sum of their
+            radii whatever the plan, or it is refused; None for 0.4 m, or more for large drones, and
+            a quarter more in height.
         method: as for `plan`; None for `auto`, and `pibt` where there are obstacles.
         controller: configuration of the tracking loop; None for its default, which believes in no
             force.
@@ -86,12 +89,12 @@ class GridAgent:
 
     def __init__(
         self,
-        spacing: tuple[float, float, float] = (0.4, 0.4, 0.5),
+        spacing: tuple[float, float, float] | None = None,
         method: str | None = None,
         controller: ControllerConfig | None = None,
         share: float = 0.7,
     ) -> None:
-        if not (min(spacing) > 0.0 and np.isfinite(spacing).all()):
+        if spacing is not None and not (min(spacing) > 0.0 and np.isfinite(spacing).all()):
             raise ValueError(f"spacing is {spacing}, but must be positive")
         if not 0.0 < share <= 1.0:
             raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
@@ -99,7 +102,7 @@ class GridAgent:
             "action": "setpoint",
             "controller": controller or ControllerConfig(),
         }
-        self._spacing, self._method, self._share = np.array(spacing), method, share
+        self._spacing, self._method, self._share = spacing, method, share
         self.flights: list[SplineFlight] = []
         """The episode's flights, one for each set of goals."""
         self._agents: list[str] = []
@@ -151,7 +154,8 @@ class GridAgent:
         self.flights.append(replace(flight, step_s=flight.step_s * slower))
 
     def _fly(self, task: Task, starts: FloatArray, goals: FloatArray) -> SplineFlight:
-        lattice = _lattice(task, self._spacing)
+        spacing = _usual_spacing(task) if self._spacing is None else np.array(self._spacing)
+        lattice = _lattice(task, spacing)
         free = _free(task, lattice)
         method = self._method or ("auto" if free.all() else "pibt")
         found = plan(
@@ -166,6 +170,13 @@ class GridAgent:
         control = np.concatenate([[starts] * 3, points, [goals] * 3])
         flight = SplineFlight(control, shortest_step(lattice.spacing, 1.0, 1.0))
         return _checked(task, flight)
+
+
+def _usual_spacing(task: Task) -> FloatArray:
+    """(3,) m, for the team's largest drones."""
+    stretch = (1.0, 1.0, 1.25)
+    needed = 1.05 * NEAR_MISS * 2.0 * float(task.radius.max()) / worst_clearance(stretch)
+    return max(_SPACING_M, needed) * np.array(stretch)
 
 
 def _lattice(task: Task, spacing: FloatArray) -> Lattice:

@@ -11,34 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, follows_pattern, numbers
+from swarm_envs.baselines.rth3d.terrain import Terrain, ways_to_goals
 from swarm_envs.compiled import borrowing_kernel
-from swarm_envs.state import BoolArray
 
 _Ints = npt.NDArray[np.int32]
-
-
-class Terrain(NamedTuple):
-    """The grid as kernels read it."""
-
-    at: _Ints
-    """(V, 3) coordinates of each vertex."""
-    sides: _Ints
-    """(3,) the shape."""
-    strides: _Ints
-    """(3,) differences of the numbers of neighbours along each axis."""
-    walls: BoolArray
-    """(V,) whether an obstacle stands there; of shape (0,) if there is none."""
-    ways: _Ints
-    """(n, V) length of the shortest way to each robot's goal; (0, 0) where a formula says it."""
-    along_x: _Ints
-    """(m1, m2) obstacles at smaller or equal x in the same row."""
-    along_y: _Ints
-    """(m1, m2) obstacles at smaller or equal y in the same column."""
 
 
 class Crowd(NamedTuple):
@@ -71,9 +50,6 @@ class Crowd(NamedTuple):
     """(1,) state of the generator."""
 
 
-_MOST_WAYS = 200_000_000
-"""Entries of `ways`, four bytes each."""
-_FAR = 1 << 20
 _MULTIPLIER = 6364136223846793005
 _INCREMENT = 1442695040888963407
 
@@ -261,7 +237,7 @@ class Pibt:
             np.array(instance.shape, dtype=np.int32),
             np.array([m2 * m3, m3, 1], dtype=np.int32),
             walls.ravel() if walls.any() else np.zeros(0, dtype=bool),
-            np.zeros((0, 0), dtype=np.int32) if follows_pattern(walls) else _ways(instance),
+            np.zeros((0, 0), dtype=np.int32) if follows_pattern(walls) else ways_to_goals(instance),
             np.cumsum(columns, axis=0, dtype=np.int32),
             np.cumsum(columns, axis=1, dtype=np.int32),
         )
@@ -291,39 +267,6 @@ class Pibt:
         away[:] = 0
         for t in range(begin):  # how long each has been away, as if it had just walked here
             away[:] = np.where(self.paths[t] == goal, away // 2, away + 1)
-
-
-def _ways(instance: GridInstance) -> _Ints:
-    """(n, V) length of the shortest way from each vertex to each goal, by breadth-first search.
-
-    Raises:
-        ValueError: it would not fit into memory, or no way leads from a start to its goal.
-    """
-    count, free = len(instance.goals), ~instance.obstacles
-    if count * free.size > _MOST_WAYS:
-        raise ValueError(
-            f"obstacles off the pattern need the ways of {count} robots on {free.size} vertices, "
-            f"but at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
-        )
-    vertex = np.arange(free.size).reshape(instance.shape)
-    edges = []
-    for axis in range(3):
-        low, high = np.moveaxis(vertex, axis, 0)[:-1], np.moveaxis(vertex, axis, 0)[1:]
-        open_ = np.moveaxis(free, axis, 0)[:-1] & np.moveaxis(free, axis, 0)[1:]
-        edges.append(np.stack([low[open_], high[open_]]))
-    first, second = np.concatenate(edges, axis=1)
-    graph = csr_matrix((np.ones(len(first)), (first, second)), shape=(free.size,) * 2)
-    goals = numbers(instance.goals, instance.shape)
-    ways = dijkstra(graph, directed=False, indices=goals, unweighted=True)
-    starts = numbers(instance.starts, instance.shape)
-    closed = np.flatnonzero(np.isinf(ways[np.arange(count), starts]))
-    if len(closed):
-        i = int(closed[0])
-        raise ValueError(
-            f"robot {i} cannot get from {instance.starts[i].tolist()} to "
-            f"{instance.goals[i].tolist()}: obstacles are between; move them, or one of the two"
-        )
-    return np.asarray(np.where(np.isinf(ways), _FAR, ways), dtype=np.int32)
 
 
 def _crowd(instance: GridInstance, most_steps: int) -> Crowd:

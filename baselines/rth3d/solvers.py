@@ -172,7 +172,7 @@ def solve_pibt(instance: GridInstance, seed: int, clock: Clock) -> Solution:
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
-            "try another seed, or method='auto', which always has one"
+            "try another seed, or method='auto', which has one up to max_density(shape, obstacles)"
         )
     return Solution(search.best, "pibt", None)
 

@@ -109,14 +109,18 @@ def run(options: PlanOptions) -> None:
 def _instance(options: PlanOptions) -> GridInstance:
     import numpy as np
 
-    from swarm_envs.baselines.rth3d import make_instance
+    from swarm_envs.baselines.rth3d import FAMILIES, buildings, make_instance, max_density
     from swarm_envs.baselines.rth3d.grid import check_shape
+    from swarm_envs.errors import check_name
 
     try:
         shape = check_shape(options.shape())
         count = options.robots
         if options.density is not None:
             count = round(options.density * float(np.prod(shape)))
+        elif count is None and FAMILIES[check_name("family", options.family, FAMILIES)].free_count:
+            walls = buildings(shape) if FAMILIES[options.family].buildings else None
+            count = max(1, int(max_density(shape, walls) * float(np.prod(shape)) + 1e-6))
         return make_instance(options.family, shape, count, options.seed)
     except ValueError as error:
         raise Misuse(str(error)) from error
