@@ -16,9 +16,9 @@ from swarm_envs.baselines.mlr_dmpc.checks import (
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.crew import Crew, OurCrew, PaperCrew
 from swarm_envs.baselines.mlr_dmpc.loss import LossModel
-from swarm_envs.baselines.mlr_dmpc.neighbors import _voronoi_planes
 from swarm_envs.baselines.mlr_dmpc.network import Network, RoundLog
 from swarm_envs.baselines.mlr_dmpc.planning import Obstacles, PlanningOptions
+from swarm_envs.baselines.mlr_dmpc.reach import out_of_reach
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, hover
 from swarm_envs.baselines.mlr_dmpc.unit import UnitRound
 from swarm_envs.compiled import announce_compilation
@@ -106,7 +106,7 @@ class MlrDmpcSwarm:
         checked_options(compute_units, len(starts), trigger, recovery, measure, seed)
         self.round = 0
         """The round that comes next."""
-        announce_compilation(_voronoi_planes)
+        announce_compilation(out_of_reach)
         self._joins = checked_indices("joins", joins or {}, len(starts))
         self._leaves = checked_indices("leaves", leaves or {}, len(starts))
         self._outages = tuple(outages)

@@ -24,11 +24,10 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
+from swarm_envs.tasks.metrics import NEAR_MISS
 from swarm_envs.tasks.motion import ORBITS
 from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 
-NEAR_MISS = 1.5
-"""Least distance of two drones, over the largest sum of their radii."""
 MOST_SMOOTHED = 1000
 """More drones than this fly the unsmoothed splines."""
 _SPACING_M = 0.4
