@@ -96,11 +96,12 @@ def evaluate(
     seeds: Sequence[int],
     kept: Mapping[int, Episode] | None = None,
     keep: Callable[..., None] | None = None,
+    timed: int = TIMED,
 ) -> Iterator[Episode]:
     """Give the episodes of the seeds in their order; those that are kept are not flown again.
 
     An agent that acts on arrays (`swarm_envs.agents.batch.BatchAgent`) flies `AT_ONCE` episodes at
-    once after the first `TIMED`, with the same metrics; of these no decision is timed, and
+    once after the first `timed`, with the same metrics; of these no decision is timed, and
     `act_us` is empty.
 
     Args:
@@ -109,13 +110,14 @@ def evaluate(
         seeds: of the episodes.
         kept: episodes flown before, by seed.
         keep: called with new episodes, one or more, before they are given.
+        timed: of the seeds, how many are flown one by one in any case.
 
     Raises:
         AgentFailed: the agent did.
     """
     found = kept or {}
     batched = flies_batches(env, agent)
-    single = seeds[:TIMED] if batched else seeds
+    single = seeds[:timed] if batched else seeds
     for seed in single:
         episode = found.get(seed)
         if episode is None:

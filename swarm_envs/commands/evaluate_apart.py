@@ -7,6 +7,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from swarm_envs.agents.batch import flies_batches
 from swarm_envs.agents.evaluation import Episode, frozen_seeds, source_digest
 from swarm_envs.agents.scores import score
 from swarm_envs.commands.evaluate import (
@@ -50,12 +51,13 @@ def _enter(
     except (Exception, SystemExit) as error:
         return {**report, "error": unflyable(error)}, None
     report |= described(agent, env)
+    batched = flies_batches(env, agent)
     env.close()
     try:
         kept = open_episodes(name, agent, options, about)
     except Exception as error:
         return {**report, "error": str(error)}, None
-    return report, Entrant(name, source_digest(agent), kept)
+    return report, Entrant(name, source_digest(agent), batched, kept)
 
 
 def _fly(entrants: list[Entrant], options: EvaluateOptions, task: str) -> None:

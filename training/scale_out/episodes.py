@@ -17,7 +17,8 @@ from typing import Any
 
 from swarm_envs import make
 from swarm_envs.agents import Agent
-from swarm_envs.agents.evaluation import Episode, EpisodeFile, evaluate, source_digest
+from swarm_envs.agents.batch import AT_ONCE
+from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, source_digest
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.registry import SHIPPED, load
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -39,6 +40,8 @@ class Entrant:
     """as of `swarm_envs.agents.load`"""
     digest: str
     """of its source: what `source_digest` gives"""
+    batched: bool = False
+    """whether it flies many episodes at once: its chunks are then worth as many"""
     kept: EpisodeFile | None = None
     """where episodes are kept, if anywhere"""
     episodes: dict[int, Episode] = field(default_factory=dict)
@@ -86,20 +89,20 @@ def fly_apart(
     """
     places = {seed: place for place, seed in enumerate(seeds)}
     by_name = {entrant.name: entrant for entrant in entrants}
-    jobs = deque(_jobs(entrants, task, setting, seeds, workers.size))
+    jobs = deque(_jobs(entrants, task, setting, places, workers.size))
     for outcome in workers.run(jobs):
         entrant, chunk = by_name[outcome.job.label], outcome.job.arguments["seeds"]
         flown = outcome.result["episodes"] if outcome.error is None else []
+        if flown and entrant.kept is not None:
+            entrant.kept.add(*flown)
         for episode in flown:
-            if entrant.kept is not None:
-                entrant.kept.add(episode)
             entrant.episodes[episode["seed"]] = episode
             watch(entrant, episode)
         rest = chunk[len(flown) :]
         if rest and places[rest[0]] < entrant.failed_at:
             why, trace = _failure(outcome, rest)
             if why is None:
-                jobs.appendleft(_of_seeds(outcome.job, rest))
+                jobs.appendleft(_of_seeds(outcome.job, rest, places))
                 continue
             entrant.failure, entrant.trace, entrant.failed_at = why, trace, places[rest[0]]
             for job in [job for job in jobs if job.label == entrant.name]:
@@ -111,7 +114,7 @@ def _jobs(
     entrants: Sequence[Entrant],
     task: str,
     setting: Mapping[str, Any],
-    seeds: Sequence[int],
+    places: Mapping[int, int],
     workers: int,
 ) -> list[Job]:
     files = {
@@ -121,17 +124,19 @@ def _jobs(
     }
     made = []
     for entrant in entrants:
-        missing = [seed for seed in seeds if seed not in entrant.episodes]
-        size = min(_LARGEST, -(-len(missing) // (_CHUNKS * workers)) or 1)
+        missing = [seed for seed in places if seed not in entrant.episodes]
+        fair = -(-len(missing) // (_CHUNKS * workers))
+        size = min(_LARGEST, max(fair, AT_ONCE if entrant.batched else 1))
         about = {"agent": _sent_agent(entrant), "task": task, "setting": dict(setting)}
+        whole = Job(FUNCTION, {**about, "files": files}, entrant.name)
         for first in range(0, len(missing), size):
-            given = {**about, "files": files, "seeds": missing[first : first + size]}
-            made.append(Job(FUNCTION, given, entrant.name))
+            made.append(_of_seeds(whole, missing[first : first + size], places))
     return made
 
 
-def _of_seeds(job: Job, seeds: list[int]) -> Job:
-    return Job(job.function, {**job.arguments, "seeds": seeds}, job.label)
+def _of_seeds(job: Job, seeds: list[int], places: Mapping[int, int]) -> Job:
+    timed = sum(places[seed] < TIMED for seed in seeds)
+    return Job(job.function, {**job.arguments, "seeds": seeds, "timed": timed}, job.label)
 
 
 def _failure(outcome: Outcome, rest: Sequence[int]) -> tuple[str | None, str]:
@@ -157,8 +162,9 @@ def fly_chunk(
     setting: Mapping[str, Any],
     files: Mapping[str, Mapping[str, str]],
     seeds: list[int],
+    timed: int,
 ) -> dict[str, Any]:
-    """Fly one agent on some seeds, in order; the job of `fly_apart`.
+    """Fly one agent on some seeds, in order, the first `timed` one by one; `fly_apart`'s job.
 
     Returns:
         `episodes`, of fewer seeds if it took long or the agent failed; `error` and `trace` if it
@@ -171,7 +177,7 @@ def fly_chunk(
     begun = time.monotonic()
     made, env = _at_hand(json.dumps([agent, task, setting, files]))
     try:
-        for _ in evaluate(env, made, seeds, keep=lambda *new: flown.extend(new)):
+        for _ in evaluate(env, made, seeds, None, lambda *new: flown.extend(new), timed):
             if time.monotonic() - begun > PATIENCE_S:
                 break
     except Exception as error:

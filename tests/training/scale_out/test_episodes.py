@@ -20,7 +20,7 @@ from swarm_envs.training.scale_out import episodes
 from swarm_envs.training.scale_out.episodes import Entrant, fly_apart, fly_chunk
 from swarm_envs.training.scale_out.jobs import Serial
 
-QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "12", "--seed", "7"]
+QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "20", "--seed", "7"]
 
 MINE = """
 import numpy as np
@@ -61,7 +61,7 @@ def kept_seeds(out: Path) -> dict[str, list[int]]:
 
 
 def test_processes_give_the_report_of_one(tmp_path, mine, capfd):
-    names = ["straight-line", f"{mine}:Fine", f"{mine}:Some", f"{mine}:Missing", "no-such-agent"]
+    names = ["swap-ppo", f"{mine}:Fine", f"{mine}:Some", f"{mine}:Missing", "no-such-agent"]
     outs = [tmp_path / "one", tmp_path / "two"]
     for out, more in zip(outs, ([], ["--workers", "2"]), strict=True):
         assert main(["evaluate", *QUICK, "--agent", *names, "--out", str(out), *more]) == 1
@@ -71,7 +71,7 @@ def test_processes_give_the_report_of_one(tmp_path, mine, capfd):
     for seeds in kept_seeds(outs[1]).values():
         assert len(seeds) == len(set(seeds))
     assert main(["evaluate", *QUICK, "--agent", *names[:2], "--out", str(outs[1])]) == 0
-    assert f"{names[1]}: 12 of 12 episodes were flown before" in capfd.readouterr().out
+    assert f"{names[1]}: 20 of 20 episodes were flown before" in capfd.readouterr().out
 
 
 def test_an_agent_that_kills_its_process_is_named(tmp_path, mine):
@@ -87,7 +87,7 @@ def test_an_agent_that_kills_its_process_is_named(tmp_path, mine):
 def chunk(name: str, seeds: list[int], digest: str = "") -> dict[str, Any]:
     about = {"name": name, "digest": digest or source_digest(load(name))}
     setting = {"num_drones": 2, "horizon_s": 0.5, "physics": "batch"}
-    return fly_chunk(about, "swap_v0", setting, {}, seeds)
+    return fly_chunk(about, "swap_v0", setting, {}, seeds, 0)
 
 
 def test_a_chunk_that_takes_long_is_handed_out_in_parts(tmp_path, monkeypatch):
@@ -95,7 +95,7 @@ def test_a_chunk_that_takes_long_is_handed_out_in_parts(tmp_path, monkeypatch):
     monkeypatch.setattr(episodes, "PATIENCE_S", 0.0)
     assert len(chunk("hover", frozen_seeds(1, 5))["episodes"]) == 1
     kept = EpisodeFile(tmp_path, "hover", {})
-    entrant = Entrant("hover", source_digest(load("hover")), kept)
+    entrant = Entrant("hover", source_digest(load("hover")), kept=kept)
     setting = {"num_drones": 2, "horizon_s": 0.5, "physics": "batch"}
     fly_apart([entrant], "swap_v0", setting, frozen_seeds(1, 5), Serial())
     assert [e["metrics"] for e in entrant.flown(frozen_seeds(1, 5))] == [
@@ -112,7 +112,7 @@ def test_another_agent_of_the_same_name_is_refused():
 def test_an_agent_s_file_may_vanish_once_it_was_sent(mine):
     name = f"{mine}:Fine"
     entrant = Entrant(name, source_digest(load(name)))
-    (job,) = episodes._jobs([entrant], "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, [3], 1)
+    (job,) = episodes._jobs([entrant], "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, {3: 0}, 1)
     mine.write_text("raise RuntimeError('edited since')")
     assert fly_chunk(**job.arguments)["episodes"][0]["seed"] == 3
 
