@@ -20,7 +20,7 @@ from swarm_envs.training.reproduce.runs import write_table
 from swarm_envs.training.rl.checkpoint import load_checkpoint, save_checkpoint
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import Judges, choosing_seeds
-from swarm_envs.training.rl.learner import Learner
+from swarm_envs.training.rl.learner import Learner, make_learner
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
 _NO_RESULT = ("out", "json", "progress", "tensorboard")
@@ -80,7 +80,7 @@ def train(config: TrainConfig, task: str) -> dict[str, Any]:
         OSError: the folder cannot be written.
         ValueError: the folder holds another run, or a damaged one.
     """
-    learner = Learner(config, task)
+    learner = make_learner(config, task)
     options = {"num_drones": config.drones, "interactions": config.interactions}
     options |= {"force_rate": config.force_rate}
     judges = Judges(task, _layouts(config), choosing_seeds(config.judge_episodes), options)
@@ -131,7 +131,7 @@ def _go_on(
         ) as bar,
     ):
 
-        def watch(learner: Learner) -> None:
+        def watch() -> None:
             ended = max(learner.env.episodes, 1)
             success, collision = learner.env.successes / ended, learner.env.collisions / ended
             bar.set_postfix_str(f"success {success:.0%}, collisions {collision:.0%}", refresh=False)
