@@ -25,8 +25,9 @@ class TrainConfig:
     """what is learned: `swap`, or with its version, `swap_v0`"""
     layout: Literal["random", "circle"] = "random"
     """of the task; with `random` half of the episodes are crowded, a quarter on the circle"""
-    algo: Literal["ppo"] = "ppo"
-    """`ppo`: proximal policy optimisation of Stable-Baselines3, one policy for all drones"""
+    algo: Literal["ppo", "mappo", "sac"] = "ppo"
+    """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
+    that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
     drones: int = 4
     """number of small drones; the policy will fly as many or fewer"""
     steps: int = 3_000_000
