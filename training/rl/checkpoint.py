@@ -39,7 +39,7 @@ def load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) -> 
         raise ValueError(
             f"checkpoint {str(path)!r} is damaged ({error}); delete the folder and train again"
         ) from error
-    differences = differing(progress["config"], config)
+    differences = differing_runs(progress["config"], config)
     if differences:
         raise ValueError(
             f"checkpoint {str(path)!r} is of a run with other options: {differences}; choose "
@@ -53,6 +53,13 @@ def load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) -> 
             "delete the folder and train again"
         ) from error
     return progress
+
+
+def differing_runs(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """Options in which two runs differ, in words; of two algorithms the names alone."""
+    if there.get("algo") != here["algo"]:
+        return differing({"algo": there.get("algo")}, {"algo": here["algo"]})
+    return differing(there, here)
 
 
 def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:

@@ -8,6 +8,7 @@ decisions in a batch, few passes.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import NamedTuple
@@ -15,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from torch import Tensor, nn
-from torch.distributions import Normal
 
 from swarm_envs.agents.features import feature_width, features
 from swarm_envs.agents.policy_file import Layers
@@ -27,6 +27,7 @@ from swarm_envs.training.rl.tensors import load_optimiser, optimiser_tensors, wi
 
 _NETWORKS, _OPTIMISER = "networks.", "optimiser."
 _LARGEST_GRADIENT = 0.5
+_HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 
 
 class Networks(nn.Module):
@@ -50,9 +51,10 @@ class Networks(nn.Module):
         self.register_buffer("moments", torch.tensor([0.0, 1.0, 0.0]))
         self.moments: Tensor
 
-    def policy(self, told: Tensor) -> Normal:
-        """The distribution of each number of each action."""
-        return Normal(self.actor(told), self.log_deviation.exp())
+    def log_probability(self, means: Tensor, actions: Tensor) -> Tensor:
+        """Of actions (..., width) that are drawn around these means."""
+        away = (actions - means) / self.log_deviation.exp()
+        return -(0.5 * away**2 + self.log_deviation + _HALF_LOG_TAU).sum(-1)
 
     def value(self, seen: Tensor) -> Tensor:
         """Returns that are foreseen, in units of reward."""
@@ -151,9 +153,9 @@ class MappoLearner:
         """One decision of every drone: what it was told, what it did, what came of it."""
         told = self._told()
         seen = self._seen(told)
-        policy = self.networks.policy(told)
-        noise = torch.randn(policy.mean.shape, generator=self._draws)
-        actions = policy.mean + policy.stddev * noise
+        means = self.networks.actor(told)
+        noise = torch.randn(means.shape, generator=self._draws)
+        actions = means + self.networks.log_deviation.exp() * noise
         result = self.core.step(actions.clamp(-1.0, 1.0).numpy())
         rewards = torch.from_numpy(result.rewards.astype(np.float32))
         after, ended = torch.zeros_like(rewards), result.terminated | result.truncated
@@ -165,7 +167,7 @@ class MappoLearner:
                 self.env.count(self.core.metrics(e))
             self.core.reset(mask=ended)
         over = torch.from_numpy(ended)[:, None].expand(rewards.shape)
-        log_probs = policy.log_prob(actions).sum(-1)
+        log_probs = self.networks.log_probability(means, actions)
         return told, seen, actions, log_probs, self.networks.value(seen), rewards, after, over
 
     def _told(self) -> Tensor:
@@ -189,7 +191,7 @@ class MappoLearner:
         for batch in self._batches(rollout):
             kl, value_loss, loss = self._losses(batch)
             self.adam.zero_grad()
-            loss.backward()
+            loss.backward()  # type: ignore[no-untyped-call]
             for part in (networks.actor.parameters(), networks.critic.parameters()):
                 nn.utils.clip_grad_norm_(part, _LARGEST_GRADIENT)
             self.adam.step()
@@ -201,20 +203,20 @@ class MappoLearner:
         size = self.config.batch_size
         for _ in range(self.config.passes):
             order = torch.randperm(len(rollout.returns), generator=self._draws)
-            for chosen in order.split(size):
+            for chosen in torch.split(order, size):
                 yield Rollout(*(row[chosen] for row in rollout))
 
     def _losses(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
         config, networks = self.config, self.networks
-        policy = networks.policy(batch.told)
-        change = policy.log_prob(batch.actions).sum(-1) - batch.log_probs
+        log_probs = networks.log_probability(networks.actor(batch.told), batch.actions)
+        change = log_probs - batch.log_probs
         ratio, good = change.exp(), standardised(batch.advantages)
         clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
         gain = torch.minimum(ratio * good, clipped * good).mean()
         mean, deviation = networks.spread()
         foreseen = networks.critic(batch.seen).squeeze(-1)
         value_loss = nn.functional.huber_loss(foreseen, (batch.returns - mean) / deviation)
-        entropy = policy.entropy().sum(-1).mean()
+        entropy = networks.log_deviation.sum()  # but for a constant
         kl = (ratio - 1.0 - change).mean().detach()
         return kl, value_loss.detach(), value_loss - gain - config.entropy * entropy
 
