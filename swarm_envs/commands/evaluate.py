@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 import traceback
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -78,10 +79,11 @@ def run(options: EvaluateOptions) -> int:
     """Fly, print and write; return how many agents failed.
 
     Raises:
+        BlockingIOError: another process writes into the folder of the episodes.
         Misuse: there is no such task, option or place to write; nothing was flown.
     """
     from swarm_envs import make
-    from swarm_envs.files import write_json
+    from swarm_envs.files import claimed
 
     reports = [path for path in (options.json, _inside(options.out, "report.json")) if path]
     if options.out is not None:
@@ -93,6 +95,15 @@ def run(options: EvaluateOptions) -> int:
         make(task, **options.setting()).close()
     except (ValueError, TypeError, ImportError) as error:
         raise Misuse(str(error)) from error
+    kept = _kept(options)
+    with nullcontext() if kept is None else claimed(kept):
+        return _evaluate(options, task, reports)
+
+
+def _evaluate(options: EvaluateOptions, task: str, reports: list[Path]) -> int:
+    """Fly all agents and write the reports; return how many failed."""
+    from swarm_envs.files import write_json
+
     about = {"task": task, **options.setting(), "seed": options.seed}
     agents = _reports(options, about)
     failed = sum("error" in report for report in agents)
