@@ -107,7 +107,8 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
     ("options", "why"),
     [
         (["--task", "swop"], "did you mean 'swap_v0'"),
-        (["--task", "ring"], "there is a recipe only for swap_v0"),
+        (["--layout", "stacked"], "valid: 'circle', 'random'"),
+        (["--task", "formation", "--layout", "cuba"], "did you mean 'cube'"),
         (["--json", "a.txt"], "must end in .json"),
     ],
 )

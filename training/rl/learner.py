@@ -19,6 +19,7 @@ from torch import nn
 from swarm_envs.agents.policy_file import Layers
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.practice import Practice
+from swarm_envs.training.rl.recipes import completed
 
 Entry = dict[str, float]
 
@@ -33,7 +34,8 @@ class Learner:
 
     def __init__(self, config: TrainConfig, task: str) -> None:
         torch.set_num_threads(1)  # matrices are small: more threads wait for each other
-        self.config = config
+        self.config = config = completed(config, task)
+        assert config.deviation is not None  # the recipe has one
         self.rollouts = 0
         self.env = Practice(config, task)
         widths = list(config.hidden)

@@ -9,29 +9,29 @@ import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from swarm_envs.agents.features import feature_width, features
+from swarm_envs.agents.feature_sets import FEATURE_SETS
 from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.options import Blueprint
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.starts import PracticeSwap
+from swarm_envs.training.rl.recipes import RECIPES, completed
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
 Infos = list[dict[str, Any]]
 
 
 def practice_blueprint(config: TrainConfig, task: str) -> Blueprint:
-    """What training flies: the task with a short clock and, if wanted, hard starts.
+    """What training flies: what the recipe practises, with a short clock.
 
     Raises:
-        ValueError: an option has an impossible value.
+        ValueError: the task has no recipe, or an option has an impossible value.
     """
-    given = {**REWARD_WEIGHTS, "crash": -config.crash}
+    recipe, config = RECIPES[task], completed(config, task)
+    given = {**recipe.reward_weights, "crash": -config.crash}
     weights = {name: weight * config.reward_scale for name, weight in given.items()}
     found = batch_of(
         task,
+        **recipe.layouts[str(config.layout)],
         num_drones=config.drones,
-        layout=config.layout,
         reward_weights=weights,
         interactions=config.interactions,
         decision_rate=config.decision_rate,
@@ -40,10 +40,7 @@ def practice_blueprint(config: TrainConfig, task: str) -> Blueprint:
         horizon_s=config.horizon_s,
         threads=1,
     )
-    if config.layout == "random" and config.hard_starts:
-        practice = PracticeSwap(team=found.task.team, reward_weights=found.task.reward_weights)
-        return found._replace(task=practice)
-    return found
+    return found._replace(task=recipe.practice(found.task, config))
 
 
 class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types here
@@ -58,8 +55,8 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         self.drones = SharedPolicyVecEnv(
             practice_blueprint(config, task), config.environments, config.seed
         )
-        self._neighbors = config.num_neighbors
-        width = feature_width(config.num_neighbors)
+        chosen, self._neighbors = FEATURE_SETS[RECIPES[task].features], config.num_neighbors
+        self._features, width = chosen.make, chosen.width(config.num_neighbors)
         super().__init__(self.drones, spaces.Box(-np.inf, np.inf, (width,), np.float32))
         self.clear()
 
@@ -69,7 +66,7 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
 
     def reset(self) -> npt.NDArray[np.float32]:
         """Begin new episodes everywhere."""
-        return features(self.drones.reset(), self._neighbors)
+        return self._features(self.drones.reset(), self._neighbors)
 
     def step_wait(
         self,
@@ -79,11 +76,11 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         over = np.flatnonzero(ended)
         if len(over):
             last = np.stack([infos[k]["terminal_observation"] for k in over])
-            for k, row in zip(over, features(last, self._neighbors), strict=True):
+            for k, row in zip(over, self._features(last, self._neighbors), strict=True):
                 infos[k]["terminal_observation"] = row
             for k in over[:: self.drones.core.num_drones]:
                 metrics = infos[k]["episode_metrics"]
                 self.episodes += 1
                 self.successes += metrics["success"]
                 self.collisions += metrics["collided_drones"] > 0
-        return features(rows, self._neighbors), rewards, ended, infos
+        return self._features(rows, self._neighbors), rewards, ended, infos
