@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.envs.observation import Float32Array, observation_layout
+from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
 from swarm_envs.tasks.base import SPEED_LIMIT
 
 FEATURES = "goal-and-closest-approach-1"
@@ -69,12 +69,8 @@ def features(rows: Float32Array, num_neighbors: int) -> Float32Array:
     Raises:
         ValueError: rows have another width.
     """
+    check_width(rows, num_neighbors)
     places = _places(num_neighbors)
-    if rows.shape[-1] != places.time_left.stop:
-        raise ValueError(
-            f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
-            f"{num_neighbors} and num_obstacles=0 have {places.time_left.stop}"
-        )
     goal = rows[..., places.goal]
     distance = _length(goal)
     attitude = rows[..., places.attitude]
@@ -94,6 +90,20 @@ def features(rows: Float32Array, num_neighbors: int) -> Float32Array:
         own.append(_neighbor_features(seen).reshape(*before, -1))
     made: Float32Array = np.concatenate(own, axis=-1, dtype=np.float32)
     return made
+
+
+def check_width(rows: Float32Array, num_neighbors: int) -> None:
+    """Refuse rows that are not those of K neighbours and no obstacle.
+
+    Raises:
+        ValueError: they have another width.
+    """
+    wanted = observation_width(num_neighbors)
+    if rows.shape[-1] != wanted:
+        raise ValueError(
+            f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
+            f"{num_neighbors} and num_obstacles=0 have {wanted}"
+        )
 
 
 def _neighbor_features(neighbors: Float32Array) -> Float32Array:

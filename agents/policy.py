@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.features import features
+from swarm_envs.agents.feature_sets import FEATURE_SETS
 from swarm_envs.agents.policy_file import Policy, read_policy
 from swarm_envs.agents.protocol import Actions, Observations, check_requirements
 from swarm_envs.envs.observation import Float32Array
@@ -84,7 +84,8 @@ class PolicyAgent:
         Raises:
             ValueError: the rows have another width.
         """
-        values = features(rows, self.policy.note.num_neighbors)
+        note = self.policy.note
+        values = FEATURE_SETS[note.features].make(rows, note.num_neighbors)
         *hidden, last = self.policy.layers
         for weight, bias in hidden:
             values = np.tanh(values @ weight.T + bias)

@@ -19,7 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from swarm_envs import TASKS
-from swarm_envs.agents.features import FEATURES, feature_width
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.errors import check_integer, check_name
@@ -47,7 +47,7 @@ class PolicyNote:
     """how often it decides, 1/s"""
     num_neighbors: int
     """K, how many neighbours it observes"""
-    features: str = FEATURES
+    features: str = GOAL
     """what is made of an observation row before the network sees it"""
 
     def check(self) -> None:
@@ -58,7 +58,7 @@ class PolicyNote:
         """
         check_name("task", self.task, TASKS)
         check_name("action", self.action, ACTIONS)
-        check_name("features", self.features, (FEATURES,))
+        check_name("features", self.features, FEATURE_SETS)
         check_integer("drones", self.drones, 1)
         check_integer("decision_rate", self.decision_rate, 1)
         check_integer("num_neighbors", self.num_neighbors, 0)
@@ -169,7 +169,7 @@ def _check_numbers(tensors: Mapping[str, Float32Array]) -> None:
 def _layers(tensors: Mapping[str, Float32Array], note: PolicyNote) -> Layers:
     count = len(tensors) // 2
     layers = tuple((tensors[f"actor.{k}.weight"], tensors[f"actor.{k}.bias"]) for k in range(count))
-    widths = [feature_width(note.num_neighbors)]
+    widths = [FEATURE_SETS[note.features].width(note.num_neighbors)]
     for weight, bias in layers:
         if weight.ndim != 2 or bias.shape != weight.shape[:1]:
             raise ValueError(f"a layer has weights {weight.shape} and biases {bias.shape}")

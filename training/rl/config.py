@@ -24,8 +24,9 @@ class TrainConfig:
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
     task: str = "swap"
     """what is learned: `swap`, or with its version, `swap_v0`"""
-    layout: Literal["random", "circle"] = "random"
-    """of the task; with `random` half of the episodes are crowded, a quarter on the circle"""
+    layout: str | None = None
+    """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
+    crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""
     algo: Literal["ppo", "mappo", "sac"] = "ppo"
     """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
     that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
@@ -60,8 +61,9 @@ class TrainConfig:
     """weight of the policy's entropy in the loss: keeps it exploring"""
     hidden: tuple[int, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
-    deviation: float = math.exp(-0.5)
-    """standard deviation of actions at the start; the same in every state, and learned"""
+    deviation: float | None = None
+    """standard deviation of actions at the start; the same in every state, and learned; the
+    recipe's if not given"""
     second_stage: float = 0.25
     """share of the steps that are trained anew from what the others gave: with a fresh Adam, and
     more exploration again; 0 for one stage"""
@@ -70,9 +72,9 @@ class TrainConfig:
     second_deviation: float = 0.3
     """least standard deviation of actions at its start"""
 
-    horizon_s: float = 3.5
-    """the clock of training, s: shorter than the task's, since failures come early; the time-out
-    is bootstrapped"""
+    horizon_s: float | None = None
+    """the clock of training, s; the recipe's if not given: shorter than the task's, since failures
+    come early; the time-out is bootstrapped"""
     decision_rate: int = 10
     """decisions per second, in training and in flight"""
     force_rate: int = 48
@@ -116,7 +118,7 @@ class TrainConfig:
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), 1)
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if not low <= value <= high:
+            if value is not None and not low <= value <= high:
                 raise ValueError(
                     f"--{name.replace('_', '-')} is {value}, but must be from {low:g} to {high:g}"
                 )

@@ -12,6 +12,7 @@ from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.policy_file import Policy
 from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.training.rl.recipes import RECIPES
 
 CHOOSING = (0x63686F6F, 0x73696E67)
 """Entropy of the seeds on which policies are chosen: no `--seed` of `evaluate` draws the same."""
@@ -36,22 +37,22 @@ class Judges:
         self, task: str, layouts: Sequence[str], seeds: Sequence[int], options: Mapping[str, Any]
     ) -> None:
         self._task, self._layouts, self._seeds = task, layouts, list(seeds)
-        self._options = dict(options)
+        self._options, self._recipe = dict(options), RECIPES[task]
         self._cores: dict[str, SwarmCore] = {}
 
     def judge(self, policy: Policy) -> dict[str, float]:
-        """Rates of success and of collision on each layout, such as `random_success`."""
-        agent, rates = PolicyAgent(policy), {}
+        """Averages of the recipe's measures on each layout, such as `random_success`."""
+        agent, found = PolicyAgent(policy), {}
         for layout in self._layouts:
             metrics = fly_batch(self._core(layout, agent), agent.act_batch, self._seeds)
-            crashed = [m["collided_drones"] > 0 for m in metrics]
-            rates[f"{layout}_success"] = float(np.mean([m["success"] for m in metrics]))
-            rates[f"{layout}_collision"] = float(np.mean(crashed))
-        return rates
+            for name, measure in self._recipe.measures.items():
+                found[f"{layout}_{name}"] = float(np.mean([measure(m) for m in metrics]))
+        return found
 
     def _core(self, layout: str, agent: PolicyAgent) -> SwarmCore:
         if layout not in self._cores:
-            options = {**self._options, **agent.requires, "layout": layout, "threads": 1}
+            given = self._recipe.layouts[layout]
+            options = {**self._options, **agent.requires, **given, "threads": 1}
             found = batch_of(self._task, **options)
             count = min(AT_ONCE, len(self._seeds))
             self._cores[layout] = SwarmCore(found.task, found.config, count)

@@ -17,6 +17,7 @@ from torch import Tensor
 from swarm_envs.agents.policy_file import Layers
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.practice import Practice
+from swarm_envs.training.rl.recipes import completed
 
 Entry = dict[str, float]
 Watch = Callable[[], None]
@@ -70,4 +71,4 @@ def make_learner(config: TrainConfig, task: str) -> Learner:
         task: its versioned name.
     """
     module = import_module(f"swarm_envs.training.rl.{config.algo}")
-    return cast(Learner, getattr(module, _LEARNERS[config.algo])(config, task))
+    return cast(Learner, getattr(module, _LEARNERS[config.algo])(completed(config, task), task))

@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from swarm_envs.agents.features import feature_width, features
 from swarm_envs.agents.policy_file import Layers
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.learner import Entry, Watch
@@ -97,10 +96,11 @@ class MappoLearner:
     def __init__(self, config: TrainConfig, task: str) -> None:
         torch.set_num_threads(1)  # matrices are small: more threads wait for each other
         torch.manual_seed(config.seed)
+        assert config.deviation is not None  # the recipe has one
         self.config = config
         self.env = Practice(config, task)
         self.core = self.env.drones.core
-        told = feature_width(config.num_neighbors)
+        told = self.env.observation_space.shape[0]
         others = (self.core.num_drones - 1) * self.core.team_state().shape[-1]
         width = self.core.mode.width
         self.networks = Networks(told, told + others, config.hidden, width, config.deviation)
@@ -172,7 +172,7 @@ class MappoLearner:
 
     def _told(self) -> Tensor:
         """(E, N, features) what every drone senses now."""
-        return torch.from_numpy(features(self.core.rows, self.config.num_neighbors))
+        return torch.from_numpy(self.env.told(self.core.rows))
 
     def _seen(self, told: Tensor) -> Tensor:
         """(E, N, width) what the critic sees from every drone: features, the others' true states.

@@ -10,29 +10,29 @@ import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from swarm_envs.agents.features import feature_width, features
+from swarm_envs.agents.feature_sets import FEATURE_SETS
 from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.options import Blueprint
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.starts import PracticeSwap
+from swarm_envs.training.rl.recipes import RECIPES, completed
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
 Infos = list[dict[str, Any]]
 
 
 def practice_blueprint(config: TrainConfig, task: str) -> Blueprint:
-    """What training flies: the task with a short clock and, if wanted, hard starts.
+    """What training flies: what the recipe practises, with a short clock.
 
     Raises:
-        ValueError: an option has an impossible value.
+        ValueError: the task has no recipe, or an option has an impossible value.
     """
-    given = {**REWARD_WEIGHTS, "crash": -config.crash}
+    recipe, config = RECIPES[task], completed(config, task)
+    given = {**recipe.reward_weights, "crash": -config.crash}
     weights = {name: weight * config.reward_scale for name, weight in given.items()}
     found = batch_of(
         task,
+        **recipe.layouts[str(config.layout)],
         num_drones=config.drones,
-        layout=config.layout,
         reward_weights=weights,
         interactions=config.interactions,
         decision_rate=config.decision_rate,
@@ -41,10 +41,7 @@ def practice_blueprint(config: TrainConfig, task: str) -> Blueprint:
         horizon_s=config.horizon_s,
         threads=1,
     )
-    if config.layout == "random" and config.hard_starts:
-        practice = PracticeSwap(team=found.task.team, reward_weights=found.task.reward_weights)
-        return found._replace(task=practice)
-    return found
+    return found._replace(task=recipe.practice(found.task, config))
 
 
 class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types here
@@ -59,14 +56,18 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         self.drones = SharedPolicyVecEnv(
             practice_blueprint(config, task), config.environments, config.seed
         )
-        self._neighbors = config.num_neighbors
-        width = feature_width(config.num_neighbors)
+        self._set, self._neighbors = FEATURE_SETS[RECIPES[task].features], config.num_neighbors
+        width = self._set.width(self._neighbors)
         super().__init__(self.drones, spaces.Box(-np.inf, np.inf, (width,), np.float32))
         self.clear()
 
     def clear(self) -> None:
         """Begin to count anew."""
         self.episodes = self.successes = self.collisions = 0
+
+    def told(self, rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """What the network is told of observation rows (..., width)."""
+        return self._set.make(rows, self._neighbors)
 
     def count(self, metrics: Mapping[str, Any]) -> None:
         """Count how an episode has ended."""
@@ -76,7 +77,7 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
 
     def reset(self) -> npt.NDArray[np.float32]:
         """Begin new episodes everywhere."""
-        return features(self.drones.reset(), self._neighbors)
+        return self.told(self.drones.reset())
 
     def step_wait(
         self,
@@ -86,8 +87,8 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         over = np.flatnonzero(ended)
         if len(over):
             last = np.stack([infos[k]["terminal_observation"] for k in over])
-            for k, row in zip(over, features(last, self._neighbors), strict=True):
+            for k, row in zip(over, self.told(last), strict=True):
                 infos[k]["terminal_observation"] = row
             for k in over[:: self.drones.core.num_drones]:
                 self.count(infos[k]["episode_metrics"])
-        return features(rows, self._neighbors), rewards, ended, infos
+        return self.told(rows), rewards, ended, infos
