@@ -182,7 +182,7 @@ def _train(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train import check, run
     from swarm_envs.training.rl.config import TrainConfig
 
-    config = _read("train", TrainConfig, arguments)
+    config = _read("train", TrainConfig, arguments, prefixes=True)
     check(config)
     _need_torch("sb3")
     run(config)

@@ -22,7 +22,7 @@ Entry = dict[str, float]
 Watch = Callable[[], None]
 """Called after every rollout: where a progress bar moves."""
 
-_LEARNERS = {"ppo": "PpoLearner"}
+_LEARNERS = {"ppo": "PpoLearner", "mappo": "MappoLearner", "sac": "SacLearner"}
 """The class of each algorithm, in the module of its name."""
 
 

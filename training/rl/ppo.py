@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from torch import Tensor, nn
 
 from swarm_envs.agents.policy_file import Layers
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
+from swarm_envs.training.rl.rollouts import Rollouts
 from swarm_envs.training.rl.schedules import learning_rate, proximity_weight, segment_seed
 from swarm_envs.training.rl.tensors import load_optimiser, optimiser_tensors, without_prefix
 
@@ -65,7 +65,8 @@ class PpoLearner:
         self.env.clear()
         steps = len(segment) * config.rollout_steps
         self.model.num_timesteps = segment.start * config.rollout_steps
-        self.model.learn(steps, callback=_Rollouts(self, watch), reset_num_timesteps=False)
+        rollouts = Rollouts(self.begin_rollout, watch)
+        self.model.learn(steps, callback=rollouts, reset_num_timesteps=False)
         return self._entry()
 
     def begin_rollout(self, steps: int) -> None:
@@ -120,21 +121,3 @@ class PpoLearner:
             "kl": float(told["train/approx_kl"]),
             "value_loss": float(told["train/value_loss"]),
         }
-
-
-class _Rollouts(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
-    """Tells the learner that a rollout begins, and the run that one has ended."""
-
-    def __init__(self, learner: PpoLearner, watch: Watch | None) -> None:
-        super().__init__()
-        self._learner, self._watch = learner, watch
-
-    def _on_step(self) -> bool:
-        return True
-
-    def _on_rollout_start(self) -> None:
-        self._learner.begin_rollout(self.num_timesteps)
-
-    def _on_rollout_end(self) -> None:
-        if self._watch is not None:
-            self._watch()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,12 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         """Begin to count anew."""
         self.episodes = self.successes = self.collisions = 0
 
+    def count(self, metrics: Mapping[str, Any]) -> None:
+        """Count how an episode has ended."""
+        self.episodes += 1
+        self.successes += metrics["success"]
+        self.collisions += metrics["collided_drones"] > 0
+
     def reset(self) -> npt.NDArray[np.float32]:
         """Begin new episodes everywhere."""
         return features(self.drones.reset(), self._neighbors)
@@ -82,8 +89,5 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
             for k, row in zip(over, features(last, self._neighbors), strict=True):
                 infos[k]["terminal_observation"] = row
             for k in over[:: self.drones.core.num_drones]:
-                metrics = infos[k]["episode_metrics"]
-                self.episodes += 1
-                self.successes += metrics["success"]
-                self.collisions += metrics["collided_drones"] > 0
+                self.count(infos[k]["episode_metrics"])
         return features(rows, self._neighbors), rewards, ended, infos

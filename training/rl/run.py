@@ -29,7 +29,8 @@ _NO_RESULT = ("out", "json", "progress", "tensorboard")
 
 def result_options(config: TrainConfig, task: str) -> dict[str, Any]:
     """What the policy depends on, ready for JSON."""
-    options = {f.name: getattr(config, f.name) for f in fields(config) if f.name not in _NO_RESULT}
+    names = [f.name for f in fields(config) if f.name not in _NO_RESULT and config.uses(f.name)]
+    options = {name: getattr(config, name) for name in names}
     ready: dict[str, Any] = json.loads(json.dumps(json_ready({**options, "task": task})))
     return ready
 
