@@ -42,12 +42,12 @@ def plot_figure(path: Path, figure: Figure, curves: Curves) -> None:
         _plot_patterns(path, figure, curves)
         return
     names = list(figure.series)
-    with picture(path, 4.4 * (1 + len(names)), 4.3, figure.headline) as canvas:
+    with picture(path, 4.0 * (1 + len(names)), 4.1, figure.headline) as canvas:
         axes = canvas.subplots(1, 1 + len(names), squeeze=False)[0]
         _draw_times(axes[0], figure, curves)
         for k, name in enumerate(names):
             _draw_ratios(axes[k + 1], figure, name, curves, k == 0)
-        _same_height(axes[1:])
+        _same_height(axes[1:], 1.25 if figure.axis == "density" else 1.0)
 
 
 def _plot_patterns(path: Path, figure: Figure, curves: Curves) -> None:
@@ -57,11 +57,12 @@ def _plot_patterns(path: Path, figure: Figure, curves: Curves) -> None:
         ratios = axes[:, 1:].reshape(-1)
         for k, (axis, name) in enumerate(zip(ratios, figure.series, strict=False)):
             _draw_ratios(axis, figure, name, curves, k == 0)
-        _same_height(ratios)
+        _same_height(ratios, 1.0)
 
 
-def _same_height(axes: Sequence[Axes]) -> None:
-    top = max(axis.get_ylim()[1] for axis in axes)
+def _same_height(axes: Sequence[Axes], room: float) -> None:
+    """Give all the same limits, the largest times the room that a legend needs."""
+    top = 1.0 + room * (max(axis.get_ylim()[1] for axis in axes) - 1.0)
     for axis in axes:
         axis.set_ylim(0.95, top)
 
@@ -81,7 +82,7 @@ def _draw_times(axis: Axes, figure: Figure, curves: Curves) -> None:
         line = _LINES[names.index(name)]
         label = method if name == names[0] else None
         spreads = [point.cpu_s for point in solved]
-        _draw_curve(axis, place, spreads, COLORS[method], line, label)
+        _draw_curve(axis, place, spreads, method, line, label)
     if len(names) > 1:
         axis.plot([], [], color=GREY, linestyle=_LINES[1], label=names[1])
     if figure.order is not None:
@@ -90,21 +91,23 @@ def _draw_times(axis: Axes, figure: Figure, curves: Curves) -> None:
     axis.set(xlabel=_AXES[figure.axis], ylabel="CPU time (s)", yscale="log")
     axis.set_title("Time, validation included")
     _finish(axis, figure)
-    axis.legend(fontsize=8, loc="upper left" if figure.axis == "robots" else "best")
+    axis.set_ylim(bottom=axis.get_ylim()[0] / 4)
+    axis.legend(fontsize=7.5, loc="lower right")
 
 
 def _draw_curve(
     axis: Axes,
     place: Sequence[float],
     spreads: Sequence[Spread],
-    color: str,
+    method: str,
     line: str,
     label: str | None,
 ) -> None:
-    """Means, and from least to largest of the runs."""
+    """Means, and from least to largest of the runs; thinner lines show thicker ones below."""
     means = [spread.mean for spread in spreads]
+    color, width = COLORS[method], 2.1 - 0.4 * list(COLORS).index(method)
     hollow = "white" if line != "-" else color
-    look = {"color": color, "linestyle": line, "markersize": 3.5, "linewidth": 1.4}
+    look = {"color": color, "linestyle": line, "markersize": 2.0 + width, "linewidth": width}
     axis.plot(place, means, marker="o", markerfacecolor=hollow, label=label, **look)  # type: ignore[arg-type]
     least, most = [s.least for s in spreads], [s.most for s in spreads]
     axis.fill_between(place, least, most, color=color, alpha=0.13, linewidth=0)
@@ -146,7 +149,7 @@ def _draw_ratios(axis: Axes, figure: Figure, name: str, curves: Curves, first: b
             continue
         place = [_place(figure, p) for p in solved]
         spreads = [p.ratio for p in solved if p.ratio is not None]
-        _draw_curve(axis, place, spreads, COLORS[method], "-", method)
+        _draw_curve(axis, place, spreads, method, "-", method)
         if method in GUARANTEED:
             before = [p.before.mean for p in solved if p.before is not None]
             axis.plot(place, before, color=COLORS[method], linestyle=(0, (4, 2)), linewidth=0.9)
@@ -154,10 +157,11 @@ def _draw_ratios(axis: Axes, figure: Figure, name: str, curves: Curves, first: b
         axis.plot([], [], color=GREY, linestyle=(0, (4, 2)), linewidth=0.9, label="not compacted")
     _draw_known(axis, figure, name)
     axis.set(xlabel=_AXES[figure.axis], title=name)
-    axis.set_ylabel("Makespan / lower bound")
     _finish(axis, figure)
     if first:
-        axis.legend(fontsize=8, loc="upper right")
+        axis.set_ylabel("Makespan / lower bound")
+        columns = 2 if figure.axis == "density" else 1
+        axis.legend(fontsize=7.5, loc="upper right", ncols=columns)
 
 
 def _draw_known(axis: Axes, figure: Figure, name: str) -> None:
@@ -169,14 +173,14 @@ def _draw_known(axis: Axes, figure: Figure, name: str) -> None:
         _note(axis, ratio, f"paper: {' and '.join(which)} {ratio:g}")
     if figure.limit is not None and figure.limit not in figure.paper.values():
         axis.axhline(figure.limit, color=GREY, linestyle=":", linewidth=1.0)
-        _note(axis, figure.limit, f"theory's limit {figure.limit:.2f}")
+        _note(axis, figure.limit, f"theory's limit {figure.limit:.2f}", below=True)
     if name == "uniform":
         _draw_peers(axis, [(peer, peer.ratio) for peer in figure.peers])
 
 
-def _note(axis: Axes, height: float, text: str) -> None:
-    across = axis.get_yaxis_transform()
-    axis.text(0.01, height, text, transform=across, fontsize=7, color=GREY, va="bottom")
+def _note(axis: Axes, height: float, text: str, below: bool = False) -> None:
+    across, side = axis.get_yaxis_transform(), "top" if below else "bottom"
+    axis.text(0.01, height, text, transform=across, fontsize=7, color=GREY, va=side)
 
 
 def _finish(axis: Axes, figure: Figure) -> None:
