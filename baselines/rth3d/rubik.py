@@ -146,10 +146,7 @@ def balance_both(highways: Highways, starts: Vertices, goals: Vertices, clock: C
         record(len(first) - 1)
     with clock.phase("balance goals") as record:
         image = reflection(highways, starts, goals)
-        if image is None:
-            last = balance(table, goals, sinks)
-        else:
-            last = reflected(first, image, goals)
+        last = balance(table, goals, sinks) if image is None else reflected(first, image, goals)
         record(len(last) - 1)
     return Balanced(first, last, np.arange(len(table), dtype=np.int32) if image is None else image)
 

@@ -52,7 +52,7 @@ def test_paths_from_the_goals_are_images_whoever_stands_where():
     first, last = numbers(starts, SHAPE), numbers(goals, SHAPE)
     image = reflection(highways, first, last)
     assert image is not None
-    aside = points(first, SHAPE) + [1, 0, 0]
+    aside = points(first, SHAPE) + np.array([1, 0, 0])
     paths = np.stack([first, numbers(np.minimum(aside, np.array(SHAPE) - 1), SHAPE)])
     found = reflected(paths, image, last)
     np.testing.assert_array_equal(found[0], last)
