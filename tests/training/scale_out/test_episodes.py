@@ -56,7 +56,7 @@ def report(out: Path) -> dict[str, Any]:
 
 def kept_seeds(out: Path) -> dict[str, list[int]]:
     """Seeds of the episodes in each file, in the order in which they were kept."""
-    files = {file.name: file.read_text().splitlines()[1:] for file in out.glob("episodes/*")}
+    files = {file.name: file.read_text().splitlines()[1:] for file in out.glob("episodes/*.jsonl")}
     return {name: [json.loads(line)["seed"] for line in lines] for name, lines in files.items()}
 
 
@@ -146,4 +146,4 @@ def test_killed_ten_times_nothing_is_lost_and_nothing_doubled(tmp_path):
 
 
 def kept_count(out: Path) -> int:
-    return sum(max(0, file.read_bytes().count(b"\n") - 1) for file in out.glob("episodes/*"))
+    return sum(max(0, file.read_bytes().count(b"\n") - 1) for file in out.glob("episodes/*.jsonl"))
