@@ -18,6 +18,7 @@ from swarm_envs import make, swap_v0
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.batch import fly_batch
 from swarm_envs.agents.features import feature_width, features
+from swarm_envs.agents.networks import ANY, plain
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.agents.policy_file import Policy, PolicyNote, read_policy, write_policy
 from swarm_envs.envs.blueprints import batch_of
@@ -35,7 +36,7 @@ def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
         for into, out in pairwise(widths)
     )
     rounded = tuple((weight, bias.astype(np.float32)) for weight, bias in layers)
-    return Policy(note, rounded, {"seed": seed})
+    return Policy(note, plain(rounded), {"seed": seed})
 
 
 def observed(count: int, neighbors: int, drones: int) -> tuple[np.ndarray, dict[str, slice]]:
@@ -121,7 +122,8 @@ def test_one_team_and_many_fly_the_same():
 
 def test_actions_stay_within_their_bounds():
     loud = policy()
-    loud = replace(loud, layers=tuple((100 * weight, bias) for weight, bias in loud.layers))
+    layers = tuple((100 * weight, bias) for weight, bias in loud.networks[ANY].layers)
+    loud = replace(loud, networks=plain(layers))
     rows, _ = observed(20, 2, 3)
     actions = PolicyAgent(loud).act_batch(rows)
     assert np.abs(actions).max() == 1.0
@@ -202,7 +204,7 @@ def test_pickles_and_missing_files_are_refused(tmp_path):
 
 def test_weights_that_are_no_numbers_are_not_written(tmp_path):
     broken = policy()
-    broken.layers[0][0][0, 0] = np.nan
+    broken.networks[ANY].layers[0][0][0, 0] = np.nan
     with pytest.raises(ValueError, match=r"actor\.0\.weight.* not finite"):
         write_policy(tmp_path / FILE, broken)
     assert not list(tmp_path.iterdir())

@@ -57,7 +57,7 @@ def run(config: TrainConfig) -> None:
     if config.json is not None:
         write_json(config.json, report)
     print(_summary(report))
-    print(f"fly it by: swarm-envs evaluate --agent {config.out} --drones {config.drones}")
+    print(f"fly it by: swarm-envs evaluate --agent {config.out} --drones {config.largest}")
 
 
 def _summary(report: dict[str, Any]) -> str:

@@ -139,7 +139,7 @@ def test_the_agent_acts_as_the_network_that_was_trained():
     )
     rows = learner.env.drones.reset()
     told, _ = learner.model.predict(learner.env.reset(), deterministic=True)
-    rows = learner.env.drones.core.rows.reshape(8, -1)
+    rows = learner.env.drones.parts[0].core.rows.reshape(8, -1)
     np.testing.assert_allclose(agent.act_batch(rows), told, atol=1e-6)
     assert learner.model.observation_space.shape == (feature_width(3),)
     learner.close()

@@ -9,6 +9,7 @@ from typing import Literal
 
 from swarm_envs.errors import check_integer
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.vehicles import SMALL, VEHICLES, Team, parse_team
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,8 +28,11 @@ class TrainConfig:
     """of the task; with `random` half of the episodes are crowded, a quarter on the circle"""
     algo: Literal["ppo"] = "ppo"
     """`ppo`: proximal policy optimisation of Stable-Baselines3, one policy for all drones"""
-    drones: int = 4
-    """number of small drones; the policy will fly as many or fewer"""
+    drones: int | tuple[int, ...] = 4
+    """number of small drones; of several numbers, such as `4 8`, each has an equal share of the
+    environments; the policy will fly as many as the largest, or fewer"""
+    team: tuple[str, ...] = ()
+    """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
     steps: int = 3_000_000
     """decisions of single drones, rounded up to whole rollouts"""
     seed: int = 0
@@ -37,7 +41,9 @@ class TrainConfig:
     """write the report to this file too"""
 
     environments: int = 128
-    """teams that fly at once"""
+    """teams that fly at once, of all sizes together"""
+    threads: int = 2
+    """of the environments; their number changes nothing of what is learned"""
     rollout: int = 32
     """decisions of each drone between two updates of the policy"""
     batch_size: int = 2048
@@ -58,6 +64,15 @@ class TrainConfig:
     """weight of the policy's entropy in the loss: keeps it exploring"""
     hidden: tuple[int, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
+    encoder: Literal["mlp", "deep-set"] = "mlp"
+    """how neighbours are told: `mlp`, one after another, the nearest first; `deep-set`, each
+    through a small network of its type of vehicle, then pooled"""
+    pooling: Literal["mean", "max", "sum"] = "mean"
+    """of a deep set"""
+    set_hidden: tuple[int, ...] = (32, 32)
+    """widths of the network that a deep set gives each neighbour to"""
+    per_type: bool = False
+    """a policy of its own for each type of vehicle in the team"""
     deviation: float = math.exp(-0.5)
     """standard deviation of actions at the start; the same in every state, and learned"""
     second_stage: float = 0.25
@@ -108,6 +123,12 @@ class TrainConfig:
             ValueError: naming the option, the value and the rule.
         """
         check_integer("--seed", self.seed, 0)
+        for count in _numbers(self.drones):
+            check_integer("--drones", count, 1)
+        if not self.teams or len(set(self.teams)) < len(self.teams):
+            raise ValueError(
+                f"--drones is {self.drones} and --team {self.team}; name one or more teams, each once"
+            )
         for name in _COUNTS:
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), 1)
         for name, (low, high) in _RANGES.items():
@@ -121,21 +142,53 @@ class TrainConfig:
                 f"--decision-rate is {self.decision_rate} and --force-rate {self.force_rate}, but "
                 f"both must be {PHYSICS_RATE} over an integer"
             )
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(f"--hidden is {self.hidden}, but must be one or more widths")
+        for name in ("hidden", "set_hidden"):
+            widths = getattr(self, name)
+            if not widths or min(widths) < 1:
+                option = name.replace("_", "-")
+                raise ValueError(f"--{option} is {widths}, but must be one or more widths")
+        if self.per_type and len(self.types) < 2:
+            raise ValueError(
+                f"--per-type needs vehicles of several types, but those of --team {self.team} are "
+                f"all {', '.join(self.types)}; name a team such as SSLL"
+            )
         if min(self.proximity) < 0:
             raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
+        if self.environments % len(self.teams):
+            raise ValueError(
+                f"--environments is {self.environments}, but must be a multiple of the "
+                f"{len(self.teams)} teams that fly side by side"
+            )
         size = self.rollout_steps
         if size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
-                "rollout: environments x drones x rollout"
+                "rollout: drones of all environments x rollout"
             )
+
+    @property
+    def teams(self) -> tuple[Team, ...]:
+        """Every team that learns, of small drones unless they are named."""
+        if self.team:
+            return tuple(parse_team(team) for team in self.team)
+        return tuple((SMALL,) * count for count in _numbers(self.drones))
+
+    @property
+    def largest(self) -> int:
+        """Drones of the largest team."""
+        return max(len(team) for team in self.teams)
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """Types of vehicles in the teams; networks are told types where there are several."""
+        present = {vehicle.token for team in self.teams for vehicle in team}
+        return tuple(token for token in VEHICLES if token in present)
 
     @property
     def rollout_steps(self) -> int:
         """Decisions of single drones in a rollout."""
-        return self.environments * self.drones * self.rollout
+        share = self.environments // len(self.teams)
+        return share * sum(len(team) for team in self.teams) * self.rollout
 
     @property
     def rollouts(self) -> int:
@@ -156,8 +209,12 @@ class TrainConfig:
         return found
 
 
+def _numbers(drones: int | tuple[int, ...]) -> tuple[int, ...]:
+    return drones if isinstance(drones, tuple) else (drones,)
+
+
 _COUNTS = (
-    *("drones", "steps", "environments", "rollout", "batch_size", "passes", "num_neighbors"),
+    *("steps", "environments", "threads", "rollout", "batch_size", "passes", "num_neighbors"),
     *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),
 )
 _RANGES = {

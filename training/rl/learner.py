@@ -14,10 +14,11 @@ import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
-from torch import nn
 
-from swarm_envs.agents.policy_file import Layers
+from swarm_envs.agents.features import FeatureSizes
+from swarm_envs.agents.networks import ANY, Network
 from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.encoders import EncoderSpec, TeamPolicy, networks
 from swarm_envs.training.rl.practice import Practice
 
 Entry = dict[str, float]
@@ -36,9 +37,8 @@ class Learner:
         self.config = config
         self.rollouts = 0
         self.env = Practice(config, task)
-        widths = list(config.hidden)
         self.model = PPO(
-            "MlpPolicy",
+            TeamPolicy,
             self.env,
             learning_rate=self._rate,
             n_steps=config.rollout,
@@ -51,8 +51,7 @@ class Learner:
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "net_arch": {"pi": widths, "vf": widths},
-                "activation_fn": nn.Tanh,
+                "spec": encoder_spec(config, self.env.sizes),
                 "log_std_init": float(np.log(config.deviation)),
             },
         )
@@ -84,16 +83,11 @@ class Learner:
         first, last = self.config.proximity
         share = np.clip(2.0 * self.rollouts / self.config.first_stage - 0.5, 0.0, 1.0)
         weight = -self.config.reward_scale * float(first + share * (last - first))
-        self.env.drones.core.set_reward_weights({"proximity": weight})
+        self.env.weigh({"proximity": weight})
 
-    def actor(self) -> Layers:
-        """The network whose output is the mean action."""
-        policy = self.model.policy
-        linear = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "weight")]
-        return tuple(
-            (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-            for layer in [*linear, policy.action_net]
-        )
+    def actor(self) -> dict[str, Network]:
+        """The networks whose output is the mean action, as `Policy` takes them."""
+        return networks(self.model.policy)
 
     def close(self) -> None:
         """Free the environments."""
@@ -127,6 +121,19 @@ class Learner:
             "kl": float(told["train/approx_kl"]),
             "value_loss": float(told["train/value_loss"]),
         }
+
+
+def encoder_spec(config: TrainConfig, sizes: FeatureSizes) -> EncoderSpec:
+    """The networks that a configuration asks for."""
+    return EncoderSpec(
+        sizes=sizes,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        hidden=config.hidden,
+        set_hidden=config.set_hidden,
+        neighbor_types=config.types if sizes.typed else (ANY,),
+        owners=config.types if config.per_type else (ANY,),
+    )
 
 
 def _falling(rate: float, done: float, last: float) -> float:

@@ -11,6 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from swarm_envs import __version__
+from swarm_envs.agents.features import FEATURES, TYPED
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
 from swarm_envs.files import write_json
@@ -19,11 +20,11 @@ from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.reproduce.runs import write_table
 from swarm_envs.training.rl.checkpoint import load_checkpoint, save_checkpoint
 from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.judging import Judges, choosing_seeds
+from swarm_envs.training.rl.judging import Judges, choosing_seeds, mean_success
 from swarm_envs.training.rl.learner import Learner
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
-_NO_RESULT = ("out", "json", "progress", "tensorboard")
+_NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
 
 
@@ -81,9 +82,13 @@ def train(config: TrainConfig, task: str) -> dict[str, Any]:
         ValueError: the folder holds another run, or a damaged one.
     """
     learner = Learner(config, task)
-    options = {"num_drones": config.drones, "interactions": config.interactions}
-    options |= {"force_rate": config.force_rate}
-    judges = Judges(task, _layouts(config), choosing_seeds(config.judge_episodes), options)
+    judges = Judges(
+        task,
+        _layouts(config),
+        choosing_seeds(config.judge_episodes),
+        {"interactions": config.interactions, "force_rate": config.force_rate},
+        config.teams,
+    )
     try:
         standing = _begin(config, task, learner)
         _go_on(config, task, learner, judges, standing)
@@ -160,17 +165,31 @@ def _judge(
 ) -> None:
     """Judge the policy, and keep it if none before was better."""
     steps = standing.rollouts * config.rollout_steps
-    note = PolicyNote(
-        task, config.drones, "acceleration", config.decision_rate, config.num_neighbors
-    )
+    note = _note(config, task)
     about = {"config": standing.config, "steps": steps, "version": __version__}
     policy = Policy(note, learner.actor(), about)
     rates = judges.judge(policy)
-    mean = sum(rates[f"{layout}_success"] for layout in _layouts(config)) / len(_layouts(config))
+    mean = mean_success(rates)
     standing.judged.append({"step": float(steps), **rates})
     if mean >= standing.best:
         standing.best = mean
-        write_policy(config.out / FILE, Policy(note, policy.layers, {**about, "chosen_by": rates}))
+        write_policy(config.out / FILE, Policy(note, policy.networks, {**about, "chosen_by": rates}))
+
+
+def _note(config: TrainConfig, task: str) -> PolicyNote:
+    typed = len(config.types) > 1
+    return PolicyNote(
+        task,
+        config.largest,
+        "acceleration",
+        config.decision_rate,
+        config.num_neighbors,
+        features=TYPED if typed else FEATURES,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        types=config.types if typed else (),
+        per_type=config.per_type,
+    )
 
 
 def _has_tensorboard() -> bool:
@@ -188,7 +207,7 @@ def _curve(standing: _Standing) -> list[dict[str, Any]]:
 
 
 def _report(config: TrainConfig, standing: _Standing) -> dict[str, Any]:
-    best = max(reversed(standing.judged), key=lambda entry: _mean_success(config, entry))
+    best = max(reversed(standing.judged), key=mean_success)
     return {
         "config": standing.config,
         "steps": standing.rollouts * config.rollout_steps,
@@ -198,7 +217,3 @@ def _report(config: TrainConfig, standing: _Standing) -> dict[str, Any]:
         "wall_s": round(standing.wall_s, 1),
         "version": __version__,
     }
-
-
-def _mean_success(config: TrainConfig, entry: dict[str, float]) -> float:
-    return sum(entry[f"{layout}_success"] for layout in _layouts(config))
