@@ -50,10 +50,10 @@ def test_the_better_policy_has_the_higher_quality():
     """By hand: success averaged over layouts; on rings 15 cm cost as much as a lost one."""
     swap, ring = RECIPES["swap_v0"], RECIPES["ring_v0"]
     measured = {"random_success": 0.5, "circle_success": 1.0}
-    assert swap.quality("random", measured) == pytest.approx(0.75)
-    assert swap.quality("circle", measured) == pytest.approx(1.0)
+    assert swap.quality(measured) == pytest.approx(0.75)
+    assert swap.quality({"circle_8_success": 1.0}) == pytest.approx(1.0)
     good = {"rings_success": 1.0, "rings_worst_height_error_m": 0.03}
-    assert ring.quality("rings", good) == pytest.approx(0.8)
+    assert ring.quality(good) == pytest.approx(0.8)
     height = ring.measures["worst_height_error_m"]
     assert height({"worst_height_error_m": 0.03, "success": True}) == 0.03
     assert height({"worst_height_error_m": 0.03, "success": False}) == LOST_M

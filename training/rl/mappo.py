@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from swarm_envs.agents.policy_file import Layers
+from swarm_envs.agents.networks import Network, plain
 from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.encoders import layers_of
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.schedules import learning_rate, proximity_weight, segment_seed
@@ -99,7 +100,7 @@ class MappoLearner:
         assert config.deviation is not None  # the recipe has one
         self.config = config
         self.env = Practice(config, task)
-        self.core = self.env.drones.core
+        (self.core,) = self.env.cores
         told = self.env.observation_space.shape[0]
         others = (self.core.num_drones - 1) * self.core.team_state().shape[-1]
         width = self.core.mode.width
@@ -220,13 +221,9 @@ class MappoLearner:
         kl = (ratio - 1.0 - change).mean().detach()
         return kl, value_loss.detach(), value_loss - gain - config.entropy * entropy
 
-    def actor(self) -> Layers:
+    def actor(self) -> dict[str, Network]:
         """The network whose output is the mean action."""
-        return tuple(
-            (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-            for layer in self.networks.actor
-            if isinstance(layer, nn.Linear)
-        )
+        return plain(layers_of(self.networks.actor))
 
     def tensors(self) -> dict[str, Tensor]:
         """Weights, the spread of returns, and Adam's averages."""

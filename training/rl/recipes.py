@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from swarm_envs.agents.feature_sets import GOAL, REFERENCE
+from swarm_envs.agents.feature_sets import GOAL, REFERENCE, TYPED
 from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.ring import REWARD_WEIGHTS as RING_REWARDS
@@ -61,6 +61,8 @@ class Recipe:
     """the task that is flown in training, made from the layout's"""
     features: str = GOAL
     """name of what the network is told of an observation row"""
+    features_of_types: str = TYPED
+    """the same where teams have vehicles of several types"""
     measures: Mapping[str, Callable[[Metrics], float]] = field(
         default_factory=lambda: {"success": success, "collision": collision}
     )
@@ -74,7 +76,7 @@ class Recipe:
         Raises:
             ValueError: there is no such layout; the message lists those that exist.
         """
-        missing = {k: v for k, v in self.defaults.items() if getattr(config, k) is None}
+        missing = {k: v for k, v in self.defaults.items() if _lacks(config, k)}
         whole = replace(config, **missing)
         check_name("--layout", whole.layout, self.layouts)
         return whole
@@ -83,17 +85,18 @@ class Recipe:
         """Layouts on which a policy trained on `layout` is judged."""
         return self.judged.get(layout, (layout,))
 
-    def quality(self, layout: str, measured: Mapping[str, float]) -> float:
-        """How good a policy trained on `layout` is: the larger, the better.
+    def quality(self, measured: Mapping[str, float]) -> float:
+        """How good a policy is: the larger, the better.
 
         Args:
-            layout: of the training.
-            measured: averages of measures by layout, such as `random_success`.
+            measured: averages of measures by what was flown, such as `random_success`.
         """
-        names, cost = self.judged_on(layout), 0.0
+        end, total = "_success", 0.0
+        names = [key.removesuffix(end) for key in measured if key.endswith(end)]
         for name in names:
-            cost += sum(weight * measured[f"{name}_{k}"] for k, weight in self.cost.items())
-        return (sum(measured[f"{name}_success"] for name in names) - cost) / len(names)
+            cost = sum(weight * measured[f"{name}_{k}"] for k, weight in self.cost.items())
+            total += measured[name + end] - cost
+        return total / len(names)
 
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
@@ -115,6 +118,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2},
             reward_weights=RING_REWARDS,
             features=REFERENCE,
+            features_of_types=REFERENCE,
             measures={
                 "success": success,
                 "collision": collision,
@@ -134,3 +138,8 @@ def completed(config: TrainConfig, task: str) -> TrainConfig:
         ValueError: the task has no recipe, or no such layout.
     """
     return RECIPES[check_name("task with a recipe", task, RECIPES)].completed(config)
+
+
+def _lacks(config: TrainConfig, option: str) -> bool:
+    """Whether the run needs an option that was not given."""
+    return config.uses(option) and getattr(config, option) is None
