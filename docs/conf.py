@@ -8,11 +8,11 @@ from pathlib import Path
 
 os.environ["NUMBA_DISABLE_JIT"] = "1"  # kernels are plain functions then, with their docstrings
 ROOT = Path(__file__).parent.parent
-sys.path[:0] = [str(Path(__file__).parent / "extensions"), str(ROOT)]
+sys.path[:0] = [str(Path(__file__).parent), str(ROOT)]
 
-from names import type_aliases  # noqa: E402  # only now can they be found
+from extensions.names import type_aliases
 
-from swarm_envs import __version__  # noqa: E402
+from swarm_envs import __version__
 
 project = "swarm-envs"
 author = "The swarm-envs authors"
@@ -22,10 +22,10 @@ version = release = __version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
-    "api_pages",
-    "docstrings",
-    "links",
-    "option_tables",
+    "extensions.api_pages",
+    "extensions.docstrings",
+    "extensions.links",
+    "extensions.option_tables",
 ]
 exclude_patterns = ["_build", "extensions"]
 

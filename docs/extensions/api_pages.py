@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from names import exports, modules, public_names
+from .names import exports, modules, public_names
 
 MARK = re.compile(r"^\.\. modules:: (\S+)$", re.MULTILINE)
 
