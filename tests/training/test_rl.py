@@ -26,7 +26,8 @@ from swarm_envs.agents.policy_file import Policy, PolicyNote
 from swarm_envs.cli import main
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import choosing_seeds
-from swarm_envs.training.rl.learner import Learner
+from swarm_envs.training.rl.ppo import PpoLearner
+from swarm_envs.training.rl.recipes import completed
 
 TINY = [
     *("--drones", "2", "--environments", "8", "--rollout", "8", "--batch-size", "64"),
@@ -134,7 +135,7 @@ def test_impossible_numbers_are_refused(option, value, capsys):
 
 def test_the_agent_acts_as_the_network_that_was_trained():
     config = TrainConfig(out=Path("never"), drones=2, environments=4, batch_size=256)
-    learner = Learner(config, "swap_v0")
+    learner = PpoLearner(completed(config, "swap_v0"), "swap_v0")
     agent = PolicyAgent(
         Policy(PolicyNote("swap_v0", 2, "acceleration", 10, 3), learner.actor(), {})
     )

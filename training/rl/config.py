@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
 from swarm_envs.errors import check_integer
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.training.rl.sac_options import SacOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +27,9 @@ class TrainConfig:
     layout: str | None = None
     """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
     crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""
-    algo: Literal["ppo"] = "ppo"
-    """`ppo`: proximal policy optimisation of Stable-Baselines3, one policy for all drones"""
+    algo: Literal["ppo", "mappo", "sac"] = "ppo"
+    """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
+    that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
     drones: int = 4
     """number of small drones; the policy will fly as many or fewer"""
     steps: int = 3_000_000
@@ -102,6 +104,8 @@ class TrainConfig:
     """write event files, where the package tensorboard is installed"""
     progress: bool = True
     """show a progress bar"""
+    sac: SacOptions = SacOptions()
+    """of `--algo sac`, in place of those above that it has not: batches, rates, stages"""
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing could be trained.
@@ -127,17 +131,33 @@ class TrainConfig:
             raise ValueError(f"--hidden is {self.hidden}, but must be one or more widths")
         if min(self.proximity) < 0:
             raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
+        self._check_belongs()
         size = self.rollout_steps
-        if size % self.batch_size:
+        if self.algo != "sac" and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
                 "rollout: environments x drones x rollout"
             )
 
+    def _check_belongs(self) -> None:
+        """Refuse options of an algorithm other than the run's."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not self.uses(field.name) and value != field.default:
+                name = "sac.*" if field.name == "sac" else field.name.replace("_", "-")
+                raise ValueError(
+                    f"--{name} was given ({value}), but --algo {self.algo} has no such option"
+                )
+
+    def uses(self, option: str) -> bool:
+        """Whether the run's algorithm depends on an option."""
+        return option not in (_ON_POLICY if self.algo == "sac" else ("sac",))
+
     @property
     def rollout_steps(self) -> int:
         """Decisions of single drones in a rollout."""
-        return self.environments * self.drones * self.rollout
+        decisions = self.sac.rollout if self.algo == "sac" else self.rollout
+        return self.environments * self.drones * decisions
 
     @property
     def rollouts(self) -> int:
@@ -147,7 +167,8 @@ class TrainConfig:
     @property
     def first_stage(self) -> int:
         """Rollouts of the first stage."""
-        return max(1, self.rollouts - round(self.second_stage * self.rollouts))
+        share = 0.0 if self.algo == "sac" else self.second_stage
+        return max(1, self.rollouts - round(share * self.rollouts))
 
     def segments(self) -> list[range]:
         """The rollouts between checkpoints; none belongs to both stages."""
@@ -158,6 +179,11 @@ class TrainConfig:
         return found
 
 
+_ON_POLICY = (
+    *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
+    *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
+)
+"""Options of `ppo` and `mappo`, which learn from a rollout and forget it."""
 _COUNTS = (
     *("drones", "steps", "environments", "rollout", "batch_size", "passes", "num_neighbors"),
     *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),

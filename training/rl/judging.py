@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.batch import fly_batch
+from swarm_envs.agents.batch import AT_ONCE, fly_batch
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.policy_file import Policy
 from swarm_envs.envs.blueprints import batch_of
@@ -16,8 +16,6 @@ from swarm_envs.training.rl.recipes import RECIPES
 
 CHOOSING = (0x63686F6F, 0x73696E67)
 """Entropy of the seeds on which policies are chosen: no `--seed` of `evaluate` draws the same."""
-_AT_ONCE = 64
-"""Environments that fly at once."""
 
 
 def choosing_seeds(count: int) -> list[int]:
@@ -56,7 +54,7 @@ class Judges:
             given = self._recipe.layouts[layout]
             options = {**self._options, **agent.requires, **given, "threads": 1}
             found = batch_of(self._task, **options)
-            count = min(_AT_ONCE, len(self._seeds))
+            count = min(AT_ONCE, len(self._seeds))
             self._cores[layout] = SwarmCore(found.task, found.config, count)
         return self._cores[layout]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -55,8 +56,8 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         self.drones = SharedPolicyVecEnv(
             practice_blueprint(config, task), config.environments, config.seed
         )
-        chosen, self._neighbors = FEATURE_SETS[RECIPES[task].features], config.num_neighbors
-        self._features, width = chosen.make, chosen.width(config.num_neighbors)
+        self._set, self._neighbors = FEATURE_SETS[RECIPES[task].features], config.num_neighbors
+        width = self._set.width(self._neighbors)
         super().__init__(self.drones, spaces.Box(-np.inf, np.inf, (width,), np.float32))
         self.clear()
 
@@ -64,9 +65,19 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         """Begin to count anew."""
         self.episodes = self.successes = self.collisions = 0
 
+    def told(self, rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """What the network is told of observation rows (..., width)."""
+        return self._set.make(rows, self._neighbors)
+
+    def count(self, metrics: Mapping[str, Any]) -> None:
+        """Count how an episode has ended."""
+        self.episodes += 1
+        self.successes += metrics["success"]
+        self.collisions += metrics["collided_drones"] > 0
+
     def reset(self) -> npt.NDArray[np.float32]:
         """Begin new episodes everywhere."""
-        return self._features(self.drones.reset(), self._neighbors)
+        return self.told(self.drones.reset())
 
     def step_wait(
         self,
@@ -76,11 +87,8 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         over = np.flatnonzero(ended)
         if len(over):
             last = np.stack([infos[k]["terminal_observation"] for k in over])
-            for k, row in zip(over, self._features(last, self._neighbors), strict=True):
+            for k, row in zip(over, self.told(last), strict=True):
                 infos[k]["terminal_observation"] = row
             for k in over[:: self.drones.core.num_drones]:
-                metrics = infos[k]["episode_metrics"]
-                self.episodes += 1
-                self.successes += metrics["success"]
-                self.collisions += metrics["collided_drones"] > 0
-        return self._features(rows, self._neighbors), rewards, ended, infos
+                self.count(infos[k]["episode_metrics"])
+        return self.told(rows), rewards, ended, infos

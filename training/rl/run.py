@@ -13,14 +13,14 @@ from tqdm import tqdm
 from swarm_envs import __version__
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
-from swarm_envs.files import write_json
-from swarm_envs.training.force_model.files import differing, json_ready
+from swarm_envs.files import claimed, write_json
+from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.reproduce.runs import write_table
-from swarm_envs.training.rl.checkpoint import load_checkpoint, save_checkpoint
+from swarm_envs.training.rl.checkpoint import differing_runs, load_checkpoint, save_checkpoint
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import Judges, choosing_seeds
-from swarm_envs.training.rl.learner import Learner
+from swarm_envs.training.rl.learner import Learner, make_learner
 from swarm_envs.training.rl.recipes import RECIPES, completed
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
@@ -31,7 +31,8 @@ _NO_RESULT = ("out", "json", "progress", "tensorboard")
 def result_options(config: TrainConfig, task: str) -> dict[str, Any]:
     """What the policy depends on, ready for JSON."""
     config = completed(config, task)
-    options = {f.name: getattr(config, f.name) for f in fields(config) if f.name not in _NO_RESULT}
+    names = [f.name for f in fields(config) if f.name not in _NO_RESULT and config.uses(f.name)]
+    options = {name: getattr(config, name) for name in names}
     ready: dict[str, Any] = json.loads(json.dumps(json_ready({**options, "task": task})))
     return ready
 
@@ -52,7 +53,7 @@ def finished_report(config: TrainConfig, task: str) -> dict[str, Any] | None:
         raise ValueError(
             f"{str(path)!r} is no report of a training run ({error}); choose another folder"
         ) from error
-    differences = differing(made, result_options(config, task))
+    differences = differing_runs(made, result_options(config, task))
     if differences:
         raise ValueError(
             f"{str(path)!r} is of a finished run with other options: {differences}; choose another "
@@ -78,12 +79,17 @@ def train(config: TrainConfig, task: str) -> dict[str, Any]:
     """Train to the end and return the report, which is also written.
 
     Raises:
+        BlockingIOError: another process writes into the folder.
         ImportError: Stable-Baselines3 is not installed.
         OSError: the folder cannot be written.
         ValueError: the folder holds another run, or a damaged one.
     """
-    config = completed(config, task)
-    learner = Learner(config, task)
+    with claimed(config.out):
+        return _train(completed(config, task), task)
+
+
+def _train(config: TrainConfig, task: str) -> dict[str, Any]:
+    learner = make_learner(config, task)
     options = {"num_drones": config.drones, "interactions": config.interactions}
     options |= {"force_rate": config.force_rate}
     layouts = RECIPES[task].judged_on(str(config.layout))
@@ -130,7 +136,7 @@ def _go_on(
         ) as bar,
     ):
 
-        def watch(learner: Learner) -> None:
+        def watch() -> None:
             ended = max(learner.env.episodes, 1)
             success, collision = learner.env.successes / ended, learner.env.collisions / ended
             bar.set_postfix_str(f"success {success:.0%}, collisions {collision:.0%}", refresh=False)
