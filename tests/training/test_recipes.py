@@ -31,6 +31,7 @@ def options(**given) -> TrainConfig:
 def test_what_is_not_given_is_the_recipes():
     ring, swap = completed(options(), "ring_v0"), completed(options(), "swap_v0")
     assert (ring.layout, ring.horizon_s, ring.deviation) == ("rings", 5.0, 0.2)
+    assert (ring.discount, swap.discount) == (0.95, 0.98)
     assert (swap.layout, swap.horizon_s, swap.deviation) == ("random", 3.5, np.exp(-0.5))
     given = completed(options(layout="tour", horizon_s=9.0, deviation=0.5), "formation_v0")
     assert (given.layout, given.horizon_s, given.deviation) == ("tour", 9.0, 0.5)

@@ -57,8 +57,8 @@ class TrainConfig:
     """of Adam at the start; it falls linearly"""
     last_rate: float = 0.02
     """what is left of it at the end, as a share"""
-    discount: float = 0.98
-    """gamma: what a reward is worth one decision later"""
+    discount: float | None = None
+    """gamma: what a reward is worth one decision later; the recipe's if not given"""
     gae_lambda: float = 0.95
     """lambda of generalised advantage estimation"""
     clip: float = 0.2

@@ -21,8 +21,8 @@ from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.formations import practise_formation
 from swarm_envs.training.rl.starts import practise_swap
 
-_WIDE = math.exp(-0.5)
-"""Deviation of actions with which places are found at first."""
+_REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "discount": 0.98}
+"""Defaults where places are to be found: explored widely, rewarded late."""
 Metrics = Mapping[str, Any]
 """`episode_metrics` of one episode."""
 LOST_M = 0.15
@@ -103,20 +103,20 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
         "swap_v0": Recipe(
             layouts={name: {"layout": name} for name in ("random", "circle")},
-            defaults={"layout": "random", "horizon_s": 3.5, "deviation": _WIDE},
+            defaults={"layout": "random", **_REACH},
             judged={"random": ("random", "circle")},
             practice=practise_swap,
         ),
         "formation_v0": Recipe(
             layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
-            defaults={"layout": "shuffle", "horizon_s": 3.5, "deviation": _WIDE},
+            defaults={"layout": "shuffle", **_REACH},
             judged={"shuffle": ("shuffle", "cube", "tour")},
             practice=practise_formation,
         ),
         "ring_v0": Recipe(
             layouts={"rings": {}},
-            defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2},
-            reward_weights=RING_REWARDS,
+            defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2, "discount": 0.95},
+            reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
             features=REFERENCE,
             features_of_types=REFERENCE,
             measures={
