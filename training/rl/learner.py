@@ -14,9 +14,10 @@ from typing import Protocol, cast
 
 from torch import Tensor
 
-from swarm_envs.agents.policy_file import Layers
+from swarm_envs.agents.networks import Network
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.practice import Practice
+from swarm_envs.training.rl.recipes import completed
 
 Entry = dict[str, float]
 Watch = Callable[[], None]
@@ -45,8 +46,8 @@ class Learner(Protocol):
             of its episodes; and what the algorithm says of itself.
         """
 
-    def actor(self) -> Layers:
-        """The network whose output is the mean action."""
+    def actor(self) -> dict[str, Network]:
+        """The networks whose output is the mean action, as `Policy` takes them."""
 
     def tensors(self) -> dict[str, Tensor]:
         """All that the next segments depend on, by names of the algorithm's own."""
@@ -70,4 +71,4 @@ def make_learner(config: TrainConfig, task: str) -> Learner:
         task: its versioned name.
     """
     module = import_module(f"swarm_envs.training.rl.{config.algo}")
-    return cast(Learner, getattr(module, _LEARNERS[config.algo])(config, task))
+    return cast(Learner, getattr(module, _LEARNERS[config.algo])(completed(config, task), task))
