@@ -13,23 +13,27 @@ from tqdm import tqdm
 from swarm_envs import __version__
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
-from swarm_envs.files import write_json
-from swarm_envs.training.force_model.files import differing, json_ready
+from swarm_envs.files import claimed, write_json
+from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.reproduce.runs import write_table
-from swarm_envs.training.rl.checkpoint import load_checkpoint, save_checkpoint
+from swarm_envs.training.rl.checkpoint import differing_runs, load_checkpoint, save_checkpoint
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import Judges, choosing_seeds
-from swarm_envs.training.rl.learner import Learner
+from swarm_envs.training.rl.learner import Learner, make_learner
+from swarm_envs.training.rl.practice import Practice
+from swarm_envs.training.rl.recipes import RECIPES, completed
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
-_NO_RESULT = ("out", "json", "progress", "tensorboard")
+_NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
 
 
 def result_options(config: TrainConfig, task: str) -> dict[str, Any]:
     """What the policy depends on, ready for JSON."""
-    options = {f.name: getattr(config, f.name) for f in fields(config) if f.name not in _NO_RESULT}
+    config = completed(config, task)
+    names = [f.name for f in fields(config) if f.name not in _NO_RESULT and config.uses(f.name)]
+    options = {name: getattr(config, name) for name in names}
     ready: dict[str, Any] = json.loads(json.dumps(json_ready({**options, "task": task})))
     return ready
 
@@ -50,7 +54,7 @@ def finished_report(config: TrainConfig, task: str) -> dict[str, Any] | None:
         raise ValueError(
             f"{str(path)!r} is no report of a training run ({error}); choose another folder"
         ) from error
-    differences = differing(made, result_options(config, task))
+    differences = differing_runs(made, result_options(config, task))
     if differences:
         raise ValueError(
             f"{str(path)!r} is of a finished run with other options: {differences}; choose another "
@@ -67,7 +71,7 @@ class _Standing:
     rollouts: int
     history: list[dict[str, float]]
     judged: list[dict[str, float]]
-    best: float
+    best: float | None
     cpu_s: float
     wall_s: float
 
@@ -76,35 +80,40 @@ def train(config: TrainConfig, task: str) -> dict[str, Any]:
     """Train to the end and return the report, which is also written.
 
     Raises:
+        BlockingIOError: another process writes into the folder.
         ImportError: Stable-Baselines3 is not installed.
         OSError: the folder cannot be written.
         ValueError: the folder holds another run, or a damaged one.
     """
-    learner = Learner(config, task)
-    options = {"num_drones": config.drones, "interactions": config.interactions}
-    options |= {"force_rate": config.force_rate}
-    judges = Judges(task, _layouts(config), choosing_seeds(config.judge_episodes), options)
+    with claimed(config.out):
+        return _train(completed(config, task), task)
+
+
+def _train(config: TrainConfig, task: str) -> dict[str, Any]:
+    learner = make_learner(config, task)
+    judges = Judges(
+        task,
+        RECIPES[task].judged_on(str(config.layout)),
+        choosing_seeds(config.judge_episodes),
+        {"interactions": config.interactions, "force_rate": config.force_rate},
+        config.teams,
+    )
     try:
         standing = _begin(config, task, learner)
         _go_on(config, task, learner, judges, standing)
     finally:
         learner.close()
         judges.close()
-    report = _report(config, standing)
+    report = _report(config, task, standing)
     write_json(config.out / REPORT, report)
     return report
-
-
-def _layouts(config: TrainConfig) -> tuple[str, ...]:
-    """Layouts on which the policy is judged."""
-    return ("random", "circle") if config.layout == "random" else (config.layout,)
 
 
 def _begin(config: TrainConfig, task: str, learner: Learner) -> _Standing:
     """A new run, or one that goes on from its checkpoint, and says so."""
     depends, path = result_options(config, task), config.out / CHECKPOINT
     if not path.is_file():
-        return _Standing(depends, 0, [], [], -1.0, 0.0, 0.0)
+        return _Standing(depends, 0, [], [], None, 0.0, 0.0)
     standing = _Standing(**load_checkpoint(path, learner, depends))
     steps = standing.rollouts * config.rollout_steps
     tqdm.write(f"going on from the checkpoint at {steps:,} steps in {config.out}")
@@ -131,7 +140,7 @@ def _go_on(
         ) as bar,
     ):
 
-        def watch(learner: Learner) -> None:
+        def watch() -> None:
             ended = max(learner.env.episodes, 1)
             success, collision = learner.env.successes / ended, learner.env.collisions / ended
             bar.set_postfix_str(f"success {success:.0%}, collisions {collision:.0%}", refresh=False)
@@ -160,17 +169,32 @@ def _judge(
 ) -> None:
     """Judge the policy, and keep it if none before was better."""
     steps = standing.rollouts * config.rollout_steps
-    note = PolicyNote(
-        task, config.drones, "acceleration", config.decision_rate, config.num_neighbors
-    )
+    note = _note(config, task, learner.env)
     about = {"config": standing.config, "steps": steps, "version": __version__}
     policy = Policy(note, learner.actor(), about)
     rates = judges.judge(policy)
-    mean = sum(rates[f"{layout}_success"] for layout in _layouts(config)) / len(_layouts(config))
+    quality = RECIPES[task].quality(rates)
     standing.judged.append({"step": float(steps), **rates})
-    if mean >= standing.best:
-        standing.best = mean
-        write_policy(config.out / FILE, Policy(note, policy.layers, {**about, "chosen_by": rates}))
+    if standing.best is None or quality >= standing.best:
+        standing.best = quality
+        write_policy(
+            config.out / FILE, Policy(note, policy.networks, {**about, "chosen_by": rates})
+        )
+
+
+def _note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
+    return PolicyNote(
+        task,
+        max(config.team_sizes),
+        "acceleration",
+        config.decision_rate,
+        config.num_neighbors,
+        features=env.features,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        types=env.types,
+        per_type=config.per_type,
+    )
 
 
 def _has_tensorboard() -> bool:
@@ -187,8 +211,8 @@ def _curve(standing: _Standing) -> list[dict[str, Any]]:
     ]
 
 
-def _report(config: TrainConfig, standing: _Standing) -> dict[str, Any]:
-    best = max(reversed(standing.judged), key=lambda entry: _mean_success(config, entry))
+def _report(config: TrainConfig, task: str, standing: _Standing) -> dict[str, Any]:
+    best = max(reversed(standing.judged), key=RECIPES[task].quality)
     return {
         "config": standing.config,
         "steps": standing.rollouts * config.rollout_steps,
@@ -198,7 +222,3 @@ def _report(config: TrainConfig, standing: _Standing) -> dict[str, Any]:
         "wall_s": round(standing.wall_s, 1),
         "version": __version__,
     }
-
-
-def _mean_success(config: TrainConfig, entry: dict[str, float]) -> float:
-    return sum(entry[f"{layout}_success"] for layout in _layouts(config))

@@ -16,6 +16,8 @@ from swarm_envs.baselines.rth3d import (
     plan,
     validate,
 )
+from swarm_envs.baselines.rth3d.records import Clock
+from swarm_envs.baselines.rth3d.search import Search
 from tests.baselines.rth3d.cases import load_checker, random_instance
 
 
@@ -108,6 +110,22 @@ def test_rings_approach_the_bound():
     assert ratios[-1] <= 1.15
 
 
+def test_what_is_known_hides_no_shorter_plan_from_pibt():
+    for seed in range(6):
+        instance = make_instance("uniform", (12, 9, 6), 200, seed)
+        alone = Search(instance, seed, Clock())
+        alone.run()
+        assert alone.best is not None
+        makespan = len(alone.best) - 1
+        for known in (makespan + 1, makespan + 30):
+            informed = Search(instance, seed, Clock(), known)
+            informed.run()
+            np.testing.assert_array_equal(informed.best, alone.best)
+        informed = Search(instance, seed, Clock(), makespan)
+        informed.run()
+        assert informed.best is None or len(informed.best) - 1 < makespan
+
+
 def test_a_flat_grid_and_one_on_its_side():
     rng = np.random.default_rng(0)
     vertices = np.argwhere(np.ones((12, 9), dtype=bool))
@@ -175,6 +193,10 @@ STARTS, GOALS = [[0, 0, 0], [1, 0, 0]], [[2, 0, 0], [2, 1, 0]]
         ({"method": "rthd"}, "did you mean 'rth3d'"),
         ({"seed": -1}, "seed is -1"),
         ({"time_limit": 0.0}, "time_limit is 0.0"),
+        ({"time_limit": -1}, "time_limit is -1"),
+        ({"time_limit": float("nan")}, "time_limit is nan"),
+        ({"time_limit": "a"}, "time_limit is 'a'"),
+        ({"time_limit": True}, "time_limit is True"),
         ({"obstacles": np.zeros((6, 6, 5), dtype=bool)}, "obstacles have shape"),
         ({"obstacles": np.zeros((6, 6, 6))}, "must be booleans"),
     ],
