@@ -23,9 +23,11 @@ from pettingzoo.utils import BaseParallelWrapper
 from tqdm import tqdm
 
 from swarm_envs import __version__, swap_v0
-from swarm_envs.agents.features import feature_width, features
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
+from swarm_envs.agents.features import features
+from swarm_envs.agents.networks import Layers, plain
 from swarm_envs.agents.policy import FILE
-from swarm_envs.agents.policy_file import Layers, Policy, PolicyNote, write_policy
+from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.errors import check_integer
 from swarm_envs.files import claimed, write_json
@@ -94,8 +96,8 @@ class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has n
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Of the features, alike for all drones."""
-        width = feature_width(self.env.unwrapped.core.config.num_neighbors)
-        return spaces.Box(-np.inf, np.inf, (width,), np.float32)
+        sizes = FEATURE_SETS[GOAL].sizes(self.env.unwrapped.core.config.num_neighbors)
+        return spaces.Box(-np.inf, np.inf, (sizes.width,), np.float32)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -215,7 +217,7 @@ def _learn(config: RllibConfig, algorithm: Any) -> Policy:
             bar.set_postfix_str(f"return {flown['episode_return_mean']:.2f}", refresh=False)
             bar.update(steps - bar.n)
             about = {"config": _ready(config), "steps": steps, "version": __version__}
-            policy = Policy(config.note(), actor(algorithm.get_module(SHARED), 3), about)
+            policy = Policy(config.note(), plain(actor(algorithm.get_module(SHARED), 3)), about)
             write_policy(config.out / FILE, policy)
     algorithm.stop()
     return policy
