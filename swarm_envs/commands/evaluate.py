@@ -35,7 +35,7 @@ class EvaluateOptions:
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     agent: list[str] = field(default_factory=lambda: ["tracking"])
     """who flies, one or more: names as of `fly`, folders of trained policies, or
-    path/to/file.py:Class"""
+    path/to/file.py:Class; each with +filter at its end behind a safety filter"""
     episodes: int = 256
     """episodes of each agent"""
     seed: int = 0
@@ -117,6 +117,7 @@ def _kept(options: EvaluateOptions) -> Path | None:
 
 def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[str, Any]:
     """One agent's scores; or, under `error`, why it has none."""
+    from swarm_envs.agents import SafetyFilter
     from swarm_envs.agents.scores import score
 
     report: dict[str, Any] = {"agent": name}
@@ -126,7 +127,9 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
         return {**report, "error": f"cannot be flown: {type(error).__name__}: {error}"}
     report |= {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
     try:
-        return {**report, **score(_fly(name, env, agent, options, about))}
+        scores = score(_fly(name, env, agent, options, about))
+        counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
+        return {**report, **scores, **counted}
     except Exception as error:
         if ":" in name:  # whoever wrote the file needs to see where it failed
             traceback.print_exception(error.__cause__ or error)
