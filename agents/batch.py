@@ -3,15 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from swarm_envs.agents.protocol import Agent
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.parallel import SwarmParallelEnv
 
 ActBatch = Callable[[Float32Array], Float32Array]
 """Actions (E, N, width) for observation rows (E, N, row width)."""
+
+AT_ONCE = 64
+"""Environments that fly at once."""
+
+
+@runtime_checkable
+class BatchAgent(Agent, Protocol):
+    """An agent without memory: what a team does follows from its observation rows alone.
+
+    Nothing of an episode may stay in the agent, and `act` must give what `act_batch` gives of the
+    same rows: `evaluate` then flies many episodes at once, with the same metrics.
+    """
+
+    def act_batch(self, rows: Float32Array) -> Float32Array:
+        """Actions (..., N, width) of teams, for their observation rows (..., N, row width)."""
+
+
+def flies_batches(env: SwarmParallelEnv, agent: Agent) -> bool:
+    """Whether an agent can fly many episodes at once of what this environment flies.
+
+    It acts on arrays and needs no view; the batched engine flies, and rows are observed.
+    """
+    rows = env.core.config.observation == "flat"
+    return (
+        isinstance(agent, BatchAgent)
+        and not agent.privileged
+        and rows
+        and env.physics_name == "batch"
+    )
 
 
 def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict[str, Any]]:
@@ -19,7 +50,8 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
 
     Args:
         core: with the options that the agent requires.
-        act: who acts; by observations alone, without memory.
+        act: who acts; by observations alone, without memory. Where an episode has ended, the rows
+            are its last.
         seeds: of the episodes.
     """
     metrics: list[dict[str, Any]] = []

@@ -14,13 +14,25 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.protocol import Actions, Agent, Observations, fly_episode
+from swarm_envs.agents.batch import AT_ONCE, BatchAgent, flies_batches, fly_batch
+from swarm_envs.agents.protocol import (
+    Actions,
+    Agent,
+    Observations,
+    check_requirements,
+    fly_episode,
+)
+from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer
 
 Episode = dict[str, Any]
-"""One episode: its `seed`, its `metrics` and `act_us`, the time of every decision, microseconds."""
+"""One episode: its `seed`, its `metrics` and `act_us`, the time of every decision, microseconds;
+without entries where many episodes were flown at once."""
+
+TIMED = 16
+"""Episodes of each agent that are flown one by one in any case, so that its decisions are timed."""
 
 
 class AgentFailed(RuntimeError):
@@ -83,28 +95,91 @@ def evaluate(
     agent: Agent,
     seeds: Sequence[int],
     kept: Mapping[int, Episode] | None = None,
-    keep: Callable[[Episode], None] | None = None,
+    keep: Callable[..., None] | None = None,
+    timed: int = TIMED,
 ) -> Iterator[Episode]:
     """Give the episodes of the seeds in their order; those that are kept are not flown again.
+
+    An agent that acts on arrays (`swarm_envs.agents.batch.BatchAgent`) flies `AT_ONCE` episodes at
+    once after the first `timed`, with the same metrics; of these no decision is timed, and
+    `act_us` is empty.
 
     Args:
         env: has what the agent requires.
         agent: who acts.
         seeds: of the episodes.
         kept: episodes flown before, by seed.
-        keep: called with each new episode before it is given.
+        keep: called with new episodes, one or more, before they are given.
+        timed: of the seeds, how many are flown one by one in any case.
 
     Raises:
         AgentFailed: the agent did.
     """
-    for seed in seeds:
-        if kept is not None and seed in kept:
-            yield kept[seed]
-            continue
-        episode = fly_seed(env, agent, seed)
-        if keep is not None:
-            keep(episode)
+    found = kept or {}
+    batched = flies_batches(env, agent)
+    single = seeds[:timed] if batched else seeds
+    for seed in single:
+        episode = found.get(seed)
+        if episode is None:
+            episode = fly_seed(env, agent, seed)
+            if keep is not None:
+                keep(episode)
         yield episode
+    if batched:
+        yield from _evaluate_batched(env, agent, seeds[len(single) :], found, keep)
+
+
+def _evaluate_batched(
+    env: SwarmParallelEnv,
+    agent: Agent,
+    seeds: Sequence[int],
+    kept: Mapping[int, Episode],
+    keep: Callable[..., None] | None,
+) -> Iterator[Episode]:
+    """As `evaluate`, many at once."""
+    core: SwarmCore | None = None
+    for first in range(0, len(seeds), AT_ONCE):
+        chunk = seeds[first : first + AT_ONCE]
+        missing = [seed for seed in chunk if seed not in kept]
+        new: list[Episode] = []
+        if missing:
+            core = core or _prepared(env, agent, missing[0], min(AT_ONCE, len(seeds)))
+            new = _fly_seeds(core, env, agent, missing)
+            if keep is not None:
+                keep(*new)
+        given = {**kept, **{episode["seed"]: episode for episode in new}}
+        yield from (given[seed] for seed in chunk)
+
+
+def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> SwarmCore:
+    """So many environments like one, for which the agent is prepared."""
+    check_requirements(env, agent)
+    try:
+        env.reset(seed=seed)
+        agent.reset(env, seed)
+    except Exception as error:
+        raise AgentFailed(f"before its first decision: {type(error).__name__}: {error}") from error
+    return SwarmCore(env.core.task, env.core.config, count)
+
+
+def _fly_seeds(
+    core: SwarmCore, env: SwarmParallelEnv, agent: Agent, seeds: Sequence[int]
+) -> list[Episode]:
+    """Episodes flown at once; if the agent fails, one by one, to say in which."""
+    assert isinstance(agent, BatchAgent)
+    try:
+        flown = fly_batch(core, agent.act_batch, seeds)
+    except Exception as error:
+        for seed in seeds:
+            fly_seed(env, agent, seed)
+        raise AgentFailed(
+            f"act_batch fails in the episodes of seeds {seeds[0]} to {seeds[-1]}, though act does "
+            f"not: {type(error).__name__}: {error}"
+        ) from error
+    return [
+        {"seed": seed, "metrics": metrics, "act_us": []}
+        for seed, metrics in zip(seeds, flown, strict=True)
+    ]
 
 
 class EpisodeFile:
@@ -147,8 +222,8 @@ class EpisodeFile:
         if len(whole) < len(content):
             os.truncate(self.path, len(whole))
 
-    def add(self, episode: Episode) -> None:
-        """Keep an episode: it is on disk when this returns.
+    def add(self, *episodes: Episode) -> None:
+        """Keep episodes: they are on disk when this returns.
 
         Raises:
             OSError: the file cannot be written.
@@ -157,10 +232,11 @@ class EpisodeFile:
         with self.path.open("a", encoding="utf-8") as file:
             if file.tell() == 0:
                 file.write(self._head + "\n")
-            file.write(json.dumps(episode, allow_nan=False) + "\n")
+            for episode in episodes:
+                file.write(json.dumps(episode, allow_nan=False) + "\n")
             file.flush()
             os.fsync(file.fileno())
-        self.episodes[episode["seed"]] = episode
+        self.episodes.update({episode["seed"]: episode for episode in episodes})
 
 
 _FIELDS = ("seed", "metrics", "act_us")

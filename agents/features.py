@@ -11,16 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.envs.observation import Float32Array, observation_layout
+from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
 from swarm_envs.tasks.base import SPEED_LIMIT
-from swarm_envs.vehicles import VEHICLES
 
 FEATURES = "goal-and-closest-approach-1"
 """Name of this choice of features: files of policies say by it what their numbers are."""
 TYPED = "goal-and-closest-approach-typed-1"
 """The same with the types of vehicles: its own after its own numbers, a neighbour's after its."""
-TYPES = tuple(VEHICLES)
-"""Types in the order of their one-hot code."""
 
 _GOAL_REACH = 0.5
 """Beyond this distance the goal's vector is a direction, m."""
@@ -30,39 +27,8 @@ _AHEAD = 2.0
 """How far ahead closest approaches are looked for, s."""
 _OTHERS_GOAL = 1.0
 """A neighbour's way to its goal is seen up to this length, m."""
-OWN_TYPE, NEIGHBOR_WIDTH = 18, 17
-"""Where a drone's own type stands, and numbers told of a neighbour, if types are told."""
-MASK = NEIGHBOR_WIDTH - 1
-"""Where a neighbour's mask stands among its numbers."""
-
-
-class FeatureSizes(NamedTuple):
-    """How many numbers `features` makes, of what."""
-
-    num_neighbors: int
-    """K"""
-    typed: bool = False
-    """whether types of vehicles are told"""
-
-    @property
-    def own(self) -> int:
-        """Numbers about the drone itself; they come first."""
-        return OWN_TYPE + self.typed * len(TYPES)
-
-    @property
-    def neighbor(self) -> int:
-        """Numbers about each neighbour."""
-        return NEIGHBOR_WIDTH + self.typed * len(TYPES)
-
-    @property
-    def width(self) -> int:
-        """Numbers altogether."""
-        return self.own + self.neighbor * self.num_neighbors
-
-    def split(self, values: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Features (..., width) as a drone's (..., own) and its neighbours' (..., K, neighbor)."""
-        shape = (*values.shape[:-1], self.num_neighbors, self.neighbor)
-        return values[..., : self.own], values[..., self.own :].reshape(shape)
+OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
+"""Numbers told of the drone, and of each neighbour, without types."""
 
 
 class _Places(NamedTuple):
@@ -80,11 +46,6 @@ class _Places(NamedTuple):
     """Of all of them: K times the width of one."""
 
 
-def feature_width(num_neighbors: int, typed: bool = False) -> int:
-    """Numbers that `features` makes of a row with K neighbours."""
-    return FeatureSizes(num_neighbors, typed).width
-
-
 def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Float32Array:
     """Features of flat observation rows without obstacles.
 
@@ -95,7 +56,7 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
     the closest approach, if both fly straight on: the time until then over 2 s, which is as far as
     it is looked for, the relative position then, m, and exp(-distance / 0.4 m); the vector from
     the neighbour to its goal, cut at 1 m; speed at which it comes nearer, over 2 m/s; mask. All
-    zero where there is no neighbour. Types are one-hot, `TYPES` in order.
+    zero where there is no neighbour. Types are one-hot as in `swarm_envs.envs.observation`.
 
     Args:
         rows: (..., width) as `observation="flat"` gives them, `num_obstacles=0`.
@@ -103,17 +64,13 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
         typed: tell the drone's own type after its numbers, and each neighbour's after its.
 
     Returns:
-        (..., `feature_width(K, typed)`) float32.
+        (..., 18 + 17 K) float32; with types (..., 21 + 20 K).
 
     Raises:
         ValueError: rows have another width.
     """
+    check_width(rows, num_neighbors)
     places = _places(num_neighbors)
-    if rows.shape[-1] != places.time_left.stop:
-        raise ValueError(
-            f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
-            f"{num_neighbors} and num_obstacles=0 have {places.time_left.stop}"
-        )
     goal = rows[..., places.goal]
     distance = _length(goal)
     attitude = rows[..., places.attitude]
@@ -135,6 +92,20 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
         own.append(_neighbor_features(seen, typed).reshape(*before, -1))
     made: Float32Array = np.concatenate(own, axis=-1, dtype=np.float32)
     return made
+
+
+def check_width(rows: Float32Array, num_neighbors: int) -> None:
+    """Refuse rows that are not those of K neighbours and no obstacle.
+
+    Raises:
+        ValueError: they have another width.
+    """
+    wanted = observation_width(num_neighbors)
+    if rows.shape[-1] != wanted:
+        raise ValueError(
+            f"observation rows have {rows.shape[-1]} numbers, but those with num_neighbors="
+            f"{num_neighbors} and num_obstacles=0 have {wanted}"
+        )
 
 
 def _neighbor_features(neighbors: Float32Array, typed: bool) -> Float32Array:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.features import features
+from swarm_envs.agents.feature_sets import FEATURE_SETS
 from swarm_envs.agents.networks import act
 from swarm_envs.agents.policy_file import Policy, read_policy
 from swarm_envs.agents.protocol import Actions, Observations, check_requirements
@@ -92,9 +92,9 @@ class PolicyAgent:
         Raises:
             ValueError: the rows have another width.
         """
-        sizes = self.policy.note.sizes
-        values = features(rows, sizes.num_neighbors, sizes.typed)
-        actions: Float32Array = np.clip(act(self.policy.networks, values, sizes), -1.0, 1.0)
+        note = self.policy.note
+        values = FEATURE_SETS[note.features].make(rows, note.num_neighbors)
+        actions: Float32Array = np.clip(act(self.policy.networks, values, note.form), -1.0, 1.0)
         return actions
 
 

@@ -21,7 +21,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from swarm_envs import TASKS
-from swarm_envs.agents.features import FEATURES, TYPED, TYPES, FeatureSizes
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL, TYPES, FeatureForm
 from swarm_envs.agents.networks import ANY, ENCODERS, POOLINGS, Network, Plan, to_tensors
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import Float32Array, observation_layout
@@ -49,33 +49,33 @@ class PolicyNote:
     """how often it decides, 1/s"""
     num_neighbors: int
     """K, how many neighbours it observes"""
-    features: str = FEATURES
+    features: str = GOAL
     """what is made of an observation row before the network sees it"""
     encoder: str = "mlp"
     """how neighbours are told: one of `ENCODERS`"""
     pooling: str = "mean"
     """of a deep set: one of `POOLINGS`"""
     types: tuple[str, ...] = ()
-    """types of vehicles it was trained with and alone flies, if it is told types"""
+    """the only types of vehicles it flies, if it tells them apart"""
     per_type: bool = False
     """whether each of these types has a network of its own"""
 
     @property
-    def sizes(self) -> FeatureSizes:
-        """How many numbers its features are."""
-        return FeatureSizes(self.num_neighbors, self.features == TYPED)
+    def form(self) -> FeatureForm:
+        """Where its features have what."""
+        return FEATURE_SETS[self.features].form
 
     @property
     def plan(self) -> Plan:
         """The networks that such a policy has."""
-        typed = self.features == TYPED
         return Plan(
-            self.sizes,
+            self.form,
+            self.num_neighbors,
             ACTIONS[self.action].width,
             self.action,
             self.encoder,
             self.pooling,
-            self.types if typed else (ANY,),
+            self.types or (ANY,),
             self.types if self.per_type else (ANY,),
         )
 
@@ -87,12 +87,12 @@ class PolicyNote:
         """
         check_name("task", self.task, TASKS)
         check_name("action", self.action, ACTIONS)
-        check_name("features", self.features, (FEATURES, TYPED))
+        check_name("features", self.features, FEATURE_SETS)
         check_name("encoder", self.encoder, ENCODERS)
         check_name("pooling", self.pooling, POOLINGS)
         for token in self.types:
             check_name("types", token, TYPES)
-        if bool(self.types) != (self.features == TYPED) or (self.per_type and not self.types):
+        if (self.types and self.form.own_type is None) or (self.per_type and not self.types):
             raise ValueError(
                 f"types are {self.types}, per_type is {self.per_type} and features "
                 f"{self.features!r}, but types are named where they are told, and only there"

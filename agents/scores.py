@@ -81,7 +81,8 @@ def score(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     `near_miss_rate`, of episodes with a near miss that no crash followed. Interquartile means
     (with bootstrap intervals): `time_to_goal_s` and `energy_j` of the successes, the others of all
     episodes that have them, null where none has; of separation also the smallest, of errors also
-    the largest. `act_ms`: time of one decision for the whole team, median and 99th percentile.
+    the largest. `act_ms`: time of one decision for the whole team, median and 99th percentile of
+    the `timed_decisions`: those of episodes that were flown one by one.
 
     Args:
         episodes: of `swarm_envs.agents.evaluation`.
@@ -117,6 +118,7 @@ def score(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
                 intervals[name] = bootstrap_interval(values)
     numbers |= _extremes(metrics)
     numbers["act_ms"] = _compute(episodes)
+    numbers["timed_decisions"] = sum(len(episode["act_us"]) for episode in episodes)
     return {**numbers, "intervals": intervals}
 
 

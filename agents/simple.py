@@ -83,10 +83,16 @@ class StraightLineAgent:
 
     def act(self, observations: Observations, view: View | None) -> Actions:
         """The acceleration of every drone, cut at what the environment allows."""
-        return {agent: self._act(row) for agent, row in observations.items()}
+        actions = self.act_batch(np.stack(list(observations.values())))
+        return dict(zip(observations, actions, strict=True))
 
-    def _act(self, row: Float32Array) -> Float32Array:
-        way, velocity = row[self._goal], SPEED_LIMIT * row[self._velocity]
-        asked = 4.0 * way / max(float(np.linalg.norm(way)), 1.0) - 4.0 * velocity
-        size = float(np.abs(asked).max()) / ACCELERATION_LIMIT
-        return (asked / ACCELERATION_LIMIT / max(size, 1.0)).astype(np.float32)
+    def act_batch(self, rows: Float32Array) -> Float32Array:
+        """Actions (..., 3) for observation rows (..., row width)."""
+        way, velocity = rows[..., self._goal], SPEED_LIMIT * rows[..., self._velocity]
+        distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
+        asked = 4.0 * way / np.maximum(distance, 1.0) - 4.0 * velocity
+        size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
+        actions: Float32Array = (asked / ACCELERATION_LIMIT / np.maximum(size, 1.0)).astype(
+            np.float32
+        )
+        return actions

@@ -182,11 +182,19 @@ def _train(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train import check, run
     from swarm_envs.training.rl.config import TrainConfig
 
-    config = _read("train", TrainConfig, arguments)
+    config = _read("train", TrainConfig, arguments, prefixes=True)
     check(config)
     _need_torch("sb3")
     run(config)
     return DONE
+
+
+def _train_sweep(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.train_sweep import SweepOptions, run
+
+    options = _read("train-sweep", SweepOptions, arguments)
+    _need_torch("sb3")
+    return FAILED if run(options) else DONE
 
 
 COMMANDS: Mapping[str, Command] = {
@@ -198,6 +206,7 @@ COMMANDS: Mapping[str, Command] = {
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
     "train": Command("train a policy by reinforcement learning", _train),
+    "train-sweep": Command("train with several seeds and options, and compare", _train_sweep),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "export": Command("write a force model as a C header for a microcontroller", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),

@@ -1,12 +1,23 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, in folders that one process at a time writes into."""
 
 from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TextIO
+
+try:
+    import fcntl
+except ImportError:  # Windows has none
+    fcntl = None  # type: ignore[assignment]
+
+LOCK = ".lock"
+"""Name of the file by which a process claims a folder; it stays, and says nothing by itself."""
+_PARTIAL = re.compile(r"\..+\.\d+\.partial(\..+)?")
 
 
 @contextmanager
@@ -36,3 +47,38 @@ def write_json(path: Path, content: object) -> None:
     """
     with written_whole(path) as partial:
         partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+@contextmanager
+def claimed(folder: Path) -> Iterator[None]:
+    """Write into a folder alone: a second process that claims it is refused.
+
+    The claim ends with its process, however that ends. Once it holds, what killed processes left
+    half written is removed. Where the system has no `flock`, nothing is claimed.
+
+    Raises:
+        BlockingIOError: another process writes into the folder; the message names it.
+        OSError: the folder cannot be made or written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("a+", encoding="utf-8") as lock:
+        if fcntl is not None:
+            _lock(folder, lock)
+            for path in folder.iterdir():
+                if _PARTIAL.fullmatch(path.name):
+                    path.unlink()
+        yield
+
+
+def _lock(folder: Path, lock: TextIO) -> None:
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        lock.seek(0)
+        raise BlockingIOError(
+            f"process {lock.read().strip() or 'of another user'} writes into {str(folder)!r}; wait "
+            "for its end, end it, or choose another folder"
+        ) from error
+    lock.truncate(0)
+    lock.write(str(os.getpid()))
+    lock.flush()

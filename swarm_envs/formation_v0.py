@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Unpack
+from typing import Any, Unpack
 
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import (
@@ -46,8 +46,8 @@ from swarm_envs.envs.options import (
     refuse_unknown,
     team_of,
 )
-from swarm_envs.errors import check_kind
-from swarm_envs.tasks.formation import FormationTask, shapes_of
+from swarm_envs.errors import check_kind, check_name
+from swarm_envs.tasks.formation import LAYOUTS, FormationTask, shapes_of
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Vehicle
@@ -57,12 +57,13 @@ def blueprint(
     *,
     num_drones: int = 9,
     team: str | Sequence[Vehicle] | None = None,
-    shapes: Sequence[str] = ("plane", "pyramid", "cube", "sphere", "plane"),
+    layout: str | None = None,
+    shapes: Sequence[str] | None = None,
     letters: str | None = None,
-    labels: str = "nearest",
+    labels: str | None = None,
     start: str = "shape",
     spacing_m: float | None = None,
-    shape_s: float = 6.0,
+    shape_s: float | None = None,
     travel_s: float = 4.0,
     turn_rad: tuple[float, float] | None = None,
     obstacles: Sequence[Obstacle] = (),
@@ -75,12 +76,14 @@ def blueprint(
     Args:
         num_drones: N small drones, if no team is given.
         team: the vehicles, or a string such as `"SSLL"`; overrides `num_drones`.
-        shapes: names of the shapes, in order.
+        layout: a mission by name, instead of shapes, letters, labels and shape_s: `tour`, `cube` or
+            `shuffle`; see `LAYOUTS` of `swarm_envs.tasks.formation`.
+        shapes: names of the shapes, in order; None: `tour`'s.
         letters: a text such as `"ARC"` to write, letter by letter, instead of `shapes`.
-        labels: who goes where: `nearest`, `random`, `mirror` or `blocks`.
+        labels: who goes where: `nearest`, `random`, `mirror` or `blocks`; None: the first.
         start: on the first `shape`, or on the `ground`.
         spacing_m: smallest distance between two places of a shape, m; None: 0.5, or what fits.
-        shape_s: time for each shape, s.
+        shape_s: time for each shape, s; None: 6.
         travel_s: time in which the reference gets there, s.
         turn_rad: range of the turn of all shapes about the vertical, rad; None: anything, but
             letters are not turned.
@@ -91,7 +94,8 @@ def blueprint(
 
     Raises:
         TypeError: an option does not exist (the message names the nearest), or has a wrong type.
-        ValueError: an option has an impossible value, or a shape does not fit the arena.
+        ValueError: an option has an impossible value or contradicts the layout, or a shape does not
+            fit the arena.
         ImportError: `physics="bullet"` without pybullet.
     """
     refuse_unknown(blueprint, options)
@@ -99,21 +103,33 @@ def blueprint(
     if letters is not None:
         check_kind("letters", letters, str, "'ARC'")
         shapes = shapes_of(letters)
+    mission = {"shapes": shapes, "labels": labels, "shape_s": shape_s}
     if turn_rad is None:
         turn_rad = (0.0, 2 * math.pi) if letters is None else (0.0, 0.0)
     task = FormationTask(
         team=team_of(team, num_drones),
-        shapes=tuple(shapes),
-        labels=labels,
+        **_mission(layout, {k: v for k, v in mission.items() if v is not None}),
         start=start,
         spacing_m=spacing_m,
-        shape_s=shape_s,
         travel_s=travel_s,
         turn_rad=turn_rad,
         reward_weights={**REWARD_WEIGHTS, **weights},
         obstacles=standing,
     )
     return Blueprint(task, EnvConfig(**options), render_mode)
+
+
+def _mission(layout: str | None, given: dict[str, Any]) -> dict[str, Any]:
+    """Options of the task that a layout or the caller gives."""
+    if layout is None:
+        return {**given, **({"shapes": tuple(given["shapes"])} if "shapes" in given else {})}
+    found = dict(LAYOUTS[check_name("layout", layout, LAYOUTS)])
+    if given:
+        raise ValueError(
+            f"layout={layout!r} already says what is flown, but {', '.join(given)} are given too; "
+            "give either"
+        )
+    return found
 
 
 parallel_env = parallel_view(blueprint)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import pytest
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode, load
-from swarm_envs.agents.evaluation import EpisodeFile, frozen_seeds
+from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, frozen_seeds
 from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean, rate_interval, score
 from swarm_envs.cli import main
 
@@ -37,6 +38,22 @@ class Unmade(Fine):
     def __init__(self): raise SystemExit('no')
 class Picky(Fine):
     requires = {'action': 'acceleration', 'num_drones': 5}
+"""
+
+BATCH = """
+import numpy as np
+class Late:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    made = 0
+    def reset(self, env, seed): self.made += 1
+    def act(self, observations, view):
+        rows = np.stack(list(observations.values()))
+        return dict(zip(observations, self.act_batch(rows)))
+    def act_batch(self, rows):
+        return np.zeros((*rows.shape[:-1], 3), np.float32) + (1 // (self.made <= 16))
+class Batch(Late):
+    def act_batch(self, rows):
+        return np.zeros((*rows.shape[:-1], 3), np.float32) / (1 // (rows.ndim == 2))
 """
 
 
@@ -167,6 +184,42 @@ def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
     mine.write_text(MINE.replace("zeros", "ones"), encoding="utf-8")
     assert main(arguments) == 0
     assert "flown before" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["straight-line", "swap-ppo"])
+def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
+    agent, seeds = load(name), frozen_seeds(3, TIMED + 5)
+    options = {**agent.requires, "num_drones": 3, "horizon_s": 2.0, "physics": "batch"}
+    env = swap_v0.parallel_env(**options)
+    kept = {seeds[-3]: {"seed": seeds[-3], "metrics": {"flown": "before"}, "act_us": []}}
+    calls: list[tuple[Episode, ...]] = []
+    episodes = list(evaluate(env, agent, seeds, kept, lambda *new: calls.append(new)))
+    assert [episode["seed"] for episode in episodes] == seeds
+    assert [len(new) for new in calls] == [1] * TIMED + [4]  # the last four at once
+    assert all(episode["act_us"] for episode in episodes[:TIMED])
+    assert not any(episode["act_us"] for episode in episodes[TIMED:])
+    for seed, episode in zip(seeds, episodes, strict=True):
+        expected = kept[seed]["metrics"] if seed in kept else fly_episode(env, agent, seed)
+        assert episode["metrics"] == expected
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("Late", r"seed \d+, decision \d+: ZeroDivisionError"),
+        ("Batch", r"act_batch fails in the episodes of seeds \d+ to \d+, though act does not: Ze"),
+    ],
+)
+def test_who_fails_among_many_at_once_is_named(tmp_path, capsys, name, why):
+    file = tmp_path / "batch.py"
+    file.write_text(BATCH, encoding="utf-8")
+    report = tmp_path / "out.json"
+    arguments = ["evaluate", *QUICK, "--episodes", str(TIMED + 4), "--json", str(report)]
+    assert main([*arguments, "--agent", f"{file}:{name}"]) == 1
+    assert re.search(why, json.loads(report.read_text())["error"])
+    (kept,) = report.with_suffix(".episodes").iterdir()
+    assert kept.read_text().count("\n") == 1 + TIMED  # what was flown before it failed
 
 
 def test_seeds_are_frozen_and_fewer_are_the_first_of_more():

@@ -190,18 +190,27 @@ def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
 
 @borrowing_kernel
 def run_pibt(
-    terrain: Terrain, crowd: Crowd, paths: Array, begin: int, end: int, limit: int, bound: int
+    terrain: Terrain,
+    crowd: Crowd,
+    paths: Array,
+    begin: int,
+    end: int,
+    limit: int,
+    bound: int,
+    left: int,
 ) -> tuple[int, int]:
     """Plan steps begin + 1 ... end, unless all arrive before, or none can within `limit` steps.
 
-    The plan is late as soon as it cannot end at step `bound`. Returns the last planned step, and
-    the longest way that is left to anyone then.
+    The plan is late as soon as it cannot end at step `bound`. `left` is what the call that planned
+    step `begin` has returned; -1 if there was none. Returns the last planned step, and the longest
+    way that is left to anyone then.
     """
     count, top = paths.shape[1], crowd.counts.shape[0] - 1
-    longest = 0
+    longest = left
     for t in range(begin, end + 1):
         at = paths[t]
-        longest = _sort(terrain, crowd, at)
+        if t > begin or left < 0:
+            longest = _sort(terrain, crowd, at)
         if longest == 0 or t + longest > limit or t == end:
             return t, longest
         for i in range(count):
@@ -252,12 +261,10 @@ class Pibt:
         self.crowd.order[:] = generator.permutation(len(self.crowd.order))
         self.crowd.random[0] = generator.integers(2**62)
 
-    def run(self, begin: int, steps: int, limit: int) -> tuple[int, int]:
-        """Go on from step `begin` for so many steps; see `run_pibt`."""
-        end = min(begin + steps, len(self.paths) - 1)
-        last, left = run_pibt(
-            self.terrain, self.crowd, self.paths, begin, end, limit, self.instance.lower_bound
-        )
+    def run(self, begin: int, end: int, limit: int, left: int) -> tuple[int, int]:
+        """Go on from step `begin`; see `run_pibt`."""
+        bound = self.instance.lower_bound
+        last, left = run_pibt(self.terrain, self.crowd, self.paths, begin, end, limit, bound, left)
         return int(last), int(left)
 
     def rewind(self, begin: int) -> None:

@@ -27,6 +27,7 @@ from swarm_envs.baselines.rth3d.shuffles import (
     write_long_shift,
     write_shift,
 )
+from swarm_envs.baselines.rth3d.symmetry import Image, reflected, reflection
 
 _Ints = npt.NDArray[np.int32]
 
@@ -54,15 +55,15 @@ class _Table:
         return self.highways.cells
 
 
-def _fill_up(first: _Ints, last: _Ints, capacity: int) -> tuple[_Ints, npt.NDArray[np.bool_]]:
-    """Goals of all items: of robots as given, of virtual ones their own slot where that is free."""
-    goal = np.full(capacity, -1, dtype=np.int32)
+def _fill_up(first: _Ints, last: _Ints, wish: _Ints) -> tuple[_Ints, npt.NDArray[np.bool_]]:
+    """Goals of all items: of robots as given, of virtual ones the slot (items,) wished if free."""
+    goal = np.full(len(wish), -1, dtype=np.int32)
     goal[first] = last
     real = goal >= 0
-    taken = np.zeros(capacity, dtype=np.bool_)
+    taken = np.zeros(len(wish), dtype=np.bool_)
     taken[last] = True
-    stays = np.flatnonzero(~real & ~taken)
-    goal[stays], taken[stays] = stays, True
+    granted = np.flatnonzero(~real & ~taken[wish])
+    goal[granted], taken[wish[granted]] = wish[granted], True
     goal[goal < 0] = np.flatnonzero(~taken)
     return goal, real
 
@@ -131,10 +132,12 @@ class Balanced:
     """(T1 + 1, n) from the starts."""
     last: Paths
     """(T2 + 1, n) from the goals."""
+    image: Image
+    """(V,) the reflection that makes `last` from `first`; the identity if there is none."""
 
 
 def balance_both(highways: Highways, starts: Vertices, goals: Vertices, clock: Clock) -> Balanced:
-    """Balance the starts and the goals (Algorithm 1, line 2)."""
+    """Balance the starts and the goals (Algorithm 1, line 2), alike where they are reflections."""
     table = neighbor_table(highways.shape, highways.obstacles)
     sinks = np.zeros(len(table), dtype=np.bool_)
     sinks[highways.slots] = True
@@ -142,9 +145,10 @@ def balance_both(highways: Highways, starts: Vertices, goals: Vertices, clock: C
         first = balance(table, starts, sinks)
         record(len(first) - 1)
     with clock.phase("balance goals") as record:
-        last = balance(table, goals, sinks)
+        image = reflection(highways, starts, goals)
+        last = balance(table, goals, sinks) if image is None else reflected(first, image, goals)
         record(len(last) - 1)
-    return Balanced(first, last)
+    return Balanced(first, last, np.arange(len(table), dtype=np.int32) if image is None else image)
 
 
 def shuffle(highways: Highways, balanced: Balanced, bounded: bool, clock: Clock) -> Paths:
@@ -162,7 +166,8 @@ def shuffle(highways: Highways, balanced: Balanced, bounded: bool, clock: Clock)
     slot = np.full(int(np.prod(highways.shape)), -1, dtype=np.int32)
     slot[highways.slots.reshape(-1)] = np.arange(highways.capacity, dtype=np.int32)
     first, last = slot[balanced.first[-1]], slot[balanced.last[-1]]
-    table = _Table(highways, *_fill_up(first, last, highways.capacity))
+    wish = slot[balanced.image[highways.slots.reshape(-1)]]
+    table = _Table(highways, *_fill_up(first, last, wish))
     with clock.phase("match heights") as record:
         height = _split_heights(table, bounded)
         record(0)

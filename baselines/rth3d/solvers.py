@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +11,9 @@ import numpy as np
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, numbers, points
 from swarm_envs.baselines.rth3d.highways import Highways, choose_highways
-from swarm_envs.baselines.rth3d.pibt import Pibt
 from swarm_envs.baselines.rth3d.records import Clock, PlanTimeout
 from swarm_envs.baselines.rth3d.rubik import balance_both, shuffle
+from swarm_envs.baselines.rth3d.search import Search
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,74 +88,9 @@ def solve_rth3d_lba(instance: GridInstance, seed: int, clock: Clock) -> Solution
     return _rth3d(instance, clock, bounded=True)
 
 
-_PATIENCE = 1.5
-"""PIBT gives up when it takes so many times the lower bound, and `_MARGIN` more steps."""
-_MARGIN = 60
-_RESTARTS = 4 * (0.9, 0.8, 0.6)
-"""From which part of the lower bound on PIBT is tried again, as long as it pays."""
-_WORK = 4.0
-"""Steps that all restarts may take together, as a multiple of the lower bound."""
-_HOPELESS = 0.1
-"""PIBT is not tried again if more than this part of the lower bound was left to a robot."""
-_GOOD_ENOUGH = 1.02
-"""Multiple of the lower bound from which on PIBT is not tried again."""
-_STRIDE = 16
-"""Steps between two looks at the clock and at the progress."""
-_STRIDES = 3
-"""PIBT has stalled when the farthest robot has come no nearer to its goal for so many strides."""
-
-
-class _Search:
-    """PIBT and its restarts; keeps the best plan."""
-
-    def __init__(self, instance: GridInstance, seed: int, clock: Clock) -> None:
-        self.bound = instance.lower_bound
-        self.cap = int(_PATIENCE * self.bound) + _MARGIN
-        self.pibt = Pibt(instance, self.cap)
-        self.generator = np.random.default_rng(seed)
-        self.clock = clock
-        self.best: Paths | None = None
-        self.reached, self.left = 0, self.bound
-
-    @property
-    def limit(self) -> int:
-        """A plan must not take more to be worth finishing."""
-        return self.cap if self.best is None else len(self.best) - 2
-
-    def attempt(self, begin: int) -> int:
-        """Try once from a step on; return the steps taken."""
-        self.pibt.shuffle(self.generator)
-        self.pibt.rewind(begin)
-        at, lefts = begin, [self.bound] * _STRIDES
-        while True:
-            last, left = self.pibt.run(at, _STRIDE, self.limit)
-            self.reached, self.left = last, left
-            lefts.append(left)
-            stalled = last > self.bound and min(lefts[-_STRIDES:]) >= lefts[-_STRIDES - 1]
-            if left == 0:
-                self.best = self.pibt.paths[: last + 1].copy()
-                break
-            if stalled or last < at + _STRIDE or self.clock.remaining <= 0:
-                break
-            at = last
-        return self.reached - begin
-
-    def run(self) -> None:
-        """The first attempt, and restarts of it while there is something to gain."""
-        self.attempt(0)
-        if self.best is None and self.left > _HOPELESS * self.bound:
-            return
-        work = _WORK * self.bound
-        for part in _RESTARTS:
-            done = self.best is not None and len(self.best) - 1 <= _GOOD_ENOUGH * self.bound
-            if done or work <= 0 or self.clock.remaining <= 0:
-                return
-            work -= self.attempt(min(int(part * self.bound), self.reached))
-
-
-def _search(instance: GridInstance, seed: int, clock: Clock) -> _Search:
+def _search(instance: GridInstance, seed: int, clock: Clock, known: int | None = None) -> Search:
     with clock.phase("pibt") as record:
-        search = _Search(instance, seed, clock)
+        search = Search(instance, seed, clock, known)
         search.run()
         record(search.reached if search.best is None else len(search.best) - 1)
     return search
@@ -164,6 +100,7 @@ def solve_pibt(instance: GridInstance, seed: int, clock: Clock) -> Solution:
     """PIBT alone.
 
     Raises:
+        PlanTimeout: the time ended before there was any plan.
         PlanNotFound: not all robots arrive in any attempt.
     """
     search = _search(instance, seed, clock)
@@ -177,9 +114,9 @@ def solve_pibt(instance: GridInstance, seed: int, clock: Clock) -> Solution:
     return Solution(search.best, "pibt", None)
 
 
-def _finish_stalled(instance: GridInstance, search: _Search, clock: Clock) -> Solution:
+def _finish_stalled(instance: GridInstance, search: Search, clock: Clock) -> Solution:
     """Where PIBT has stalled, go on by RTH3D-LBA, and compact all of it."""
-    begin = min(search.bound, search.reached)
+    begin = search.reached
     stalled = replace(instance, starts=points(search.pibt.paths[begin], instance.shape))
     rest = solve_rth3d_lba(stalled, 0, clock)
     assert rest.bound is not None
@@ -190,33 +127,29 @@ def _finish_stalled(instance: GridInstance, search: _Search, clock: Clock) -> So
     return Solution(whole, "pibt, then rth3d-lba", begin + rest.bound)
 
 
+def _improve(instance: GridInstance, seed: int, clock: Clock, known: Solution) -> Solution:
+    """A shorter plan than the one that is known, by PIBT or from where it has stalled; or that."""
+    search = _search(instance, seed, clock, known.makespan)
+    if search.best is not None:
+        return Solution(search.best, "pibt", None)
+    if search.reached + search.left >= known.makespan:
+        return known
+    return min(known, _finish_stalled(instance, search, clock), key=lambda found: found.makespan)
+
+
 def solve_auto(instance: GridInstance, seed: int, clock: Clock) -> Solution:
-    """The best of PIBT, RTH3D-LBA, and RTH3D-LBA from where PIBT has stalled.
+    """The best of RTH3D-LBA, PIBT, and RTH3D-LBA from where PIBT has stalled.
 
     Raises:
         ValueError: the robots are too many for RTH3D.
         PlanTimeout: the time ended before there was any plan.
     """
-    choose_highways(instance)
-    search = _search(instance, seed, clock)
-    found: list[Solution] = []
-    if search.best is not None:
-        found.append(Solution(search.best, "pibt", None))
-        if found[0].makespan == search.bound:
-            return replace(found[0], bound=search.bound)
-    tries: list[Callable[[], Solution]] = [lambda: solve_rth3d_lba(instance, seed, clock)]
-    if search.best is None:
-        tries.append(lambda: _finish_stalled(instance, search, clock))
-    for attempt in tries:
-        try:
-            found.append(attempt())
-        except PlanTimeout:
-            if not found:
-                raise
-            break
-    best = min(found, key=lambda solution: solution.makespan)
-    bounds = [solution.bound for solution in found if solution.bound is not None]
-    return replace(best, bound=min(bounds, default=None))
+    found = sure = solve_rth3d_lba(instance, seed, clock)
+    if sure.makespan > instance.lower_bound:
+        with suppress(PlanTimeout):
+            found = _improve(instance, seed, clock, sure)
+    bounds = [b for b in (found.bound, sure.bound) if b is not None]
+    return replace(found, bound=min(bounds))
 
 
 METHODS: Mapping[str, Solver] = {

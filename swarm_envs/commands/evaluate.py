@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shutil
 import traceback
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
 from swarm_envs.commands.fly import find_task
+from swarm_envs.training.scale_out.options import ScaleOptions
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -52,6 +54,8 @@ class EvaluateOptions:
     """folder for report.json, and for every episode's numbers in episodes/"""
     json: Path | None = None
     """write the report to this file; episodes are kept beside it until it is written"""
+    scale: ScaleOptions = field(default_factory=ScaleOptions)
+    """who shares the episodes"""
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing can be flown."""
@@ -75,10 +79,11 @@ def run(options: EvaluateOptions) -> int:
     """Fly, print and write; return how many agents failed.
 
     Raises:
+        BlockingIOError: another process writes into the folder of the episodes.
         Misuse: there is no such task, option or place to write; nothing was flown.
     """
     from swarm_envs import make
-    from swarm_envs.files import write_json
+    from swarm_envs.files import claimed
 
     reports = [path for path in (options.json, _inside(options.out, "report.json")) if path]
     if options.out is not None:
@@ -90,8 +95,17 @@ def run(options: EvaluateOptions) -> int:
         make(task, **options.setting()).close()
     except (ValueError, TypeError, ImportError) as error:
         raise Misuse(str(error)) from error
+    kept = _kept(options)
+    with nullcontext() if kept is None else claimed(kept):
+        return _evaluate(options, task, reports)
+
+
+def _evaluate(options: EvaluateOptions, task: str, reports: list[Path]) -> int:
+    """Fly all agents and write the reports; return how many failed."""
+    from swarm_envs.files import write_json
+
     about = {"task": task, **options.setting(), "seed": options.seed}
-    agents = [_report(name, options, about) for name in options.agent]
+    agents = _reports(options, about)
     failed = sum("error" in report for report in agents)
     content = {**about, **(agents[0] if len(agents) == 1 else {}), "agents": agents}
     for path in reports:
@@ -115,16 +129,24 @@ def _kept(options: EvaluateOptions) -> Path | None:
     return None if options.json is None else options.json.with_suffix(".episodes")
 
 
+def _reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, Any]]:
+    """Each agent's scores; or, under `error`, why it has none."""
+    if not options.scale.alone:
+        from swarm_envs.commands.evaluate_apart import reports
+
+        return reports(options, about)
+    return [_report(name, options, about) for name in options.agent]
+
+
 def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[str, Any]:
-    """One agent's scores; or, under `error`, why it has none."""
     from swarm_envs.agents.scores import score
 
     report: dict[str, Any] = {"agent": name}
     try:
-        agent, env = _prepare(name, options, about["task"])
+        agent, env = prepare(name, options, about["task"])
     except (Exception, SystemExit) as error:
-        return {**report, "error": f"cannot be flown: {type(error).__name__}: {error}"}
-    report |= {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
+        return {**report, "error": unflyable(error)}
+    report |= described(agent, env)
     try:
         return {**report, **score(_fly(name, env, agent, options, about))}
     except Exception as error:
@@ -135,8 +157,23 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
         env.close()
 
 
-def _prepare(name: str, options: EvaluateOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
-    """The agent, and the environment as it requires it."""
+def unflyable(error: BaseException) -> str:
+    """Why an agent has no scores, if it cannot even be made."""
+    return f"cannot be flown: {type(error).__name__}: {error}"
+
+
+def described(agent: Agent, env: SwarmParallelEnv) -> dict[str, Any]:
+    """What a report says of an agent beside its scores."""
+    return {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
+
+
+def prepare(name: str, options: EvaluateOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
+    """The agent, and the environment as it requires it.
+
+    Raises:
+        Exception: whatever an agent's own file raises.
+        ValueError: it cannot be made, or requires another environment than was asked for.
+    """
     from swarm_envs import make
     from swarm_envs.agents import load
 
@@ -156,11 +193,9 @@ def _fly(
     from swarm_envs.agents.evaluation import evaluate, frozen_seeds
 
     seeds = frozen_seeds(options.seed, options.episodes)
-    kept = _open(name, agent, options, about)
+    kept = open_episodes(name, agent, options, about)
     found = kept.episodes if kept is not None else {}
-    before = sum(seed in found for seed in seeds)
-    if before:
-        print(f"{name}: {before} of {len(seeds)} episodes were flown before", flush=True)
+    tell_before(name, sum(seed in found for seed in seeds), len(seeds))
     episodes, good = [], 0
     flown = evaluate(env, agent, seeds, dict(found), kept.add if kept is not None else None)
     with tqdm(total=len(seeds), desc=name[-30:], unit="episode", mininterval=0.5) as bar:
@@ -172,9 +207,20 @@ def _fly(
     return episodes
 
 
-def _open(
+def tell_before(name: str, before: int, wanted: int) -> None:
+    """Say how many of an agent's episodes are there already, if any."""
+    if before:
+        print(f"{name}: {before} of {wanted} episodes were flown before", flush=True)
+
+
+def open_episodes(
     name: str, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
 ) -> EpisodeFile | None:
+    """Where an agent's episodes are kept; None if they are not.
+
+    Raises:
+        ValueError: the file is damaged.
+    """
     from swarm_envs import __version__
     from swarm_envs.agents.evaluation import EpisodeFile, source_digest
 

@@ -7,19 +7,17 @@ from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
 from swarm_envs.commands.fly import find_task
+from swarm_envs.vehicles import team_string
 
 if TYPE_CHECKING:
     from swarm_envs.training.rl.config import TrainConfig
-
-TRAINED = ("swap_v0",)
-"""Tasks for which there is a recipe."""
 
 
 def check(config: TrainConfig) -> str:
     """The versioned name of the task, if the options make a run.
 
     Raises:
-        Misuse: there is no such task, no recipe for it, or no place to write.
+        Misuse: there is no such task or layout, no recipe for it, or no place to write.
     """
     check_folder("--out", config.out)
     if config.json is not None:
@@ -28,8 +26,12 @@ def check(config: TrainConfig) -> str:
         task = find_task(config.task)
     except ValueError as error:
         raise Misuse(str(error)) from error
-    if task not in TRAINED:
-        raise Misuse(f"--task is {task!r}, but there is a recipe only for {', '.join(TRAINED)}")
+    from swarm_envs.training.rl.recipes import completed
+
+    try:
+        completed(config, task)
+    except ValueError as error:
+        raise Misuse(str(error)) from error
     return task
 
 
@@ -57,7 +59,15 @@ def run(config: TrainConfig) -> None:
     if config.json is not None:
         write_json(config.json, report)
     print(_summary(report))
-    print(f"fly it by: swarm-envs evaluate --agent {config.out} --drones {config.largest}")
+    about = f"--task {config.task} {_flown(config)}"
+    print(f"fly it by: swarm-envs evaluate {about} --agent {config.out}")
+
+
+def _flown(config: TrainConfig) -> str:
+    """The largest team, as options of `evaluate`."""
+    team = max(config.teams, key=len)
+    small = {vehicle.token for vehicle in team} == {"S"}
+    return f"--drones {len(team)}" if small else f"--team {team_string(team)}"
 
 
 def _summary(report: dict[str, Any]) -> str:
@@ -66,4 +76,8 @@ def _summary(report: dict[str, Any]) -> str:
         f"{report['steps']:,} steps in {report['wall_s']:.0f} s ({report['cpu_s']:.0f} s of CPU)",
         f"kept: the policy at {chosen.pop('step'):,.0f} steps, on the seeds for choosing",
     ]
-    return "\n".join(lines + [f"  {name}: {rate:.1%}" for name, rate in chosen.items()])
+    return "\n".join(lines + [f"  {name}: {_shown(name, value)}" for name, value in chosen.items()])
+
+
+def _shown(name: str, value: float) -> str:
+    return f"{100 * value:.1f} cm" if name.endswith("_m") else f"{value:.1%}"

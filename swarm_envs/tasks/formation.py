@@ -19,6 +19,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -34,6 +36,17 @@ from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team
 
+SHAPES = ("plane", "pyramid", "cube", "sphere", "plane")
+"""What is flown unless other shapes are asked for."""
+LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "tour": {"shapes": SHAPES},
+        "cube": {"shapes": ("plane", "cube"), "shape_s": 8.0},
+        "shuffle": {"shapes": ("plane", "cube"), "labels": "random", "shape_s": 8.0},
+    }
+)
+"""Missions by name, as options of `FormationTask`: the default; one change of shape, in which half
+of the drones end up below others; the same where places are drawn, so that ways cross."""
 LABELS = ("nearest", "random", "mirror", "blocks")
 STARTS = ("shape", "ground")
 GROUND_HEIGHT = 0.15
@@ -51,7 +64,7 @@ class FormationTask(Task):
 
     team: Team
     """The drones."""
-    shapes: tuple[str, ...] = ("plane", "pyramid", "cube", "sphere", "plane")
+    shapes: tuple[str, ...] = SHAPES
     """Names of the shapes, in order; `letter:A` and the like write."""
     labels: str = "nearest"
     """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""

@@ -20,13 +20,14 @@ from safetensors import safe_open
 
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds
-from swarm_envs.agents.features import feature_width
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.agents.policy_file import Policy, PolicyNote
 from swarm_envs.cli import main
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import choosing_seeds
-from swarm_envs.training.rl.learner import Learner
+from swarm_envs.training.rl.ppo import PpoLearner
+from swarm_envs.training.rl.recipes import completed
 
 TINY = [
     *("--drones", "2", "--environments", "8", "--rollout", "8", "--batch-size", "64"),
@@ -107,7 +108,8 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
     ("options", "why"),
     [
         (["--task", "swop"], "did you mean 'swap_v0'"),
-        (["--task", "ring"], "there is a recipe only for swap_v0"),
+        (["--layout", "stacked"], "valid: 'circle', 'random'"),
+        (["--task", "formation", "--layout", "cuba"], "did you mean 'cube'"),
         (["--json", "a.txt"], "must end in .json"),
     ],
 )
@@ -133,7 +135,7 @@ def test_impossible_numbers_are_refused(option, value, capsys):
 
 def test_the_agent_acts_as_the_network_that_was_trained():
     config = TrainConfig(out=Path("never"), drones=2, environments=4, batch_size=256)
-    learner = Learner(config, "swap_v0")
+    learner = PpoLearner(completed(config, "swap_v0"), "swap_v0")
     agent = PolicyAgent(
         Policy(PolicyNote("swap_v0", 2, "acceleration", 10, 3), learner.actor(), {})
     )
@@ -141,7 +143,7 @@ def test_the_agent_acts_as_the_network_that_was_trained():
     told, _ = learner.model.predict(learner.env.reset(), deterministic=True)
     rows = learner.env.drones.parts[0].core.rows.reshape(8, -1)
     np.testing.assert_allclose(agent.act_batch(rows), told, atol=1e-6)
-    assert learner.model.observation_space.shape == (feature_width(3),)
+    assert learner.model.observation_space.shape == (FEATURE_SETS[GOAL].width(3),)
     learner.close()
 
 

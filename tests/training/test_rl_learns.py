@@ -12,7 +12,8 @@ pytest.importorskip("stable_baselines3")
 from swarm_envs.agents.policy_file import Policy, PolicyNote
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import Judges
-from swarm_envs.training.rl.learner import Learner
+from swarm_envs.training.rl.ppo import PpoLearner
+from swarm_envs.training.rl.recipes import completed
 
 MARGIN = 0.5
 """By how much success must rise over the untrained policy's."""
@@ -31,7 +32,7 @@ def test_200_000_steps_teach_two_drones_to_swap():
         second_stage=0.0,
         checkpoint_rollouts=1000,
     )
-    learner = Learner(config, "swap_v0")
+    learner = PpoLearner(completed(config, "swap_v0"), "swap_v0")
     seeds = [int(word) for word in np.random.SeedSequence(1).generate_state(64)]
     judges = Judges("swap_v0", ("random",), seeds, {"num_drones": 2, "force_rate": 48})
     note = PolicyNote("swap_v0", 2, "acceleration", 10, 3)

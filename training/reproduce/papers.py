@@ -29,6 +29,10 @@ PAPERS: Mapping[str, Paper] = MappingProxyType(
             "distributed MPC over a radio that loses messages",
             "swarm_envs.training.reproduce.dmpc_swarm.options",
         ),
+        "rth3d": Paper(
+            "paths for 100,000 labelled robots on three-dimensional grids",
+            "swarm_envs.training.reproduce.rth3d.options",
+        ),
     }
 )
 """Every paper by the name that the command takes."""

@@ -1,4 +1,4 @@
-"""Checkpoints of a training run as safetensors: weights, Adam's averages, history. No pickle."""
+"""Checkpoints of a training run as safetensors: a learner's tensors, and history. No pickle."""
 
 from __future__ import annotations
 
@@ -7,15 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from swarm_envs.training.force_model.checkpoint import write_safetensors
 from swarm_envs.training.force_model.files import differing
 from swarm_envs.training.rl.learner import Learner
-
-_POLICY, _OPTIMISER = "policy.", "optimiser."
 
 
 def save_checkpoint(path: Path, learner: Learner, progress: Mapping[str, Any]) -> None:
@@ -26,12 +23,8 @@ def save_checkpoint(path: Path, learner: Learner, progress: Mapping[str, Any]) -
         learner: what was trained.
         progress: where the run stands, ready for JSON; under `config` what it depends on.
     """
-    policy = learner.model.policy
-    tensors = {_POLICY + name: tensor for name, tensor in policy.state_dict().items()}
-    for place, entries in policy.optimizer.state_dict()["state"].items():
-        for name, value in entries.items():
-            tensors[f"{_OPTIMISER}{place}.{name}"] = torch.as_tensor(value).clone()
-    write_safetensors(path, tensors, {"progress": json.dumps(dict(progress), allow_nan=False)})
+    metadata = {"progress": json.dumps(dict(progress), allow_nan=False)}
+    write_safetensors(path, learner.tensors(), metadata)
 
 
 def load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) -> dict[str, Any]:
@@ -46,27 +39,27 @@ def load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) -> 
         raise ValueError(
             f"checkpoint {str(path)!r} is damaged ({error}); delete the folder and train again"
         ) from error
-    differences = differing(progress["config"], config)
+    differences = differing_runs(progress["config"], config)
     if differences:
         raise ValueError(
             f"checkpoint {str(path)!r} is of a run with other options: {differences}; choose "
             "another folder by --out, or delete that one"
         )
-    policy = learner.model.policy
     try:
-        policy.load_state_dict(_named(tensors, _POLICY))
-        policy.optimizer.load_state_dict(
-            {
-                "state": _places(tensors),
-                "param_groups": policy.optimizer.state_dict()["param_groups"],
-            }
-        )
-    except (RuntimeError, ValueError) as error:
+        learner.load(tensors)
+    except (KeyError, RuntimeError, ValueError) as error:
         raise ValueError(
             f"checkpoint {str(path)!r} does not fit the networks of its own options ({error}); "
             "delete the folder and train again"
         ) from error
     return progress
+
+
+def differing_runs(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """Options in which two runs differ, in words; of two algorithms the names alone."""
+    if there.get("algo") != here["algo"]:
+        return differing({"algo": there.get("algo")}, {"algo": here["algo"]})
+    return differing(there, here)
 
 
 def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -78,16 +71,3 @@ def _read(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
         if name not in progress:
             raise KeyError(name)
     return tensors, progress
-
-
-def _named(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}
-
-
-def _places(tensors: Mapping[str, Tensor]) -> dict[int, dict[str, Tensor]]:
-    """Adam's state by parameter, as `Optimizer.load_state_dict` takes it."""
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, tensor in _named(tensors, _OPTIMISER).items():
-        place, _, entry = name.partition(".")
-        state.setdefault(int(place), {})[entry] = tensor
-    return state

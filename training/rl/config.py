@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
 from swarm_envs.errors import check_integer
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.training.rl.sac_options import SacOptions
 from swarm_envs.vehicles import SMALL, VEHICLES, Team, parse_team
 
 
@@ -24,10 +25,12 @@ class TrainConfig:
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
     task: str = "swap"
     """what is learned: `swap`, or with its version, `swap_v0`"""
-    layout: Literal["random", "circle"] = "random"
-    """of the task; with `random` half of the episodes are crowded, a quarter on the circle"""
-    algo: Literal["ppo"] = "ppo"
-    """`ppo`: proximal policy optimisation of Stable-Baselines3, one policy for all drones"""
+    layout: str | None = None
+    """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
+    crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""
+    algo: Literal["ppo", "mappo", "sac"] = "ppo"
+    """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
+    that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
     drones: int | tuple[int, ...] = 4
     """number of small drones; of several numbers, such as `4 8`, each has an equal share of the
     environments; the policy will fly as many as the largest, or fewer"""
@@ -73,8 +76,9 @@ class TrainConfig:
     """widths of the network that a deep set gives each neighbour to"""
     per_type: bool = False
     """a policy of its own for each type of vehicle in the team"""
-    deviation: float = math.exp(-0.5)
-    """standard deviation of actions at the start; the same in every state, and learned"""
+    deviation: float | None = None
+    """standard deviation of actions at the start; the same in every state, and learned; the
+    recipe's if not given"""
     second_stage: float = 0.25
     """share of the steps that are trained anew from what the others gave: with a fresh Adam, and
     more exploration again; 0 for one stage"""
@@ -83,9 +87,9 @@ class TrainConfig:
     second_deviation: float = 0.3
     """least standard deviation of actions at its start"""
 
-    horizon_s: float = 3.5
-    """the clock of training, s: shorter than the task's, since failures come early; the time-out
-    is bootstrapped"""
+    horizon_s: float | None = None
+    """the clock of training, s; the recipe's if not given: shorter than the task's, since failures
+    come early; the time-out is bootstrapped"""
     decision_rate: int = 10
     """decisions per second, in training and in flight"""
     force_rate: int = 48
@@ -115,6 +119,8 @@ class TrainConfig:
     """write event files, where the package tensorboard is installed"""
     progress: bool = True
     """show a progress bar"""
+    sac: SacOptions = SacOptions()
+    """of `--algo sac`, in place of those above that it has not: batches, rates, stages"""
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing could be trained.
@@ -123,17 +129,11 @@ class TrainConfig:
             ValueError: naming the option, the value and the rule.
         """
         check_integer("--seed", self.seed, 0)
-        for count in _numbers(self.drones):
-            check_integer("--drones", count, 1)
-        if not self.teams or len(set(self.teams)) < len(self.teams):
-            raise ValueError(
-                f"--drones is {self.drones} and --team {self.team}; name one or more teams, each once"
-            )
         for name in _COUNTS:
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), 1)
         for name, (low, high) in _RANGES.items():
             value = getattr(self, name)
-            if not low <= value <= high:
+            if value is not None and not low <= value <= high:
                 raise ValueError(
                     f"--{name.replace('_', '-')} is {value}, but must be from {low:g} to {high:g}"
                 )
@@ -147,24 +147,60 @@ class TrainConfig:
             if not widths or min(widths) < 1:
                 option = name.replace("_", "-")
                 raise ValueError(f"--{option} is {widths}, but must be one or more widths")
-        if self.per_type and len(self.types) < 2:
-            raise ValueError(
-                f"--per-type needs vehicles of several types, but those of --team {self.team} are "
-                f"all {', '.join(self.types)}; name a team such as SSLL"
-            )
         if min(self.proximity) < 0:
             raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
+        self._check_belongs()
+        self._check_teams()
+        size = self.rollout_steps
+        if self.algo != "sac" and size % self.batch_size:
+            raise ValueError(
+                f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
+                "rollout: drones of all environments x rollout"
+            )
+
+    def _check_teams(self) -> None:
+        """Refuse teams that cannot fly side by side."""
+        for count in _numbers(self.drones):
+            check_integer("--drones", count, 1)
+        if not self.teams or len(set(self.teams)) < len(self.teams):
+            raise ValueError(
+                f"--drones is {self.drones} and --team {self.team}; name one or more teams, each "
+                "once"
+            )
         if self.environments % len(self.teams):
             raise ValueError(
                 f"--environments is {self.environments}, but must be a multiple of the "
                 f"{len(self.teams)} teams that fly side by side"
             )
-        size = self.rollout_steps
-        if size % self.batch_size:
+        if self.algo == "mappo" and len(self.teams) > 1:
             raise ValueError(
-                f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
-                "rollout: drones of all environments x rollout"
+                f"--algo mappo was given {len(self.teams)} teams, but its critic sees teams of one "
+                "size; name one team, or use --algo ppo"
             )
+        if self.per_type and len(self.types) < 2:
+            raise ValueError(
+                f"--per-type needs vehicles of several types, but those of --team {self.team} are "
+                f"all {', '.join(self.types)}; name a team such as SSLL"
+            )
+
+    def _check_belongs(self) -> None:
+        """Refuse options of an algorithm other than the run's."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not self.uses(field.name) and value != field.default:
+                name = "sac.*" if field.name == "sac" else field.name.replace("_", "-")
+                raise ValueError(
+                    f"--{name} was given ({value}), but --algo {self.algo} has no such option"
+                )
+
+    def uses(self, option: str) -> bool:
+        """Whether the run's algorithm depends on an option."""
+        foreign = {
+            "ppo": ("sac",),
+            "mappo": ("sac", *_ENCODERS),
+            "sac": (*_ON_POLICY, *_ENCODERS),
+        }
+        return option not in foreign[self.algo]
 
     @property
     def teams(self) -> tuple[Team, ...]:
@@ -187,8 +223,9 @@ class TrainConfig:
     @property
     def rollout_steps(self) -> int:
         """Decisions of single drones in a rollout."""
+        decisions = self.sac.rollout if self.algo == "sac" else self.rollout
         share = self.environments // len(self.teams)
-        return share * sum(len(team) for team in self.teams) * self.rollout
+        return share * sum(len(team) for team in self.teams) * decisions
 
     @property
     def rollouts(self) -> int:
@@ -198,7 +235,8 @@ class TrainConfig:
     @property
     def first_stage(self) -> int:
         """Rollouts of the first stage."""
-        return max(1, self.rollouts - round(self.second_stage * self.rollouts))
+        share = 0.0 if self.algo == "sac" else self.second_stage
+        return max(1, self.rollouts - round(share * self.rollouts))
 
     def segments(self) -> list[range]:
         """The rollouts between checkpoints; none belongs to both stages."""
@@ -213,6 +251,13 @@ def _numbers(drones: int | tuple[int, ...]) -> tuple[int, ...]:
     return drones if isinstance(drones, tuple) else (drones,)
 
 
+_ENCODERS = ("encoder", "pooling", "set_hidden", "per_type")
+"""Options of `ppo` alone."""
+_ON_POLICY = (
+    *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
+    *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
+)
+"""Options of `ppo` and `mappo`, which learn from a rollout and forget it."""
 _COUNTS = (
     *("steps", "environments", "threads", "rollout", "batch_size", "passes", "num_neighbors"),
     *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),

@@ -16,15 +16,18 @@ import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
-from swarm_envs.agents.features import MASK, NEIGHBOR_WIDTH, OWN_TYPE, TYPES, FeatureSizes
-from swarm_envs.agents.networks import ANY, Layers, Network
+from swarm_envs.agents.feature_sets import FeatureForm
+from swarm_envs.agents.networks import ANY, Layers, Network, type_column
+from swarm_envs.training.rl.config import TrainConfig
 
 
 @dataclass(frozen=True)
 class EncoderSpec:
     """What the networks of a policy look like."""
 
-    sizes: FeatureSizes
+    form: FeatureForm
+    width: int
+    """of features"""
     encoder: str
     """one of `swarm_envs.agents.networks.ENCODERS`"""
     pooling: str
@@ -37,6 +40,26 @@ class EncoderSpec:
     """types of drones with a network of their own, or `ANY` alone"""
 
 
+def encoder_spec(config: TrainConfig, form: FeatureForm, width: int) -> EncoderSpec:
+    """The networks that a configuration asks for.
+
+    Args:
+        config: of the run.
+        form: where features have what.
+        width: of features.
+    """
+    return EncoderSpec(
+        form=form,
+        width=width,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        hidden=config.hidden,
+        set_hidden=config.set_hidden,
+        neighbor_types=config.types if len(config.types) > 1 else (ANY,),
+        owners=config.types if config.per_type else (ANY,),
+    )
+
+
 class SetEncoder(nn.Module):
     """A drone's own numbers, and those of its neighbours as a set."""
 
@@ -44,24 +67,24 @@ class SetEncoder(nn.Module):
         super().__init__()
         self._spec = spec
         self.phi = nn.ModuleList(
-            perceptron(NEIGHBOR_WIDTH, spec.set_hidden) for _ in spec.neighbor_types
+            perceptron(spec.form.neighbor, spec.set_hidden) for _ in spec.neighbor_types
         )
 
     @property
     def width(self) -> int:
         """How many numbers come out."""
-        return self._spec.sizes.own + self._spec.set_hidden[-1]
+        return self._spec.form.own + self._spec.set_hidden[-1]
 
     def forward(self, values: Tensor) -> Tensor:
-        """(B, `width`) for features (B, `sizes.width`)."""
-        sizes = self._spec.sizes
-        own = values[:, : sizes.own]
-        around = values[:, sizes.own :].reshape(-1, sizes.num_neighbors, sizes.neighbor)
-        present = around[..., MASK, None]
+        """(B, `width`) for features (B, width)."""
+        form = self._spec.form
+        own, around = values[:, : form.own], values[:, form.own :]
+        around = around.reshape(len(values), -1, form.neighbor)
+        present = around[..., form.mask, None]
         members = torch.zeros(())
         for token, phi in zip(self._spec.neighbor_types, self.phi, strict=True):
-            column = MASK if token == ANY else NEIGHBOR_WIDTH + TYPES.index(token)
-            members = members + around[..., column, None] * phi(around[..., :NEIGHBOR_WIDTH])
+            share = present if token == ANY else around[..., type_column(form.neighbor_type, token)]
+            members = members + share * phi(around)
         return torch.cat([own, pooled(members, present, self._spec.pooling)], dim=1)
 
 
@@ -80,10 +103,10 @@ class Trunk(nn.Module):
     def __init__(self, spec: EncoderSpec) -> None:
         super().__init__()
         self.set = SetEncoder(spec) if spec.encoder == "deep-set" else None
-        self.body = perceptron(self.set.width if self.set else spec.sizes.width, spec.hidden)
+        self.body = perceptron(self.set.width if self.set else spec.width, spec.hidden)
 
     def forward(self, values: Tensor) -> Tensor:
-        """(B, last width) for features (B, `sizes.width`)."""
+        """(B, last width) for features (B, width)."""
         latent: Tensor = self.body(values if self.set is None else self.set(values))
         return latent
 
@@ -93,18 +116,18 @@ class Trunks(nn.Module):
 
     def __init__(self, spec: EncoderSpec) -> None:
         super().__init__()
-        self.owners = spec.owners
+        self.owners, self._own_type = spec.owners, spec.form.own_type
         self.trunks = nn.ModuleList(Trunk(spec) for _ in spec.owners)
         self.width = len(spec.owners) * (spec.hidden[-1] + (spec.owners != (ANY,)))
 
     def forward(self, values: Tensor) -> Tensor:
-        """(B, `width`) for features (B, `sizes.width`)."""
+        """(B, `width`) for features (B, width)."""
         if self.owners == (ANY,):
             latent: Tensor = self.trunks[0](values)
             return latent
         parts = []
         for token, trunk in zip(self.owners, self.trunks, strict=True):
-            own = values[:, OWN_TYPE + TYPES.index(token), None]
+            own = values[:, type_column(self._own_type, token)]
             parts += [own * trunk(values), own]
         return torch.cat(parts, dim=1)
 

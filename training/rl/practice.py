@@ -10,13 +10,12 @@ import numpy.typing as npt
 from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
-from swarm_envs.agents.features import FeatureSizes, features
+from swarm_envs.agents.feature_sets import FEATURE_SETS, FeatureForm
 from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.options import Blueprint
-from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.recipes import RECIPES, completed, told_in
 from swarm_envs.training.rl.side_by_side import SideBySide
-from swarm_envs.training.rl.starts import PracticeSwap
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 from swarm_envs.vehicles import Team
 
@@ -24,17 +23,18 @@ Infos = list[dict[str, Any]]
 
 
 def practice_blueprint(config: TrainConfig, task: str, team: Team) -> Blueprint:
-    """What a team trains in: the task with a short clock and, if wanted, hard starts.
+    """What a team trains in: what the recipe practises, with a short clock.
 
     Raises:
-        ValueError: an option has an impossible value.
+        ValueError: the task has no recipe, or an option has an impossible value.
     """
-    given = {**REWARD_WEIGHTS, "crash": -config.crash}
+    recipe, config = RECIPES[task], completed(config, task)
+    given = {**recipe.reward_weights, "crash": -config.crash}
     weights = {name: weight * config.reward_scale for name, weight in given.items()}
     found = batch_of(
         task,
+        **recipe.layouts[str(config.layout)],
         team=team,
-        layout=config.layout,
         reward_weights=weights,
         interactions=config.interactions,
         decision_rate=config.decision_rate,
@@ -43,10 +43,7 @@ def practice_blueprint(config: TrainConfig, task: str, team: Team) -> Blueprint:
         horizon_s=config.horizon_s,
         threads=config.threads,
     )
-    if config.layout == "random" and config.hard_starts:
-        practice = PracticeSwap(team=found.task.team, reward_weights=found.task.reward_weights)
-        return found._replace(task=practice)
-    return found
+    return found._replace(task=recipe.practice(found.task, config))
 
 
 class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types here
@@ -59,29 +56,44 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
 
     def __init__(self, config: TrainConfig, task: str) -> None:
         share = config.environments // len(config.teams)
-        self._flown = [
+        self.flown = [
             SharedPolicyVecEnv(practice_blueprint(config, task, team), share)
             for team in config.teams
         ]
-        self.drones = SideBySide(self._flown)
+        self.drones = SideBySide(self.flown)
         self.drones.seed(config.seed)
-        self.sizes = FeatureSizes(config.num_neighbors, len(config.types) > 1)
-        space = spaces.Box(-np.inf, np.inf, (self.sizes.width,), np.float32)
-        super().__init__(self.drones, space)
+        self._set, self._neighbors = FEATURE_SETS[told_in(config, task)], config.num_neighbors
+        width = self._set.width(self._neighbors)
+        super().__init__(self.drones, spaces.Box(-np.inf, np.inf, (width,), np.float32))
         self.clear()
+
+    @property
+    def form(self) -> FeatureForm:
+        """Where features have what."""
+        return self._set.form
 
     def weigh(self, weights: Mapping[str, float]) -> None:
         """Set weights of reward terms in every team's environments."""
-        for flown in self._flown:
+        for flown in self.flown:
             flown.core.set_reward_weights(weights)
 
     def clear(self) -> None:
         """Begin to count anew."""
         self.episodes = self.successes = self.collisions = 0
 
+    def told(self, rows: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """What the network is told of observation rows (..., width)."""
+        return self._set.make(rows, self._neighbors)
+
+    def count(self, metrics: Mapping[str, Any]) -> None:
+        """Count how an episode has ended."""
+        self.episodes += 1
+        self.successes += metrics["success"]
+        self.collisions += metrics["collided_drones"] > 0
+
     def reset(self) -> npt.NDArray[np.float32]:
         """Begin new episodes everywhere."""
-        return features(self.drones.reset(), *self.sizes)
+        return self.told(self.drones.reset())
 
     def step_wait(
         self,
@@ -91,11 +103,9 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
         over = np.flatnonzero(ended)
         if len(over):
             last = np.stack([infos[k]["terminal_observation"] for k in over])
-            for k, row in zip(over, features(last, *self.sizes), strict=True):
+            for k, row in zip(over, self.told(last), strict=True):
                 infos[k]["terminal_observation"] = row
-            told = [infos[k]["episode_metrics"] for k in over]
-            for metrics in {id(metrics): metrics for metrics in told}.values():  # one a team
-                self.episodes += 1
-                self.successes += metrics["success"]
-                self.collisions += metrics["collided_drones"] > 0
-        return features(rows, *self.sizes), rewards, ended, infos
+            ends = [infos[k]["episode_metrics"] for k in over]
+            for metrics in {id(metrics): metrics for metrics in ends}.values():  # one a team
+                self.count(metrics)
+        return self.told(rows), rewards, ended, infos

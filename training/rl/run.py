@@ -11,17 +11,17 @@ from typing import Any
 from tqdm import tqdm
 
 from swarm_envs import __version__
-from swarm_envs.agents.features import FEATURES, TYPED
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
-from swarm_envs.files import write_json
-from swarm_envs.training.force_model.files import differing, json_ready
+from swarm_envs.files import claimed, write_json
+from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.reproduce.runs import write_table
-from swarm_envs.training.rl.checkpoint import load_checkpoint, save_checkpoint
+from swarm_envs.training.rl.checkpoint import differing_runs, load_checkpoint, save_checkpoint
 from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.judging import Judges, choosing_seeds, mean_success
-from swarm_envs.training.rl.learner import Learner
+from swarm_envs.training.rl.judging import Judges, choosing_seeds, quality
+from swarm_envs.training.rl.learner import Learner, make_learner
+from swarm_envs.training.rl.recipes import RECIPES, completed, told_in
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
@@ -30,7 +30,9 @@ _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 
 def result_options(config: TrainConfig, task: str) -> dict[str, Any]:
     """What the policy depends on, ready for JSON."""
-    options = {f.name: getattr(config, f.name) for f in fields(config) if f.name not in _NO_RESULT}
+    config = completed(config, task)
+    names = [f.name for f in fields(config) if f.name not in _NO_RESULT and config.uses(f.name)]
+    options = {name: getattr(config, name) for name in names}
     ready: dict[str, Any] = json.loads(json.dumps(json_ready({**options, "task": task})))
     return ready
 
@@ -51,7 +53,7 @@ def finished_report(config: TrainConfig, task: str) -> dict[str, Any] | None:
         raise ValueError(
             f"{str(path)!r} is no report of a training run ({error}); choose another folder"
         ) from error
-    differences = differing(made, result_options(config, task))
+    differences = differing_runs(made, result_options(config, task))
     if differences:
         raise ValueError(
             f"{str(path)!r} is of a finished run with other options: {differences}; choose another "
@@ -68,7 +70,7 @@ class _Standing:
     rollouts: int
     history: list[dict[str, float]]
     judged: list[dict[str, float]]
-    best: float
+    best: float | None
     cpu_s: float
     wall_s: float
 
@@ -77,39 +79,39 @@ def train(config: TrainConfig, task: str) -> dict[str, Any]:
     """Train to the end and return the report, which is also written.
 
     Raises:
+        BlockingIOError: another process writes into the folder.
         ImportError: Stable-Baselines3 is not installed.
         OSError: the folder cannot be written.
         ValueError: the folder holds another run, or a damaged one.
     """
-    learner = Learner(config, task)
-    judges = Judges(
-        task,
-        _layouts(config),
+    with claimed(config.out):
+        return _train(completed(config, task), task)
+
+
+def _train(config: TrainConfig, task: str) -> dict[str, Any]:
+    learner = make_learner(config, task)
+    options = {"interactions": config.interactions, "force_rate": config.force_rate}
+    layouts, seeds = (
+        RECIPES[task].judged_on(str(config.layout)),
         choosing_seeds(config.judge_episodes),
-        {"interactions": config.interactions, "force_rate": config.force_rate},
-        config.teams,
     )
+    judges = Judges(task, layouts, seeds, options, config.teams)
     try:
         standing = _begin(config, task, learner)
         _go_on(config, task, learner, judges, standing)
     finally:
         learner.close()
         judges.close()
-    report = _report(config, standing)
+    report = _report(config, task, standing)
     write_json(config.out / REPORT, report)
     return report
-
-
-def _layouts(config: TrainConfig) -> tuple[str, ...]:
-    """Layouts on which the policy is judged."""
-    return ("random", "circle") if config.layout == "random" else (config.layout,)
 
 
 def _begin(config: TrainConfig, task: str, learner: Learner) -> _Standing:
     """A new run, or one that goes on from its checkpoint, and says so."""
     depends, path = result_options(config, task), config.out / CHECKPOINT
     if not path.is_file():
-        return _Standing(depends, 0, [], [], -1.0, 0.0, 0.0)
+        return _Standing(depends, 0, [], [], None, 0.0, 0.0)
     standing = _Standing(**load_checkpoint(path, learner, depends))
     steps = standing.rollouts * config.rollout_steps
     tqdm.write(f"going on from the checkpoint at {steps:,} steps in {config.out}")
@@ -136,7 +138,7 @@ def _go_on(
         ) as bar,
     ):
 
-        def watch(learner: Learner) -> None:
+        def watch() -> None:
             ended = max(learner.env.episodes, 1)
             success, collision = learner.env.successes / ended, learner.env.collisions / ended
             bar.set_postfix_str(f"success {success:.0%}, collisions {collision:.0%}", refresh=False)
@@ -165,29 +167,31 @@ def _judge(
 ) -> None:
     """Judge the policy, and keep it if none before was better."""
     steps = standing.rollouts * config.rollout_steps
-    note = _note(config, task)
+    note = policy_note(config, task)
     about = {"config": standing.config, "steps": steps, "version": __version__}
     policy = Policy(note, learner.actor(), about)
     rates = judges.judge(policy)
-    mean = mean_success(rates)
+    good = quality(config, task, rates)
     standing.judged.append({"step": float(steps), **rates})
-    if mean >= standing.best:
-        standing.best = mean
-        write_policy(config.out / FILE, Policy(note, policy.networks, {**about, "chosen_by": rates}))
+    if standing.best is None or good >= standing.best:
+        standing.best = good
+        write_policy(
+            config.out / FILE, Policy(note, policy.networks, {**about, "chosen_by": rates})
+        )
 
 
-def _note(config: TrainConfig, task: str) -> PolicyNote:
-    typed = len(config.types) > 1
+def policy_note(config: TrainConfig, task: str) -> PolicyNote:
+    """What a run's policy is trained for."""
     return PolicyNote(
         task,
         config.largest,
         "acceleration",
         config.decision_rate,
         config.num_neighbors,
-        features=TYPED if typed else FEATURES,
+        features=told_in(config, task),
         encoder=config.encoder,
         pooling=config.pooling,
-        types=config.types if typed else (),
+        types=config.types if len(config.types) > 1 else (),
         per_type=config.per_type,
     )
 
@@ -206,8 +210,8 @@ def _curve(standing: _Standing) -> list[dict[str, Any]]:
     ]
 
 
-def _report(config: TrainConfig, standing: _Standing) -> dict[str, Any]:
-    best = max(reversed(standing.judged), key=mean_success)
+def _report(config: TrainConfig, task: str, standing: _Standing) -> dict[str, Any]:
+    best = max(reversed(standing.judged), key=lambda entry: quality(config, task, entry))
     return {
         "config": standing.config,
         "steps": standing.rollouts * config.rollout_steps,

@@ -12,9 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.mission import Placement
 from swarm_envs.tasks.placing import WALL_MARGIN, check_range, derangement, draw_apart
 from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.training.rl.config import TrainConfig
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,13 @@ class PracticeSwap(SwapTask):
         paired = rng.random() < self.pairs_share and n % 2 == 0
         order = _pairs(rng, n) if paired else derangement(rng, n)
         return Placement(start, start[order][None])
+
+
+def practise_swap(task: Task, config: TrainConfig) -> Task:
+    """What training flies for a swap: with the layout `random`, if wanted, hard starts too."""
+    if config.layout == "random" and config.hard_starts:
+        return PracticeSwap(team=task.team, reward_weights=task.reward_weights)
+    return task
 
 
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:

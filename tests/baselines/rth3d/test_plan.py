@@ -16,6 +16,8 @@ from swarm_envs.baselines.rth3d import (
     plan,
     validate,
 )
+from swarm_envs.baselines.rth3d.records import Clock
+from swarm_envs.baselines.rth3d.search import Search
 from tests.baselines.rth3d.cases import load_checker, random_instance
 
 
@@ -106,6 +108,22 @@ def test_rings_approach_the_bound():
         ratios.append(found.ratio)
     assert ratios == sorted(ratios, reverse=True)
     assert ratios[-1] <= 1.15
+
+
+def test_what_is_known_hides_no_shorter_plan_from_pibt():
+    for seed in range(6):
+        instance = make_instance("uniform", (12, 9, 6), 200, seed)
+        alone = Search(instance, seed, Clock())
+        alone.run()
+        assert alone.best is not None
+        makespan = len(alone.best) - 1
+        for known in (makespan + 1, makespan + 30):
+            informed = Search(instance, seed, Clock(), known)
+            informed.run()
+            np.testing.assert_array_equal(informed.best, alone.best)
+        informed = Search(instance, seed, Clock(), makespan)
+        informed.run()
+        assert informed.best is None or len(informed.best) - 1 < makespan
 
 
 def test_a_flat_grid_and_one_on_its_side():

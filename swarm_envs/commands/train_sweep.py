@@ -1,0 +1,243 @@
+"""`swarm-envs train-sweep`: one training run a seed and variant, and what they come to."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from swarm_envs.commands import train
+from swarm_envs.commands.checks import Misuse, check_file, check_folder
+from swarm_envs.errors import check_integer
+from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.scale_out.jobs import Job, Outcome
+from swarm_envs.training.scale_out.options import ScaleOptions
+
+REPORT, MARKER = "sweep.json", "options.json"
+_OURS = ("out", "json", "seed", "progress")
+"""Options of `train` that the sweep itself gives."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepOptions:
+    """Train with several seeds, with or without variants of the options, and compare.
+
+    Every run has a folder of its own, `OUT/VARIANT/seed-K`, as `swarm-envs train` makes it, and is
+    judged on the same episodes. Interrupted or killed, the same command goes on. A run that fails
+    is named in the report, the others go on, and the exit code is 1.
+    """
+
+    out: Path
+    """folder of all runs, and of sweep.json; on storage that all machines of a cluster share"""
+    seeds: list[int] = field(default_factory=lambda: [0, 1, 2, 3, 4])
+    """of the runs, one each"""
+    set: list[str] = field(default_factory=list)
+    """options of `train` for every run, NAME=VALUE, such as `drones=4 hidden=128,128`"""
+    compare: list[str] = field(default_factory=lambda: [""])
+    """variants, each in quotes: more such options, such as `"hidden=64,64" "hidden=128,128
+    entropy=0.01"`"""
+    episodes: int = 1024
+    """in which each policy is judged, on each layout"""
+    report_seed: int = 7
+    """the episodes' seeds are drawn from it, as by `evaluate --seed`"""
+    json: Path | None = None
+    """write the report to this file too"""
+    scale: ScaleOptions = field(default_factory=ScaleOptions)
+    """who shares the runs"""
+
+    def __post_init__(self) -> None:
+        """Refuse what makes no sweep.
+
+        Raises:
+            ValueError: naming the option, the value and the rule.
+        """
+        check_integer("--episodes", self.episodes, 1)
+        check_integer("--report-seed", self.report_seed, 0)
+        folders = [_folder(variant) for variant in self.compare]
+        for name, given in (("--seeds", self.seeds), ("--compare", folders)):
+            if len(set_of(given)) < len(given) or not given:
+                raise ValueError(f"{name} is {given}; name one or more, each once")
+        for seed in self.seeds:
+            check_integer("--seeds", seed, 0)
+
+
+def set_of(values: Sequence[Any]) -> frozenset[Any]:
+    """The different ones among values (`set` is an option here)."""
+    return frozenset(values)
+
+
+def train_arguments(settings: Sequence[str]) -> list[str]:
+    """Arguments of `swarm-envs train` for NAME=VALUE settings.
+
+    Raises:
+        Misuse: a setting is none, or of an option that is the sweep's own.
+    """
+    found: list[str] = []
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        name = name.replace("-", "_")
+        if not equals or not value:
+            raise Misuse(f"{setting!r} is no setting; write NAME=VALUE, such as hidden=128,128")
+        if name in _OURS:
+            raise Misuse(f"{setting!r} is not for --set: each run of a sweep has its own {name}")
+        option = name.replace("_", "-")
+        if value in ("true", "false"):
+            found.append(f"--{option}" if value == "true" else f"--no-{option}")
+        else:
+            found += [f"--{option}", *value.split(",")]
+    return found
+
+
+def parse(arguments: Sequence[str]) -> TrainConfig:
+    """Read the arguments of one run as `swarm-envs train` does.
+
+    Raises:
+        SystemExit: they are not what it takes; the reason is printed.
+    """
+    import tyro
+
+    prog = "swarm-envs train-sweep: a run's own options"
+    return tyro.cli(TrainConfig, args=list(arguments), prog=prog)
+
+
+def train_one(
+    arguments: list[str], marker: str, digest: str, episodes: int, seed: int
+) -> dict[str, Any]:
+    """One run of a sweep, wherever that is; a job.
+
+    Raises:
+        Misuse: the options make no run.
+        OSError: this machine does not see the sweep's folder.
+        ValueError: the run's folder holds another run.
+    """
+    from swarm_envs.training.scale_out.sweep import check_marker, train_and_judge
+
+    check_marker(Path(marker), digest)
+    config = parse(arguments)
+    return train_and_judge(config, train.check(config), episodes, seed)
+
+
+def run(options: SweepOptions) -> int:
+    """Train all, print and write; return how many runs failed.
+
+    Raises:
+        BlockingIOError: another process has this sweep's folder.
+        Misuse: the options make no sweep; nothing was trained.
+    """
+    from swarm_envs.files import claimed, write_json
+
+    check_folder("--out", options.out)
+    if options.json is not None:
+        check_file("--json", options.json, (".json",))
+    runs = {name: _arguments(options, *name) for name in _names(options)}
+    for arguments in runs.values():
+        train.check(parse(arguments))
+    with claimed(options.out):
+        found = _train(options, runs)
+        report = _report(options, found)
+        for path in filter(None, (options.out / REPORT, options.json)):
+            write_json(path, report)
+            print(f"wrote {path}", flush=True)
+    print(_table(report))
+    return sum("error" in entry for entry in found.values())
+
+
+def _names(options: SweepOptions) -> list[tuple[str, int]]:
+    """Variant and seed of every run."""
+    return [(variant, seed) for variant in options.compare for seed in options.seeds]
+
+
+def _folder(variant: str) -> str:
+    return re.sub(r"[^A-Za-z0-9.]+", "-", variant).strip("-.") or "runs"
+
+
+def _arguments(options: SweepOptions, variant: str, seed: int) -> list[str]:
+    out = options.out.absolute() / _folder(variant) / f"seed-{seed}"
+    settings = train_arguments([*options.set, *variant.split()])
+    shown = "--progress" if options.scale.alone else "--no-progress"
+    return [*settings, "--seed", str(seed), "--out", str(out), shown]
+
+
+def _train(
+    options: SweepOptions, runs: dict[tuple[str, int], list[str]]
+) -> dict[tuple[str, int], dict[str, Any]]:
+    """What came of every run: its result, or an error."""
+    from tqdm import tqdm
+
+    from swarm_envs.training.scale_out.sweep import write_marker
+
+    marker = options.out.absolute() / MARKER
+    given = {name: value for name, value in asdict(options).items() if name not in _NOT_RESULT}
+    about = {"marker": str(marker), "digest": write_marker(marker, given)}
+    about |= {"episodes": options.episodes, "seed": options.report_seed}
+    labels = {f"{variant} seed {seed}".strip(): (variant, seed) for variant, seed in runs}
+    jobs = [
+        Job(f"{__name__}:train_one", {**about, "arguments": runs[name]}, label)
+        for label, name in labels.items()
+    ]
+    found = {}
+    with (
+        options.scale.open() as workers,
+        tqdm(total=len(jobs), unit="run", desc="sweep", disable=options.scale.alone) as bar,
+    ):
+        for outcome in workers.run(deque(jobs)):
+            found[labels[outcome.job.label]] = _told(outcome)
+            bar.update()
+    return {name: found[name] for name in runs}
+
+
+_NOT_RESULT = ("out", "json", "scale")
+
+
+def _told(outcome: Outcome) -> dict[str, Any]:
+    if outcome.error is None:
+        result: dict[str, Any] = outcome.result
+        return result
+    sys.stderr.write(outcome.trace)
+    return {"error": outcome.error}
+
+
+def _report(options: SweepOptions, found: dict[tuple[str, int], dict[str, Any]]) -> dict[str, Any]:
+    from swarm_envs import __version__
+    from swarm_envs.training.scale_out.sweep import summary
+
+    variants = []
+    for variant in options.compare:
+        runs = [{"seed": seed, **found[variant, seed]} for seed in options.seeds]
+        whole = [entry for entry in runs if "error" not in entry]
+        rates = summary(whole) if whole else {}
+        folder = str(options.out / _folder(variant))
+        variants.append({"options": variant, "folder": folder, "rates": rates, "runs": runs})
+    about = {"set": options.set, "episodes": options.episodes, "report_seed": options.report_seed}
+    return {**about, "version": __version__, "variants": variants}
+
+
+def _table(report: dict[str, Any]) -> str:
+    """A line a variant: interquartile mean and interval over its runs, %."""
+    names = list(dict.fromkeys(name for v in report["variants"] for name in v["rates"]))
+    rows = [["options", "runs", *(name.replace("_", " ") for name in names), "CPU, min"]]
+    failed = []
+    for variant in report["variants"]:
+        whole = [entry for entry in variant["runs"] if "error" not in entry]
+        cells = [_cell(variant["rates"].get(name)) for name in names]
+        spent = sum(entry["cpu_s"] for entry in whole) / max(len(whole), 1) / 60
+        rows.append([variant["options"] or "-", str(len(whole)), *cells, f"{spent:.1f}"])
+        failed += [
+            f"{variant['options']} seed {entry['seed']} FAILED: {entry['error']}".strip()
+            for entry in variant["runs"]
+            if "error" in entry
+        ]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
+    return "\n" + "\n".join([*(line.rstrip() for line in lines), *failed])
+
+
+def _cell(rate: dict[str, Any] | None) -> str:
+    if rate is None:
+        return "-"
+    low, high = rate["interval"]
+    return f"{100 * rate['iqm']:.1f} ({100 * low:.1f}-{100 * high:.1f})"

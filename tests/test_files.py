@@ -1,0 +1,81 @@
+"""Files that are written whole, and folders that one process at a time writes into."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarm_envs.files import claimed, write_json
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from swarm_envs.files import claimed
+with claimed(Path(sys.argv[1])):
+    print('held', flush=True)
+    time.sleep(60)
+"""
+
+needs_locks = pytest.mark.skipif(os.name == "nt", reason="no flock on this system")
+
+
+def test_a_file_is_old_or_whole_and_nothing_is_left_behind(tmp_path):
+    path = tmp_path / "new" / "a.json"
+    write_json(path, {"a": 1})
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(path, {"a": float("nan")})
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == ["a.json"]
+
+
+@needs_locks
+def test_a_folder_is_claimed_by_one_at_a_time(tmp_path):
+    folder = tmp_path / "run"
+    with claimed(folder):
+        with (
+            pytest.raises(BlockingIOError, match=rf"process {os.getpid()} writes into .*run"),
+            claimed(folder),
+        ):
+            pass
+        with claimed(tmp_path / "other"):
+            pass
+    with claimed(folder):
+        pass
+
+
+@needs_locks
+def test_a_claim_dies_with_its_process_and_what_it_left_half_written_is_removed(tmp_path):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
+    assert holder.stdout is not None
+    assert holder.stdout.readline() == "held\n"
+    half = tmp_path / f".checkpoint.{holder.pid}.partial.safetensors"
+    kept = tmp_path / "a.partial.txt"
+    for file in (half, kept):
+        file.write_bytes(b"half")
+    with pytest.raises(BlockingIOError, match=f"process {holder.pid} "), claimed(tmp_path):
+        pass
+    assert half.exists()
+    holder.send_signal(signal.SIGKILL)
+    holder.wait()
+    holder.stdout.close()
+    with claimed(tmp_path):
+        assert not half.exists()
+        assert kept.exists()
+
+
+def test_a_folder_that_cannot_be_made_is_no_claim(tmp_path):
+    file = tmp_path / "file"
+    file.write_text("here", encoding="utf-8")
+    with pytest.raises(OSError, match="file"), claimed(file / "run"):
+        pass
+    if Path("/proc/self").exists():
+        with pytest.raises(OSError, match="proc"), claimed(Path("/proc/run")):
+            pass

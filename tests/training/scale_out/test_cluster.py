@@ -1,0 +1,63 @@
+"""Jobs over a real Ray cluster of several nodes, one of which is killed in the middle."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("ray")
+
+import ray
+from ray.cluster_utils import Cluster
+
+from swarm_envs.training.scale_out.cluster import RayWorkers
+from swarm_envs.training.scale_out.jobs import Job, Serial
+from tests.helpers import small_jobs
+
+HERE = small_jobs.__name__
+NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
+
+
+@pytest.fixture
+def cluster():
+    """A node of one processor, on which others can be set up; a dead one is missed soon."""
+    soon = {"health_check_period_ms": 500, "health_check_failure_threshold": 4}
+    head = {**NODE, "include_dashboard": False, "_system_config": soon}
+    made = Cluster(initialize_head=True, head_node_args=head)
+    try:
+        yield made
+    finally:
+        ray.shutdown()
+        made.shutdown()
+
+
+def slow_jobs(folder: Path) -> list[Job]:
+    given = {"folder": str(folder), "seconds": 4.0}
+    return [Job(f"{HERE}:slow", {**given, "name": name}, name) for name in "ab"]
+
+
+def test_a_node_dies_and_every_result_is_there_once(cluster, tmp_path):
+    """Both nodes are at a slow job when the second is killed; the first does all that is left."""
+    victim = cluster.add_node(**NODE)
+    jobs = [Job(f"{HERE}:square", {"value": 0.1 * k}, f"{k}") for k in range(30)]
+    jobs += [Job(f"{HERE}:fails", {"value": 1.0}, "bad")]
+    expected = {o.job.label: (o.result, o.error) for o in Serial().run(deque(jobs))}
+    expected |= {"a": ("a", None), "b": ("b", None)}
+
+    def kill_when_both_are_busy() -> None:
+        while len(list(tmp_path.iterdir())) < 2:
+            time.sleep(0.05)
+        cluster.remove_node(victim, allow_graceful=False)
+
+    with RayWorkers(cluster.address) as workers, ThreadPoolExecutor(1) as other:
+        killed = other.submit(kill_when_both_are_busy)
+        outcomes = list(workers.run(deque([*slow_jobs(tmp_path), *jobs])))
+        killed.result()
+    assert len(outcomes) == len(expected)
+    assert {o.job.label: (o.result, o.error) for o in outcomes} == expected
+    names = [note.name[0] for note in tmp_path.iterdir()]
+    assert sorted(names) in (["a", "a", "b"], ["a", "b", "b"])  # the dead node's was begun anew

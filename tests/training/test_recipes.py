@@ -1,0 +1,118 @@
+"""Recipes: what is practised, what a policy is judged on, and what their options default to."""
+
+from __future__ import annotations
+
+import json
+from itertools import permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarm_envs import formation_v0
+from swarm_envs.cli import main
+from swarm_envs.tasks.formation import LAYOUTS
+from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.formations import PracticeFormation
+from swarm_envs.training.rl.recipes import LOST_M, RECIPES, completed
+from swarm_envs.vehicles import parse_team
+
+TINY = [
+    *("--drones", "2", "--environments", "8", "--rollout", "8", "--batch-size", "64"),
+    *("--hidden", "8", "--steps", "256", "--judge-episodes", "2", "--num-neighbors", "1"),
+    *("--interactions", "none", "--passes", "1", "--no-tensorboard", "--no-progress"),
+]
+
+
+def options(**given) -> TrainConfig:
+    return TrainConfig(out=Path("never"), **given)
+
+
+def test_what_is_not_given_is_the_recipes():
+    ring, swap = completed(options(), "ring_v0"), completed(options(), "swap_v0")
+    assert (ring.layout, ring.horizon_s, ring.deviation) == ("rings", 5.0, 0.2)
+    assert (swap.layout, swap.horizon_s, swap.deviation) == ("random", 3.5, np.exp(-0.5))
+    given = completed(options(layout="tour", horizon_s=9.0, deviation=0.5), "formation_v0")
+    assert (given.layout, given.horizon_s, given.deviation) == ("tour", 9.0, 0.5)
+    assert completed(given, "formation_v0") == given
+
+
+@pytest.mark.parametrize("task", RECIPES)
+def test_layouts_are_refused_with_the_list(task):
+    with pytest.raises(ValueError, match="unknown --layout 'spiral'") as error:
+        completed(options(layout="spiral"), task)
+    assert all(f"'{name}'" in str(error.value) for name in RECIPES[task].layouts)
+    for layout in RECIPES[task].layouts:
+        assert set(RECIPES[task].judged_on(layout)) <= set(RECIPES[task].layouts)
+
+
+def test_the_better_policy_has_the_higher_quality():
+    """By hand: success averaged over layouts; on rings 15 cm cost as much as a lost one."""
+    swap, ring = RECIPES["swap_v0"], RECIPES["ring_v0"]
+    measured = {"random_success": 0.5, "circle_success": 1.0}
+    assert swap.quality("random", measured) == pytest.approx(0.75)
+    assert swap.quality("circle", measured) == pytest.approx(1.0)
+    good = {"rings_success": 1.0, "rings_worst_height_error_m": 0.03}
+    assert ring.quality("rings", good) == pytest.approx(0.8)
+    height = ring.measures["worst_height_error_m"]
+    assert height({"worst_height_error_m": 0.03, "success": True}) == 0.03
+    assert height({"worst_height_error_m": 0.03, "success": False}) == LOST_M
+    assert height({"worst_height_error_m": None, "success": False}) == LOST_M
+
+
+def test_practised_formations_are_shapes_in_turn_and_stretched():
+    """Distances within start and goal are those of two of the shapes, times one factor."""
+    task = PracticeFormation(team=parse_team(8 * "S"), stretch=(0.8, 1.0), nearest_share=0.0)
+    rng, seen = np.random.default_rng(0), set()
+    shapes = [np.sort(_distances(points)) for points in task.places]
+    for _ in range(60):
+        start, goals, duration, orbit = task.draw(rng)
+        assert duration == 0.0
+        assert orbit is None
+        found = []
+        for points in (start, goals[0]):
+            ratios = [np.sort(_distances(points)) / shape for shape in shapes]
+            (kind, *_) = (k for k, ratio in enumerate(ratios) if np.ptp(ratio) < 1e-9)
+            found.append((kind, ratios[kind][0]))
+        assert found[0][1] == pytest.approx(found[1][1])
+        assert 0.8 <= found[0][1] <= 1.0
+        seen.add((found[0][0], found[1][0]))
+    assert len(seen) > 10  # of 16 pairs: planes count once
+    near = PracticeFormation(team=parse_team("SSSS"), nearest_share=1.0)
+    start, goals, *_ = near.draw(rng)
+    least = min(np.square(start - goals[0][list(p)]).sum() for p in permutations(range(4)))
+    assert np.square(start - goals[0]).sum() == pytest.approx(least)
+
+
+def _distances(points: np.ndarray) -> np.ndarray:
+    first, second = np.triu_indices(len(points), 1)
+    return np.asarray(np.linalg.norm(points[first] - points[second], axis=-1))
+
+
+def test_a_formation_layout_is_a_mission_by_name():
+    for name, mission in LAYOUTS.items():
+        task = formation_v0.blueprint(num_drones=8, layout=name).task
+        assert all(getattr(task, option) == value for option, value in mission.items())
+    assert formation_v0.blueprint(layout="tour").task == formation_v0.blueprint().task
+    assert formation_v0.blueprint(num_drones=8, layout="shuffle").task.episode_s == 8.0
+    with pytest.raises(ValueError, match=r"layout='cube' already says .* but labels are given too"):
+        formation_v0.blueprint(layout="cube", labels="random")
+    with pytest.raises(ValueError, match="did you mean 'cube'"):
+        formation_v0.blueprint(layout="cubes")
+
+
+@pytest.mark.parametrize("task", ["formation", "ring"])
+def test_every_recipe_trains_and_what_comes_out_flies(task, tmp_path, capsys):
+    pytest.importorskip("stable_baselines3")
+    out = tmp_path / "run"
+    assert main(["train", "--task", task, *TINY, "--out", str(out)]) == 0
+    report = json.loads((out / "report.json").read_text())
+    recipe = RECIPES[report["config"]["task"]]
+    layouts = recipe.judged_on(report["config"]["layout"])
+    assert set(report["chosen"]) == {"step"} | {
+        f"{a}_{b}" for a in layouts for b in recipe.measures
+    }
+    fly = ["--task", task, "--drones", "2", "--episodes", "1", "--horizon-s", "0.5"]
+    assert main(["evaluate", *fly, "--interactions", "none", "--agent", str(out)]) == 0
+    assert main(["evaluate", "--agent", str(out), "--episodes", "1", "--drones", "2"]) == 1
+    assert "trained for task" in capsys.readouterr().out

@@ -1,0 +1,211 @@
+"""What Fig. 5 to 9 vary, and what the paper and others report there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from swarm_envs.baselines.rth3d.grid import Shape
+
+GUARANTEED = ("rth3d", "rth3d-lba")
+"""Methods that always succeed, and whose plans are compacted."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A family of instances on one grid: a point of a curve."""
+
+    family: str
+    """Of `FAMILIES`."""
+    shape: Shape
+    robots: int | None = None
+    """None where the family says how many, a third of the vertices or 2/9 between buildings."""
+
+    @property
+    def vertices(self) -> int:
+        """Of the grid."""
+        return self.shape[0] * self.shape[1] * self.shape[2]
+
+    @property
+    def length(self) -> int:
+        """m1 + 2 m2 + 2 m3, m1 the longest: the theory's makespan but for a constant."""
+        return 2 * sum(self.shape) - max(self.shape)
+
+    @property
+    def grid(self) -> str:
+        """Such as 12x6x3."""
+        return "x".join(map(str, self.shape))
+
+    @property
+    def name(self) -> str:
+        """Such as `uniform 12x6x3`, with the number of robots where it was chosen."""
+        return f"{self.family} {self.grid}" + (f" {self.robots}" if self.robots else "")
+
+
+@dataclass(frozen=True)
+class Target:
+    """A number that a curve should reach."""
+
+    series: str
+    method: str
+    most: float
+    """Mean ratio of makespan to lower bound, at most."""
+    settings: tuple[Setting, ...]
+    """Where."""
+    compacted: bool = True
+    """Or before compaction, as the paper's."""
+    of_paper: bool = False
+    """Whether the paper reports the number; otherwise it is what we set ourselves."""
+
+
+@dataclass(frozen=True)
+class Peer:
+    """A public implementation, measured once on instances of the same kind, on one core."""
+
+    name: str
+    robots: int
+    seconds: float
+    """Of wall time; the limit if there was no answer."""
+    ratio: float | None
+    """None if there was no answer in that time."""
+
+
+PEERS = (
+    Peer("ECBS, w = 1.5", 576, 0.6, 1.09),
+    Peer("ECBS, w = 1.5", 1944, 60.0, None),
+    Peer("LaCAM3", 9000, 4.8, 1.02),
+    Peer("LaCAM3", 36864, 57.0, 1.00),
+    Peer("LaCAM3", 72000, 181.0, 1.00),
+    Peer("LaCAM3", 124416, 300.0, None),
+)
+"""On uniform instances of Fig. 5, C++; LaCAM3 by its first solution. They are not shipped."""
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure of the paper."""
+
+    headline: str
+    axis: str
+    """What grows along x: "robots", "density" or "m" (the height)."""
+    series: Mapping[str, tuple[Setting, ...]]
+    """Curves by their name, each from its smallest to its largest setting."""
+    paper: Mapping[str, float] = field(default_factory=dict)
+    """Ratio that the paper's text gives for the largest sizes, by method."""
+    limit: float | None = None
+    """Ratio that the theory approaches on random instances (Cor. IV.1, IV.2)."""
+    order: float | None = None
+    """The theory's exponent of the run time in the number of vertices."""
+    targets: tuple[Target, ...] = ()
+    peers: tuple[Peer, ...] = ()
+
+
+def slabs(family: str) -> tuple[Setting, ...]:
+    """4:2:1, 3 to 36 high, as in Fig. 5 and 7."""
+    return tuple(Setting(family, (4 * m, 2 * m, m)) for m in range(3, 37, 3))
+
+
+def flats(family: str) -> tuple[Setting, ...]:
+    """6 high and square, 6 to 270 wide, as in Fig. 6."""
+    sides = (6, 12, 24, 36, 48, 60, 90, 120, 150, 180, 210, 240, 270)
+    return tuple(Setting(family, (m, m, 6)) for m in sides)
+
+
+def cubes(family: str, heights: tuple[int, ...]) -> tuple[Setting, ...]:
+    """Cubic grids, as the paper says of Fig. 9."""
+    return tuple(Setting(family, (m, m, m)) for m in heights)
+
+
+def wide(family: str, heights: tuple[int, ...]) -> tuple[Setting, ...]:
+    """Grids of 2m x 2m x m, as the authors' scripts have it for Fig. 9."""
+    return tuple(Setting(family, (2 * m, 2 * m, m)) for m in heights)
+
+
+DENSITIES = (144, 720, 2400, 4800, 7200, 9600, 12000, 14400)
+"""Robots on 120 x 60 x 6: to a third of the vertices. The scripts begin at 4,800."""
+
+_RANDOM = ("uniform", "quasi-random")
+_BUILDINGS = ("buildings", "quasi-buildings")
+_DENSITY = tuple(Setting("uniform", (120, 60, 6), robots) for robots in DENSITIES)
+_SLABS = {family: slabs(family) for family in (*_RANDOM, *_BUILDINGS)}
+_FLATS = {family: flats(family) for family in _RANDOM}
+_WIDE = (6, 12, 18, 24, 30, 36)
+_PATTERNS = {
+    "rings, m x m x m": cubes("rings", (6, 12, 18, 24, 36, 48, 60)),
+    "rings, 2m x 2m x m": wide("rings", _WIDE),
+    "27 blocks, m x m x m": cubes("blocks", (9, 18, 27, 36, 45, 54)),
+    "3 x 3 x 3 blocks, 2m x 2m x m": wide("small-blocks", _WIDE),
+}
+
+
+def _largest(curves: Mapping[str, tuple[Setting, ...]], method: str, most: float) -> list[Target]:
+    """The same target for each curve's largest setting."""
+    return [Target(name, method, most, settings[-1:]) for name, settings in curves.items()]
+
+
+def _paper_says(curves: Mapping[str, tuple[Setting, ...]], most: float, method: str) -> Target:
+    return Target("uniform", method, most, curves["uniform"][-1:], compacted=False, of_paper=True)
+
+
+FIGURES: Mapping[str, Figure] = {
+    "5": Figure(
+        "Fig. 5: 4:2:1 grids, a third of the vertices taken",
+        "robots",
+        {name: _SLABS[name] for name in _RANDOM},
+        paper={"rth3d": 1.7, "rth3d-lba": 1.5},
+        limit=1 + 3 / 7,
+        order=5 / 3,
+        targets=(
+            _paper_says(_SLABS, 1.7, "rth3d"),
+            _paper_says(_SLABS, 1.5, "rth3d-lba"),
+            *_largest({name: _SLABS[name] for name in _RANDOM}, "rth3d-lba", 1.30),
+            *_largest({name: _SLABS[name] for name in _RANDOM}, "auto", 1.05),
+        ),
+        peers=PEERS,
+    ),
+    "6": Figure(
+        "Fig. 6: square grids six vertices high, a third of them taken",
+        "robots",
+        _FLATS,
+        paper={"rth3d": 1.5, "rth3d-lba": 1.5},
+        limit=1.5,
+        order=2.0,
+        targets=(
+            _paper_says(_FLATS, 1.5, "rth3d"),
+            _paper_says(_FLATS, 1.5, "rth3d-lba"),
+        ),
+    ),
+    "7": Figure(
+        "Fig. 7: 4:2:1 grids between tall buildings, density 2/9",
+        "robots",
+        {name: _SLABS[name] for name in _BUILDINGS},
+        limit=1 + 3 / 7,
+        order=5 / 3,
+        targets=(
+            *_largest({name: _SLABS[name] for name in _BUILDINGS}, "rth3d-lba", 1.30),
+            *_largest({name: _SLABS[name] for name in _BUILDINGS}, "auto", 1.10),
+        ),
+    ),
+    "8": Figure(
+        "Fig. 8: 120 x 60 x 6, from a few robots to a third of the vertices",
+        "density",
+        {"uniform": _DENSITY},
+        targets=(Target("uniform", "auto", 1.02, _DENSITY[:4]),),
+    ),
+    "9": Figure(
+        "Fig. 9: rings and blocks",
+        "m",
+        _PATTERNS,
+        targets=(
+            Target("rings, 2m x 2m x m", "rth3d-lba", 1.15, _PATTERNS["rings, 2m x 2m x m"][3:4]),
+            Target("27 blocks, m x m x m", "auto", 1.10, _PATTERNS["27 blocks, m x m x m"]),
+            Target(
+                "3 x 3 x 3 blocks, 2m x 2m x m",
+                "auto",
+                1.10,
+                _PATTERNS["3 x 3 x 3 blocks, 2m x 2m x m"],
+            ),
+        ),
+    ),
+}
+"""Every figure by its number. Orders: matchings of all heights, O(m3 m1^2 m2^2) (Sec. IV)."""

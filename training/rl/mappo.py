@@ -1,0 +1,284 @@
+"""MAPPO in plain torch: one actor for all drones, and a critic that sees the whole team.
+
+Yu et al., "The Surprising Effectiveness of PPO in Cooperative Multi-Agent Games", 2022: PPO whose
+critic, used in training alone, looks at what no drone senses. Of its suggestions here: one actor
+for all; a state of the team as each drone stands in it; values in units of their own spread; many
+decisions in a batch, few passes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from swarm_envs.agents.networks import Network, plain
+from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.encoders import layers_of
+from swarm_envs.training.rl.learner import Entry, Watch
+from swarm_envs.training.rl.practice import Practice
+from swarm_envs.training.rl.schedules import learning_rate, proximity_weight, segment_seed
+from swarm_envs.training.rl.tensors import load_optimiser, optimiser_tensors, without_prefix
+
+_NETWORKS, _OPTIMISER = "networks.", "optimiser."
+_LARGEST_GRADIENT = 0.5
+_HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
+
+
+class Networks(nn.Module):
+    """Actor, critic, and the spread of what the critic foresees.
+
+    Args:
+        told: numbers that an actor is told.
+        seen: numbers that the critic sees of the team, from one drone.
+        hidden: widths of the hidden layers of both.
+        actions: width of an action.
+        deviation: of actions, at the start.
+    """
+
+    def __init__(
+        self, told: int, seen: int, hidden: tuple[int, ...], actions: int, deviation: float
+    ) -> None:
+        super().__init__()
+        self.actor = perceptron((told, *hidden, actions), 0.01)
+        self.critic = perceptron((seen, *hidden, 1), 1.0)
+        self.log_deviation = nn.Parameter(torch.full((actions,), float(np.log(deviation))))
+        self.register_buffer("moments", torch.tensor([0.0, 1.0, 0.0]))
+        self.moments: Tensor
+
+    def log_probability(self, means: Tensor, actions: Tensor) -> Tensor:
+        """Of actions (..., width) that are drawn around these means."""
+        away = (actions - means) / self.log_deviation.exp()
+        return -(0.5 * away**2 + self.log_deviation + _HALF_LOG_TAU).sum(-1)
+
+    def value(self, seen: Tensor) -> Tensor:
+        """Returns that are foreseen, in units of reward."""
+        mean, deviation = self.spread()
+        return self.critic(seen).squeeze(-1) * deviation + mean
+
+    def spread(self) -> tuple[Tensor, Tensor]:
+        """Mean and deviation of returns so far."""
+        mean, square, _ = self.moments
+        return mean, (square - mean**2).clamp(min=1e-4).sqrt()
+
+    def note_returns(self, returns: Tensor) -> None:
+        """Let mean and mean square follow: the first at once, later ones ever more slowly."""
+        count = self.moments[2] + 1
+        share = torch.clamp(1.0 / count, min=0.02)
+        now = torch.stack([returns.mean(), returns.square().mean()])
+        self.moments[:2] += share * (now - self.moments[:2])
+        self.moments[2] = count
+
+
+class Rollout(NamedTuple):
+    """Decisions of every drone, one after another; after `learnable`, in one row each."""
+
+    told: Tensor
+    seen: Tensor
+    actions: Tensor
+    log_probs: Tensor
+    advantages: Tensor
+    returns: Tensor
+
+
+class MappoLearner:
+    """A policy in training by MAPPO; what its methods are for, see `Learner`.
+
+    Args:
+        config: of the run.
+        task: its versioned name.
+    """
+
+    def __init__(self, config: TrainConfig, task: str) -> None:
+        torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+        torch.manual_seed(config.seed)
+        assert config.deviation is not None  # the recipe has one
+        self.config = config
+        self.env = Practice(config, task)
+        (self.core,) = (flown.core for flown in self.env.flown)
+        told = self.env.observation_space.shape[0]
+        others = (self.core.num_drones - 1) * self.core.team_state().shape[-1]
+        width = self.core.mode.width
+        self.networks = Networks(told, told + others, config.hidden, width, config.deviation)
+        self._adam(config.learning_rate)
+        self._draws = torch.Generator()
+
+    def fly(self, segment: range, watch: Watch | None = None) -> Entry:
+        """Train for the rollouts of a segment."""
+        config, seed = self.config, segment_seed(self.config, segment)
+        if segment.start == config.first_stage:
+            self._begin_second_stage()
+        self._draws.manual_seed(seed)
+        self.core.reset([seed + e for e in range(self.core.num_envs)])
+        self.env.clear()
+        for rollout in segment:
+            rate = learning_rate(config, rollout)
+            self.core.set_reward_weights({"proximity": proximity_weight(config, rollout)})
+            kl, loss = self._learn(self._collect(), rate)
+            if watch is not None:
+                watch()
+        ended = max(self.env.episodes, 1)
+        return {
+            "step": float(segment.stop * config.rollout_steps),
+            "success": self.env.successes / ended,
+            "collision": self.env.collisions / ended,
+            "deviation": float(self.networks.log_deviation.detach().exp().mean()),
+            "learning_rate": rate,
+            "kl": kl,
+            "value_loss": loss,
+        }
+
+    @torch.no_grad()
+    def _collect(self) -> Rollout:
+        """Fly for one rollout, and say of every decision how good it turned out to be."""
+        steps = [self._step() for _ in range(self.config.rollout)]
+        told, seen, actions, log_probs, values, rewards, after, ended = map(
+            torch.stack, zip(*steps, strict=True)
+        )
+        following = torch.cat([values[1:], self.networks.value(self._seen(self._told()))[None]])
+        following = torch.where(ended, after, following)
+        advantages = generalised_advantages(
+            rewards + self.config.discount * following - values,
+            ended,
+            self.config.discount * self.config.gae_lambda,
+        )
+        rows = (told, seen, actions, log_probs, advantages, advantages + values)
+        return Rollout(*(row.flatten(0, 2) for row in rows))
+
+    def _step(self) -> tuple[Tensor, ...]:
+        """One decision of every drone: what it was told, what it did, what came of it."""
+        told = self._told()
+        seen = self._seen(told)
+        means = self.networks.actor(told)
+        noise = torch.randn(means.shape, generator=self._draws)
+        actions = means + self.networks.log_deviation.exp() * noise
+        result = self.core.step(actions.clamp(-1.0, 1.0).numpy())
+        rewards = torch.from_numpy(result.rewards.astype(np.float32))
+        after, ended = torch.zeros_like(rewards), result.terminated | result.truncated
+        if result.truncated.any():  # cut by the clock alone: what would follow has a value
+            cut = torch.from_numpy(result.truncated & ~result.terminated)
+            after[cut] = self.networks.value(self._seen(self._told())[cut])
+        if ended.any():
+            for e in np.flatnonzero(ended).tolist():
+                self.env.count(self.core.metrics(e))
+            self.core.reset(mask=ended)
+        over = torch.from_numpy(ended)[:, None].expand(rewards.shape)
+        log_probs = self.networks.log_probability(means, actions)
+        return told, seen, actions, log_probs, self.networks.value(seen), rewards, after, over
+
+    def _told(self) -> Tensor:
+        """(E, N, features) what every drone senses now."""
+        return torch.from_numpy(self.env.told(self.core.rows))
+
+    def _seen(self, told: Tensor) -> Tensor:
+        """(E, N, width) what the critic sees from every drone: features, the others' true states.
+
+        Its own state is left out: features say it already.
+        """
+        states = torch.from_numpy(self.core.team_state())
+        others = [states.roll(-k, dims=1) for k in range(1, self.core.num_drones)]
+        return torch.cat([told, *others], dim=-1)
+
+    def _learn(self, rollout: Rollout, rate: float) -> tuple[float, float]:
+        """Update on a rollout; return the mean divergence from what flew it, and value loss."""
+        networks, told = self.networks, []
+        networks.note_returns(rollout.returns)
+        self.adam.param_groups[0]["lr"] = rate
+        for batch in self._batches(rollout):
+            kl, value_loss, loss = self._losses(batch)
+            self.adam.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            for part in (networks.actor.parameters(), networks.critic.parameters()):
+                nn.utils.clip_grad_norm_(part, _LARGEST_GRADIENT)
+            self.adam.step()
+            told.append((float(kl), float(value_loss)))
+        kls, losses = zip(*told, strict=True)
+        return float(np.mean(kls)), float(np.mean(losses))
+
+    def _batches(self, rollout: Rollout) -> Iterator[Rollout]:
+        size = self.config.batch_size
+        for _ in range(self.config.passes):
+            order = torch.randperm(len(rollout.returns), generator=self._draws)
+            for chosen in torch.split(order, size):
+                yield Rollout(*(row[chosen] for row in rollout))
+
+    def _losses(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+        config, networks = self.config, self.networks
+        log_probs = networks.log_probability(networks.actor(batch.told), batch.actions)
+        change = log_probs - batch.log_probs
+        ratio, good = change.exp(), standardised(batch.advantages)
+        clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+        gain = torch.minimum(ratio * good, clipped * good).mean()
+        mean, deviation = networks.spread()
+        foreseen = networks.critic(batch.seen).squeeze(-1)
+        value_loss = nn.functional.huber_loss(foreseen, (batch.returns - mean) / deviation)
+        entropy = networks.log_deviation.sum()  # but for a constant
+        kl = (ratio - 1.0 - change).mean().detach()
+        return kl, value_loss.detach(), value_loss - gain - config.entropy * entropy
+
+    def actor(self) -> dict[str, Network]:
+        """The network whose output is the mean action."""
+        return plain(layers_of(self.networks.actor))
+
+    def tensors(self) -> dict[str, Tensor]:
+        """Weights, the spread of returns, and Adam's averages."""
+        found = {_NETWORKS + name: t for name, t in self.networks.state_dict().items()}
+        return found | optimiser_tensors(self.adam, _OPTIMISER)
+
+    def load(self, tensors: Mapping[str, Tensor]) -> None:
+        """Take what `tensors` gave."""
+        self.networks.load_state_dict(without_prefix(tensors, _NETWORKS))
+        load_optimiser(self.adam, tensors, _OPTIMISER)
+
+    def close(self) -> None:
+        """Free the environments."""
+        self.env.close()
+
+    def _adam(self, rate: float) -> None:
+        self.adam = torch.optim.Adam(self.networks.parameters(), lr=rate, eps=1e-5)
+
+    def _begin_second_stage(self) -> None:
+        least = float(np.log(max(self.config.second_deviation, 1e-6)))
+        with torch.no_grad():
+            self.networks.log_deviation.clamp_(min=least)
+        self._adam(self.config.second_rate)
+
+
+def perceptron(widths: tuple[int, ...], last_gain: float) -> nn.Sequential:
+    """Layers with tanh between them; weights orthogonal, biases 0."""
+    layers: list[nn.Module] = []
+    gains = [float(np.sqrt(2.0))] * (len(widths) - 2) + [last_gain]
+    for (before, after), gain in zip(pairwise(widths), gains, strict=True):
+        linear = nn.Linear(before, after)
+        nn.init.orthogonal_(linear.weight, gain)
+        nn.init.zeros_(linear.bias)
+        layers += [linear, nn.Tanh()]
+    return nn.Sequential(*layers[:-1])
+
+
+def generalised_advantages(errors: Tensor, ended: Tensor, decay: float) -> Tensor:
+    """Generalised advantage estimation (Schulman et al., 2016, eq. 16).
+
+    Args:
+        errors: (T, ...) of the value: reward + gamma * the next value - this one.
+        ended: (T, ...) whether the decision was an episode's last.
+        decay: gamma * lambda.
+
+    Returns:
+        (T, ...): sums of later errors of the episode, each weighed by `decay` per decision.
+    """
+    advantages, last = torch.empty_like(errors), torch.zeros_like(errors[0])
+    for t in reversed(range(len(errors))):
+        last = errors[t] + decay * torch.where(ended[t], 0.0, last)
+        advantages[t] = last
+    return advantages
+
+
+def standardised(values: Tensor) -> Tensor:
+    """Less their mean, over their deviation."""
+    return (values - values.mean()) / (values.std() + 1e-8)

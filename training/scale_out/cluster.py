@@ -1,0 +1,85 @@
+"""Jobs over a Ray cluster: one that runs, or one begun on this machine."""
+
+from __future__ import annotations
+
+from concurrent.futures import Future
+from typing import Any
+
+from swarm_envs.errors import check_integer
+from swarm_envs.training.scale_out.jobs import RETRIES, Workers, answer
+
+LOCAL, AUTO = "local", "auto"
+_AHEAD = 2
+"""Jobs handed to Ray for each of its processors: while one is done the next is on its way."""
+
+
+class RayWorkers(Workers):
+    """The processors of a Ray cluster, each job on one.
+
+    Jobs whose process or node dies are begun anew elsewhere by Ray. Nodes that join are used. All
+    need swarm-envs of this version. A connection that the process has is used, and left as it was.
+
+    Args:
+        address: `auto`, the cluster that runs on this machine or that `RAY_ADDRESS` names; `local`,
+            one of this machine alone, which ends with this; or host:port, or ray://host:port.
+        cpus: processors of a local one; all if None.
+        retries: how often a job is begun anew after its process or node has died.
+
+    Raises:
+        ImportError: Ray is not installed.
+        ConnectionError: there is no cluster at this address.
+        ValueError: the retries are negative.
+    """
+
+    def __init__(self, address: str, cpus: int | None = None, retries: int = RETRIES) -> None:
+        retries = check_integer("retries", retries, 0)
+        self._ray = _import_ray()
+        self._ours = not self._ray.is_initialized()
+        if self._ours:
+            _connect(self._ray, address, cpus)
+        self._answer = self._ray.remote(num_cpus=1, max_retries=retries)(answer)
+        self._given: set[Any] = set()
+
+    @property
+    def size(self) -> int:
+        """Twice the processors that the cluster has now."""
+        return max(1, _AHEAD * int(self._ray.cluster_resources().get("CPU", 1)))
+
+    def submit(self, request: str) -> Future[str]:
+        """Hand the job to Ray."""
+        reference = self._answer.remote(request)
+        self._given.add(reference)
+        future: Future[str] = reference.future()
+        future.add_done_callback(lambda _: self._given.discard(reference))
+        return future
+
+    def close(self) -> None:
+        """Cancel what is under way, and leave the cluster if this joined it."""
+        for reference in list(self._given):
+            self._ray.cancel(reference, force=True)
+        if self._ours:
+            self._ray.shutdown()
+
+
+def _import_ray() -> Any:
+    try:
+        import ray
+    except ImportError as error:
+        raise ImportError(
+            "a cluster needs Ray; install it by: pip install 'swarm-envs[ray]' (or share the work "
+            "among processes of this machine by --workers, without Ray)"
+        ) from error
+    return ray
+
+
+def _connect(ray: Any, address: str, cpus: int | None) -> None:
+    given: dict[str, Any] = {"log_to_driver": False, "logging_level": "WARNING"}
+    if address == LOCAL:
+        given |= {"num_cpus": cpus, "include_dashboard": False}
+    try:
+        ray.init(address=address, **given)
+    except ConnectionError as error:
+        raise ConnectionError(
+            f"no Ray cluster was found at {address!r} ({error}); begin one by `ray start --head`, "
+            f"name its address, or say {LOCAL!r} for one on this machine alone"
+        ) from error

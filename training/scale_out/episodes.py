@@ -1,0 +1,223 @@
+"""Episodes of agents, flown by whoever is there: each is kept once, and is as if flown here.
+
+Workers fly chunks of seeds and give their episodes back; only the driver keeps any. A chunk that
+takes long gives what it has, and the rest is handed out anew, so that little is lost by a kill.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+import traceback
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from swarm_envs import make
+from swarm_envs.agents import Agent
+from swarm_envs.agents.batch import AT_ONCE
+from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, source_digest
+from swarm_envs.agents.policy import FILE
+from swarm_envs.agents.registry import SHIPPED, load
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.training.scale_out.jobs import Job, Outcome, Workers
+from swarm_envs.training.scale_out.shipping import receive, send
+
+FUNCTION = f"{__name__}:fly_chunk"
+PATIENCE_S = 5.0
+"""After so long a chunk begins no further episode."""
+_CHUNKS, _LARGEST = 4, 256
+"""Chunks for each worker, so that all end at about the same time; and seeds in one, at most."""
+
+
+@dataclass
+class Entrant:
+    """An agent to be evaluated, and what came out so far."""
+
+    name: str
+    """as of `swarm_envs.agents.load`"""
+    digest: str
+    """of its source: what `source_digest` gives"""
+    batched: bool = False
+    """whether it flies many episodes at once: its chunks are then worth as many"""
+    kept: EpisodeFile | None = None
+    """where episodes are kept, if anywhere"""
+    episodes: dict[int, Episode] = field(default_factory=dict)
+    """by seed"""
+    failure: str | None = None
+    """why it was given up: the failure of the first seed that it failed on"""
+    trace: str = ""
+    """where it failed, as Python prints it"""
+    failed_at: float = float("inf")
+    """place of that seed"""
+
+    def __post_init__(self) -> None:
+        if self.kept is not None:
+            self.episodes |= self.kept.episodes
+
+    def flown(self, seeds: Sequence[int]) -> list[Episode]:
+        """Its episodes in the order of the seeds, if it did not fail."""
+        return [self.episodes[seed] for seed in seeds]
+
+
+def fly_apart(
+    entrants: Sequence[Entrant],
+    task: str,
+    setting: Mapping[str, Any],
+    seeds: Sequence[int],
+    workers: Workers,
+    watch: Callable[[Entrant, Episode], None] = lambda entrant, episode: None,
+) -> None:
+    """Fly every agent on every seed that it has no episode of yet.
+
+    An agent that fails is given up on; the episodes before its failure are flown still, so that
+    it is the first, as it would be if they were flown in order. The others go on.
+
+    Args:
+        entrants: changed: what came out is in them.
+        task: versioned name.
+        setting: options of the environment, ready for JSON; agents' own go before them.
+        seeds: of the episodes.
+        workers: who flies.
+        watch: called with each new episode, once it is kept.
+
+    Raises:
+        OSError: an agent's file cannot be read, or an episode not be kept.
+        ValueError: an agent's file is too large to be sent.
+    """
+    places = {seed: place for place, seed in enumerate(seeds)}
+    by_name = {entrant.name: entrant for entrant in entrants}
+    jobs = deque(_jobs(entrants, task, setting, places, workers.size))
+    for outcome in workers.run(jobs):
+        entrant, chunk = by_name[outcome.job.label], outcome.job.arguments["seeds"]
+        flown = outcome.result["episodes"] if outcome.error is None else []
+        if flown and entrant.kept is not None:
+            entrant.kept.add(*flown)
+        for episode in flown:
+            entrant.episodes[episode["seed"]] = episode
+            watch(entrant, episode)
+        rest = chunk[len(flown) :]
+        if rest and places[rest[0]] < entrant.failed_at:
+            why, trace = _failure(outcome, rest)
+            if why is None:
+                jobs.appendleft(_of_seeds(outcome.job, rest, places))
+                continue
+            entrant.failure, entrant.trace, entrant.failed_at = why, trace, places[rest[0]]
+            for job in [job for job in jobs if job.label == entrant.name]:
+                if places[job.arguments["seeds"][0]] > entrant.failed_at:
+                    jobs.remove(job)
+
+
+def _jobs(
+    entrants: Sequence[Entrant],
+    task: str,
+    setting: Mapping[str, Any],
+    places: Mapping[int, int],
+    workers: int,
+) -> list[Job]:
+    files = {
+        name: send(Path(value))
+        for name, value in setting.items()
+        if isinstance(value, str) and value.endswith(".safetensors") and Path(value).is_file()
+    }
+    made = []
+    for entrant in entrants:
+        missing = [seed for seed in places if seed not in entrant.episodes]
+        fair = -(-len(missing) // (_CHUNKS * workers))
+        size = min(_LARGEST, max(fair, AT_ONCE if entrant.batched else 1))
+        about = {"agent": _sent_agent(entrant), "task": task, "setting": dict(setting)}
+        whole = Job(FUNCTION, {**about, "files": files}, entrant.name)
+        for first in range(0, len(missing), size):
+            made.append(_of_seeds(whole, missing[first : first + size], places))
+    return made
+
+
+def _of_seeds(job: Job, seeds: list[int], places: Mapping[int, int]) -> Job:
+    timed = sum(places[seed] < TIMED for seed in seeds)
+    return Job(job.function, {**job.arguments, "seeds": seeds, "timed": timed}, job.label)
+
+
+def _failure(outcome: Outcome, rest: Sequence[int]) -> tuple[str | None, str]:
+    """Why an agent's chunk ended early, if not for being slow, and where."""
+    if outcome.error is None:
+        return outcome.result["error"], outcome.result["trace"]
+    return f"in the episodes of seeds {rest[0]} and on: {outcome.error}", outcome.trace
+
+
+def _sent_agent(entrant: Entrant) -> dict[str, Any]:
+    """An agent as another machine can load it: its file, if it has one, by value."""
+    sent: dict[str, Any] = {"name": entrant.name, "digest": entrant.digest}
+    if entrant.name in SHIPPED:
+        return sent
+    file, colon, part = entrant.name.rpartition(":")
+    path = Path(file if colon else part)
+    return {**sent, "file": send(path / FILE if path.is_dir() else path), "part": colon + part}
+
+
+def fly_chunk(
+    agent: Mapping[str, Any],
+    task: str,
+    setting: Mapping[str, Any],
+    files: Mapping[str, Mapping[str, str]],
+    seeds: list[int],
+    timed: int,
+) -> dict[str, Any]:
+    """Fly one agent on some seeds, in order, the first `timed` one by one; `fly_apart`'s job.
+
+    Returns:
+        `episodes`, of fewer seeds if it took long or the agent failed; `error` and `trace` if it
+        failed, else null and nothing.
+
+    Raises:
+        ValueError: the agent is not the one that was meant.
+    """
+    flown: list[Episode] = []
+    begun = time.monotonic()
+    made, env = _at_hand(json.dumps([agent, task, setting, files]))
+    try:
+        for _ in evaluate(env, made, seeds, None, lambda *new: flown.extend(new), timed):
+            if time.monotonic() - begun > PATIENCE_S:
+                break
+    except Exception as error:
+        _close()
+        return {"episodes": flown, "error": str(error), "trace": _trace(error)}
+    return {"episodes": flown, "error": None, "trace": ""}
+
+
+_prepared: dict[str, tuple[Agent, SwarmParallelEnv]] = {}
+"""The agent and the environment of the last chunk: the next is most often of the same."""
+
+
+def _at_hand(key: str) -> tuple[Agent, SwarmParallelEnv]:
+    if key not in _prepared:
+        _close()
+        agent, task, setting, files = json.loads(key)
+        received = {name: str(receive(file)) for name, file in files.items()}
+        made = _load(agent)
+        _prepared[key] = made, make(task, **{**setting, **received, **made.requires})
+    return _prepared[key]
+
+
+def _close() -> None:
+    while _prepared:
+        _, (_, env) = _prepared.popitem()
+        env.close()
+
+
+def _load(agent: Mapping[str, Any]) -> Agent:
+    name = agent["name"]
+    if "file" in agent:
+        name = str(receive(agent["file"])) + (agent["part"] if ":" in agent["part"] else "")
+    made = load(name)
+    if source_digest(made) != agent["digest"]:
+        raise ValueError(
+            f"agent {agent['name']!r} is another here than where the command was given: install "
+            "the same packages everywhere"
+        )
+    return made
+
+
+def _trace(error: BaseException) -> str:
+    return "".join(traceback.format_exception(error.__cause__ or error))
