@@ -1,4 +1,4 @@
-"""Every choice of what a policy network is told of an observation row, by its name."""
+"""What networks may be told of an observation row, by name."""
 
 from __future__ import annotations
 
@@ -14,71 +14,86 @@ from swarm_envs.vehicles import VEHICLES
 
 GOAL = goal_features.FEATURES
 """For tasks with places to be reached; see `swarm_envs.agents.features`."""
-TYPED_GOAL = goal_features.TYPED
-"""The same for teams of several types of vehicles."""
+TYPED = goal_features.TYPED
+"""The same, and who is of which type."""
 REFERENCE = reference_features.NAME
 """For tasks with a reference to be kept to; see `swarm_envs.agents.reference_features`."""
 TYPES = tuple(VEHICLES)
 """Types of vehicles in the order of their one-hot code."""
 
 
-class FeatureForm(NamedTuple):
-    """Where a choice of features has what: `own` numbers, then `neighbor` of each neighbour."""
+class FeatureSizes(NamedTuple):
+    """Where features of a row have what: the drone's own numbers, then those of K neighbours."""
 
+    num_neighbors: int
+    """K"""
     own: int
     """Numbers about the drone itself."""
     neighbor: int
-    """Numbers about each neighbour, all zero where there is none."""
+    """Numbers about each neighbour."""
     mask: int
-    """Place of the mask among a neighbour's numbers."""
+    """Which of a neighbour's says that it is there."""
     own_type: int | None = None
-    """Where the one-hot type begins among the drone's own numbers; None: it is not told."""
+    """From which of its own its type stands, one-hot, if it is told."""
     neighbor_type: int | None = None
-    """Where it begins among a neighbour's."""
+    """The same of a neighbour's."""
+
+    @property
+    def typed(self) -> bool:
+        """Whether types of vehicles are told."""
+        return self.own_type is not None
+
+    @property
+    def width(self) -> int:
+        """Numbers altogether."""
+        return self.own + self.neighbor * self.num_neighbors
+
+    def own_column(self, token: str) -> int:
+        """Which of its own numbers is 1 where a drone is of a type, else 0."""
+        assert self.own_type is not None
+        return self.own_type + TYPES.index(token)
+
+    def neighbor_column(self, token: str) -> int:
+        """Which of a neighbour's numbers is 1 where it is there and of a type, else 0."""
+        assert self.neighbor_type is not None
+        return self.neighbor_type + TYPES.index(token)
 
     def split(self, values: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Features (..., width) as a drone's (..., own), its neighbours' (..., K, neighbor)."""
-        around = values[..., self.own :].reshape(*values.shape[:-1], -1, self.neighbor)
-        return values[..., : self.own], around
+        """Features (..., width) as a drone's (..., own) and its neighbours' (..., K, neighbor)."""
+        shape = (*values.shape[:-1], self.num_neighbors, self.neighbor)
+        return values[..., : self.own], values[..., self.own :].reshape(shape)
 
 
 class FeatureSet(NamedTuple):
     """One choice of features."""
 
-    form: FeatureForm
+    sizes: Callable[[int], FeatureSizes]
+    """Of features of a row with K neighbours."""
     make: Callable[[Float32Array, int], Float32Array]
-    """Features (..., width(K)) of flat rows without obstacles, and K."""
-
-    def width(self, num_neighbors: int) -> int:
-        """How many numbers are made of a row with K neighbours."""
-        return self.form.own + self.form.neighbor * num_neighbors
+    """Features (..., width) of flat rows without obstacles, and K."""
 
 
-_OWN, _OTHER, _TYPES = goal_features.OWN_WIDTH, goal_features.NEIGHBOR_WIDTH, len(TYPES)
-_REFERENCE_OWN, _REFERENCE_OTHER = reference_features.OWN_WIDTH, reference_features.NEIGHBOR_WIDTH
+def _goal_sizes(num_neighbors: int, typed: bool) -> FeatureSizes:
+    own, neighbor = goal_features.OWN_WIDTH, goal_features.NEIGHBOR_WIDTH
+    if not typed:
+        return FeatureSizes(num_neighbors, own, neighbor, neighbor - 1)
+    more = len(TYPES)
+    return FeatureSizes(num_neighbors, own + more, neighbor + more, neighbor - 1, own, neighbor)
+
+
+def _reference_sizes(num_neighbors: int) -> FeatureSizes:
+    own, neighbor = reference_features.OWN_WIDTH, reference_features.NEIGHBOR_WIDTH
+    own_type, neighbor_type = own - len(TYPES), neighbor - 1 - len(TYPES)
+    return FeatureSizes(num_neighbors, own, neighbor, neighbor - 1, own_type, neighbor_type)
+
 
 FEATURE_SETS: Mapping[str, FeatureSet] = MappingProxyType(
     {
-        GOAL: FeatureSet(FeatureForm(_OWN, _OTHER, _OTHER - 1), goal_features.features),
-        TYPED_GOAL: FeatureSet(
-            FeatureForm(_OWN + _TYPES, _OTHER + _TYPES, _OTHER - 1, _OWN, _OTHER),
-            partial(goal_features.features, typed=True),
+        GOAL: FeatureSet(partial(_goal_sizes, typed=False), goal_features.features),
+        TYPED: FeatureSet(
+            partial(_goal_sizes, typed=True), partial(goal_features.features, typed=True)
         ),
-        REFERENCE: FeatureSet(
-            FeatureForm(
-                _REFERENCE_OWN,
-                _REFERENCE_OTHER,
-                _REFERENCE_OTHER - 1,
-                _REFERENCE_OWN - _TYPES,
-                _REFERENCE_OTHER - 1 - _TYPES,
-            ),
-            reference_features.reference_features,
-        ),
+        REFERENCE: FeatureSet(_reference_sizes, reference_features.reference_features),
     }
 )
 """By name: files of policies say by it what their network is told."""
-
-
-def with_types(name: str) -> str:
-    """The choice that tells the same as this one, and the types of vehicles."""
-    return TYPED_GOAL if name == GOAL else name

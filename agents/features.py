@@ -13,11 +13,14 @@ import numpy.typing as npt
 
 from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
 from swarm_envs.tasks.base import SPEED_LIMIT
+from swarm_envs.vehicles import VEHICLES
 
 FEATURES = "goal-and-closest-approach-1"
 """Name of this choice of features: files of policies say by it what their numbers are."""
 TYPED = "goal-and-closest-approach-typed-1"
 """The same with the types of vehicles: its own after its own numbers, a neighbour's after its."""
+TYPES = tuple(VEHICLES)
+"""In the order of their one-hot code."""
 
 _GOAL_REACH = 0.5
 """Beyond this distance the goal's vector is a direction, m."""
@@ -28,7 +31,7 @@ _AHEAD = 2.0
 _OTHERS_GOAL = 1.0
 """A neighbour's way to its goal is seen up to this length, m."""
 OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
-"""Numbers told of the drone, and of each neighbour, without types."""
+"""Numbers told of a drone itself, and of each neighbour, whose mask is the last; types follow."""
 
 
 class _Places(NamedTuple):
@@ -56,7 +59,7 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
     the closest approach, if both fly straight on: the time until then over 2 s, which is as far as
     it is looked for, the relative position then, m, and exp(-distance / 0.4 m); the vector from
     the neighbour to its goal, cut at 1 m; speed at which it comes nearer, over 2 m/s; mask. All
-    zero where there is no neighbour. Types are one-hot as in `swarm_envs.envs.observation`.
+    zero where there is no neighbour. Types are one-hot, `TYPES` in order.
 
     Args:
         rows: (..., width) as `observation="flat"` gives them, `num_obstacles=0`.
@@ -64,7 +67,7 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
         typed: tell the drone's own type after its numbers, and each neighbour's after its.
 
     Returns:
-        (..., 18 + 17 K) float32; with types (..., 21 + 20 K).
+        (..., 18 + 17 K, with types 21 + 20 K) float32.
 
     Raises:
         ValueError: rows have another width.

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.feature_sets import TYPES, FeatureForm
+from swarm_envs.agents.feature_sets import FeatureSizes
 from swarm_envs.envs.observation import Float32Array
 
 Layers = tuple[tuple[Float32Array, Float32Array], ...]
@@ -40,22 +40,22 @@ class Network:
     pooling: str = "mean"
     """of a deep set: one of `POOLINGS`"""
 
-    def __call__(self, values: Float32Array, form: FeatureForm) -> Float32Array:
-        """Mean actions (..., width) for features (..., width)."""
+    def __call__(self, values: Float32Array, sizes: FeatureSizes) -> Float32Array:
+        """Mean actions (..., width) for features (..., `sizes.width`)."""
         if self.phi is not None:
-            values = self._encoded(values, form)
+            values = self._encoded(values, sizes)
         *hidden, (weight, bias) = self.layers
         actions: Float32Array = _squashed(values, hidden) @ weight.T + bias
         return actions
 
-    def _encoded(self, values: Float32Array, form: FeatureForm) -> Float32Array:
-        own, around = form.split(values)
-        present = around[..., form.mask, None]
+    def _encoded(self, values: Float32Array, sizes: FeatureSizes) -> Float32Array:
+        own, around = sizes.split(values)
+        present = around[..., sizes.mask, None]
         members: Any = 0.0
         assert self.phi is not None
         for token, layers in self.phi.items():
-            share = present if token == ANY else around[..., type_column(form.neighbor_type, token)]
-            members = members + share * _squashed(around, layers)
+            column = sizes.mask if token == ANY else sizes.neighbor_column(token)
+            members = members + around[..., column, None] * _squashed(around, layers)
         return np.concatenate([own, pooled(members, present, self.pooling)], axis=-1)
 
 
@@ -70,27 +70,16 @@ def pooled(members: Float32Array, present: Float32Array, pooling: str) -> Float3
     return total / np.maximum(present.sum(axis=-2), np.float32(1.0))
 
 
-def act(networks: Mapping[str, Network], values: Float32Array, form: FeatureForm) -> Float32Array:
+def act(networks: Mapping[str, Network], values: Float32Array, sizes: FeatureSizes) -> Float32Array:
     """Actions (..., width): every drone by the network of its type, or all by that of `ANY`."""
     if ANY in networks:
-        return networks[ANY](values, form)
+        return networks[ANY](values, sizes)
     actions: Any = 0.0
     for token, network in networks.items():
-        own = values[..., type_column(form.own_type, token)]
-        actions = actions + own * network(values, form)
+        own = values[..., sizes.own_column(token), None]
+        actions = actions + own * network(values, sizes)
     made: Float32Array = actions
     return made
-
-
-def type_column(begin: int | None, token: str) -> list[int]:
-    """The place, as an index that keeps the axis, of a type in a one-hot code that begins there.
-
-    Raises:
-        ValueError: types are not told.
-    """
-    if begin is None:
-        raise ValueError(f"vehicles of type {token!r} cannot be told apart: types are not told")
-    return [begin + TYPES.index(token)]
 
 
 def plain(layers: Layers) -> dict[str, Network]:
@@ -120,8 +109,7 @@ def to_tensors(networks: Mapping[str, Network]) -> dict[str, Float32Array]:
 class Plan:
     """What a file must hold: from so many features to so many actions, for these vehicles."""
 
-    form: FeatureForm
-    num_neighbors: int
+    sizes: FeatureSizes
     actions: int
     action: str
     encoder: str
@@ -145,19 +133,19 @@ class Plan:
         return found
 
     def _network(self, tensors: Mapping[str, Float32Array], before: str) -> Network:
-        told, phi = self.form.own + self.form.neighbor * self.num_neighbors, None
+        told, phi = self.sizes.width, None
         if self.encoder == "deep-set":
             parts = {
                 token: f"{before}phi.{token}" if token else f"{before}phi"
                 for token in self.neighbor_types
             }
             phi = {
-                token: _chained(tensors, name, self.form.neighbor) for token, name in parts.items()
+                token: _chained(tensors, name, self.sizes.neighbor) for token, name in parts.items()
             }
             widths = {len(layers[-1][1]) for layers in phi.values()}
             if len(widths) > 1:
                 raise ValueError(f"networks of neighbours give different numbers: {sorted(widths)}")
-            told = self.form.own + widths.pop()
+            told = self.sizes.own + widths.pop()
         layers = _chained(tensors, f"{before}actor", told)
         if len(layers[-1][1]) != self.actions:
             raise ValueError(

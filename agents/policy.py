@@ -94,12 +94,26 @@ class PolicyAgent:
         """
         note = self.policy.note
         values = FEATURE_SETS[note.features].make(rows, note.num_neighbors)
-        actions: Float32Array = np.clip(act(self.policy.networks, values, note.form), -1.0, 1.0)
+        actions: Float32Array = np.clip(act(self.policy.networks, values, note.sizes), -1.0, 1.0)
         return actions
+
+
+def _shipped(name: str) -> PolicyAgent:
+    weights = resources.files("swarm_envs.agents").joinpath("weights")
+    with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
+        return PolicyAgent.load(path)
 
 
 def swap_ppo() -> PolicyAgent:
     """The policy that ships for swaps of up to four drones; see `weights/MODEL_CARD.md`."""
-    weights = resources.files("swarm_envs.agents").joinpath("weights")
-    with resources.as_file(weights.joinpath("swap-ppo.safetensors")) as path:
-        return PolicyAgent.load(path)
+    return _shipped("swap-ppo")
+
+
+def formation_ppo() -> PolicyAgent:
+    """The policy that ships for formations of up to eight drones; see `weights/MODEL_CARD.md`."""
+    return _shipped("formation-ppo")
+
+
+def ring_ppo() -> PolicyAgent:
+    """The policy that ships for rings of five drones; see `weights/MODEL_CARD.md`."""
+    return _shipped("ring-ppo")

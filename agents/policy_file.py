@@ -21,12 +21,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from swarm_envs import TASKS
-from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL, TYPES, FeatureForm
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL, FeatureSizes
 from swarm_envs.agents.networks import ANY, ENCODERS, POOLINGS, Network, Plan, to_tensors
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import written_whole
+from swarm_envs.vehicles import VEHICLES
 
 FORMAT = "swarm-envs-policy-2"
 _BEFORE = ("swarm-envs-policy-1",)
@@ -56,21 +57,20 @@ class PolicyNote:
     pooling: str = "mean"
     """of a deep set: one of `POOLINGS`"""
     types: tuple[str, ...] = ()
-    """the only types of vehicles it flies, if it tells them apart"""
+    """types of vehicles it was trained with and alone flies; none if it makes no difference"""
     per_type: bool = False
     """whether each of these types has a network of its own"""
 
     @property
-    def form(self) -> FeatureForm:
-        """Where its features have what."""
-        return FEATURE_SETS[self.features].form
+    def sizes(self) -> FeatureSizes:
+        """How many numbers its features are."""
+        return FEATURE_SETS[self.features].sizes(self.num_neighbors)
 
     @property
     def plan(self) -> Plan:
         """The networks that such a policy has."""
         return Plan(
-            self.form,
-            self.num_neighbors,
+            self.sizes,
             ACTIONS[self.action].width,
             self.action,
             self.encoder,
@@ -91,11 +91,11 @@ class PolicyNote:
         check_name("encoder", self.encoder, ENCODERS)
         check_name("pooling", self.pooling, POOLINGS)
         for token in self.types:
-            check_name("types", token, TYPES)
-        if (self.types and self.form.own_type is None) or (self.per_type and not self.types):
+            check_name("types", token, VEHICLES)
+        if (self.types and not self.sizes.typed) or (self.per_type and not self.types):
             raise ValueError(
                 f"types are {self.types}, per_type is {self.per_type} and features "
-                f"{self.features!r}, but types are named where they are told, and only there"
+                f"{self.features!r}, but types are named only where they are told"
             )
         check_integer("drones", self.drones, 1)
         check_integer("decision_rate", self.decision_rate, 1)

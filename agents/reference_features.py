@@ -28,7 +28,7 @@ _BESIDE = 0.2
 _ABOVE = 0.5
 """Height at which a neighbour counts as fully above or below, m."""
 OWN_WIDTH, NEIGHBOR_WIDTH = 23, 12
-"""Numbers told of the drone, and of each neighbour."""
+"""Numbers told of a drone itself, whose type is last, and of each neighbour: type and mask last."""
 
 
 def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:

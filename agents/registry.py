@@ -26,6 +26,8 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "detour": "swarm_envs.agents.detour:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         "swap-ppo": "swarm_envs.agents.policy:swap_ppo",
+        "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
+        "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
         "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent",
         "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent.compensated",

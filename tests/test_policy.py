@@ -17,7 +17,6 @@ from safetensors.numpy import save_file
 from swarm_envs import make, swap_v0
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.batch import fly_batch
-from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
 from swarm_envs.agents.features import features
 from swarm_envs.agents.networks import ANY, plain
 from swarm_envs.agents.policy import FILE, PolicyAgent
@@ -31,7 +30,7 @@ NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2)
 
 def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
     rng = np.random.default_rng(seed)
-    widths = [FEATURE_SETS[note.features].width(note.num_neighbors), 8, 3]
+    widths = [note.sizes.width, 8, 3]
     layers = tuple(
         (rng.normal(0, 0.3, (out, into)).astype(np.float32), rng.normal(0, 0.1, out))
         for into, out in pairwise(widths)
@@ -60,7 +59,7 @@ def test_features_are_what_is_said_of_them(neighbors, drones):
     """Against plain Python, a number at a time; closest approaches by looking along both ways."""
     rows, where = observed(40, neighbors, drones)
     made = features(rows, neighbors)
-    assert made.shape == (40, FEATURE_SETS[GOAL].width(neighbors))
+    assert made.shape == (40, 18 + 17 * neighbors)
     assert made.dtype == np.float32
     for row, out in zip(rows.astype(np.float64), made, strict=True):
         goal = row[where["task.goal"]]

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
 from swarm_envs.commands.fly import find_task
-from swarm_envs.vehicles import team_string
 
 if TYPE_CHECKING:
     from swarm_envs.training.rl.config import TrainConfig
@@ -59,15 +58,8 @@ def run(config: TrainConfig) -> None:
     if config.json is not None:
         write_json(config.json, report)
     print(_summary(report))
-    about = f"--task {config.task} {_flown(config)}"
+    about = f"--task {config.task} --drones {max(config.team_sizes)}"
     print(f"fly it by: swarm-envs evaluate {about} --agent {config.out}")
-
-
-def _flown(config: TrainConfig) -> str:
-    """The largest team, as options of `evaluate`."""
-    team = max(config.teams, key=len)
-    small = {vehicle.token for vehicle in team} == {"S"}
-    return f"--drones {len(team)}" if small else f"--team {team_string(team)}"
 
 
 def _summary(report: dict[str, Any]) -> str:

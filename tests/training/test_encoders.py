@@ -13,7 +13,7 @@ import torch
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
-from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPED_GOAL
+from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPED
 from swarm_envs.agents.networks import ANY, Network
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.policy_file import Policy, read_policy, write_policy
@@ -44,7 +44,7 @@ def make(**given) -> tuple[TrainConfig, PpoLearner]:
 
 
 def policy_of(config: TrainConfig, learner: PpoLearner) -> Policy:
-    return Policy(policy_note(config, "swap_v0"), learner.actor(), {})
+    return Policy(policy_note(config, "swap_v0", learner.env), learner.actor(), {})
 
 
 def told(learner: PpoLearner) -> np.ndarray:
@@ -53,7 +53,7 @@ def told(learner: PpoLearner) -> np.ndarray:
     rng = np.random.default_rng(0)
     for _ in range(5):
         learner.env.step(rng.uniform(-1, 1, (learner.env.num_envs, 3)))
-    rows = [flown.core.rows for flown in learner.env.flown]
+    rows = [core.rows for core in learner.env.cores]
     return np.concatenate([row.reshape(-1, row.shape[-1]) for row in rows])
 
 
@@ -67,8 +67,7 @@ def test_what_flies_is_what_was_trained(kind, tmp_path):
     actions, _ = learner.model.predict(learner.env.told(rows), deterministic=True)
     np.testing.assert_allclose(agent.act_batch(rows), actions, atol=2e-6)
     assert np.ptp(actions, axis=0).min() > 0.01
-    team = "".join(vehicle.token for vehicle in config.teams[0])
-    options = {"team": team, "physics": "batch", "horizon_s": 0.5, "interactions": "none"}
+    options = {**config.teams[0], "physics": "batch", "horizon_s": 0.5, "interactions": "none"}
     env = swap_v0.parallel_env(**options, **agent.requires)
     assert fly_episode(env, agent, seed=0)["length_s"] > 0
     env.close()
@@ -78,13 +77,13 @@ def test_what_flies_is_what_was_trained(kind, tmp_path):
 @pytest.mark.parametrize("kind", ["mean", "max", "sum of each type"])
 def test_the_order_of_neighbours_changes_nothing(kind):
     learner = make(**KINDS[kind])[1]
-    form = learner.env.form
+    sizes = learner.env.sizes
     values = learner.env.told(told(learner))
-    own, around = form.split(values)
+    own, around = sizes.split(values)
     swapped = np.concatenate([own, around[:, ::-1].reshape(len(own), -1)], axis=1)
     assert not np.array_equal(swapped, values)
     for network in learner.actor().values():
-        np.testing.assert_allclose(network(swapped, form), network(values, form), atol=2e-6)
+        np.testing.assert_allclose(network(swapped, sizes), network(values, sizes), atol=2e-6)
     before, after = (
         learner.model.policy.predict_values(torch.from_numpy(v)).detach().numpy()
         for v in (values, swapped)
@@ -97,28 +96,31 @@ def test_who_is_not_there_is_not_in_the_set():
     """Four slots with one neighbour act as one slot with the same neighbour, and none as none."""
     for pooling in ("mean", "max", "sum"):
         _, learner = make(drones=4, pooling=pooling, **SET)
-        form, network = learner.env.form, learner.actor()[ANY]
+        sizes, network = learner.env.sizes, learner.actor()[ANY]
         values = learner.env.told(told(learner))
-        own, around = form.split(values)
+        own, around = sizes.split(values)
         alone = np.concatenate([own, around[:, 0]], axis=1)
         around[:, 1:] = 0.0
         padded = np.concatenate([own, around.reshape(len(own), -1)], axis=1)
-        np.testing.assert_allclose(network(padded, form), network(alone, form), atol=2e-6)
+        np.testing.assert_allclose(
+            network(padded, sizes), network(alone, sizes._replace(num_neighbors=1)), atol=2e-6
+        )
         nobody = np.concatenate([own, np.zeros_like(around).reshape(len(own), -1)], axis=1)
-        np.testing.assert_allclose(network(nobody, form), network(own, form), atol=2e-6)
+        none = sizes._replace(num_neighbors=0)
+        np.testing.assert_allclose(network(nobody, sizes), network(own, none), atol=2e-6)
         learner.close()
 
 
 def test_every_type_flies_and_sees_by_networks_of_its_own():
     """Whose network is broken, and of which neighbour's type, shows in who acts otherwise."""
     config, learner = make(**KINDS["sum of each type"])
-    networks, form = learner.actor(), learner.env.form
+    networks, sizes = learner.actor(), learner.env.sizes
     rows = told(learner)
-    large = learner.env.told(rows)[:, form.own_type + 1] == 1.0
+    large = learner.env.told(rows)[:, sizes.own_type + 1] == 1.0
     assert large.mean() == 0.5
 
     def changed(other: dict[str, Network]) -> np.ndarray:
-        note = policy_note(config, "swap_v0")
+        note = policy_note(config, "swap_v0", learner.env)
         first, second = (PolicyAgent(Policy(note, n, {})) for n in (networks, other))
         return (first.act_batch(rows) != second.act_batch(rows)).any(axis=1)
 
@@ -138,7 +140,7 @@ def test_two_types_learn_apart():
     _, learner = make(team=("SSLL",), per_type=True)
     policy = learner.model.policy
     values = torch.from_numpy(learner.env.told(told(learner)))
-    large = values[:, learner.env.form.own_type + 1] == 1.0
+    large = values[:, learner.env.sizes.own_type + 1] == 1.0
     small_before = policy.get_distribution(values[~large]).mode().detach()
     optimiser = torch.optim.SGD(policy.mlp_extractor.parameters(), lr=0.1)
     policy.get_distribution(values[large]).mode().square().sum().backward()
@@ -149,22 +151,21 @@ def test_two_types_learn_apart():
 
 def test_types_are_told_in_order():
     learner = make(team=("SL",), num_neighbors=1)[1]
-    form, rows = FEATURE_SETS[TYPED_GOAL].form, told(learner)
-    own, around = form.split(learner.env.told(rows))
-    assert own[:2, form.own_type :].tolist() == [[1, 0, 0], [0, 1, 0]]
-    assert around[:2, 0, form.neighbor_type :].tolist() == [[0, 1, 0], [1, 0, 0]]
+    sizes, rows = FEATURE_SETS[TYPED].sizes(1), told(learner)
+    own, around = sizes.split(learner.env.told(rows))
+    assert own[:2, sizes.own_type :].tolist() == [[1, 0, 0], [0, 1, 0]]
+    assert around[:2, 0, sizes.neighbor_type :].tolist() == [[0, 1, 0], [1, 0, 0]]
     learner.close()
 
 
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"per_type": True}, "--per-type needs vehicles of several types"),
         ({"drones": (4, 4)}, r"\(4, 4\).*each\s+once"),
         ({"drones": (2, 4), "environments": 3}, "multiple of the 2 teams"),
         ({"drones": (4, 0)}, "--drones is 0"),
         ({"set_hidden": ()}, "--set-hidden"),
-        ({"drones": (2, 4), "algo": "mappo"}, "its critic sees teams of one size"),
+        ({"drones": (2, 4), "algo": "mappo"}, "--algo mappo trains one team"),
         ({"encoder": "deep-set", "algo": "mappo"}, "--algo mappo has no such option"),
         ({"team": ("SX",)}, "unknown vehicle token 'X'"),
     ],
@@ -172,6 +173,11 @@ def test_types_are_told_in_order():
 def test_impossible_teams_and_networks_are_refused(options, why):
     with pytest.raises(ValueError, match=why):
         TrainConfig(out=Path("never"), **options)
+
+
+def test_a_policy_each_needs_types():
+    with pytest.raises(ValueError, match="--per-type needs vehicles of several types"):
+        make(per_type=True)
 
 
 def test_vehicles_that_it_has_not_flown_are_refused():

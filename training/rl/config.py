@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from swarm_envs.errors import check_integer
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.training.rl.sac_options import SacOptions
-from swarm_envs.vehicles import SMALL, VEHICLES, Team, parse_team
+from swarm_envs.vehicles import parse_team
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +32,7 @@ class TrainConfig:
     """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
     that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
     drones: int | tuple[int, ...] = 4
-    """number of small drones; of several numbers, such as `4 8`, each has an equal share of the
+    """number of drones; of several numbers, such as `4 8`, each has an equal share of the
     environments; the policy will fly as many as the largest, or fewer"""
     team: tuple[str, ...] = ()
     """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
@@ -57,8 +57,8 @@ class TrainConfig:
     """of Adam at the start; it falls linearly"""
     last_rate: float = 0.02
     """what is left of it at the end, as a share"""
-    discount: float = 0.98
-    """gamma: what a reward is worth one decision later"""
+    discount: float | None = None
+    """gamma: what a reward is worth one decision later; the recipe's if not given"""
     gae_lambda: float = 0.95
     """lambda of generalised advantage estimation"""
     clip: float = 0.2
@@ -129,6 +129,13 @@ class TrainConfig:
             ValueError: naming the option, the value and the rule.
         """
         check_integer("--seed", self.seed, 0)
+        for count in self.team_sizes:
+            check_integer("--drones", count, 1)
+        named = [str(team) for team in self.teams]
+        if not named or len(set(named)) < len(named):
+            raise ValueError(
+                f"--drones is {self.drones} and --team {self.team}; name teams, each once"
+            )
         for name in _COUNTS:
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), 1)
         for name, (low, high) in _RANGES.items():
@@ -150,37 +157,21 @@ class TrainConfig:
         if min(self.proximity) < 0:
             raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
         self._check_belongs()
-        self._check_teams()
+        if self.environments % len(self.team_sizes):
+            raise ValueError(
+                f"--environments is {self.environments}, but must be a multiple of the "
+                f"{len(self.team_sizes)} teams that fly side by side"
+            )
+        if self.algo == "mappo" and len(self.team_sizes) > 1:
+            raise ValueError(
+                f"--algo mappo trains one team, whose critic sees all of it, not "
+                f"{len(self.team_sizes)} side by side; take --algo ppo"
+            )
         size = self.rollout_steps
         if self.algo != "sac" and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
                 "rollout: drones of all environments x rollout"
-            )
-
-    def _check_teams(self) -> None:
-        """Refuse teams that cannot fly side by side."""
-        for count in _numbers(self.drones):
-            check_integer("--drones", count, 1)
-        if not self.teams or len(set(self.teams)) < len(self.teams):
-            raise ValueError(
-                f"--drones is {self.drones} and --team {self.team}; name one or more teams, each "
-                "once"
-            )
-        if self.environments % len(self.teams):
-            raise ValueError(
-                f"--environments is {self.environments}, but must be a multiple of the "
-                f"{len(self.teams)} teams that fly side by side"
-            )
-        if self.algo == "mappo" and len(self.teams) > 1:
-            raise ValueError(
-                f"--algo mappo was given {len(self.teams)} teams, but its critic sees teams of one "
-                "size; name one team, or use --algo ppo"
-            )
-        if self.per_type and len(self.types) < 2:
-            raise ValueError(
-                f"--per-type needs vehicles of several types, but those of --team {self.team} are "
-                f"all {', '.join(self.types)}; name a team such as SSLL"
             )
 
     def _check_belongs(self) -> None:
@@ -195,37 +186,29 @@ class TrainConfig:
 
     def uses(self, option: str) -> bool:
         """Whether the run's algorithm depends on an option."""
-        foreign = {
-            "ppo": ("sac",),
-            "mappo": ("sac", *_ENCODERS),
-            "sac": (*_ON_POLICY, *_ENCODERS),
-        }
-        return option not in foreign[self.algo]
+        return option not in _FOREIGN[self.algo]
 
     @property
-    def teams(self) -> tuple[Team, ...]:
-        """Every team that learns, of small drones unless they are named."""
+    def teams(self) -> tuple[dict[str, Any], ...]:
+        """Every team that learns, as options of its environments."""
         if self.team:
-            return tuple(parse_team(team) for team in self.team)
-        return tuple((SMALL,) * count for count in _numbers(self.drones))
+            return tuple({"team": team} for team in self.team)
+        counts = self.drones if isinstance(self.drones, tuple) else (self.drones,)
+        return tuple({"num_drones": count} for count in counts)
 
     @property
-    def largest(self) -> int:
-        """Drones of the largest team."""
-        return max(len(team) for team in self.teams)
-
-    @property
-    def types(self) -> tuple[str, ...]:
-        """Types of vehicles in the teams; networks are told types where there are several."""
-        present = {vehicle.token for team in self.teams for vehicle in team}
-        return tuple(token for token in VEHICLES if token in present)
+    def team_sizes(self) -> tuple[int, ...]:
+        """Number of drones of every team."""
+        return tuple(
+            len(parse_team(given["team"])) if "team" in given else given["num_drones"]
+            for given in self.teams
+        )
 
     @property
     def rollout_steps(self) -> int:
         """Decisions of single drones in a rollout."""
         decisions = self.sac.rollout if self.algo == "sac" else self.rollout
-        share = self.environments // len(self.teams)
-        return share * sum(len(team) for team in self.teams) * decisions
+        return self.environments // len(self.team_sizes) * sum(self.team_sizes) * decisions
 
     @property
     def rollouts(self) -> int:
@@ -247,17 +230,17 @@ class TrainConfig:
         return found
 
 
-def _numbers(drones: int | tuple[int, ...]) -> tuple[int, ...]:
-    return drones if isinstance(drones, tuple) else (drones,)
-
-
-_ENCODERS = ("encoder", "pooling", "set_hidden", "per_type")
-"""Options of `ppo` alone."""
 _ON_POLICY = (
     *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
     *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
 )
-"""Options of `ppo` and `mappo`, which learn from a rollout and forget it."""
+_NETWORKS = ("encoder", "pooling", "set_hidden", "per_type")
+_FOREIGN = {
+    "ppo": ("sac",),
+    "mappo": ("sac", *_NETWORKS),
+    "sac": (*_ON_POLICY, *_NETWORKS),
+}
+"""Options that an algorithm has not."""
 _COUNTS = (
     *("steps", "environments", "threads", "rollout", "batch_size", "passes", "num_neighbors"),
     *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),

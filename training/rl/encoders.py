@@ -16,18 +16,15 @@ import torch
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
-from swarm_envs.agents.feature_sets import FeatureForm
-from swarm_envs.agents.networks import ANY, Layers, Network, type_column
-from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.agents.feature_sets import FeatureSizes
+from swarm_envs.agents.networks import ANY, Layers, Network
 
 
 @dataclass(frozen=True)
 class EncoderSpec:
     """What the networks of a policy look like."""
 
-    form: FeatureForm
-    width: int
-    """of features"""
+    sizes: FeatureSizes
     encoder: str
     """one of `swarm_envs.agents.networks.ENCODERS`"""
     pooling: str
@@ -40,26 +37,6 @@ class EncoderSpec:
     """types of drones with a network of their own, or `ANY` alone"""
 
 
-def encoder_spec(config: TrainConfig, form: FeatureForm, width: int) -> EncoderSpec:
-    """The networks that a configuration asks for.
-
-    Args:
-        config: of the run.
-        form: where features have what.
-        width: of features.
-    """
-    return EncoderSpec(
-        form=form,
-        width=width,
-        encoder=config.encoder,
-        pooling=config.pooling,
-        hidden=config.hidden,
-        set_hidden=config.set_hidden,
-        neighbor_types=config.types if len(config.types) > 1 else (ANY,),
-        owners=config.types if config.per_type else (ANY,),
-    )
-
-
 class SetEncoder(nn.Module):
     """A drone's own numbers, and those of its neighbours as a set."""
 
@@ -67,24 +44,24 @@ class SetEncoder(nn.Module):
         super().__init__()
         self._spec = spec
         self.phi = nn.ModuleList(
-            perceptron(spec.form.neighbor, spec.set_hidden) for _ in spec.neighbor_types
+            perceptron(spec.sizes.neighbor, spec.set_hidden) for _ in spec.neighbor_types
         )
 
     @property
     def width(self) -> int:
         """How many numbers come out."""
-        return self._spec.form.own + self._spec.set_hidden[-1]
+        return self._spec.sizes.own + self._spec.set_hidden[-1]
 
     def forward(self, values: Tensor) -> Tensor:
-        """(B, `width`) for features (B, width)."""
-        form = self._spec.form
-        own, around = values[:, : form.own], values[:, form.own :]
-        around = around.reshape(len(values), -1, form.neighbor)
-        present = around[..., form.mask, None]
+        """(B, `width`) for features (B, `sizes.width`)."""
+        sizes = self._spec.sizes
+        own = values[:, : sizes.own]
+        around = values[:, sizes.own :].reshape(-1, sizes.num_neighbors, sizes.neighbor)
+        present = around[..., sizes.mask, None]
         members = torch.zeros(())
         for token, phi in zip(self._spec.neighbor_types, self.phi, strict=True):
-            share = present if token == ANY else around[..., type_column(form.neighbor_type, token)]
-            members = members + share * phi(around)
+            column = sizes.mask if token == ANY else sizes.neighbor_column(token)
+            members = members + around[..., column, None] * phi(around)
         return torch.cat([own, pooled(members, present, self._spec.pooling)], dim=1)
 
 
@@ -103,10 +80,10 @@ class Trunk(nn.Module):
     def __init__(self, spec: EncoderSpec) -> None:
         super().__init__()
         self.set = SetEncoder(spec) if spec.encoder == "deep-set" else None
-        self.body = perceptron(self.set.width if self.set else spec.width, spec.hidden)
+        self.body = perceptron(self.set.width if self.set else spec.sizes.width, spec.hidden)
 
     def forward(self, values: Tensor) -> Tensor:
-        """(B, last width) for features (B, width)."""
+        """(B, last width) for features (B, `sizes.width`)."""
         latent: Tensor = self.body(values if self.set is None else self.set(values))
         return latent
 
@@ -116,18 +93,18 @@ class Trunks(nn.Module):
 
     def __init__(self, spec: EncoderSpec) -> None:
         super().__init__()
-        self.owners, self._own_type = spec.owners, spec.form.own_type
+        self.owners, self._sizes = spec.owners, spec.sizes
         self.trunks = nn.ModuleList(Trunk(spec) for _ in spec.owners)
         self.width = len(spec.owners) * (spec.hidden[-1] + (spec.owners != (ANY,)))
 
     def forward(self, values: Tensor) -> Tensor:
-        """(B, `width`) for features (B, width)."""
+        """(B, `width`) for features (B, `sizes.width`)."""
         if self.owners == (ANY,):
             latent: Tensor = self.trunks[0](values)
             return latent
         parts = []
         for token, trunk in zip(self.owners, self.trunks, strict=True):
-            own = values[:, type_column(self._own_type, token)]
+            own = values[:, self._sizes.own_column(token), None]
             parts += [own * trunk(values), own]
         return torch.cat(parts, dim=1)
 

@@ -46,7 +46,7 @@ class Learner(Protocol):
             of its episodes; and what the algorithm says of itself.
         """
 
-    def actor(self) -> Mapping[str, Network]:
+    def actor(self) -> dict[str, Network]:
         """The networks whose output is the mean action, as `Policy` takes them."""
 
     def tensors(self) -> dict[str, Tensor]:

@@ -100,7 +100,7 @@ class MappoLearner:
         assert config.deviation is not None  # the recipe has one
         self.config = config
         self.env = Practice(config, task)
-        (self.core,) = (flown.core for flown in self.env.flown)
+        (self.core,) = self.env.cores
         told = self.env.observation_space.shape[0]
         others = (self.core.num_drones - 1) * self.core.team_state().shape[-1]
         width = self.core.mode.width
@@ -136,6 +136,8 @@ class MappoLearner:
     @torch.no_grad()
     def _collect(self) -> Rollout:
         """Fly for one rollout, and say of every decision how good it turned out to be."""
+        discount = self.config.discount
+        assert discount is not None  # the recipe has one
         steps = [self._step() for _ in range(self.config.rollout)]
         told, seen, actions, log_probs, values, rewards, after, ended = map(
             torch.stack, zip(*steps, strict=True)
@@ -143,9 +145,9 @@ class MappoLearner:
         following = torch.cat([values[1:], self.networks.value(self._seen(self._told()))[None]])
         following = torch.where(ended, after, following)
         advantages = generalised_advantages(
-            rewards + self.config.discount * following - values,
+            rewards + discount * following - values,
             ended,
-            self.config.discount * self.config.gae_lambda,
+            discount * self.config.gae_lambda,
         )
         rows = (told, seen, actions, log_probs, advantages, advantages + values)
         return Rollout(*(row.flatten(0, 2) for row in rows))

@@ -10,9 +10,9 @@ import torch
 from stable_baselines3 import PPO
 from torch import Tensor
 
-from swarm_envs.agents.networks import Network
+from swarm_envs.agents.networks import ANY, Network
 from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.encoders import TeamPolicy, encoder_spec, networks
+from swarm_envs.training.rl.encoders import EncoderSpec, TeamPolicy, networks
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.rollouts import Rollouts
@@ -50,7 +50,7 @@ class PpoLearner:
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "spec": encoder_spec(config, self.env.form, self.env.observation_space.shape[0]),
+                "spec": encoder_spec(config, self.env),
                 "log_std_init": float(np.log(config.deviation)),
             },
         )
@@ -116,3 +116,16 @@ class PpoLearner:
             "kl": float(told["train/approx_kl"]),
             "value_loss": float(told["train/value_loss"]),
         }
+
+
+def encoder_spec(config: TrainConfig, env: Practice) -> EncoderSpec:
+    """The networks that a configuration asks for."""
+    return EncoderSpec(
+        sizes=env.sizes,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        hidden=config.hidden,
+        set_hidden=config.set_hidden,
+        neighbor_types=env.types or (ANY,),
+        owners=env.types if config.per_type else (ANY,),
+    )

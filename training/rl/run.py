@@ -19,9 +19,10 @@ from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.reproduce.runs import write_table
 from swarm_envs.training.rl.checkpoint import differing_runs, load_checkpoint, save_checkpoint
 from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.judging import Judges, choosing_seeds, quality
+from swarm_envs.training.rl.judging import Judges, choosing_seeds
 from swarm_envs.training.rl.learner import Learner, make_learner
-from swarm_envs.training.rl.recipes import RECIPES, completed, told_in
+from swarm_envs.training.rl.practice import Practice
+from swarm_envs.training.rl.recipes import RECIPES, completed
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
@@ -90,12 +91,13 @@ def train(config: TrainConfig, task: str) -> dict[str, Any]:
 
 def _train(config: TrainConfig, task: str) -> dict[str, Any]:
     learner = make_learner(config, task)
-    options = {"interactions": config.interactions, "force_rate": config.force_rate}
-    layouts, seeds = (
+    judges = Judges(
+        task,
         RECIPES[task].judged_on(str(config.layout)),
         choosing_seeds(config.judge_episodes),
+        {"interactions": config.interactions, "force_rate": config.force_rate},
+        config.teams,
     )
-    judges = Judges(task, layouts, seeds, options, config.teams)
     try:
         standing = _begin(config, task, learner)
         _go_on(config, task, learner, judges, standing)
@@ -167,31 +169,31 @@ def _judge(
 ) -> None:
     """Judge the policy, and keep it if none before was better."""
     steps = standing.rollouts * config.rollout_steps
-    note = policy_note(config, task)
+    note = policy_note(config, task, learner.env)
     about = {"config": standing.config, "steps": steps, "version": __version__}
     policy = Policy(note, learner.actor(), about)
     rates = judges.judge(policy)
-    good = quality(config, task, rates)
+    quality = RECIPES[task].quality(rates)
     standing.judged.append({"step": float(steps), **rates})
-    if standing.best is None or good >= standing.best:
-        standing.best = good
+    if standing.best is None or quality >= standing.best:
+        standing.best = quality
         write_policy(
             config.out / FILE, Policy(note, policy.networks, {**about, "chosen_by": rates})
         )
 
 
-def policy_note(config: TrainConfig, task: str) -> PolicyNote:
+def policy_note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
     """What a run's policy is trained for."""
     return PolicyNote(
         task,
-        config.largest,
+        max(config.team_sizes),
         "acceleration",
         config.decision_rate,
         config.num_neighbors,
-        features=told_in(config, task),
+        features=env.features,
         encoder=config.encoder,
         pooling=config.pooling,
-        types=config.types if len(config.types) > 1 else (),
+        types=env.types,
         per_type=config.per_type,
     )
 
@@ -211,7 +213,7 @@ def _curve(standing: _Standing) -> list[dict[str, Any]]:
 
 
 def _report(config: TrainConfig, task: str, standing: _Standing) -> dict[str, Any]:
-    best = max(reversed(standing.judged), key=lambda entry: quality(config, task, entry))
+    best = max(reversed(standing.judged), key=RECIPES[task].quality)
     return {
         "config": standing.config,
         "steps": standing.rollouts * config.rollout_steps,
