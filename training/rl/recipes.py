@@ -74,8 +74,8 @@ class Recipe:
         Raises:
             ValueError: there is no such layout; the message lists those that exist.
         """
-        missing = {k: v for k, v in self.defaults.items() if getattr(config, k) is None}
-        whole = replace(config, **missing)
+        missing = [k for k in self.defaults if config.uses(k) and getattr(config, k) is None]
+        whole = replace(config, **{k: self.defaults[k] for k in missing})
         check_name("--layout", whole.layout, self.layouts)
         return whole
 
