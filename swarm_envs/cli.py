@@ -16,6 +16,7 @@ from swarm_envs.commands.checks import check_folder as _check_folder
 from swarm_envs.errors import unknown_name
 
 PROGRAM = "swarm-envs"
+"""The command's name."""
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 
