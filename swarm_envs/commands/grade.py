@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 from swarm_envs.commands.checks import Misuse, check_file
 
 Name = Literal["controller", "force-model", "swap"]
+"""Assignments by name."""
 
 
 @dataclass(frozen=True)
