@@ -203,7 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows: list[Row] = []
     if options.compile:
         rows = [compile_row(method) for method in tqdm(METHODS, unit="method")]
-        lines = [("method", "first call, s", "cached, s")]
+        lines: list[tuple[str, ...]] = [("method", "first call, s", "cached, s")]
         for row in rows:
             first = _cell(row["first"], ".1f", COMPILATION_S)
             lines.append((row["method"], first, f"{row['cached']:.2f}"))
@@ -215,7 +215,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _measure_all(jobs: Sequence[Job]) -> list[Row]:
-    rows, lines = [], [HEADS]
+    rows: list[Row] = []
+    lines: list[tuple[str, ...]] = [HEADS]
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
         results = pool.map(measure, jobs)
         for job in tqdm(jobs, unit="plan"):
