@@ -17,7 +17,7 @@ export MKL_NUM_THREADS := 1
 COMPAT := $(VENV)-compat
 PEERS_torchrl := torchrl benchmarl skrl
 PEERS_rllib := 'ray[rllib]' torch
-TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py
+TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
 .PHONY: help demo test test-all test-compat lint format bench docs clean

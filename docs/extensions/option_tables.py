@@ -146,5 +146,3 @@ def setup(app: Any) -> dict[str, Any]:
 
     app.connect("source-read", read)
     return {"parallel_read_safe": True}
-
-

@@ -34,9 +34,10 @@ def package(module: str) -> str:
         return {BASE: FOUNDATION, FACE: FACES, CLI: COMMANDS}[height]
     if parts[1] == "training" and len(parts) > 2 and parts[2] in FLIGHTS.split(", "):
         return FLIGHTS
-    if parts[1] in ("baselines", "training") and len(parts) > 2:
+    inner = len(parts) > 3 or SOURCES[module].name == "__init__.py"
+    if parts[1] in ("baselines", "training") and len(parts) > 2 and inner:
         return parts[2]
-    return parts[1]
+    return parts[1]  # single modules of `training` too
 
 
 def package_graph() -> dict[str, set[str]]:
@@ -44,7 +45,8 @@ def package_graph() -> dict[str, set[str]]:
     graph: dict[str, set[str]] = {package(name): set() for name in SOURCES}
     for name in SOURCES:
         graph[package(name)] |= {package(m) for m in imported_modules(parsed(name), name)}
-    return {name: found - {name} for name, found in sorted(graph.items()) if found or name}
+    used = set().union(*graph.values())
+    return {n: found - {n} for n, found in sorted(graph.items()) if found or n in used}
 
 
 def below(graph: Graph) -> dict[str, set[str]]:

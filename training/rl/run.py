@@ -169,7 +169,7 @@ def _judge(
 ) -> None:
     """Judge the policy, and keep it if none before was better."""
     steps = standing.rollouts * config.rollout_steps
-    note = _note(config, task, learner.env)
+    note = policy_note(config, task, learner.env)
     about = {"config": standing.config, "steps": steps, "version": __version__}
     policy = Policy(note, learner.actor(), about)
     rates = judges.judge(policy)
@@ -182,7 +182,8 @@ def _judge(
         )
 
 
-def _note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
+def policy_note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
+    """What a run's policy is trained for."""
     return PolicyNote(
         task,
         max(config.team_sizes),
