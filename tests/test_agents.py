@@ -8,8 +8,9 @@ import re
 
 import pytest
 
-from swarm_envs import swap_v0
+from swarm_envs import make, swap_v0
 from swarm_envs.agents import Agent, fly_episode, load
+from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.physics import BatchPhysics
@@ -44,9 +45,10 @@ def test_an_engine_refuses_copies_that_would_come_apart(clone) -> None:
 def test_agents_load_by_name_and_fly(name) -> None:
     agent = load(name)
     assert isinstance(agent, Agent)
-    env = swap_v0.parallel_env(
-        team="LS", layout="stacked", physics="batch", horizon_s=0.2, **agent.requires
-    )
+    task = agent.policy.note.task if isinstance(agent, PolicyAgent) else "swap_v0"
+    layout = {"layout": "stacked"} if task == "swap_v0" else {}
+    given = {"physics": "batch", "horizon_s": 0.2, **layout, **agent.requires}
+    env = make(task, team="LS", **given)
     assert fly_episode(env, agent, seed=0)["length_s"] == pytest.approx(0.2, abs=0.03)
     env.close()
 
