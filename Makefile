@@ -17,10 +17,10 @@ export MKL_NUM_THREADS := 1
 COMPAT := $(VENV)-compat
 PEERS_torchrl := torchrl benchmarl skrl
 PEERS_rllib := 'ray[rllib]' torch
-TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py
+TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test test-all test-compat lint format bench clean
+.PHONY: help demo test test-all test-compat lint format bench docs clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
@@ -30,6 +30,7 @@ help:
 	@echo 'make lint      ruff and mypy'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
+	@echo 'make docs      this documentation as a site, in build/docs'
 	@echo 'make clean     remove everything that these made'
 
 $(VENV)/.python:
@@ -83,6 +84,11 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m tests.benchmarks.forces
 	$(BIN)/python -m tests.benchmarks.throughput --peers $(PEERS)
 	$(BIN)/python -m tests.benchmarks.batched --peers $(PEERS)
+
+# Without a network, and any warning is an error.
+docs: $(VENV)/.dev
+	$(BIN)/python -m sphinx -b html -W --keep-going docs build/docs
+	@echo 'open build/docs/index.html'
 
 clean:
 	rm -rf $(VENV) $(COMPAT) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

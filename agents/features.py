@@ -13,9 +13,14 @@ import numpy.typing as npt
 
 from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
 from swarm_envs.tasks.base import SPEED_LIMIT
+from swarm_envs.vehicles import VEHICLES
 
 FEATURES = "goal-and-closest-approach-1"
 """Name of this choice of features: files of policies say by it what their numbers are."""
+TYPED = "goal-and-closest-approach-typed-1"
+"""The same with the types of vehicles: its own after its own numbers, a neighbour's after its."""
+TYPES = tuple(VEHICLES)
+"""In the order of their one-hot code."""
 
 _GOAL_REACH = 0.5
 """Beyond this distance the goal's vector is a direction, m."""
@@ -25,7 +30,8 @@ _AHEAD = 2.0
 """How far ahead closest approaches are looked for, s."""
 _OTHERS_GOAL = 1.0
 """A neighbour's way to its goal is seen up to this length, m."""
-_SELF_WIDTH, _NEIGHBOR_WIDTH = 18, 17
+OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
+"""Numbers told of a drone itself, and of each neighbour, whose mask is the last; types follow."""
 
 
 class _Places(NamedTuple):
@@ -38,16 +44,12 @@ class _Places(NamedTuple):
     setpoint_offset: slice
     goal: slice
     time_left: slice
+    type: slice
     neighbors: slice
     """Of all of them: K times the width of one."""
 
 
-def feature_width(num_neighbors: int) -> int:
-    """Numbers that `features` makes of a row with K neighbours."""
-    return _SELF_WIDTH + _NEIGHBOR_WIDTH * num_neighbors
-
-
-def features(rows: Float32Array, num_neighbors: int) -> Float32Array:
+def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Float32Array:
     """Features of flat observation rows without obstacles.
 
     Of the drone (18): the vector to its goal, over 0.5 m and cut there; its distance, m; velocity
@@ -57,14 +59,15 @@ def features(rows: Float32Array, num_neighbors: int) -> Float32Array:
     the closest approach, if both fly straight on: the time until then over 2 s, which is as far as
     it is looked for, the relative position then, m, and exp(-distance / 0.4 m); the vector from
     the neighbour to its goal, cut at 1 m; speed at which it comes nearer, over 2 m/s; mask. All
-    zero where there is no neighbour.
+    zero where there is no neighbour. Types are one-hot, `TYPES` in order.
 
     Args:
         rows: (..., width) as `observation="flat"` gives them, `num_obstacles=0`.
         num_neighbors: K.
+        typed: tell the drone's own type after its numbers, and each neighbour's after its.
 
     Returns:
-        (..., `feature_width(K)`) float32.
+        (..., 18 + 17 K, with types 21 + 20 K) float32.
 
     Raises:
         ValueError: rows have another width.
@@ -84,10 +87,12 @@ def features(rows: Float32Array, num_neighbors: int) -> Float32Array:
         rows[..., places.position] / 2.0,
         rows[..., places.time_left],
     ]
+    if typed:
+        own.append(rows[..., places.type])
     before = rows.shape[:-1]
     if num_neighbors:
         seen = rows[..., places.neighbors].reshape(*before, num_neighbors, -1)
-        own.append(_neighbor_features(seen).reshape(*before, -1))
+        own.append(_neighbor_features(seen, typed).reshape(*before, -1))
     made: Float32Array = np.concatenate(own, axis=-1, dtype=np.float32)
     return made
 
@@ -106,8 +111,8 @@ def check_width(rows: Float32Array, num_neighbors: int) -> None:
         )
 
 
-def _neighbor_features(neighbors: Float32Array) -> Float32Array:
-    """(..., K, 17) of (..., K, width) fields of neighbours."""
+def _neighbor_features(neighbors: Float32Array, typed: bool) -> Float32Array:
+    """(..., K, 17 or with types 20) of (..., K, width) fields of neighbours."""
     position, velocity = neighbors[..., 0:3], neighbors[..., 3:6]
     goal, mask = neighbors[..., 6:9], neighbors[..., -1:]
     distance, motion = _length(position), velocity * np.float32(SPEED_LIMIT)
@@ -126,6 +131,8 @@ def _neighbor_features(neighbors: Float32Array) -> Float32Array:
         approach / np.maximum(distance, 1e-6) / SPEED_LIMIT,
         mask,
     ]
+    if typed:
+        parts.append(neighbors[..., 9:-1])
     made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32) * mask
     return made
 
@@ -147,5 +154,6 @@ def _places(num_neighbors: int) -> _Places:
         setpoint_offset=found["self.setpoint_offset"],
         goal=found["task.goal"],
         time_left=found["task.time_left"],
+        type=found["self.type"],
         neighbors=whole,
     )

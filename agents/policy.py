@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.agents.feature_sets import FEATURE_SETS
+from swarm_envs.agents.networks import act
 from swarm_envs.agents.policy_file import Policy, read_policy
 from swarm_envs.agents.protocol import Actions, Observations, check_requirements
 from swarm_envs.envs.observation import Float32Array
@@ -55,7 +56,8 @@ class PolicyAgent:
         """Check that this is what the policy was trained for; it draws nothing at random.
 
         Raises:
-            ValueError: another task, action or observation, more drones, or obstacles.
+            ValueError: another task, action or observation, more drones, types that it was not
+                trained with, or obstacles.
         """
         check_requirements(env, self)
         note, task = self.policy.note, env.core.task
@@ -69,6 +71,12 @@ class PolicyAgent:
                 f"this policy was trained with {note.drones} drones and flies as many or fewer, "
                 f"but the environment has {env.core.num_drones}; train one with more by "
                 f"`swarm-envs train --drones {env.core.num_drones}`"
+            )
+        others = {vehicle.token for vehicle in task.team} - set(note.types)
+        if note.types and others:
+            raise ValueError(
+                f"this policy was trained for vehicles {', '.join(note.types)}, but the team has "
+                f"{', '.join(sorted(others))}; train one with them by `swarm-envs train --team`"
             )
         if task.obstacles:
             raise ValueError("this policy was trained without obstacles, and does not see any")
@@ -86,15 +94,26 @@ class PolicyAgent:
         """
         note = self.policy.note
         values = FEATURE_SETS[note.features].make(rows, note.num_neighbors)
-        *hidden, last = self.policy.layers
-        for weight, bias in hidden:
-            values = np.tanh(values @ weight.T + bias)
-        actions: Float32Array = np.clip(values @ last[0].T + last[1], -1.0, 1.0)
+        actions: Float32Array = np.clip(act(self.policy.networks, values, note.sizes), -1.0, 1.0)
         return actions
+
+
+def _shipped(name: str) -> PolicyAgent:
+    weights = resources.files("swarm_envs.agents").joinpath("weights")
+    with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
+        return PolicyAgent.load(path)
 
 
 def swap_ppo() -> PolicyAgent:
     """The policy that ships for swaps of up to four drones; see `weights/MODEL_CARD.md`."""
-    weights = resources.files("swarm_envs.agents").joinpath("weights")
-    with resources.as_file(weights.joinpath("swap-ppo.safetensors")) as path:
-        return PolicyAgent.load(path)
+    return _shipped("swap-ppo")
+
+
+def formation_ppo() -> PolicyAgent:
+    """The policy that ships for formations of up to eight drones; see `weights/MODEL_CARD.md`."""
+    return _shipped("formation-ppo")
+
+
+def ring_ppo() -> PolicyAgent:
+    """The policy that ships for rings of five drones; see `weights/MODEL_CARD.md`."""
+    return _shipped("ring-ppo")

@@ -1,7 +1,10 @@
 """Files of trained policies: safetensors with a JSON note, checked before it is believed.
 
 Tensors, float32: `actor.<layer>.weight` (out, in) and `actor.<layer>.bias`, layers in order, tanh
-between them. The note, under the key `swarm_envs`, says what the policy was trained for.
+between them; of a deep set also `phi.<layer>.weight`, or `phi.<type>.<layer>.weight` for each type
+of neighbour; all behind `<type>/` where each type of vehicle has a network of its own. The note,
+under the key `swarm_envs`, says what the policy was trained for. Files of the first version, which
+have perceptrons alone, are read too.
 """
 
 from __future__ import annotations
@@ -10,7 +13,6 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,18 +21,19 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from swarm_envs import TASKS
-from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL, FeatureSizes
+from swarm_envs.agents.networks import ANY, ENCODERS, POOLINGS, Network, Plan, to_tensors
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import written_whole
+from swarm_envs.vehicles import VEHICLES
 
-FORMAT = "swarm-envs-policy-1"
+FORMAT = "swarm-envs-policy-2"
+_BEFORE = ("swarm-envs-policy-1",)
+"""Formats that are read, though no longer written."""
 LARGEST = 1e4
 """No weight of a policy that was trained comes near it; one beyond it was damaged."""
-
-Layers = tuple[tuple[Float32Array, Float32Array], ...]
-"""Weight (out, in) and bias (out,) of each layer of a network, in order."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,32 @@ class PolicyNote:
     """K, how many neighbours it observes"""
     features: str = GOAL
     """what is made of an observation row before the network sees it"""
+    encoder: str = "mlp"
+    """how neighbours are told: one of `ENCODERS`"""
+    pooling: str = "mean"
+    """of a deep set: one of `POOLINGS`"""
+    types: tuple[str, ...] = ()
+    """types of vehicles it was trained with and alone flies; none if it makes no difference"""
+    per_type: bool = False
+    """whether each of these types has a network of its own"""
+
+    @property
+    def sizes(self) -> FeatureSizes:
+        """How many numbers its features are."""
+        return FEATURE_SETS[self.features].sizes(self.num_neighbors)
+
+    @property
+    def plan(self) -> Plan:
+        """The networks that such a policy has."""
+        return Plan(
+            self.sizes,
+            ACTIONS[self.action].width,
+            self.action,
+            self.encoder,
+            self.pooling,
+            self.types or (ANY,),
+            self.types if self.per_type else (ANY,),
+        )
 
     def check(self) -> None:
         """Refuse a note that speaks of what does not exist here.
@@ -59,6 +88,15 @@ class PolicyNote:
         check_name("task", self.task, TASKS)
         check_name("action", self.action, ACTIONS)
         check_name("features", self.features, FEATURE_SETS)
+        check_name("encoder", self.encoder, ENCODERS)
+        check_name("pooling", self.pooling, POOLINGS)
+        for token in self.types:
+            check_name("types", token, VEHICLES)
+        if (self.types and not self.sizes.typed) or (self.per_type and not self.types):
+            raise ValueError(
+                f"types are {self.types}, per_type is {self.per_type} and features "
+                f"{self.features!r}, but types are named only where they are told"
+            )
         check_integer("drones", self.drones, 1)
         check_integer("decision_rate", self.decision_rate, 1)
         check_integer("num_neighbors", self.num_neighbors, 0)
@@ -69,14 +107,15 @@ class Policy:
     """A network that acts, and what it was trained for."""
 
     note: PolicyNote
-    layers: Layers
+    networks: Mapping[str, Network]
+    """One under `ANY`, or one for each type of vehicle."""
     provenance: Mapping[str, Any]
     """How it came about: command, seed, steps ..."""
 
     @property
     def digest(self) -> str:
         """SHA-256 of the weights."""
-        return _digest(_tensors(self.layers))
+        return _digest(to_tensors(self.networks))
 
 
 def write_policy(path: Path, policy: Policy) -> None:
@@ -86,7 +125,7 @@ def write_policy(path: Path, policy: Policy) -> None:
         OSError: the folder cannot be made or written.
         ValueError: a weight is not finite.
     """
-    tensors = _tensors(policy.layers)
+    tensors = to_tensors(policy.networks)
     _check_numbers(tensors)
     note = {
         "format": FORMAT,
@@ -116,13 +155,12 @@ def read_policy(path: Path) -> Policy:
         )
     try:
         tensors, note = _read(path)
-        if note.get("format") != FORMAT:
+        if note.get("format") not in (FORMAT, *_BEFORE):
             raise ValueError(f"its format is {note.get('format')!r}, not {FORMAT!r}")
         if _digest(tensors) != note["weights_sha256"]:
             raise ValueError("its weights are not those that were written")
-        about = PolicyNote(**{field.name: note[field.name] for field in fields(PolicyNote)})
-        about.check()
-        layers = _layers(tensors, about)
+        about = _about(note)
+        networks = about.plan.networks(tensors)
         provenance = dict(note["provenance"])
     except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
         raise ValueError(
@@ -134,7 +172,7 @@ def read_policy(path: Path) -> Policy:
             f"policy {str(path)!r} was trained on another layout of observations than this "
             "version's; train it again by `swarm-envs train`"
         )
-    return Policy(about, layers, provenance)
+    return Policy(about, networks, provenance)
 
 
 def layout_digest(num_neighbors: int) -> str:
@@ -166,29 +204,15 @@ def _check_numbers(tensors: Mapping[str, Float32Array]) -> None:
             raise ValueError(f"tensor {name!r} holds a number beyond {LARGEST:g}")
 
 
-def _layers(tensors: Mapping[str, Float32Array], note: PolicyNote) -> Layers:
-    count = len(tensors) // 2
-    layers = tuple((tensors[f"actor.{k}.weight"], tensors[f"actor.{k}.bias"]) for k in range(count))
-    widths = [FEATURE_SETS[note.features].width(note.num_neighbors)]
-    for weight, bias in layers:
-        if weight.ndim != 2 or bias.shape != weight.shape[:1]:
-            raise ValueError(f"a layer has weights {weight.shape} and biases {bias.shape}")
-        widths.append(weight.shape[0])
-    fits = all(w.shape[1] == before for (w, _), (before, _) in zip(layers, pairwise(widths)))
-    if not layers or not fits or widths[-1] != ACTIONS[note.action].width:
-        raise ValueError(
-            f"its layers do not lead from {widths[0]} features to the "
-            f"{ACTIONS[note.action].width} numbers of action {note.action!r}"
-        )
-    return layers
-
-
-def _tensors(layers: Layers) -> dict[str, Float32Array]:
-    tensors = {}
-    for k, (weight, bias) in enumerate(layers):
-        tensors[f"actor.{k}.weight"] = np.ascontiguousarray(weight, dtype=np.float32)
-        tensors[f"actor.{k}.bias"] = np.ascontiguousarray(bias, dtype=np.float32)
-    return tensors
+def _about(note: Mapping[str, Any]) -> PolicyNote:
+    """The note, checked; what older files do not say is as it was then."""
+    later = {"encoder", "pooling", "types", "per_type"} if note["format"] in _BEFORE else set()
+    said = {field.name: note[field.name] for field in fields(PolicyNote) if field.name not in later}
+    if "types" in said:
+        said["types"] = tuple(said["types"])
+    about = PolicyNote(**said)
+    about.check()
+    return about
 
 
 def _digest(tensors: Mapping[str, Float32Array]) -> str:

@@ -27,12 +27,8 @@ _BESIDE = 0.2
 """Length over which downwash falls by e to the side, m."""
 _ABOVE = 0.5
 """Height at which a neighbour counts as fully above or below, m."""
-_OWN_WIDTH, _NEIGHBOR_WIDTH = 23, 12
-
-
-def reference_width(num_neighbors: int) -> int:
-    """Numbers that `reference_features` makes of a row with K neighbours."""
-    return _OWN_WIDTH + _NEIGHBOR_WIDTH * num_neighbors
+OWN_WIDTH, NEIGHBOR_WIDTH = 23, 12
+"""Numbers told of a drone itself, whose type is last, and of each neighbour: type and mask last."""
 
 
 def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
@@ -51,7 +47,7 @@ def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
         num_neighbors: K.
 
     Returns:
-        (..., `reference_width(K)`) float32.
+        (..., 23 + 12 K) float32.
 
     Raises:
         ValueError: rows have another width.

@@ -157,6 +157,12 @@ def _evaluate(arguments: Sequence[str]) -> int:
     return FAILED if run(_read("evaluate", EvaluateOptions, arguments)) else DONE
 
 
+def _grade(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.grade import GradeOptions, run
+
+    return FAILED if run(_read("grade", GradeOptions, arguments)) else DONE
+
+
 def _plan(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.plan import PlanOptions, run
 
@@ -201,6 +207,7 @@ COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
     "evaluate": Command("many episodes of agents on the same seeds, and their scores", _evaluate),
+    "grade": Command("points for the assignments of a course, file by file", _grade),
     "replay": Command("play a recorded episode in a browser", _replay),
     "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),

@@ -11,82 +11,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
-PACKAGE = ROOT / "swarm_envs"
-OUTER = ("agents", "baselines", "training")
+from tests.helpers.imports import OUTER, ROOT, SOURCES, imported_modules, imports, level, parsed
 
-BASE = 0  # vehicles, state and the other single modules at the bottom
-LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
-_BASE_MODULES = (
-    *("vehicles", "state", "errors", "motors", "files"),
-    *("compiled", "borrowed", "lowering", "neighbors"),
-)
-LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)
-LEVELS |= dict.fromkeys(("trajectories", "noise", "registration", ""), BASE)
-FACE = 4  # swap_v0 and the like: what users import
-OUTER_LEVELS = {"agents": 5, "baselines": 6, "training": 7}
-CLI = 8
-
-
-def sources() -> dict[str, Path]:
-    """Every module of the package by its import name."""
-    files = [f for f in PACKAGE.rglob("*.py") if not set(OUTER) & set(f.relative_to(PACKAGE).parts)]
-    found = {f.relative_to(PACKAGE): f for f in files}
-    for folder in OUTER:
-        found |= {f.relative_to(ROOT): f for f in (ROOT / folder).rglob("*.py")}
-    names = {".".join(("swarm_envs", *p.with_suffix("").parts)): f for p, f in found.items()}
-    return {name.removesuffix(".__init__"): f for name, f in sorted(names.items())}
-
-
-SOURCES = sources()
 every_module = pytest.mark.parametrize("name", SOURCES)
-
-
-def level(name: str) -> int:
-    """How high a module stands: it may import its own level and those below."""
-    part = f"{name}.".split(".")[1]
-    if part in ("cli", "commands"):
-        return CLI
-    return OUTER_LEVELS.get(part, LEVELS.get(part, FACE))
-
-
-def is_type_checking(node: ast.AST) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
-
-
-def running_nodes(node: ast.AST, deep: bool = True) -> Iterator[ast.AST]:
-    """The nodes below one that run; only those that run at import unless `deep`."""
-    for child in ast.iter_child_nodes(node):
-        if is_type_checking(child):
-            continue
-        if not deep and isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda):
-            continue
-        yield child
-        yield from running_nodes(child, deep)
-
-
-def imports(tree: ast.AST, name: str, deep: bool = True) -> Iterator[tuple[str, str]]:
-    """Pairs of local name and full dotted name that a module's import statements bind."""
-    is_package = SOURCES.get(name, Path()).name == "__init__.py"
-    for node in running_nodes(tree, deep):
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield alias.asname or alias.name.split(".")[0], alias.name
-        elif isinstance(node, ast.ImportFrom):
-            parts = name.split(".")
-            up = parts[: len(parts) - node.level + is_package] if node.level else []
-            origin = ".".join([*up, *filter(None, [node.module])])
-            for alias in node.names:
-                yield alias.asname or alias.name, f"{origin}.{alias.name}"
-
-
-def imported_modules(tree: ast.AST, name: str, deep: bool = True) -> set[str]:
-    """Modules of this package that one module imports."""
-    found = set()
-    for _, target in imports(tree, name, deep):
-        if target == "swarm_envs" or target.startswith("swarm_envs."):
-            found.add(target if target in SOURCES else target.rpartition(".")[0])
-    return found
 
 
 def banned_calls(source: str) -> set[str]:
@@ -121,10 +48,6 @@ def is_banned(full: str, call: ast.Call) -> bool:
         return pickles != "False"
     pickle = module in {"pickle", "cloudpickle", "dill", "joblib"}
     return full == "torch.load" or (pickle and function in {"load", "loads"})
-
-
-def parsed(name: str) -> ast.Module:
-    return ast.parse(SOURCES[name].read_text(encoding="utf-8"))
 
 
 def test_the_package_was_found():

@@ -17,7 +17,8 @@ from safetensors.numpy import save_file
 from swarm_envs import make, swap_v0
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.batch import fly_batch
-from swarm_envs.agents.features import feature_width, features
+from swarm_envs.agents.features import features
+from swarm_envs.agents.networks import ANY, plain
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.agents.policy_file import Policy, PolicyNote, read_policy, write_policy
 from swarm_envs.envs.blueprints import batch_of
@@ -29,13 +30,13 @@ NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2)
 
 def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
     rng = np.random.default_rng(seed)
-    widths = [feature_width(note.num_neighbors), 8, 3]
+    widths = [note.sizes.width, 8, 3]
     layers = tuple(
         (rng.normal(0, 0.3, (out, into)).astype(np.float32), rng.normal(0, 0.1, out))
         for into, out in pairwise(widths)
     )
     rounded = tuple((weight, bias.astype(np.float32)) for weight, bias in layers)
-    return Policy(note, rounded, {"seed": seed})
+    return Policy(note, plain(rounded), {"seed": seed})
 
 
 def observed(count: int, neighbors: int, drones: int) -> tuple[np.ndarray, dict[str, slice]]:
@@ -58,7 +59,7 @@ def test_features_are_what_is_said_of_them(neighbors, drones):
     """Against plain Python, a number at a time; closest approaches by looking along both ways."""
     rows, where = observed(40, neighbors, drones)
     made = features(rows, neighbors)
-    assert made.shape == (40, feature_width(neighbors))
+    assert made.shape == (40, 18 + 17 * neighbors)
     assert made.dtype == np.float32
     for row, out in zip(rows.astype(np.float64), made, strict=True):
         goal = row[where["task.goal"]]
@@ -121,7 +122,8 @@ def test_one_team_and_many_fly_the_same():
 
 def test_actions_stay_within_their_bounds():
     loud = policy()
-    loud = replace(loud, layers=tuple((100 * weight, bias) for weight, bias in loud.layers))
+    layers = tuple((100 * weight, bias) for weight, bias in loud.networks[ANY].layers)
+    loud = replace(loud, networks=plain(layers))
     rows, _ = observed(20, 2, 3)
     actions = PolicyAgent(loud).act_batch(rows)
     assert np.abs(actions).max() == 1.0
@@ -202,7 +204,7 @@ def test_pickles_and_missing_files_are_refused(tmp_path):
 
 def test_weights_that_are_no_numbers_are_not_written(tmp_path):
     broken = policy()
-    broken.layers[0][0][0, 0] = np.nan
+    broken.networks[ANY].layers[0][0][0, 0] = np.nan
     with pytest.raises(ValueError, match=r"actor\.0\.weight.* not finite"):
         write_policy(tmp_path / FILE, broken)
     assert not list(tmp_path.iterdir())

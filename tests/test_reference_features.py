@@ -15,14 +15,14 @@ from swarm_envs.envs.observation import observation_layout
 @pytest.mark.parametrize("neighbors", [0, 1, 4, 5])
 def test_reference_features_are_what_is_said_of_them(neighbors):
     env = ring_v0.parallel_env(num_drones=5, physics="batch", num_neighbors=neighbors)
-    rng, rows = np.random.default_rng(0), []
+    rng, rows = np.random.default_rng(0), list[np.ndarray]()
     env.reset(seed=0)
     while env.agents and len(rows) < 60:
         rows += list(env.step({a: rng.uniform(-1, 1, 3) for a in env.agents})[0].values())
     env.close()
-    width, make = FEATURE_SETS[REFERENCE]
+    sizes, make = FEATURE_SETS[REFERENCE]
     made = make(np.stack(rows), neighbors)
-    assert made.shape == (len(rows), width(neighbors))
+    assert made.shape == (len(rows), sizes(neighbors).width)
     assert made.dtype == np.float32
     for row, got in zip(rows, made, strict=True):
         np.testing.assert_allclose(got, _by_hand(row, neighbors), rtol=1e-5, atol=1e-6)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -104,9 +105,10 @@ class GridPlan:
 def _check_limit(time_limit: float | None) -> float:
     if time_limit is None:
         return float("inf")
-    if not time_limit > 0:
+    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
+    if not number or not time_limit > 0:
         raise ValueError(f"time_limit is {time_limit!r}, but must be seconds above 0, or None")
-    return time.monotonic() + time_limit
+    return time.monotonic() + float(time_limit)
 
 
 def plan(

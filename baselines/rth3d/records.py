@@ -69,7 +69,7 @@ class Clock:
         """
         if self.remaining <= 0:
             raise PlanTimeout(
-                f"the time limit ended before {what!r}, and there is no valid plan yet; give more "
+                f"the time limit ended at {what!r}, and there is no valid plan yet; give more "
                 "time, or method='pibt', which is faster and promises nothing"
             )
 

@@ -17,16 +17,18 @@ from swarm_envs.baselines.rth3d.records import Clock
 _PATIENCE = 1.5
 """An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
 _MARGIN = 60
-_RESTARTS = 4 * (0.9, 0.8, 0.6)
+_RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
 """From which part of the lower bound on PIBT is tried again, as long as it pays."""
-_WORK = 4.0
-"""Steps that all restarts may take together, as a multiple of the lower bound."""
+_WORK = 250_000
+"""Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
+of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
+_MOST_WORK = 12.0
 _VERDICT = 0.75
 """Part of the lower bound after which the first attempt shows whether others may do better."""
 _HOPELESS = 1.1
 """They may not if by then it cannot end within so many times the lower bound, and `_SLACK` more
 steps: true of rings and mirrors, whose robots meet in the middle, and never of random instances."""
-_SLACK = 2
+_SLACK = 4
 _GOOD_ENOUGH = 1.02
 """Multiple of the lower bound from which on PIBT is not tried again."""
 _STALL = 48
@@ -59,7 +61,8 @@ class Search:
         self._generator = np.random.default_rng(seed)
         self._clock = clock
         self._limit = self.cap if known is None else min(self.cap, known - 1)
-        self._chunk = min(_STRIDE, max(1, _GLANCE // len(instance.starts)))
+        self._robots = len(instance.starts)
+        self._chunk = min(_STRIDE, max(1, _GLANCE // self._robots))
 
     def run(self) -> None:
         """The first attempt, and restarts of it while there is something to gain."""
@@ -67,9 +70,9 @@ class Search:
         self._advance(int(_VERDICT * self.bound), self.cap)
         hopeless = self.reached + self.left > _HOPELESS * self.bound + _SLACK
         self._finish(last=hopeless)
-        if hopeless and self.best is None:
+        if hopeless:
             return
-        work = _WORK * self.bound
+        work = min(_MOST_WORK, _WORK / self._robots) * self.bound
         for part in _RESTARTS:
             done = self.best is not None and len(self.best) - 1 <= _GOOD_ENOUGH * self.bound
             if done or work <= 0 or self._clock.remaining <= 0:

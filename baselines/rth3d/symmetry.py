@@ -27,7 +27,7 @@ def _images(highways: Highways) -> list[Image]:
     vertex = np.arange(np.prod(highways.shape), dtype=np.int32).reshape(highways.shape)
     found = []
     for flips in product((False, True), repeat=3):
-        axes = [axis for axis, flipped in enumerate(flips) if flipped]
+        axes = tuple(axis for axis, flipped in enumerate(flips) if flipped)
         image = np.flip(vertex, axes).reshape(-1)
         kept = np.array_equal(np.flip(highways.obstacles, axes), highways.obstacles)
         if kept and _same(image[highways.slots.ravel()], highways.slots.ravel(), len(image)):

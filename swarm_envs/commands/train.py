@@ -58,7 +58,7 @@ def run(config: TrainConfig) -> None:
     if config.json is not None:
         write_json(config.json, report)
     print(_summary(report))
-    about = f"--task {config.task} --drones {config.drones}"
+    about = f"--task {config.task} --drones {max(config.team_sizes)}"
     print(f"fly it by: swarm-envs evaluate {about} --agent {config.out}")
 
 

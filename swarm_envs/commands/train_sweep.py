@@ -172,7 +172,7 @@ def _train(
 
     marker = options.out.absolute() / MARKER
     given = {name: value for name, value in asdict(options).items() if name not in _NOT_RESULT}
-    about = {"marker": str(marker), "digest": write_marker(marker, given)}
+    about: dict[str, Any] = {"marker": str(marker), "digest": write_marker(marker, given)}
     about |= {"episodes": options.episodes, "seed": options.report_seed}
     labels = {f"{variant} seed {seed}".strip(): (variant, seed) for variant, seed in runs}
     jobs = [

@@ -157,18 +157,18 @@ class Task(ABC):
             ValueError: what is given lies outside the arena, in an obstacle, or drones touch.
             RuntimeError: no placement was found within a bounded number of draws.
         """
-        rows, radius = self.obstacle_rows, self.radius
+        rows, radius, arena = self.obstacle_rows, self.radius, self.arena
         for name, points in (("start", start), ("goal", goal)):
             if points is not None:
-                check_points(name, points, radius, self.arena, rows)
+                check_points(name, points, radius, arena, rows)
         margin = OBSTACLE_MARGIN if start is None and goal is None else 0.0
         why = ""
         for _ in range(_DRAWS if len(rows) else 1):
             placement = self.draw(rng, start, goal)
-            check_points("start", placement.start, radius, self.arena)
+            check_points("start", placement.start, radius, arena)
             for goals in placement.goals:
-                check_points("goal", goals, radius, self.arena)
-            why = self._obstructed(placement, margin)
+                check_points("goal", goals, radius, arena)
+            why = self._obstructed(placement, margin) if len(rows) else ""
             if not why:
                 return placement
         raise RuntimeError(
@@ -179,8 +179,6 @@ class Task(ABC):
     def _obstructed(self, placement: Placement, margin: float) -> str:
         """Say what of a placement meets an obstacle; empty if nothing does."""
         rows = self.obstacle_rows
-        if not len(rows):
-            return ""
         parts = [("start", placement.start), *(("goal", goals) for goals in placement.goals)]
         if placement.duration or placement.orbit is not None:
             mission, times = mission_of(placement), np.arange(0.0, self.episode_s + 0.05, 0.05)

@@ -60,15 +60,20 @@ def check_points(
     """
     points = check_array(name, points, (len(radius), 3))
     low, high = arena[0] + radius[:, None], arena[1] - radius[:, None]
-    outside = np.argwhere((points < low) | (points > high))
-    if len(outside):
-        i, axis = (int(k) for k in outside[0])
+    outside = (points < low) | (points > high)
+    if outside.any():
+        i, axis = (int(k) for k in np.argwhere(outside)[0])
         raise ValueError(
             f"{name} of drone {i} has {'xyz'[axis]} = {points[i, axis]:.3f} m, but must lie "
             f"between {low[i, axis]:.3f} and {high[i, axis]:.3f} m to be inside the arena"
         )
-    distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
-    touching = np.argwhere(np.triu(distance < radius[:, None] + radius[None], 1))
+    offset, reach = points[:, None] - points, radius[:, None] + radius
+    near = np.einsum("ijk,ijk->ij", offset, offset) < np.square(reach) * (1.0 + 1e-9)
+    if np.count_nonzero(near) > len(points):  # more than each with itself: look closely
+        distance = np.linalg.norm(offset, axis=-1)
+        touching = np.argwhere(np.triu(distance < reach, 1))
+    else:
+        touching = np.empty((0, 2), np.intp)
     if len(touching):
         i, j = (int(k) for k in touching[0])
         raise ValueError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from pathlib import Path
 
@@ -21,6 +20,6 @@ def test_there_is_a_block_for_each_library():
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize(("library", "block"), [*zip(LIBRARIES, BLOCKS)], ids=LIBRARIES)
 def test_block_runs(library: str, block: str) -> None:
-    if importlib.util.find_spec(library) is None:
-        pytest.skip(f"{library} is not installed")
+    for module in re.findall(rf"from ({library}[\w.]*)", block):
+        pytest.importorskip(module)  # Ray may be there without what RLlib needs
     exec(compile(block, "block", "exec"), {"__name__": "block"})

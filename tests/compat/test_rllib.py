@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import importlib
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarm_envs import TASKS
+from swarm_envs import TASKS, swap_v0
+from swarm_envs.agents import load
+from swarm_envs.agents.features import features
+from swarm_envs.agents.networks import plain
+from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.policy_file import Policy
+from swarm_envs.cli import main
 
 pytest.importorskip("ray.rllib", reason="run by `make test-compat`")
 
 import ray
+import torch
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 from ray.tune.registry import register_env
+
+from swarm_envs.training import rllib_ppo
+from swarm_envs.training.rllib_ppo import RllibConfig
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 
@@ -56,4 +67,44 @@ def test_one_iteration_of_ppo(cluster, task):
     assert np.isfinite(runners["episode_return_mean"]) and runners["episode_len_max"] <= 24
     after = algorithm.get_module("all").state_dict()
     assert any(not before[name].equal(value) for name, value in after.items())
+    algorithm.stop()
+
+
+def tiny(out: Path) -> RllibConfig:
+    size: dict[str, Any] = {"steps": 300, "batch": 120, "minibatch": 120, "passes": 1}
+    return RllibConfig(
+        out=out,
+        drones=2,
+        num_neighbors=1,
+        interactions="none",
+        judge_episodes=4,
+        hidden=(8, 8),
+        **size,
+    )
+
+
+def test_our_trainer_leaves_a_policy_that_evaluate_flies(cluster, tmp_path):
+    report = rllib_ppo.train(tiny(tmp_path / "run"))
+    assert report["steps"] >= 300 and 0.0 <= report["chosen"]["random_success"] <= 1.0
+    agent = load(str(tmp_path / "run"))
+    assert isinstance(agent, PolicyAgent)
+    assert agent.policy.provenance["steps"] == report["steps"]
+    given = ["--drones", "2", "--episodes", "2", "--horizon-s", "0.5", "--interactions", "none"]
+    assert main(["evaluate", "--agent", str(tmp_path / "run"), *given]) == 0
+
+
+def test_the_policy_that_is_written_acts_as_rllib_s_module(cluster, tmp_path):
+    config = tiny(tmp_path)
+    register_env(rllib_ppo.ENVIRONMENT, rllib_ppo.make_env)
+    algorithm = rllib_ppo.algorithm_config(config).build_algo()
+    module = algorithm.get_module(rllib_ppo.SHARED)
+    agent = PolicyAgent(Policy(config.note(), plain(rllib_ppo.actor(module, 3)), {}))
+    env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
+    rows = np.stack(list(env.reset(seed=3)[0].values()))
+    told = features(rows, 1)
+    assert told.shape[1] == config.note().sizes.width
+    with torch.no_grad():
+        given = module.forward_inference({"obs": torch.as_tensor(told)})["action_dist_inputs"]
+    expected = np.clip(given[:, :3].numpy(), -1.0, 1.0)
+    np.testing.assert_allclose(agent.act_batch(rows), expected, atol=1e-6)
     algorithm.stop()

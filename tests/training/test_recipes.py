@@ -31,6 +31,7 @@ def options(**given) -> TrainConfig:
 def test_what_is_not_given_is_the_recipes():
     ring, swap = completed(options(), "ring_v0"), completed(options(), "swap_v0")
     assert (ring.layout, ring.horizon_s, ring.deviation) == ("rings", 5.0, 0.2)
+    assert (ring.discount, swap.discount) == (0.95, 0.98)
     assert (swap.layout, swap.horizon_s, swap.deviation) == ("random", 3.5, np.exp(-0.5))
     given = completed(options(layout="tour", horizon_s=9.0, deviation=0.5), "formation_v0")
     assert (given.layout, given.horizon_s, given.deviation) == ("tour", 9.0, 0.5)
@@ -50,10 +51,10 @@ def test_the_better_policy_has_the_higher_quality():
     """By hand: success averaged over layouts; on rings 15 cm cost as much as a lost one."""
     swap, ring = RECIPES["swap_v0"], RECIPES["ring_v0"]
     measured = {"random_success": 0.5, "circle_success": 1.0}
-    assert swap.quality("random", measured) == pytest.approx(0.75)
-    assert swap.quality("circle", measured) == pytest.approx(1.0)
+    assert swap.quality(measured) == pytest.approx(0.75)
+    assert swap.quality({"circle_8_success": 1.0}) == pytest.approx(1.0)
     good = {"rings_success": 1.0, "rings_worst_height_error_m": 0.03}
-    assert ring.quality("rings", good) == pytest.approx(0.8)
+    assert ring.quality(good) == pytest.approx(0.8)
     height = ring.measures["worst_height_error_m"]
     assert height({"worst_height_error_m": 0.03, "success": True}) == 0.03
     assert height({"worst_height_error_m": 0.03, "success": False}) == LOST_M

@@ -20,7 +20,6 @@ from safetensors import safe_open
 
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds
-from swarm_envs.agents.features import feature_width
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.agents.policy_file import Policy, PolicyNote
 from swarm_envs.cli import main
@@ -139,11 +138,11 @@ def test_the_agent_acts_as_the_network_that_was_trained():
     agent = PolicyAgent(
         Policy(PolicyNote("swap_v0", 2, "acceleration", 10, 3), learner.actor(), {})
     )
-    rows = learner.env.drones.reset()
+    rows = learner.env.venv.reset()
     told, _ = learner.model.predict(learner.env.reset(), deterministic=True)
-    rows = learner.env.drones.core.rows.reshape(8, -1)
+    rows = learner.env.cores[0].rows.reshape(8, -1)
     np.testing.assert_allclose(agent.act_batch(rows), told, atol=1e-6)
-    assert learner.model.observation_space.shape == (feature_width(3),)
+    assert learner.model.observation_space.shape == (18 + 17 * 3,)
     learner.close()
 
 

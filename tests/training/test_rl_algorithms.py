@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +21,9 @@ from swarm_envs.agents.policy_file import Policy, PolicyNote
 from swarm_envs.cli import main
 from swarm_envs.files import claimed
 from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.mappo import MappoLearner, Networks, generalised_advantages
+from swarm_envs.training.rl.recipes import completed
 from swarm_envs.training.rl.sac import SacLearner
 from swarm_envs.training.rl.sac_options import SacOptions
 
@@ -40,7 +43,7 @@ TINY = {
     ],
 }
 STEPS = {"mappo": 1280, "sac": 1536}
-LEARNERS = {"mappo": MappoLearner, "sac": SacLearner}
+LEARNERS: dict[str, Any] = {"mappo": MappoLearner, "sac": SacLearner}
 ALGORITHMS = sorted(TINY)
 
 
@@ -78,7 +81,7 @@ def test_stopped_after_a_segment_it_goes_on_to_the_same_policy(
     algo, segments, whole, tmp_path, monkeypatch, capsys
 ):
     """A run that ends after some checkpoints, with another's random numbers in between."""
-    fly, flown = LEARNERS[algo].fly, []
+    fly, flown = LEARNERS[algo].fly, list[range]()
 
     def stopped(learner, segment, watch=None):
         if len(flown) == segments:
@@ -144,13 +147,13 @@ def test_options_that_do_not_belong_are_refused(options, why, capsys):
 @pytest.mark.parametrize("algo", ALGORITHMS)
 def test_the_agent_acts_as_the_network_that_was_trained(algo):
     """Of SAC the last layer's tanh too."""
-    sizes = {"mappo": {"batch_size": 64}, "sac": {}}[algo]
+    sizes: dict[str, Any] = {"mappo": {"batch_size": 64}, "sac": {}}[algo]
     config = TrainConfig(out=Path("never"), algo=algo, drones=2, environments=4, **sizes)
-    learner = LEARNERS[algo](config, "swap_v0")
+    learner: Any = make_learner(config, "swap_v0")
     note = PolicyNote("swap_v0", 2, "acceleration", 10, 3)
     agent = PolicyAgent(Policy(note, learner.actor(), {}))
     told = learner.env.reset()
-    rows = learner.env.drones.core.rows.reshape(8, -1)
+    rows = learner.env.cores[0].rows.reshape(8, -1)
     if algo == "sac":
         wanted, _ = learner.model.predict(told, deterministic=True)
     else:
@@ -165,7 +168,7 @@ def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none(whol
     config = TrainConfig(
         out=Path("never"), algo="sac", drones=2, environments=4, steps=200, sac=options
     )
-    learner = SacLearner(config, "swap_v0")
+    learner = SacLearner(completed(config, "swap_v0"), "swap_v0")
     learner.fly(range(2))
     first = learner.tensors()["memory.actions"].clone()
     assert first.shape == (10, 8, 3)
@@ -181,7 +184,7 @@ def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none(whol
 
 def test_the_critic_sees_itself_first_and_the_team_in_turn():
     config = TrainConfig(out=Path("never"), algo="mappo", drones=3, environments=2, batch_size=96)
-    learner = MappoLearner(config, "swap_v0")
+    learner = MappoLearner(completed(config, "swap_v0"), "swap_v0")
     learner.core.reset([0, 1])
     told = learner._told()
     seen, states = learner._seen(told).numpy(), learner.core.team_state()

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from swarm_envs.errors import check_integer
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.training.rl.sac_options import SacOptions
+from swarm_envs.vehicles import parse_team
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,8 +31,11 @@ class TrainConfig:
     algo: Literal["ppo", "mappo", "sac"] = "ppo"
     """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
     that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
-    drones: int = 4
-    """number of small drones; the policy will fly as many or fewer"""
+    drones: int | tuple[int, ...] = 4
+    """number of drones; of several numbers, such as `4 8`, each has an equal share of the
+    environments; the policy will fly as many as the largest, or fewer"""
+    team: tuple[str, ...] = ()
+    """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
     steps: int = 3_000_000
     """decisions of single drones, rounded up to whole rollouts"""
     seed: int = 0
@@ -40,7 +44,9 @@ class TrainConfig:
     """write the report to this file too"""
 
     environments: int = 128
-    """teams that fly at once"""
+    """teams that fly at once, of all sizes together"""
+    threads: int = 2
+    """of the environments; their number changes nothing of what is learned"""
     rollout: int = 32
     """decisions of each drone between two updates of the policy"""
     batch_size: int = 2048
@@ -51,8 +57,8 @@ class TrainConfig:
     """of Adam at the start; it falls linearly"""
     last_rate: float = 0.02
     """what is left of it at the end, as a share"""
-    discount: float = 0.98
-    """gamma: what a reward is worth one decision later"""
+    discount: float | None = None
+    """gamma: what a reward is worth one decision later; the recipe's if not given"""
     gae_lambda: float = 0.95
     """lambda of generalised advantage estimation"""
     clip: float = 0.2
@@ -61,6 +67,15 @@ class TrainConfig:
     """weight of the policy's entropy in the loss: keeps it exploring"""
     hidden: tuple[int, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
+    encoder: Literal["mlp", "deep-set"] = "mlp"
+    """how neighbours are told: `mlp`, one after another, the nearest first; `deep-set`, each
+    through a small network of its type of vehicle, then pooled"""
+    pooling: Literal["mean", "max", "sum"] = "mean"
+    """of a deep set"""
+    set_hidden: tuple[int, ...] = (32, 32)
+    """widths of the network that a deep set gives each neighbour to"""
+    per_type: bool = False
+    """a policy of its own for each type of vehicle in the team"""
     deviation: float | None = None
     """standard deviation of actions at the start; the same in every state, and learned; the
     recipe's if not given"""
@@ -114,6 +129,13 @@ class TrainConfig:
             ValueError: naming the option, the value and the rule.
         """
         check_integer("--seed", self.seed, 0)
+        for count in self.team_sizes:
+            check_integer("--drones", count, 1)
+        named = [str(team) for team in self.teams]
+        if not named or len(set(named)) < len(named):
+            raise ValueError(
+                f"--drones is {self.drones} and --team {self.team}; name teams, each once"
+            )
         for name in _COUNTS:
             check_integer(f"--{name.replace('_', '-')}", getattr(self, name), 1)
         for name, (low, high) in _RANGES.items():
@@ -127,16 +149,29 @@ class TrainConfig:
                 f"--decision-rate is {self.decision_rate} and --force-rate {self.force_rate}, but "
                 f"both must be {PHYSICS_RATE} over an integer"
             )
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(f"--hidden is {self.hidden}, but must be one or more widths")
+        for name in ("hidden", "set_hidden"):
+            widths = getattr(self, name)
+            if not widths or min(widths) < 1:
+                option = name.replace("_", "-")
+                raise ValueError(f"--{option} is {widths}, but must be one or more widths")
         if min(self.proximity) < 0:
             raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
         self._check_belongs()
+        if self.environments % len(self.team_sizes):
+            raise ValueError(
+                f"--environments is {self.environments}, but must be a multiple of the "
+                f"{len(self.team_sizes)} teams that fly side by side"
+            )
+        if self.algo == "mappo" and len(self.team_sizes) > 1:
+            raise ValueError(
+                f"--algo mappo trains one team, whose critic sees all of it, not "
+                f"{len(self.team_sizes)} side by side; take --algo ppo"
+            )
         size = self.rollout_steps
         if self.algo != "sac" and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
-                "rollout: environments x drones x rollout"
+                "rollout: drones of all environments x rollout"
             )
 
     def _check_belongs(self) -> None:
@@ -151,13 +186,29 @@ class TrainConfig:
 
     def uses(self, option: str) -> bool:
         """Whether the run's algorithm depends on an option."""
-        return option not in (_ON_POLICY if self.algo == "sac" else ("sac",))
+        return option not in _FOREIGN[self.algo]
+
+    @property
+    def teams(self) -> tuple[dict[str, Any], ...]:
+        """Every team that learns, as options of its environments."""
+        if self.team:
+            return tuple({"team": team} for team in self.team)
+        counts = self.drones if isinstance(self.drones, tuple) else (self.drones,)
+        return tuple({"num_drones": count} for count in counts)
+
+    @property
+    def team_sizes(self) -> tuple[int, ...]:
+        """Number of drones of every team."""
+        return tuple(
+            len(parse_team(given["team"])) if "team" in given else given["num_drones"]
+            for given in self.teams
+        )
 
     @property
     def rollout_steps(self) -> int:
         """Decisions of single drones in a rollout."""
         decisions = self.sac.rollout if self.algo == "sac" else self.rollout
-        return self.environments * self.drones * decisions
+        return self.environments // len(self.team_sizes) * sum(self.team_sizes) * decisions
 
     @property
     def rollouts(self) -> int:
@@ -183,9 +234,15 @@ _ON_POLICY = (
     *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
     *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
 )
-"""Options of `ppo` and `mappo`, which learn from a rollout and forget it."""
+_NETWORKS = ("encoder", "pooling", "set_hidden", "per_type")
+_FOREIGN = {
+    "ppo": ("sac",),
+    "mappo": ("sac", *_NETWORKS),
+    "sac": (*_ON_POLICY, *_NETWORKS),
+}
+"""Options that an algorithm has not."""
 _COUNTS = (
-    *("drones", "steps", "environments", "rollout", "batch_size", "passes", "num_neighbors"),
+    *("steps", "environments", "threads", "rollout", "batch_size", "passes", "num_neighbors"),
     *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),
 )
 _RANGES = {

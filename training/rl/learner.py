@@ -14,7 +14,7 @@ from typing import Protocol, cast
 
 from torch import Tensor
 
-from swarm_envs.agents.policy_file import Layers
+from swarm_envs.agents.networks import Network
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.recipes import completed
@@ -46,8 +46,8 @@ class Learner(Protocol):
             of its episodes; and what the algorithm says of itself.
         """
 
-    def actor(self) -> Layers:
-        """The network whose output is the mean action."""
+    def actor(self) -> dict[str, Network]:
+        """The networks whose output is the mean action, as `Policy` takes them."""
 
     def tensors(self) -> dict[str, Tensor]:
         """All that the next segments depend on, by names of the algorithm's own."""

@@ -17,8 +17,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from swarm_envs.agents.policy_file import Layers
+from swarm_envs.agents.networks import Network, plain
 from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.encoders import layers_of
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.schedules import learning_rate, proximity_weight, segment_seed
@@ -99,7 +100,7 @@ class MappoLearner:
         assert config.deviation is not None  # the recipe has one
         self.config = config
         self.env = Practice(config, task)
-        self.core = self.env.drones.core
+        (self.core,) = self.env.cores
         told = self.env.observation_space.shape[0]
         others = (self.core.num_drones - 1) * self.core.team_state().shape[-1]
         width = self.core.mode.width
@@ -135,6 +136,8 @@ class MappoLearner:
     @torch.no_grad()
     def _collect(self) -> Rollout:
         """Fly for one rollout, and say of every decision how good it turned out to be."""
+        discount = self.config.discount
+        assert discount is not None  # the recipe has one
         steps = [self._step() for _ in range(self.config.rollout)]
         told, seen, actions, log_probs, values, rewards, after, ended = map(
             torch.stack, zip(*steps, strict=True)
@@ -142,9 +145,9 @@ class MappoLearner:
         following = torch.cat([values[1:], self.networks.value(self._seen(self._told()))[None]])
         following = torch.where(ended, after, following)
         advantages = generalised_advantages(
-            rewards + self.config.discount * following - values,
+            rewards + discount * following - values,
             ended,
-            self.config.discount * self.config.gae_lambda,
+            discount * self.config.gae_lambda,
         )
         rows = (told, seen, actions, log_probs, advantages, advantages + values)
         return Rollout(*(row.flatten(0, 2) for row in rows))
@@ -220,13 +223,9 @@ class MappoLearner:
         kl = (ratio - 1.0 - change).mean().detach()
         return kl, value_loss.detach(), value_loss - gain - config.entropy * entropy
 
-    def actor(self) -> Layers:
+    def actor(self) -> dict[str, Network]:
         """The network whose output is the mean action."""
-        return tuple(
-            (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-            for layer in self.networks.actor
-            if isinstance(layer, nn.Linear)
-        )
+        return plain(layers_of(self.networks.actor))
 
     def tensors(self) -> dict[str, Tensor]:
         """Weights, the spread of returns, and Adam's averages."""

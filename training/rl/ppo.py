@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3 import PPO
-from torch import Tensor, nn
+from torch import Tensor
 
-from swarm_envs.agents.policy_file import Layers
+from swarm_envs.agents.networks import ANY, Network
 from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.encoders import EncoderSpec, TeamPolicy, networks
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.rollouts import Rollouts
@@ -35,9 +36,8 @@ class PpoLearner:
         self.config = config
         self.rollouts = 0
         self.env = Practice(config, task)
-        widths = list(config.hidden)
         self.model = PPO(
-            "MlpPolicy",
+            TeamPolicy,
             self.env,
             learning_rate=lambda _: learning_rate(config, self.rollouts),
             n_steps=config.rollout,
@@ -50,8 +50,7 @@ class PpoLearner:
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "net_arch": {"pi": widths, "vf": widths},
-                "activation_fn": nn.Tanh,
+                "spec": encoder_spec(config, self.env),
                 "log_std_init": float(np.log(config.deviation)),
             },
         )
@@ -74,16 +73,11 @@ class PpoLearner:
         """Set what depends on how many steps were flown."""
         self.rollouts = steps // self.config.rollout_steps
         weight = proximity_weight(self.config, self.rollouts)
-        self.env.drones.core.set_reward_weights({"proximity": weight})
+        self.env.weigh({"proximity": weight})
 
-    def actor(self) -> Layers:
-        """The network whose output is the mean action."""
-        policy = self.model.policy
-        linear = [layer for layer in policy.mlp_extractor.policy_net if hasattr(layer, "weight")]
-        return tuple(
-            (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-            for layer in [*linear, policy.action_net]
-        )
+    def actor(self) -> dict[str, Network]:
+        """The networks whose output is the mean action."""
+        return networks(self.model.policy)
 
     def tensors(self) -> dict[str, Tensor]:
         """Weights and Adam's averages."""
@@ -122,3 +116,16 @@ class PpoLearner:
             "kl": float(told["train/approx_kl"]),
             "value_loss": float(told["train/value_loss"]),
         }
+
+
+def encoder_spec(config: TrainConfig, env: Practice) -> EncoderSpec:
+    """The networks that a configuration asks for."""
+    return EncoderSpec(
+        sizes=env.sizes,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        hidden=config.hidden,
+        set_hidden=config.set_hidden,
+        neighbor_types=env.types or (ANY,),
+        owners=env.types if config.per_type else (ANY,),
+    )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from swarm_envs.agents.feature_sets import GOAL, REFERENCE
+from swarm_envs.agents.feature_sets import GOAL, REFERENCE, TYPED
 from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.ring import REWARD_WEIGHTS as RING_REWARDS
@@ -21,8 +21,8 @@ from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.formations import practise_formation
 from swarm_envs.training.rl.starts import practise_swap
 
-_WIDE = math.exp(-0.5)
-"""Deviation of actions with which places are found at first."""
+_REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "discount": 0.98}
+"""Defaults where places are to be found: explored widely, rewarded late."""
 Metrics = Mapping[str, Any]
 """`episode_metrics` of one episode."""
 LOST_M = 0.15
@@ -61,6 +61,8 @@ class Recipe:
     """the task that is flown in training, made from the layout's"""
     features: str = GOAL
     """name of what the network is told of an observation row"""
+    features_of_types: str = TYPED
+    """the same where teams have vehicles of several types"""
     measures: Mapping[str, Callable[[Metrics], float]] = field(
         default_factory=lambda: {"success": success, "collision": collision}
     )
@@ -83,38 +85,40 @@ class Recipe:
         """Layouts on which a policy trained on `layout` is judged."""
         return self.judged.get(layout, (layout,))
 
-    def quality(self, layout: str, measured: Mapping[str, float]) -> float:
-        """How good a policy trained on `layout` is: the larger, the better.
+    def quality(self, measured: Mapping[str, float]) -> float:
+        """How good a policy is: the larger, the better.
 
         Args:
-            layout: of the training.
-            measured: averages of measures by layout, such as `random_success`.
+            measured: averages of measures by what was flown, such as `random_success`.
         """
-        names, cost = self.judged_on(layout), 0.0
+        end, total = "_success", 0.0
+        names = [key.removesuffix(end) for key in measured if key.endswith(end)]
         for name in names:
-            cost += sum(weight * measured[f"{name}_{k}"] for k, weight in self.cost.items())
-        return (sum(measured[f"{name}_success"] for name in names) - cost) / len(names)
+            cost = sum(weight * measured[f"{name}_{k}"] for k, weight in self.cost.items())
+            total += measured[name + end] - cost
+        return total / len(names)
 
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
         "swap_v0": Recipe(
             layouts={name: {"layout": name} for name in ("random", "circle")},
-            defaults={"layout": "random", "horizon_s": 3.5, "deviation": _WIDE},
+            defaults={"layout": "random", **_REACH},
             judged={"random": ("random", "circle")},
             practice=practise_swap,
         ),
         "formation_v0": Recipe(
             layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
-            defaults={"layout": "shuffle", "horizon_s": 3.5, "deviation": _WIDE},
+            defaults={"layout": "shuffle", **_REACH},
             judged={"shuffle": ("shuffle", "cube", "tour")},
             practice=practise_formation,
         ),
         "ring_v0": Recipe(
             layouts={"rings": {}},
-            defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2},
-            reward_weights=RING_REWARDS,
+            defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2, "discount": 0.95},
+            reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
             features=REFERENCE,
+            features_of_types=REFERENCE,
             measures={
                 "success": success,
                 "collision": collision,

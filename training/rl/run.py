@@ -21,10 +21,11 @@ from swarm_envs.training.rl.checkpoint import differing_runs, load_checkpoint, s
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import Judges, choosing_seeds
 from swarm_envs.training.rl.learner import Learner, make_learner
+from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.recipes import RECIPES, completed
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
-_NO_RESULT = ("out", "json", "progress", "tensorboard")
+_NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
 
 
@@ -90,10 +91,13 @@ def train(config: TrainConfig, task: str) -> dict[str, Any]:
 
 def _train(config: TrainConfig, task: str) -> dict[str, Any]:
     learner = make_learner(config, task)
-    options = {"num_drones": config.drones, "interactions": config.interactions}
-    options |= {"force_rate": config.force_rate}
-    layouts = RECIPES[task].judged_on(str(config.layout))
-    judges = Judges(task, layouts, choosing_seeds(config.judge_episodes), options)
+    judges = Judges(
+        task,
+        RECIPES[task].judged_on(str(config.layout)),
+        choosing_seeds(config.judge_episodes),
+        {"interactions": config.interactions, "force_rate": config.force_rate},
+        config.teams,
+    )
     try:
         standing = _begin(config, task, learner)
         _go_on(config, task, learner, judges, standing)
@@ -165,16 +169,33 @@ def _judge(
 ) -> None:
     """Judge the policy, and keep it if none before was better."""
     steps = standing.rollouts * config.rollout_steps
-    recipe, decided = RECIPES[task], ("acceleration", config.decision_rate)
-    note = PolicyNote(task, config.drones, *decided, config.num_neighbors, recipe.features)
+    note = policy_note(config, task, learner.env)
     about = {"config": standing.config, "steps": steps, "version": __version__}
     policy = Policy(note, learner.actor(), about)
     rates = judges.judge(policy)
-    quality = recipe.quality(str(config.layout), rates)
+    quality = RECIPES[task].quality(rates)
     standing.judged.append({"step": float(steps), **rates})
     if standing.best is None or quality >= standing.best:
         standing.best = quality
-        write_policy(config.out / FILE, Policy(note, policy.layers, {**about, "chosen_by": rates}))
+        write_policy(
+            config.out / FILE, Policy(note, policy.networks, {**about, "chosen_by": rates})
+        )
+
+
+def policy_note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
+    """What a run's policy is trained for."""
+    return PolicyNote(
+        task,
+        max(config.team_sizes),
+        "acceleration",
+        config.decision_rate,
+        config.num_neighbors,
+        features=env.features,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        types=env.types,
+        per_type=config.per_type,
+    )
 
 
 def _has_tensorboard() -> bool:
@@ -192,8 +213,7 @@ def _curve(standing: _Standing) -> list[dict[str, Any]]:
 
 
 def _report(config: TrainConfig, task: str, standing: _Standing) -> dict[str, Any]:
-    recipe, layout = RECIPES[task], str(config.layout)
-    best = max(reversed(standing.judged), key=lambda entry: recipe.quality(layout, entry))
+    best = max(reversed(standing.judged), key=RECIPES[task].quality)
     return {
         "config": standing.config,
         "steps": standing.rollouts * config.rollout_steps,

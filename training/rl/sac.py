@@ -14,7 +14,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
 from torch import Tensor, nn
 
-from swarm_envs.agents.policy_file import Layers
+from swarm_envs.agents.networks import Network, plain
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
@@ -76,9 +76,9 @@ class SacLearner:
         """Set what depends on how many steps were flown."""
         self.rollouts = steps // self.config.rollout_steps
         weight = proximity_weight(self.config, self.rollouts)
-        self.env.drones.core.set_reward_weights({"proximity": weight})
+        self.env.weigh({"proximity": weight})
 
-    def actor(self) -> Layers:
+    def actor(self) -> dict[str, Network]:
         """The network whose output is the mean action.
 
         SAC's last layer has a tanh, which a policy's has not: another follows, which changes
@@ -91,7 +91,7 @@ class SacLearner:
             for layer in [*linear, actor.mu]
         ]
         width = len(layers[-1][1])
-        return (*layers, (np.eye(width, dtype=np.float32), np.zeros(width, np.float32)))
+        return plain((*layers, (np.eye(width, dtype=np.float32), np.zeros(width, np.float32))))
 
     def tensors(self) -> dict[str, Tensor]:
         """Weights, Adam's averages, the temperature; and while it learns, what it remembers."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import socket
 from concurrent.futures import Future
 from typing import Any
 
@@ -9,6 +11,9 @@ from swarm_envs.errors import check_integer
 from swarm_envs.training.scale_out.jobs import RETRIES, Workers, answer
 
 LOCAL, AUTO = "local", "auto"
+_ADDRESS = re.compile(r"(ray://)?(?P<host>[^\s/:]+):(?P<port>\d{1,5})")
+_REACHED_S = 10.0
+"""How long an address may take to answer; Ray itself would try for minutes."""
 _AHEAD = 2
 """Jobs handed to Ray for each of its processors: while one is done the next is on its way."""
 
@@ -28,11 +33,12 @@ class RayWorkers(Workers):
     Raises:
         ImportError: Ray is not installed.
         ConnectionError: there is no cluster at this address.
-        ValueError: the retries are negative.
+        ValueError: this is no address, or the retries are negative.
     """
 
     def __init__(self, address: str, cpus: int | None = None, retries: int = RETRIES) -> None:
         retries = check_integer("retries", retries, 0)
+        check_address(address)
         self._ray = _import_ray()
         self._ours = not self._ray.is_initialized()
         if self._ours:
@@ -61,6 +67,19 @@ class RayWorkers(Workers):
             self._ray.shutdown()
 
 
+def check_address(address: str) -> None:
+    """Refuse what is no address of a cluster.
+
+    Raises:
+        ValueError: it is none; the message says what is.
+    """
+    if address not in (LOCAL, AUTO) and not _ADDRESS.fullmatch(address):
+        raise ValueError(
+            f"--ray is {address!r}, but must be {AUTO!r}, {LOCAL!r}, or host:port such as "
+            "10.0.0.1:6379 or ray://10.0.0.1:10001"
+        )
+
+
 def _import_ray() -> Any:
     try:
         import ray
@@ -77,8 +96,12 @@ def _connect(ray: Any, address: str, cpus: int | None) -> None:
     if address == LOCAL:
         given |= {"num_cpus": cpus, "include_dashboard": False}
     try:
+        named = _ADDRESS.fullmatch(address)
+        if named:
+            place = named["host"], int(named["port"])
+            socket.create_connection(place, timeout=_REACHED_S).close()
         ray.init(address=address, **given)
-    except ConnectionError as error:
+    except OSError as error:
         raise ConnectionError(
             f"no Ray cluster was found at {address!r} ({error}); begin one by `ray start --head`, "
             f"name its address, or say {LOCAL!r} for one on this machine alone"

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from swarm_envs.errors import check_integer
+from swarm_envs.training.scale_out.cluster import LOCAL, RayWorkers, check_address
 from swarm_envs.training.scale_out.jobs import Serial, Workers
+from swarm_envs.training.scale_out.local import LocalWorkers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +27,9 @@ class ScaleOptions:
             ValueError: naming the option, the value and the rule.
         """
         check_integer("--workers", self.workers, 1)
-        if self.ray is not None and self.workers > 1 and self.ray != "local":
+        if self.ray is not None:
+            check_address(self.ray)
+        if self.ray is not None and self.workers > 1 and self.ray != LOCAL:
             raise ValueError(
                 f"--workers is {self.workers}, but with --ray {self.ray} the cluster says how many "
                 "there are; leave it out"
@@ -44,11 +48,7 @@ class ScaleOptions:
             ConnectionError: there is no such cluster.
         """
         if self.ray is not None:
-            from swarm_envs.training.scale_out.cluster import RayWorkers
-
             return RayWorkers(self.ray, self.workers if self.workers > 1 else None)
         if self.alone:
             return Serial()
-        from swarm_envs.training.scale_out.local import LocalWorkers
-
         return LocalWorkers(self.workers)

@@ -19,6 +19,7 @@ from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean
 from swarm_envs.files import write_json
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import Judges
+from swarm_envs.training.rl.recipes import RECIPES, completed
 
 SCORES = "scores.json"
 """File in a run's folder with the rates on the seeds for reporting."""
@@ -67,15 +68,13 @@ def train_and_judge(config: TrainConfig, task: str, episodes: int, seed: int) ->
     from swarm_envs.training.rl.run import finished_report, train
 
     report = finished_report(config, task) or train(config, task)
-    layouts = [k.removesuffix("_success") for k in report["chosen"] if k.endswith("_success")]
-    rates = _rates(config, task, layouts, episodes, seed)
+    rates = _rates(completed(config, task), task, episodes, seed)
     return {"rates": rates, **{name: report[name] for name in ("steps", "cpu_s", "wall_s")}}
 
 
-def _rates(
-    config: TrainConfig, task: str, layouts: Sequence[str], episodes: int, seed: int
-) -> dict[str, float]:
+def _rates(config: TrainConfig, task: str, episodes: int, seed: int) -> dict[str, float]:
     """Rates on the seeds for reporting, as they were written, if of the same policy and seeds."""
+    layouts = RECIPES[task].judged_on(str(config.layout))
     policy, path = read_policy(config.out / FILE), config.out / SCORES
     about = {"episodes": episodes, "seed": seed, "layouts": list(layouts)}
     about |= {"policy": policy.digest, "version": __version__}
@@ -84,8 +83,8 @@ def _rates(
         if all(written.get(name) == value for name, value in about.items()):
             found: dict[str, float] = written["rates"]
             return found
-    options = {"num_drones": config.drones, "interactions": config.interactions}
-    judges = Judges(task, layouts, frozen_seeds(seed, episodes), options)
+    options = {"interactions": config.interactions}
+    judges = Judges(task, layouts, frozen_seeds(seed, episodes), options, config.teams)
     try:
         rates = judges.judge(policy)
     finally:

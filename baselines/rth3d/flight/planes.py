@@ -89,12 +89,16 @@ def _near_pairs(
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Steps and pairs of robots, first below second, that could come within a distance."""
     middle = points.mean(axis=2)
-    radius = np.linalg.norm(points - middle[:, :, None], axis=-1).max(initial=0.0)
-    reach = distance + 2.0 * (radius + np.sqrt(3.0) * travel)
+    radius = np.linalg.norm(points - middle[:, :, None], axis=-1).max(axis=2)
+    apart = distance + 2.0 * np.sqrt(3.0) * travel
+    reach = apart + 2.0 * radius.max(initial=0.0)
     found = [cKDTree(row).query_pairs(reach, output_type="ndarray") for row in middle]
     steps = np.repeat(np.arange(len(found)), [len(pairs) for pairs in found])
     pairs = np.concatenate(found) if found else np.empty((0, 2), dtype=np.int64)
-    return steps, pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
+    first, second = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
+    between = np.linalg.norm(middle[steps, first] - middle[steps, second], axis=-1)
+    near = between < apart + radius[steps, first] + radius[steps, second]
+    return steps[near], first[near], second[near]
 
 
 def planes_to_boxes(

@@ -11,23 +11,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import osqp
-from scipy import sparse
 from tqdm import tqdm
 
-from swarm_envs.baselines.rth3d.flight.planes import (
-    BEZIER,
-    Planes,
-    joined,
-    planes_between,
-    planes_to_boxes,
-)
+from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
+from swarm_envs.baselines.rth3d.flight.planes import joined, planes_between, planes_to_boxes
+from swarm_envs.baselines.rth3d.flight.program import FIXED, improve, smoothness
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
 from swarm_envs.state import FloatArray
 
-_TOLERANCE = 1e-6
-_FIXED = 3
-"""Control points at either end that stay: the robot rests there."""
+_ROUNDING = 1e-5
+"""By which robots may come closer, m: what planes are broken by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,15 +70,20 @@ def smooth(flight: SplineFlight, config: SmoothingConfig, progress: bool = False
         progress: show a progress bar.
 
     Returns:
-        The flight at the shortest step that keeps speed and acceleration.
+        The flight at the shortest step that keeps speed and acceleration. Planes keep the hulls of
+        the steps apart, which may be closer than the robots are: a round after which robots come
+        closer than they did, and than `config.distance`, is only a step towards the next.
     """
-    if flight.num_steps <= _FIXED:
+    if flight.num_steps <= FIXED:
         return flight
-    total = config.rounds * flight.num_robots
+    total, safe = config.rounds * flight.num_robots, flight
+    kept = min(config.distance, smallest_distance(flight, config.scaling)) - _ROUNDING
     with tqdm(total=total, desc="smoothing", unit="robot", disable=not progress) as bar:
         for _ in range(config.rounds):
             flight = _round(flight, config, bar)
-    return faster(flight, config.speed, config.acceleration)
+            if smallest_distance(flight, config.scaling) >= kept:
+                safe = flight
+    return faster(safe, config.speed, config.acceleration)
 
 
 def faster(flight: SplineFlight, speed: float, acceleration: float) -> SplineFlight:
@@ -105,80 +103,21 @@ def _round(flight: SplineFlight, config: SmoothingConfig, bar: tqdm) -> SplineFl
     together = joined(planes)
     together = together.some(np.argsort(together.robot, kind="stable"))
     bounds = np.searchsorted(together.robot, np.arange(flight.num_robots + 1))
-    control, hessian = flight.control.copy(), _hessian(len(flight.control), config.jerk_weight)
+    cost = smoothness(len(flight.control), config.jerk_weight)
+    control = flight.control.copy()
     for i in range(flight.num_robots):
         own = together.some(slice(bounds[i], bounds[i + 1]))
-        control[:, i] = _solve(flight.control[:, i], own, hessian, config)
+        control[:, i] = improve(flight.control[:, i], own, *_reach(flight, i, config), cost)
         bar.update()
     return replace(flight, control=control)
 
 
-def _hessian(count: int, jerk_weight: float) -> sparse.csc_matrix:
-    """Of the summed squares of second and third differences of so many control points."""
-    eye = np.eye(count)
-    second, third = np.diff(eye, n=2, axis=0), np.diff(eye, n=3, axis=0)
-    return sparse.csc_matrix(second.T @ second + jerk_weight * (third.T @ third))
-
-
-def _solve(
-    control: FloatArray, planes: Planes, hessian: sparse.csc_matrix, config: SmoothingConfig
-) -> FloatArray:
-    """Better control points (K, 3) of one robot within its planes, or the same."""
-    count = len(control)
-    rows = _rows(planes, count)
+def _reach(
+    flight: SplineFlight, robot: int, config: SmoothingConfig
+) -> tuple[FloatArray, FloatArray]:
+    """Bounds (F, 3) of a robot's free control points in a round."""
+    control = flight.control[:, robot]
     low = np.minimum(np.array(config.box[0]), control.min(axis=0))
     high = np.maximum(np.array(config.box[1]), control.max(axis=0))
-    least = np.maximum(low, control - config.travel)
-    most = np.minimum(high, control + config.travel)
-    for held in (slice(None, _FIXED), slice(-_FIXED, None)):
-        least[held] = most[held] = control[held]
-    lower = np.concatenate([least.ravel(), planes.offset.ravel()])
-    upper = np.concatenate([most.ravel(), np.full(planes.offset.size, np.inf)])
-    matrix = sparse.vstack([sparse.eye(3 * count), rows], format="csc")
-    solver = osqp.OSQP()
-    solver.setup(
-        sparse.kron(hessian, sparse.eye(3), format="csc"),
-        np.zeros(3 * count),
-        matrix,
-        lower,
-        upper,
-        eps_abs=1e-5,
-        eps_rel=1e-5,
-        max_iter=4000,
-        polishing=True,
-        verbose=False,
-    )
-    solver.warm_start(x=control.ravel())
-    found = solver.solve(raise_error=False).x
-    return _accepted(control, found, matrix, lower, upper)
-
-
-def _accepted(
-    control: FloatArray,
-    found: FloatArray | None,
-    matrix: sparse.csc_matrix,
-    lower: FloatArray,
-    upper: FloatArray,
-) -> FloatArray:
-    """The solution drawn towards the old way until every row holds: that one satisfies them all."""
-    if found is None or not np.isfinite(found).all():
-        return control
-    better = found.reshape(control.shape).copy()
-    better[:_FIXED], better[-_FIXED:] = control[:_FIXED], control[-_FIXED:]
-    for share in (1.0, 0.999, 0.99, 0.9, 0.5):
-        trial = control + share * (better - control)
-        value = matrix @ trial.ravel()
-        if (value >= lower - _TOLERANCE).all() and (value <= upper + _TOLERANCE).all():
-            return np.asarray(trial)
-    return control
-
-
-def _rows(planes: Planes, count: int) -> sparse.csc_matrix:
-    """(4 P, 3 K) what each plane says of each of its four Bezier points."""
-    size = len(planes.step)
-    weights = np.einsum("bk,px->pbkx", BEZIER, planes.normal)
-    row = np.broadcast_to(np.arange(4 * size).reshape(size, 4, 1, 1), weights.shape)
-    point = planes.step[:, None] + np.arange(4)
-    column = 3 * point[:, None, :, None] + np.arange(3)
-    where = row.ravel(), np.broadcast_to(column, weights.shape).ravel()
-    return sparse.csc_matrix((weights.ravel(), where), shape=(4 * size, 3 * count))
+    free = control[FIXED:-FIXED]
+    return np.maximum(low, free - config.travel), np.minimum(high, free + config.travel)

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
+import socket
 import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,10 +18,12 @@ pytest.importorskip("ray")
 import ray
 from ray.cluster_utils import Cluster
 
+from swarm_envs.cli import main
 from swarm_envs.training.scale_out.cluster import RayWorkers
 from swarm_envs.training.scale_out.jobs import Job, Serial
 from tests.helpers import small_jobs
 
+os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # nothing is told to anybody
 HERE = small_jobs.__name__
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
 
@@ -61,3 +67,67 @@ def test_a_node_dies_and_every_result_is_there_once(cluster, tmp_path):
     assert {o.job.label: (o.result, o.error) for o in outcomes} == expected
     names = [note.name[0] for note in tmp_path.iterdir()]
     assert sorted(names) in (["a", "a", "b"], ["a", "b", "b"])  # the dead node's was begun anew
+
+
+def test_where_nobody_listens_is_said_at_once():
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        address = f"127.0.0.1:{free.getsockname()[1]}"
+    with pytest.raises(ConnectionError, match="no Ray cluster was found at '127"):
+        RayWorkers(address)
+
+
+AGENT = """
+import numpy as np
+class Mine:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    def reset(self, env, seed): self.rng = np.random.default_rng(seed)
+    def act(self, observations, view):
+        return {name: self.rng.uniform(-0.2, 0.2, 3).astype(np.float32) for name in observations}
+class Nan(Mine):
+    def act(self, observations, view): return {n: np.full(3, np.nan) for n in observations}
+"""
+
+
+@pytest.mark.slow
+def test_evaluate_on_a_cluster_that_loses_a_node(cluster, tmp_path, capsys):
+    """The report is that of one process, though half of the nodes die, and the file is edited."""
+    file = tmp_path / "mine.py"
+    file.write_text(AGENT, encoding="utf-8")
+    agents = ["--agent", f"{file}:Mine", "straight-line", f"{file}:Nan", "detour"]
+    arguments = ["evaluate", "--episodes", "96", "--seed", "3", *agents]
+    assert main([*arguments, "--out", str(tmp_path / "one")]) == 1
+    victim = cluster.add_node(**NODE)
+    out = tmp_path / "many"
+
+    def kill_in_the_middle() -> None:
+        while len(kept_seeds(out)) < 8:
+            time.sleep(0.05)
+        cluster.remove_node(victim, allow_graceful=False)
+        file.write_text("raise RuntimeError('edited since')")
+
+    with ThreadPoolExecutor(1) as other:
+        killed = other.submit(kill_in_the_middle)
+        assert main([*arguments, "--out", str(out), "--ray", cluster.address]) == 1
+        killed.result()
+    one, many = (without_times(tmp_path / name / "report.json") for name in ("one", "many"))
+    assert many == one
+    kept = kept_seeds(out)
+    assert len(kept) == len(set(kept)) == 96 * 3
+
+
+def kept_seeds(out: Path) -> list[tuple[str, int]]:
+    """Agent's file and seed of every episode that was kept."""
+    return [
+        (file.name, json.loads(line)["seed"])
+        for file in out.glob("episodes/*.jsonl")
+        for line in file.read_text().splitlines(keepends=True)[1:]
+        if line.endswith("\n")
+    ]
+
+
+def without_times(report: Path) -> dict[str, Any]:
+    content = json.loads(report.read_text())
+    for agent in content["agents"]:
+        agent.pop("act_ms", None)
+    return content

@@ -164,16 +164,30 @@ def test_options_open_what_they_say(options, kind):
         assert workers.size == options.get("workers", 1)
 
 
-@pytest.mark.parametrize("options", [{"workers": 0}, {"workers": 2, "ray": "auto"}])
-def test_impossible_options_are_refused(options):
-    with pytest.raises(ValueError, match="--workers is"):
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"workers": 0}, "--workers is 0"),
+        ({"workers": 2, "ray": "auto"}, "--workers is 2"),
+        ({"ray": "here"}, "--ray is 'here'"),
+        ({"ray": "http://here:80"}, "must be 'auto', 'local', or host:port"),
+    ],
+)
+def test_impossible_options_are_refused(options, why):
+    with pytest.raises(ValueError, match=why):
         ScaleOptions(**options)
+
+
+def test_without_ray_its_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(ImportError, match=r"pip install 'swarm-envs\[ray\]'"):
+        ScaleOptions(ray="local").open()
 
 
 def test_a_file_is_used_where_it_stands_unless_it_is_another(tmp_path):
     file = tmp_path / "agent.py"
     file.write_text("one")
-    sent = send(file)
+    sent: dict[str, Any] = {**send(file)}
     assert receive(sent) == file
     file.write_text("two")
     copy = receive(sent)

@@ -88,7 +88,7 @@ def test_what_is_no_setting_is_refused(setting, why):
     [
         (["--set", "hiden=3"], "hiden"),
         (["--set", "batch_size=1000"], "--batch-size is 1000"),
-        (["--set", "task=ring"], "there is a recipe only for"),
+        (["--set", "task=rink"], "ring"),
         (["--seeds", "1", "1"], "each once"),
         (["--compare", "hidden=3", "hidden,3"], "each once"),
     ],
@@ -96,6 +96,7 @@ def test_what_is_no_setting_is_refused(setting, why):
 def test_what_makes_no_sweep_is_refused_before_anything_is_trained(
     arguments, why, tmp_path, capsys
 ):
+    code: str | int | None
     try:
         code = main(["train-sweep", "--out", str(tmp_path / "out"), *arguments])
     except SystemExit as end:  # as tyro refuses

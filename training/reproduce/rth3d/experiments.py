@@ -131,7 +131,7 @@ _SLABS = {family: slabs(family) for family in (*_RANDOM, *_BUILDINGS)}
 _FLATS = {family: flats(family) for family in _RANDOM}
 _WIDE = (6, 12, 18, 24, 30, 36)
 _PATTERNS = {
-    "rings, m x m x m": cubes("rings", (6, 12, 18, 24, 36, 48, 60)),
+    "rings, m x m x m": cubes("rings", (6, 12, 18, 24, 36, 48)),
     "rings, 2m x 2m x m": wide("rings", _WIDE),
     "27 blocks, m x m x m": cubes("blocks", (9, 18, 27, 36, 45, 54)),
     "3 x 3 x 3 blocks, 2m x 2m x m": wide("small-blocks", _WIDE),

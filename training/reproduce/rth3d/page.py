@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from swarm_envs.training.reproduce.rth3d.claims import Claim
 from swarm_envs.training.reproduce.rth3d.curves import FIT_FROM, Curves, Point, Spread, growth
-from swarm_envs.training.reproduce.rth3d.experiments import Figure
+from swarm_envs.training.reproduce.rth3d.experiments import GUARANTEED, Figure
 
 Row = dict[str, object]
 
@@ -88,7 +88,8 @@ def _laws(figure: Figure, curves: Curves) -> list[str]:
     for (name, method), row in curves.items():
         law = growth(row)
         if law is not None:
-            theory = "" if figure.order is None else f"{figure.order:.2f}"
+            known = figure.order is not None and method in GUARANTEED
+            theory = f"{figure.order:.2f}" if known else ""
             fitted = f"{law.exponent:.2f} ± {law.error:.2f}"
             lines.append((name, f"`{method}`", fitted, theory, str(law.settings)))
     if not lines:

@@ -1,0 +1,148 @@
+"""The page of the commands: `<!-- commands -->` becomes every command with its options.
+
+Whatever dataclass a command hands to tyro is what is written down, so nothing can be forgotten.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import inspect
+import textwrap
+from collections.abc import Iterator
+from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from unittest import mock
+
+import tyro
+
+from swarm_envs.cli import COMMANDS, PROGRAM
+from swarm_envs.training.reproduce.papers import PAPERS
+
+MARK = "<!-- commands -->"
+
+
+class Asked(Exception):  # noqa: N818  # it is no error
+    """Raised in place of reading a command line: carries what would have been read."""
+
+    def __init__(self, options: type, prefixes: bool) -> None:
+        super().__init__(options)
+        self.options, self.prefixes = options, prefixes
+
+
+@dataclasses.dataclass(frozen=True)
+class Option:
+    """A line of a table."""
+
+    name: str
+    """As it is typed; `FILE` for what has no name."""
+    default: str
+    """Empty if it must be given."""
+    meaning: str
+    """From the field's docstring."""
+
+
+def options_class(command: str, *arguments: str) -> tuple[type, bool]:
+    """The dataclass that a command reads, and whether nested options bear a prefix.
+
+    Raises:
+        LookupError: the command reads no options with tyro.
+    """
+
+    def ask(options: type, **given: Any) -> None:
+        raise Asked(options, tyro.conf.OmitArgPrefixes not in given.get("config", ()))
+
+    with mock.patch.object(tyro, "cli", ask):
+        try:
+            COMMANDS[command].run(arguments)
+        except Asked as asked:
+            return asked.options, asked.prefixes
+    raise LookupError(f"{command} reads no options with tyro")
+
+
+def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
+    """The options of a dataclass, those of dataclasses in it included."""
+    hints, docs = get_type_hints(cls, include_extras=True), _docstrings(cls)
+    for field in dataclasses.fields(cls):
+        hint, marks = hints[field.name], ()
+        if get_origin(hint) is Annotated:
+            hint, *rest = get_args(hint)
+            marks = tuple(str(mark) for mark in rest)
+        if any("suppress" in mark.lower() for mark in marks):
+            continue
+        name = prefix + field.name.replace("_", "-")
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            yield from options_of(hint, prefixes, f"{name}." if prefixes else "")
+            continue
+        positional = any("positional" in mark.lower() for mark in marks)
+        shown = f"--{name}, --no-{name}" if hint is bool else f"--{name}"
+        if hint is bool and "." in name:
+            inner = name.rpartition(".")
+            shown = f"--{name}, --{inner[0]}.no-{inner[2]}"
+        meaning = docs.get(field.name, "")
+        yield Option(name.upper() if positional else shown, _default(field), meaning)
+
+
+def _default(field: dataclasses.Field[Any]) -> str:
+    if field.default is not dataclasses.MISSING:
+        value = field.default
+    elif field.default_factory is not dataclasses.MISSING:
+        value = field.default_factory()
+    else:
+        return "must be given"
+    if value is None:
+        return "not given"
+    many = isinstance(value, tuple | list)
+    return " ".join(map(str, value)) or "none" if many else str(value)
+
+
+def _docstrings(cls: type) -> dict[str, str]:
+    """The docstring below each field, those of base classes included."""
+    found: dict[str, str] = {}
+    for base in reversed(cls.__mro__):
+        if not dataclasses.is_dataclass(base):
+            continue
+        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
+        assert isinstance(body, ast.ClassDef)
+        for node, after in zip(body.body, body.body[1:]):
+            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+                text = getattr(getattr(after, "value", None), "value", None)
+                if isinstance(text, str):
+                    found[node.target.id] = inspect.cleandoc(text)
+    return found
+
+
+def commands() -> list[tuple[str, ...]]:
+    """Every command line that has options of its own: `("fly",)`, `("reproduce", paper)`."""
+    names = [name for name in COMMANDS if name != "reproduce"]
+    return [*((name,) for name in names), *(("reproduce", paper) for paper in PAPERS)]
+
+
+def section(command: tuple[str, ...]) -> str:
+    """One command in Markdown: what it does, and its options."""
+    cls, prefixes = options_class(*command)
+    rows = [
+        f"| {' '.join(f'`{part}`' for part in option.name.split(', '))} "
+        f"| {_cell(option.default, code=True)} | {_cell(option.meaning)} |"
+        for option in options_of(cls, prefixes)
+    ]
+    title = " ".join((PROGRAM, *command))
+    head = ["| option | default | |", "|---|---|---|"]
+    return "\n".join([f"## {title}", "", inspect.getdoc(cls) or "", "", *head, *rows])
+
+
+def _cell(text: str, code: bool = False) -> str:
+    flat = " ".join(text.split()).replace("|", r"\|").replace("<", "&lt;")
+    plain = flat in ("", "not given", "must be given", "none")
+    return flat if plain or not code else f"`{flat}`"
+
+
+def setup(app: Any) -> dict[str, Any]:
+    """Tell Sphinx."""
+
+    def read(app: Any, page: str, content: list[str]) -> None:
+        if MARK in content[0]:
+            tables = "\n\n".join(map(section, commands()))
+            content[0] = content[0].replace(MARK, tables)
+
+    app.connect("source-read", read)
+    return {"parallel_read_safe": True}

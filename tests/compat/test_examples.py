@@ -1,0 +1,42 @@
+"""The scripts in examples/ run as they stand, where their library is installed."""
+
+from __future__ import annotations
+
+import math
+import runpy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
+
+
+def main_of(name: str) -> Any:
+    return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
+
+
+def test_stable_baselines3():
+    pytest.importorskip("stable_baselines3")
+    assert math.isfinite(main_of("sb3_ppo")(["--steps", "4096", "--envs", "8"]))
+
+
+def test_torchrl():
+    pytest.importorskip("torchrl", reason="run by `make test-compat`")
+    rewards = main_of("torchrl_mappo")(["--steps", "240", "--batch", "120"])
+    assert len(rewards) == 2
+    assert all(math.isfinite(reward) for reward in rewards)
+
+
+def test_skrl(tmp_path):
+    pytest.importorskip("skrl", reason="run by `make test-compat`")
+    agent = main_of("skrl_ppo")(["--steps", "64", "--envs", "4", "--out", str(tmp_path)])
+    deviations = agent.policy.log_std.detach()
+    assert deviations.isfinite().all()
+    assert not (deviations == -0.5).all()  # it has learned something
+
+
+def test_every_example_is_run():
+    names = {file.stem for file in EXAMPLES.glob("*.py")}
+    assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"}

@@ -1,0 +1,61 @@
+"""Every notebook of the docs runs from top to bottom, as in a fresh kernel."""
+
+from __future__ import annotations
+
+import ast
+import json
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+import pytest
+
+ROOT = Path(__file__).parent.parent
+NOTEBOOKS = sorted((ROOT / "docs").rglob("*.ipynb"))
+every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+
+
+def cells(path: Path) -> list[dict[str, Any]]:
+    return [*json.loads(path.read_text(encoding="utf-8"))["cells"]]
+
+
+def plain(source: str) -> str:
+    """A cell's source with the notebook's own commands, `%pip ...`, left out."""
+    lines = source.splitlines()
+    return "\n".join(f"{_margin(s)}pass" if s.lstrip().startswith(("%", "!")) else s for s in lines)
+
+
+def _margin(line: str) -> str:
+    return line[: len(line) - len(line.lstrip())]
+
+
+@every_notebook
+def test_it_runs(path, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(plt, "show", lambda: None)  # no window, and no warning that there is none
+    names: dict[str, Any] = {"__name__": "notebook"}
+    for number, cell in enumerate(cells(path)):
+        if cell["cell_type"] == "code":
+            source = plain("".join(cell["source"]))
+            exec(compile(source, f"cell {number}", "exec", dont_inherit=True), names)
+    plt.close("all")
+    assert names["metrics"]["length_s"] > 0.0
+
+
+@every_notebook
+def test_it_is_a_notebook_without_outputs(path):
+    notebook = json.loads(path.read_text(encoding="utf-8"))
+    assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+    for cell in cells(path):
+        assert cell["cell_type"] in ("code", "markdown")
+        assert cell["id"]
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            assert cell["execution_count"] is None
+            ast.parse(plain("".join(cell["source"])))
+
+
+def test_the_quickstart_installs_flies_plots_and_scores():
+    text = "".join("".join(cell["source"]) for cell in cells(NOTEBOOKS[0]))
+    for word in ("%pip install", "record_episode", "plt.subplots", "fly_episode"):
+        assert word in text

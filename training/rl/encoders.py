@@ -1,0 +1,182 @@
+"""Networks in torch whose twins in numpy fly: deep sets over neighbours, one network a type.
+
+Stable-Baselines3 puts a linear layer behind what comes out here, for actions and for values. Where
+every type of vehicle has a policy of its own, each type's trunk fills its own columns, one of them
+with ones, and zeros stand in the others: that linear layer then has weights and a bias for each.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import torch
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor, nn
+
+from swarm_envs.agents.feature_sets import FeatureSizes
+from swarm_envs.agents.networks import ANY, Layers, Network
+
+
+@dataclass(frozen=True)
+class EncoderSpec:
+    """What the networks of a policy look like."""
+
+    sizes: FeatureSizes
+    encoder: str
+    """one of `swarm_envs.agents.networks.ENCODERS`"""
+    pooling: str
+    hidden: tuple[int, ...]
+    set_hidden: tuple[int, ...]
+    """widths of phi's layers"""
+    neighbor_types: tuple[str, ...]
+    """types of neighbours with a phi of their own, or `ANY` alone"""
+    owners: tuple[str, ...]
+    """types of drones with a network of their own, or `ANY` alone"""
+
+
+class SetEncoder(nn.Module):
+    """A drone's own numbers, and those of its neighbours as a set."""
+
+    def __init__(self, spec: EncoderSpec) -> None:
+        super().__init__()
+        self._spec = spec
+        self.phi = nn.ModuleList(
+            perceptron(spec.sizes.neighbor, spec.set_hidden) for _ in spec.neighbor_types
+        )
+
+    @property
+    def width(self) -> int:
+        """How many numbers come out."""
+        return self._spec.sizes.own + self._spec.set_hidden[-1]
+
+    def forward(self, values: Tensor) -> Tensor:
+        """(B, `width`) for features (B, `sizes.width`)."""
+        sizes = self._spec.sizes
+        own = values[:, : sizes.own]
+        around = values[:, sizes.own :].reshape(-1, sizes.num_neighbors, sizes.neighbor)
+        present = around[..., sizes.mask, None]
+        members = torch.zeros(())
+        for token, phi in zip(self._spec.neighbor_types, self.phi, strict=True):
+            column = sizes.mask if token == ANY else sizes.neighbor_column(token)
+            members = members + around[..., column, None] * phi(around)
+        return torch.cat([own, pooled(members, present, self._spec.pooling)], dim=1)
+
+
+def pooled(members: Tensor, present: Tensor, pooling: str) -> Tensor:
+    """Twin of `swarm_envs.agents.networks.pooled`: (B, width) of (B, K, width) and (B, K, 1)."""
+    if pooling == "max":
+        found = members.masked_fill(present == 0, -1.0).amax(dim=1)
+        return found * present.amax(dim=1)
+    total = members.sum(dim=1)
+    return total if pooling == "sum" else total / present.sum(dim=1).clamp(min=1.0)
+
+
+class Trunk(nn.Module):
+    """From features to the last hidden layer."""
+
+    def __init__(self, spec: EncoderSpec) -> None:
+        super().__init__()
+        self.set = SetEncoder(spec) if spec.encoder == "deep-set" else None
+        self.body = perceptron(self.set.width if self.set else spec.sizes.width, spec.hidden)
+
+    def forward(self, values: Tensor) -> Tensor:
+        """(B, last width) for features (B, `sizes.width`)."""
+        latent: Tensor = self.body(values if self.set is None else self.set(values))
+        return latent
+
+
+class Trunks(nn.Module):
+    """The trunk of each type of drone; see the module for what comes out."""
+
+    def __init__(self, spec: EncoderSpec) -> None:
+        super().__init__()
+        self.owners, self._sizes = spec.owners, spec.sizes
+        self.trunks = nn.ModuleList(Trunk(spec) for _ in spec.owners)
+        self.width = len(spec.owners) * (spec.hidden[-1] + (spec.owners != (ANY,)))
+
+    def forward(self, values: Tensor) -> Tensor:
+        """(B, `width`) for features (B, `sizes.width`)."""
+        if self.owners == (ANY,):
+            latent: Tensor = self.trunks[0](values)
+            return latent
+        parts = []
+        for token, trunk in zip(self.owners, self.trunks, strict=True):
+            own = values[:, self._sizes.own_column(token), None]
+            parts += [own * trunk(values), own]
+        return torch.cat(parts, dim=1)
+
+
+class ActorCritic(nn.Module):
+    """Actor and critic, which share nothing, as Stable-Baselines3 calls them."""
+
+    def __init__(self, spec: EncoderSpec) -> None:
+        super().__init__()
+        self.policy_net, self.value_net = Trunks(spec), Trunks(spec)
+        self.latent_dim_pi = self.latent_dim_vf = self.policy_net.width
+
+    def forward(self, values: Tensor) -> tuple[Tensor, Tensor]:
+        """What comes out of the actor and of the critic."""
+        return self.forward_actor(values), self.forward_critic(values)
+
+    def forward_actor(self, values: Tensor) -> Tensor:
+        """What comes out of the actor."""
+        latent: Tensor = self.policy_net(values)
+        return latent
+
+    def forward_critic(self, values: Tensor) -> Tensor:
+        """What comes out of the critic."""
+        latent: Tensor = self.value_net(values)
+        return latent
+
+
+class TeamPolicy(ActorCriticPolicy):  # type: ignore[misc]  # SB3's base has no types here
+    """Stable-Baselines3's policy with the networks of a spec, which is given by `spec`."""
+
+    def __init__(self, *arguments: Any, spec: EncoderSpec, **options: Any) -> None:
+        self._spec = spec
+        super().__init__(*arguments, **options)
+
+    def _build_mlp_extractor(self) -> None:
+        self.mlp_extractor = ActorCritic(self._spec)
+
+
+def networks(policy: ActorCriticPolicy) -> dict[str, Network]:
+    """The actor of a trained policy, in numpy, by type of drone."""
+    spec, last = policy._spec, policy.action_net
+    found, column = {}, 0
+    for token, trunk in zip(spec.owners, policy.mlp_extractor.policy_net.trunks, strict=True):
+        width = spec.hidden[-1]
+        weight, bias = last.weight[:, column : column + width], last.bias
+        if token != ANY:
+            bias = bias + last.weight[:, column + width]
+        column += width + (token != ANY)
+        phi = None
+        if trunk.set is not None:
+            phi = dict(zip(spec.neighbor_types, map(layers_of, trunk.set.phi), strict=True))
+        layers = (*layers_of(trunk.body), (_array(weight), _array(bias)))
+        found[token] = Network(layers, phi, spec.pooling)
+    return found
+
+
+def layers_of(network: nn.Module) -> Layers:
+    """Weights and biases of the linear layers, in order."""
+    return tuple(
+        (_array(layer.weight), _array(layer.bias))
+        for layer in network.modules()
+        if isinstance(layer, nn.Linear)
+    )
+
+
+def perceptron(width: int, hidden: Sequence[int]) -> nn.Sequential:
+    """Linear layers from so many numbers, with tanh after each."""
+    parts: list[nn.Module] = []
+    for into, out in pairwise((width, *hidden)):
+        parts += [nn.Linear(into, out), nn.Tanh()]
+    return nn.Sequential(*parts)
+
+
+def _array(tensor: Tensor) -> Any:
+    return tensor.detach().numpy().copy()

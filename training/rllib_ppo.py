@@ -1,0 +1,243 @@
+"""Train swap by RLlib: PPO of its new API stack, one policy for all drones, on any Ray cluster.
+
+    pip install 'swarm-envs[train]' 'ray[rllib]'
+    python -m swarm_envs.training.rllib_ppo --out runs/rllib --steps 1000000 --runners 8
+    swarm-envs evaluate --agent runs/rllib
+
+An example to start from, read top to bottom. `swarm-envs train` learns faster on one machine: it
+has a recipe, and flies all teams in one batch.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from pettingzoo.utils import BaseParallelWrapper
+from tqdm import tqdm
+
+from swarm_envs import __version__, swap_v0
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
+from swarm_envs.agents.features import features
+from swarm_envs.agents.networks import Layers, plain
+from swarm_envs.agents.policy import FILE
+from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.errors import check_integer
+from swarm_envs.files import claimed, write_json
+from swarm_envs.training.rl.judging import Judges, choosing_seeds
+
+TASK, ENVIRONMENT, SHARED = "swap_v0", "swarm-envs-swap", "all"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RllibConfig:
+    """Train one policy for all drones by RLlib's PPO, and write it where `evaluate` finds it."""
+
+    out: Path
+    """folder for policy.safetensors and report.json"""
+    drones: int = 4
+    """number of small drones; the policy will fly as many or fewer"""
+    steps: int = 1_000_000
+    """decisions of single drones, rounded up to whole batches"""
+    seed: int = 0
+    """of first weights, episodes and exploration"""
+    runners: int = 0
+    """Ray actors that fly, one processor each; 0 for this process"""
+    ray: str | None = None
+    """address of a cluster, or `auto`; one on this machine alone if not given"""
+    layout: str = "random"
+    """of the task"""
+    interactions: str = "learned"
+    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
+    horizon_s: float = 3.5
+    """the clock of training, s"""
+    num_neighbors: int = 3
+    """K, how many neighbours a drone observes"""
+    hidden: tuple[int, ...] = (64, 64)
+    """widths of the hidden layers of actor and critic, which share none"""
+    batch: int = 4096
+    """decisions of teams between two updates"""
+    minibatch: int = 2048
+    """decisions of drones per gradient step"""
+    passes: int = 5
+    """over the decisions of a batch"""
+    learning_rate: float = 5e-4
+    """of Adam"""
+    judge_episodes: int = 256
+    """in which the policy is judged at the end, on each layout"""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing could be trained.
+
+        Raises:
+            ValueError: naming the option, the value and the rule.
+        """
+        least = {"drones": 1, "steps": 1, "seed": 0, "runners": 0, "num_neighbors": 0}
+        least |= {"batch": 1, "minibatch": 1, "passes": 1, "judge_episodes": 1}
+        for name, value in least.items():
+            check_integer(f"--{name.replace('_', '-')}", getattr(self, name), value)
+        if not self.hidden or min(self.hidden) < 1:
+            raise ValueError(f"--hidden is {self.hidden}, but must be one or more widths")
+
+    def note(self) -> PolicyNote:
+        """What the policy is trained for."""
+        return PolicyNote(TASK, self.drones, "acceleration", 10, self.num_neighbors)
+
+
+class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has no types
+    """Gives each drone the features of its observation row, which our policies are told."""
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """Of the features, alike for all drones."""
+        sizes = FEATURE_SETS[GOAL].sizes(self.env.unwrapped.core.config.num_neighbors)
+        return spaces.Box(-np.inf, np.inf, (sizes.width,), np.float32)
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Float32Array], dict[str, Any]]:
+        """As the environment's."""
+        rows, infos = self.env.reset(seed=seed, options=options)
+        return self._features(rows), infos
+
+    def step(self, actions: Mapping[str, Float32Array]) -> tuple[Any, ...]:
+        """As the environment's."""
+        rows, *rest = self.env.step(actions)
+        return self._features(rows), *rest
+
+    def _features(self, rows: Mapping[str, Float32Array]) -> dict[str, Float32Array]:
+        told = features(np.stack(list(rows.values())), self.env.unwrapped.core.config.num_neighbors)
+        return dict(zip(rows, told, strict=True))
+
+
+def make_env(options: Mapping[str, Any]) -> Any:
+    """The environment as RLlib takes it; called by name on every runner."""
+    from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+
+    return ParallelPettingZooEnv(FeatureEnv(swap_v0.parallel_env(**options)))
+
+
+def algorithm_config(config: RllibConfig) -> Any:
+    """RLlib's configuration: PPO, one module for all drones, tanh networks of our files' form."""
+    from ray.rllib.algorithms.ppo import PPOConfig
+    from ray.rllib.core.rl_module.default_model_config import DefaultModelConfig
+
+    flown = {"num_drones": config.drones, "layout": config.layout, "horizon_s": config.horizon_s}
+    flown |= {"interactions": config.interactions, "num_neighbors": config.num_neighbors}
+    flown |= {"action": "acceleration", "decision_rate": 10, "force_rate": 48, "physics": "batch"}
+    return (
+        PPOConfig()
+        .environment(ENVIRONMENT, env_config=flown)
+        .env_runners(num_env_runners=config.runners)
+        .learners(num_learners=0)
+        .training(
+            train_batch_size_per_learner=config.batch,
+            minibatch_size=config.minibatch,
+            num_epochs=config.passes,
+            lr=config.learning_rate,
+            gamma=0.98,
+            lambda_=0.95,
+            clip_param=0.2,
+            entropy_coeff=0.003,
+            use_kl_loss=False,
+        )
+        .multi_agent(policies={SHARED}, policy_mapping_fn=lambda agent, episode: SHARED)
+        .rl_module(
+            model_config=DefaultModelConfig(
+                fcnet_hiddens=list(config.hidden), fcnet_activation="tanh", vf_share_layers=False
+            )
+        )
+        .debugging(seed=config.seed)
+    )
+
+
+def actor(module: Any, width: int) -> Layers:
+    """Weights of RLlib's actor, mean of actions only, as our policy files have them.
+
+    Args:
+        module: RLlib's, with separate tanh encoders for actor and critic, and linear heads.
+        width: of an action; what else the head gives is its deviation.
+
+    Raises:
+        ValueError: the module has layers that no policy file knows.
+    """
+    state = {name: value.detach().cpu().numpy() for name, value in module.state_dict().items()}
+    names = [n for n in state if n.startswith(("encoder.actor_encoder.", "pi."))]
+    weights = [n for n in names if re.fullmatch(r".*\.net\.mlp\.\d+\.weight", n)]
+    known = {n.removesuffix("weight") + part for n in weights for part in ("weight", "bias")}
+    if not weights or known ^ (set(names) - {"pi.log_std_clip_param_const"}):
+        raise ValueError(f"this actor is no plain MLP: {', '.join(names)}")
+    layers = [(state[n], state[n.removesuffix("weight") + "bias"]) for n in weights]
+    *hidden, (head, bias) = layers
+    return (*hidden, (head[:width], bias[:width]))
+
+
+def train(config: RllibConfig) -> dict[str, Any]:
+    """Train, write the policy after every batch, judge it at the end, and return the report.
+
+    What was written stays if the training is ended early; RLlib's own checkpoints hold pickles,
+    and are not used, so a run cannot be gone on with.
+
+    Raises:
+        BlockingIOError: another process writes into the folder.
+        ImportError: RLlib is not installed.
+    """
+    try:
+        import ray
+        from ray.tune.registry import register_env
+    except ImportError as error:
+        raise ImportError("this needs RLlib; install it by: pip install 'ray[rllib]'") from error
+    begun = time.monotonic()
+    with claimed(config.out):
+        ray.init(address=config.ray or "local", ignore_reinit_error=True, logging_level="WARNING")
+        register_env(ENVIRONMENT, make_env)
+        policy = _learn(config, algorithm_config(config).build_algo())
+        options = {"num_drones": config.drones, "interactions": config.interactions}
+        judges = Judges(TASK, (config.layout,), choosing_seeds(config.judge_episodes), options)
+        report = {**policy.provenance, "chosen": judges.judge(policy)}
+        judges.close()
+        report["wall_s"] = round(time.monotonic() - begun, 1)
+        write_json(config.out / "report.json", report)
+    return report
+
+
+def _learn(config: RllibConfig, algorithm: Any) -> Policy:
+    """Updates until the steps are done; the last policy."""
+    steps = 0
+    with tqdm(total=config.steps, unit="step", unit_scale=True, desc="train") as bar:
+        while steps < config.steps:
+            flown = algorithm.train()["env_runners"]
+            steps = config.drones * int(flown["num_env_steps_sampled_lifetime"])
+            bar.set_postfix_str(f"return {flown['episode_return_mean']:.2f}", refresh=False)
+            bar.update(steps - bar.n)
+            about = {"config": _ready(config), "steps": steps, "version": __version__}
+            policy = Policy(config.note(), plain(actor(algorithm.get_module(SHARED), 3)), about)
+            write_policy(config.out / FILE, policy)
+    algorithm.stop()
+    return policy
+
+
+def _ready(config: RllibConfig) -> dict[str, Any]:
+    return {**asdict(config), "out": str(config.out), "trainer": "rllib-ppo"}
+
+
+def main() -> None:
+    """Read the options from the command line, train, and say what came out."""
+    import tyro
+
+    config = tyro.cli(RllibConfig, prog="python -m swarm_envs.training.rllib_ppo")
+    report = train(config)
+    tqdm.write(f"{report['steps']:,} steps in {report['wall_s']:.0f} s")
+    for name, rate in report["chosen"].items():
+        tqdm.write(f"  {name}: {rate:.1%}")
+    tqdm.write(f"fly it by: swarm-envs evaluate --agent {config.out} --drones {config.drones}")
+
+
+if __name__ == "__main__":
+    main()
