@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import TASKS
+from swarm_envs import TASKS, swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.features import features
 from swarm_envs.agents.networks import plain
@@ -71,9 +71,17 @@ def test_one_iteration_of_ppo(cluster, task):
 
 
 def tiny(out: Path) -> RllibConfig:
-    size = {"steps": 300, "batch": 120, "minibatch": 120, "passes": 1, "hidden": (8, 8)}
     return RllibConfig(
-        out=out, drones=2, num_neighbors=1, interactions="none", judge_episodes=4, **size
+        out=out,
+        drones=2,
+        steps=300,
+        batch=120,
+        minibatch=120,
+        passes=1,
+        num_neighbors=1,
+        interactions="none",
+        hidden=(8, 8),
+        judge_episodes=4,
     )
 
 
@@ -93,7 +101,7 @@ def test_the_policy_that_is_written_acts_as_rllib_s_module(cluster, tmp_path):
     algorithm = rllib_ppo.algorithm_config(config).build_algo()
     module = algorithm.get_module(rllib_ppo.SHARED)
     agent = PolicyAgent(Policy(config.note(), plain(rllib_ppo.actor(module, 3)), {}))
-    env = rllib_ppo.swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
+    env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
     rows = np.stack(list(env.reset(seed=3)[0].values()))
     told = features(rows, 1)
     with torch.no_grad():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -96,11 +97,9 @@ def test_what_is_no_setting_is_refused(setting, why):
 def test_what_makes_no_sweep_is_refused_before_anything_is_trained(
     arguments, why, tmp_path, capsys
 ):
-    try:
-        code = main(["train-sweep", "--out", str(tmp_path / "out"), *arguments])
-    except SystemExit as end:  # as tyro refuses
-        code = end.code
-    assert code == 2
+    with pytest.raises(SystemExit) as end:  # as tyro refuses
+        sys.exit(main(["train-sweep", "--out", str(tmp_path / "out"), *arguments]))
+    assert end.value.code == 2
     said = capsys.readouterr()
     assert why in said.err + said.out
     assert not (tmp_path / "out").exists()
