@@ -11,5 +11,15 @@ from swarm_envs.agents.protocol import (
     record_episode,
 )
 from swarm_envs.agents.registry import load
+from swarm_envs.agents.safety import Safety, SafetyFilter
 
-__all__ = ["Actions", "Agent", "Observations", "fly_episode", "load", "record_episode"]
+__all__ = [
+    "Actions",
+    "Agent",
+    "Observations",
+    "Safety",
+    "SafetyFilter",
+    "fly_episode",
+    "load",
+    "record_episode",
+]

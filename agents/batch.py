@@ -50,8 +50,8 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
 
     Args:
         core: with the options that the agent requires.
-        act: who acts; by observations alone, without memory. Where an episode has ended, the rows
-            are its last.
+        act: who acts; by observations alone, without memory. It is asked for the environments
+            whose episode goes on.
         seeds: of the episodes.
     """
     metrics: list[dict[str, Any]] = []
@@ -60,6 +60,8 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
         idle = core.num_envs - len(chunk)
         rows = core.reset([*chunk, *[None] * idle], np.arange(core.num_envs) < len(chunk))
         while core.running.any():
-            rows = core.step(act(rows)).observations
+            actions = np.zeros((core.num_envs, core.num_drones, core.mode.width))
+            actions[core.running] = act(rows[core.running])
+            rows = core.step(actions).observations
         metrics += [core.metrics(e) for e in range(len(chunk))]
     return metrics

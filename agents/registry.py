@@ -38,6 +38,8 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is
 called without arguments."""
 
+FILTER = "+filter"
+"""What an agent's name ends in to be flown behind a `swarm_envs.agents.SafetyFilter`."""
 _USERS_MODULE = "swarm_envs_users_agent_"
 
 
@@ -47,14 +49,18 @@ def load(name: str) -> Agent:
     Args:
         name: one that ships (a key of `SHIPPED`); a trained policy: the folder of its training
             run or its .safetensors file; or a class in a file, `path/to/file.py:Class`, which is
-            called without arguments.
+            called without arguments. With `+filter` at its end, behind a safety filter.
 
     Raises:
-        ValueError: no agent has this name, or what the file holds is no agent; the message says
-            what is missing.
+        ValueError: no agent has this name, it cannot be filtered, or what the file holds is no
+            agent; the message says what is missing.
         FileNotFoundError: there is no such file.
         ImportError: the file cannot be imported.
     """
+    if name.endswith(FILTER):
+        from swarm_envs.agents.safety import SafetyFilter
+
+        return SafetyFilter(load(name.removesuffix(FILTER)))
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path)
@@ -68,6 +74,20 @@ def load(name: str) -> Agent:
         known = unknown_name("agent", name, SHIPPED)
         raise ValueError(f"{known}; for one of your own write {hint!r}")
     return _make(name, _import_file(Path(file)), path)
+
+
+def load_class(name: str) -> Any:
+    """What a file holds by a name, `path/to/file.py:Class`.
+
+    Raises:
+        ValueError: the name is no such thing, or the file has no such class.
+        FileNotFoundError: there is no such file.
+        ImportError: the file cannot be imported.
+    """
+    file, colon, path = name.rpartition(":")
+    if not colon:
+        raise ValueError(f"{name!r} names no class; write {name + ':Class'!r}")
+    return _find(name, _import_file(Path(file)), path)
 
 
 def _names_policy(name: str) -> bool:
@@ -95,7 +115,7 @@ def _import_file(file: Path) -> ModuleType:
     return module
 
 
-def _make(name: str, module: ModuleType, path: str) -> Agent:
+def _find(name: str, module: ModuleType, path: str) -> Any:
     made: Any = module
     for part in path.split("."):
         if not hasattr(made, part):
@@ -103,6 +123,11 @@ def _make(name: str, module: ModuleType, path: str) -> Agent:
             own = [k for k in classes if vars(module)[k].__module__ == module.__name__]
             raise ValueError(unknown_name("class", part, own, f"in agent {name!r}"))
         made = getattr(made, part)
+    return made
+
+
+def _make(name: str, module: ModuleType, path: str) -> Agent:
+    made = _find(name, module, path)
     if not callable(made):
         raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
     try:

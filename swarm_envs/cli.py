@@ -16,6 +16,7 @@ from swarm_envs.commands.checks import check_folder as _check_folder
 from swarm_envs.errors import unknown_name
 
 PROGRAM = "swarm-envs"
+"""The command's name."""
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 
@@ -157,6 +158,12 @@ def _evaluate(arguments: Sequence[str]) -> int:
     return FAILED if run(_read("evaluate", EvaluateOptions, arguments)) else DONE
 
 
+def _grade(arguments: Sequence[str]) -> int:
+    from swarm_envs.commands.grade import GradeOptions, run
+
+    return FAILED if run(_read("grade", GradeOptions, arguments)) else DONE
+
+
 def _plan(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.plan import PlanOptions, run
 
@@ -201,6 +208,7 @@ COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
     "evaluate": Command("many episodes of agents on the same seeds, and their scores", _evaluate),
+    "grade": Command("points for the assignments of a course, file by file", _grade),
     "replay": Command("play a recorded episode in a browser", _replay),
     "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
@@ -247,17 +255,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _overview() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name.ljust(width)}  {c.summary}" for name, c in COMMANDS.items()]
-    return "\n".join(
-        [
-            f"usage: {PROGRAM} COMMAND [options]",
-            "",
-            "commands:",
-            *lines,
-            "",
-            f"`{PROGRAM} COMMAND --help` explains a command's options; "
-            f"`{PROGRAM} --version` says which version this is.",
-        ]
-    )
+    head = [f"usage: {PROGRAM} COMMAND [options]", "", "commands:"]
+    explains = f"`{PROGRAM} COMMAND --help` explains a command's options"
+    version = f"`{PROGRAM} --version` says which version this is."
+    return "\n".join([*head, *lines, "", f"{explains}; {version}"])
 
 
 def _read(

@@ -35,7 +35,7 @@ def _kernel_sources() -> list[Path]:
     files = sorted(file for file in _PACKAGE.glob("*.py") if file.name not in _COMMANDS)
     for folder in _CORE_FOLDERS:
         files += sorted((_PACKAGE / folder).rglob("*.py"))
-    others = sorted((_PACKAGE / "baselines").rglob("*.py"))
+    others = sorted(f for name in ("agents", "baselines") for f in (_PACKAGE / name).rglob("*.py"))
     return files + [file for file in others if _USES_KERNELS in file.read_bytes()]
 
 

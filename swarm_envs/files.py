@@ -30,7 +30,8 @@ def written_whole(path: Path) -> Iterator[Path]:
         OSError: the folder cannot be made or written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    # Of a long name a part: with what is added it might be longer than a name may be.
+    partial = path.with_name(f".{path.stem[:48]}.{os.getpid()}.partial{path.suffix}")
     try:
         yield partial
         partial.replace(path)

@@ -28,9 +28,3 @@ def test_the_readme_has_a_loop_of_env_step() -> None:
     loops = [b for b in BLOCK.findall((ROOT / "README.md").read_text()) if "env.step(" in b]
     assert loops
     assert 15 <= len(loops[0].splitlines()) <= 25
-
-
-def test_links_lead_somewhere() -> None:
-    for page in PAGES:
-        for target in re.findall(r"\]\((?!https?://)([^)#]+)", page.read_text()):
-            assert (page.parent / target).exists(), f"{page.name} links to {target}"

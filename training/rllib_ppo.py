@@ -34,6 +34,7 @@ from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.judging import Judges, choosing_seeds
 
 TASK, ENVIRONMENT, SHARED = "swap_v0", "swarm-envs-swap", "all"
+"""What is flown, the name under which RLlib knows it, and that of the one policy."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,6 +8,7 @@ starts alone, so that equal sets are balanced alike, whoever stands where.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import count as _count_up
 
 import numpy as np
@@ -22,6 +23,7 @@ Neighbors = npt.NDArray[np.int32]
 where there is none."""
 
 STAY = 6
+"""The direction of a wait, after those of the six edges."""
 _UNUSED = -1
 _MOST_NODES = 2**29
 _FAR = 2**30
@@ -242,13 +244,14 @@ class _Flow:
         self.come = np.concatenate([self.come, np.tile(stay, more)])
         self.steps = steps
 
-    def fill(self) -> None:
+    def fill(self, check: Callable[[], None]) -> None:
         """Send as many as can arrive in time."""
         nodes = 2 * (self.steps + 1) * self.total
         label = np.empty((2, nodes // 2), dtype=np.int32)
         queue, arcs = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int8)
         flow = (self.table, self.out, self.come, label, self.sinks)
         while self.pending.any():
+            check()
             _label(*flow, queue, self.steps)
             if _augment(*flow, self.pending, queue, arcs, self.steps) < 0:
                 break
@@ -256,13 +259,19 @@ class _Flow:
         self.settled = last >= 0
 
 
-def balance(table: Neighbors, starts: Vertices, sinks: BoolArray) -> npt.NDArray[np.int32]:
+def balance(
+    table: Neighbors,
+    starts: Vertices,
+    sinks: BoolArray,
+    check: Callable[[], None] = lambda: None,
+) -> npt.NDArray[np.int32]:
     """Paths that take every robot, no matter which, to a sink of its own, in the fewest steps.
 
     Args:
         table: the grid, from `neighbor_table`.
         starts: (n,) all different.
         sinks: (V,) which vertices are sinks, at least n of them.
+        check: called now and then; what it raises ends the work.
 
     Returns:
         (T + 1, n) vertices. T is the least possible up to 8 steps, and then of those that grow by
@@ -283,7 +292,7 @@ def balance(table: Neighbors, starts: Vertices, sinks: BoolArray) -> npt.NDArray
                 "the starts or goals are too unevenly spread over so large a grid"
             )
         flow.lengthen(steps)
-        flow.fill()
+        flow.fill(check)
     _without_swaps(table, flow.out, flow.come, flow.steps)
     paths = np.empty((flow.steps + 1, len(starts)), dtype=np.int32)
     _follow(table, flow.out, np.ascontiguousarray(starts), paths)

@@ -142,11 +142,14 @@ def balance_both(highways: Highways, starts: Vertices, goals: Vertices, clock: C
     sinks = np.zeros(len(table), dtype=np.bool_)
     sinks[highways.slots] = True
     with clock.phase("balance starts") as record:
-        first = balance(table, starts, sinks)
+        first = balance(table, starts, sinks, lambda: clock.check("balance starts"))
         record(len(first) - 1)
     with clock.phase("balance goals") as record:
         image = reflection(highways, starts, goals)
-        last = balance(table, goals, sinks) if image is None else reflected(first, image, goals)
+        if image is None:
+            last = balance(table, goals, sinks, lambda: clock.check("balance goals"))
+        else:
+            last = reflected(first, image, goals)
         record(len(last) - 1)
     return Balanced(first, last, np.arange(len(table), dtype=np.int32) if image is None else image)
 

@@ -28,7 +28,7 @@ _VERDICT = 0.75
 _HOPELESS = 1.1
 """They may not if by then it cannot end within so many times the lower bound, and `_SLACK` more
 steps: true of rings and mirrors, whose robots meet in the middle, and never of random instances."""
-_SLACK = 2
+_SLACK = 4
 _GOOD_ENOUGH = 1.02
 """Multiple of the lower bound from which on PIBT is not tried again."""
 _STALL = 48
@@ -70,7 +70,7 @@ class Search:
         self._advance(int(_VERDICT * self.bound), self.cap)
         hopeless = self.reached + self.left > _HOPELESS * self.bound + _SLACK
         self._finish(last=hopeless)
-        if hopeless and self.best is None:
+        if hopeless:
             return
         work = min(_MOST_WORK, _WORK / self._robots) * self.bound
         for part in _RESTARTS:

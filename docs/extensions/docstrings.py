@@ -7,12 +7,14 @@ from collections.abc import Callable
 from itertools import groupby
 from typing import Any
 
-from .names import resolve
 from sphinx.ext.napoleon import Config
 from sphinx.ext.napoleon.docstring import GoogleDocstring
 
+from .names import resolve
+
 SECTION = re.compile(r"^(Args|Returns|Raises|Yields|Attributes|Example|Examples|Note|Notes):$")
 _CODE = re.compile(r"`+([^`]+)`+")
+_IMPORT = re.compile(r"(from \S+ )?import \S+")
 _SIMPLE_TABLE = re.compile(r"=+( +=+)+\n")
 _CONFIG = Config(napoleon_use_rtype=False, napoleon_use_ivar=True)
 
@@ -25,14 +27,14 @@ def as_rst(lines: list[str], what: str, name: str) -> list[str]:
         what: `module`, `class`, `function`, ...: of whom.
         name: the full name of that.
     """
-    text = "\n".join(_quote_blocks(_free_lists(_tables(_returns(lines)))))
+    text = "\n".join(_quote_blocks(_free_lists(_tables(_returns(_code(lines))))))
     parts = re.split(r"(\n\n)", text)
-    marked = "".join(_inline(p, lambda word: _code(word, name)) for p in parts)
+    marked = "".join(_inline(p, lambda word: _name(word, name)) for p in parts)
     kind = "function" if what in ("attribute", "data", "property") else what
     return GoogleDocstring(marked.split("\n"), _CONFIG, what=kind, name=name).lines()
 
 
-def _code(word: str, where: str) -> str:
+def _name(word: str, where: str) -> str:
     target = resolve(word, where)
     return f":py:obj:`{word} <{target}>`" if target else f"``{word}``"
 
@@ -63,6 +65,17 @@ def _returns(lines: list[str]) -> list[str]:
         if line.strip() == "Returns:":
             body = lines[k + 1]
             out[k + 1] = body[: len(body) - len(body.lstrip())] + ": " + body.lstrip()
+    return out
+
+
+def _code(lines: list[str]) -> list[str]:
+    """Paragraphs that begin with an import, indented as the code that they are."""
+    out: list[str] = []
+    code = False
+    for line in lines:
+        begins = not out or not out[-1].strip()
+        code = bool(line.strip()) and (code or (begins and bool(_IMPORT.match(line))))
+        out.append("    " + line if code else line)
     return out
 
 
@@ -120,5 +133,12 @@ def setup(app: Any) -> dict[str, Any]:
     def convert(app: Any, what: str, name: str, obj: Any, opt: Any, lines: list[str]) -> None:
         lines[:] = as_rst(lines, what, name)
 
+    def shorten(
+        app: Any, what: str, name: str, obj: Any, opt: Any, signature: str | None, back: str | None
+    ) -> tuple[str | None, str | None]:
+        """`<factory>` and other defaults that are no Python would leave a signature unread."""
+        return re.sub(r"= <[^<>]*>", "= ...", signature or "") or signature, back
+
     app.connect("autodoc-process-docstring", convert)
+    app.connect("autodoc-process-signature", shorten)
     return {"parallel_read_safe": True}

@@ -37,7 +37,7 @@ def public_names() -> frozenset[str]:
     found = set(modules())
     for module, file in modules().items():
         found |= {f"{module}.{name}" for name in _defined(ast.parse(file.read_text("utf-8")).body)}
-    return frozenset(found)
+    return frozenset(name for name in found if "._" not in name)
 
 
 def _defined(body: list[ast.stmt]) -> Iterator[str]:

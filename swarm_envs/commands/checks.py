@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import os
+import tempfile
 from pathlib import Path
 
 
@@ -16,11 +16,7 @@ def check_folder(option: str, folder: Path) -> None:
     Raises:
         Misuse: naming the option, the folder and what is wrong with it.
     """
-    existing = next(path for path in (folder, *folder.absolute().parents) if path.exists())
-    if not existing.is_dir():
-        raise Misuse(f"{option} is {str(folder)!r}, but {str(existing)!r} is a file; name a folder")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise Misuse(f"{option} is {str(folder)!r}, but {str(existing)!r} cannot be written")
+    _check_writable(f"{option} is {str(folder)!r}", folder)
 
 
 def check_file(option: str, file: Path, suffixes: tuple[str, ...] = ()) -> None:
@@ -29,8 +25,33 @@ def check_file(option: str, file: Path, suffixes: tuple[str, ...] = ()) -> None:
     Raises:
         Misuse: naming the option, the file and what is wrong with it.
     """
+    given = f"{option} is {str(file)!r}"
     if suffixes and file.suffix not in suffixes:
-        raise Misuse(f"{option} is {str(file)!r}, but must end in {' or '.join(suffixes)}")
-    if file.is_dir():
-        raise Misuse(f"{option} is {str(file)!r}, but that is a folder; name a file")
-    check_folder(option, file.absolute().parent)
+        raise Misuse(f"{given}, but must end in {' or '.join(suffixes)}")
+    if _exists(given, file) and file.is_dir():
+        raise Misuse(f"{given}, but that is a folder; name a file")
+    _check_writable(given, file.absolute().parent)
+
+
+def _exists(given: str, path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError as error:  # such as a name that is too long
+        raise Misuse(f"{given}, which cannot be reached: {error.strerror}") from error
+
+
+def _check_writable(given: str, folder: Path) -> None:
+    """Write a file in the folder, or where it would be made, and forget it.
+
+    Permissions do not say all: a file system may be read-only, and root may do anything.
+    """
+    tree = (folder, *folder.absolute().parents)
+    existing = next(path for path in tree if _exists(given, path))
+    if not existing.is_dir():
+        raise Misuse(f"{given}, but {str(existing)!r} is a file; name a folder")
+    try:
+        with tempfile.TemporaryFile(dir=existing):
+            pass
+    except OSError as error:
+        what = f"{str(existing)!r} cannot be written: {error.strerror}"
+        raise Misuse(f"{given}, but {what}") from error

@@ -37,7 +37,7 @@ class EvaluateOptions:
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     agent: list[str] = field(default_factory=lambda: ["tracking"])
     """who flies, one or more: names as of `fly`, folders of trained policies, or
-    path/to/file.py:Class"""
+    path/to/file.py:Class; each with +filter at its end behind a safety filter"""
     episodes: int = 256
     """episodes of each agent"""
     seed: int = 0
@@ -139,6 +139,7 @@ def _reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, 
 
 
 def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[str, Any]:
+    from swarm_envs.agents import SafetyFilter
     from swarm_envs.agents.scores import score
 
     report: dict[str, Any] = {"agent": name}
@@ -148,7 +149,9 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
         return {**report, "error": unflyable(error)}
     report |= described(agent, env)
     try:
-        return {**report, **score(_fly(name, env, agent, options, about))}
+        scores = score(_fly(name, env, agent, options, about))
+        counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
+        return {**report, **scores, **counted}
     except Exception as error:
         if ":" in name:  # whoever wrote the file needs to see where it failed
             traceback.print_exception(error.__cause__ or error)

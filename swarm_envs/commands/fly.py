@@ -48,7 +48,7 @@ class FlyOptions:
     agent: str = "tracking"
     """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
     -compensated), neural-swarm-planner, swap-ppo, the folder of a trained policy, or
-    path/to/file.py:Class"""
+    path/to/file.py:Class; with +filter at its end behind a safety filter"""
     seed: int = 0
     """of the episode and the agent"""
     physics: str | None = None

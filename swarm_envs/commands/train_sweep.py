@@ -18,6 +18,7 @@ from swarm_envs.training.scale_out.jobs import Job, Outcome
 from swarm_envs.training.scale_out.options import ScaleOptions
 
 REPORT, MARKER = "sweep.json", "options.json"
+"""Files of a sweep: its report, and the options that it was begun with."""
 _OURS = ("out", "json", "seed", "progress")
 """Options of `train` that the sweep itself gives."""
 

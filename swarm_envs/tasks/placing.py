@@ -73,7 +73,7 @@ def check_points(
         distance = np.linalg.norm(offset, axis=-1)
         touching = np.argwhere(np.triu(distance < reach, 1))
     else:
-        touching = np.empty((0, 2))
+        touching = np.empty((0, 2), np.intp)
     if len(touching):
         i, j = (int(k) for k in touching[0])
         raise ValueError(

@@ -215,7 +215,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _measure_all(jobs: Sequence[Job]) -> list[Row]:
-    rows, lines = [], [HEADS]
+    rows: list[Row] = []
+    lines: list[tuple[str, ...]] = [HEADS]
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
         results = pool.map(measure, jobs)
         for job in tqdm(jobs, unit="plan"):

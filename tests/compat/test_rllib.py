@@ -71,17 +71,15 @@ def test_one_iteration_of_ppo(cluster, task):
 
 
 def tiny(out: Path) -> RllibConfig:
+    size: dict[str, Any] = {"steps": 300, "batch": 120, "minibatch": 120, "passes": 1}
     return RllibConfig(
         out=out,
         drones=2,
-        steps=300,
-        batch=120,
-        minibatch=120,
-        passes=1,
         num_neighbors=1,
         interactions="none",
-        hidden=(8, 8),
         judge_episodes=4,
+        hidden=(8, 8),
+        **size,
     )
 
 
@@ -104,6 +102,7 @@ def test_the_policy_that_is_written_acts_as_rllib_s_module(cluster, tmp_path):
     env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
     rows = np.stack(list(env.reset(seed=3)[0].values()))
     told = features(rows, 1)
+    assert told.shape[1] == config.note().sizes.width
     with torch.no_grad():
         given = module.forward_inference({"obs": torch.as_tensor(told)})["action_dist_inputs"]
     expected = np.clip(given[:, :3].numpy(), -1.0, 1.0)

@@ -44,7 +44,8 @@ def package_graph() -> dict[str, set[str]]:
     graph: dict[str, set[str]] = {package(name): set() for name in SOURCES}
     for name in SOURCES:
         graph[package(name)] |= {package(m) for m in imported_modules(parsed(name), name)}
-    return {name: found - {name} for name, found in sorted(graph.items()) if found or name}
+    used = set().union(*graph.values())
+    return {n: found - {n} for n, found in sorted(graph.items()) if found or n in used}
 
 
 def below(graph: Graph) -> dict[str, set[str]]:

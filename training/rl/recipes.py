@@ -76,8 +76,8 @@ class Recipe:
         Raises:
             ValueError: there is no such layout; the message lists those that exist.
         """
-        missing = {k: v for k, v in self.defaults.items() if _lacks(config, k)}
-        whole = replace(config, **missing)
+        missing = [k for k in self.defaults if config.uses(k) and getattr(config, k) is None]
+        whole = replace(config, **{k: self.defaults[k] for k in missing})
         check_name("--layout", whole.layout, self.layouts)
         return whole
 
@@ -138,8 +138,3 @@ def completed(config: TrainConfig, task: str) -> TrainConfig:
         ValueError: the task has no recipe, or no such layout.
     """
     return RECIPES[check_name("task with a recipe", task, RECIPES)].completed(config)
-
-
-def _lacks(config: TrainConfig, option: str) -> bool:
-    """Whether the run needs an option that was not given."""
-    return config.uses(option) and getattr(config, option) is None

@@ -25,6 +25,7 @@ from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.recipes import RECIPES, completed
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
+"""Files of a run: its report, where it goes on, and its curve."""
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
 
@@ -169,7 +170,7 @@ def _judge(
 ) -> None:
     """Judge the policy, and keep it if none before was better."""
     steps = standing.rollouts * config.rollout_steps
-    note = _note(config, task, learner.env)
+    note = policy_note(config, task, learner.env)
     about = {"config": standing.config, "steps": steps, "version": __version__}
     policy = Policy(note, learner.actor(), about)
     rates = judges.judge(policy)
@@ -182,7 +183,8 @@ def _judge(
         )
 
 
-def _note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
+def policy_note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
+    """What a run's policy is trained for."""
     return PolicyNote(
         task,
         max(config.team_sizes),

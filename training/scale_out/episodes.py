@@ -26,6 +26,7 @@ from swarm_envs.training.scale_out.jobs import Job, Outcome, Workers
 from swarm_envs.training.scale_out.shipping import SentFile, receive, send
 
 FUNCTION = f"{__name__}:fly_chunk"
+"""What a job calls, as `module:function`."""
 PATIENCE_S = 5.0
 """After so long a chunk begins no further episode."""
 _CHUNKS, _LARGEST = 4, 256

@@ -1,0 +1,273 @@
+"""A filter around any agent: the least change to its accelerations that keeps drones apart.
+
+Each drone solves a program of its own, from what it observes itself: the nearest acceleration to
+the one that its agent asks for, subject to one inequality a neighbour, the limits of acceleration,
+and the walls (`swarm_envs.agents.barrier`). Where no acceleration satisfies all, the one is taken
+that breaks the worst of them the least; the limits of acceleration are never broken.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.agents.barrier import LIMITS, WALLS, Barrier, Places, Scratch, filter_accelerations
+from swarm_envs.agents.batch import BatchAgent
+from swarm_envs.agents.evaluation import source_digest
+from swarm_envs.agents.nearest import new_workspace
+from swarm_envs.agents.protocol import Actions, Agent, Observations, check_requirements
+from swarm_envs.compiled import announce_compilation
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+from swarm_envs.tasks.base import ACCELERATION_LIMIT
+from swarm_envs.vehicles import VEHICLES
+
+ACTED = 1e-3
+"""A change of an acceleration counts from this size on, m/s^2."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Safety:
+    """How much safety a filter keeps. Raises ValueError for what cannot be."""
+
+    margin_m: float = 0.12
+    """Distance to keep beyond the sum of radii, m; from walls half of it."""
+    horizon_s: float = 0.7
+    """How far ahead that distance is kept, if both fly straight on, s."""
+    response_s: float = 0.08
+    """Time after which a drone does what it is told, s: positions and velocities are predicted as
+    far, one's own with the acceleration that its thrust gives it."""
+    rate: float = 8.0
+    """Share of what is left of safety that may be used up a second, 1/s; at most the rate of
+    decisions. Less acts earlier, and more gently."""
+    share: float = 0.5
+    """Of each evasion, the share that this drone makes: a half if the other has a filter too."""
+    downwash: float = 1.3
+    """By how much farther drones keep below and above each other than side by side; 1 for equal."""
+    aside_m: float = 0.03
+    """How far to the left a neighbour is taken to be, so that both of a pair pass on the right, m:
+    two that meet head on would otherwise stop each other."""
+    walls: bool = True
+    """Whether walls, floor and ceiling are kept away from too."""
+    num_neighbors: int = 7
+    """How many neighbours are watched, if the agent does not itself observe more."""
+
+    def __post_init__(self) -> None:
+        """Check every number."""
+        least = {"margin_m": 0.0, "response_s": 0.0, "aside_m": 0.0, "downwash": 1.0}
+        for name in ("margin_m", "response_s", "aside_m", "downwash", "horizon_s", "rate", "share"):
+            value, low = getattr(self, name), least.get(name)
+            rule = f"{low} or more" if low is not None else "positive"
+            if not (math.isfinite(value) and (value > 0.0 if low is None else value >= low)):
+                raise ValueError(f"Safety.{name} is {value!r}, but must be {rule} and finite")
+        if self.share > 1.0:
+            raise ValueError(f"Safety.share is {self.share!r}, but must be at most 1")
+        if self.num_neighbors < 1:
+            raise ValueError(f"Safety.num_neighbors is {self.num_neighbors}, but must be 1 or more")
+
+    def barrier(self) -> Barrier:
+        """The same as kernels take it."""
+        return Barrier(
+            margin=float(self.margin_m),
+            horizon=float(self.horizon_s),
+            response=float(self.response_s),
+            rate=float(self.rate),
+            share=float(self.share),
+            stretch=float(self.downwash),
+            aside=float(self.aside_m),
+            walls=bool(self.walls),
+        )
+
+
+class SafetyFilter:
+    """Flies as an agent does, but keeps its drones apart. By name: `swap-ppo+filter`.
+
+    An agent that acts on arrays (`swarm_envs.agents.batch.BatchAgent`) still does so: then the
+    filter has `act_batch` too.
+
+    Args:
+        agent: whose action is `acceleration`, and who observes rows.
+        safety: how much of it.
+
+    Raises:
+        ValueError: the agent acts otherwise.
+    """
+
+    def __init__(self, agent: Agent, safety: Safety | None = None) -> None:
+        self.agent, self.safety = agent, safety or Safety()
+        needed = {"action": "acceleration", "observation": "flat"}
+        for name, wanted in needed.items():
+            if agent.requires.get(name, wanted) != wanted:
+                raise ValueError(
+                    f"a safety filter needs {name}={wanted!r}, but {type(agent).__name__} requires "
+                    f"{agent.requires[name]!r}"
+                )
+        observed = agent.requires.get("num_neighbors", 0)
+        watched = {"num_neighbors": max(observed, self.safety.num_neighbors)}
+        self.requires: Mapping[str, Any] = {**agent.requires, **needed, **watched}
+        self.privileged = agent.privileged
+        self.digest = self._digest()
+        if isinstance(agent, BatchAgent):
+            self.act_batch = self._act_batch
+        self._tally = _Tally()
+        self._twin: SwarmParallelEnv | None = None
+        self._dropped = slice(0, 0)
+
+    def _digest(self) -> str:
+        content = f"{source_digest(self.agent)} {self.safety}"
+        return hashlib.sha256(content.encode()).hexdigest()
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Prepare for an episode.
+
+        Where the agent observes fewer neighbours than are watched, it is prepared with a twin of
+        the environment, and given rows, in which there are as many as it requires.
+
+        Raises:
+            ValueError: the environment lacks what is required; or as the agent's reset.
+        """
+        check_requirements(env, self)
+        fields = {field.name: field.where for field in env.observation_layout}
+        watched = env.core.config.num_neighbors
+        observed = self.agent.requires.get("num_neighbors", watched)
+        first, width = _neighbor_fields(fields)
+        self._dropped = slice(first + observed * width, first + watched * width)
+        self._places = _places(fields, first, width, watched)
+        self._arena, rows = np.array(env.core.task.arena), LIMITS + WALLS + watched
+        self._scratch = Scratch(
+            np.zeros((rows, 3)), np.zeros(rows), np.zeros(3), np.zeros(3), new_workspace(rows)
+        )
+        self.agent.reset(env if observed == watched else self._twin_of(env, observed, seed), seed)
+
+    def _twin_of(self, env: SwarmParallelEnv, observed: int, seed: int) -> SwarmParallelEnv:
+        config = dataclasses.replace(env.core.config, num_neighbors=observed)
+        old = self._twin
+        if old is None or old.core.task != env.core.task or old.core.config != config:
+            self._twin = old = SwarmParallelEnv(env.core.task, config)
+        old.reset(seed=seed)
+        return old
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """What the agent asks for, changed as little as safety allows."""
+        rows = np.stack(list(observations.values()))
+        given = dict(zip(observations, self._seen(rows), strict=True))
+        asked = self.agent.act(given, view)
+        actions = self._filter(rows, np.stack([asked[name] for name in observations]))
+        return dict(zip(observations, actions, strict=True))
+
+    def _act_batch(self, rows: Float32Array) -> Float32Array:
+        """The same for rows (..., N, row width) of many teams."""
+        assert isinstance(self.agent, BatchAgent)
+        return self._filter(rows, self.agent.act_batch(self._seen(rows)))
+
+    def _seen(self, rows: Float32Array) -> Float32Array:
+        """The rows as the agent observes them."""
+        if self._dropped.start == self._dropped.stop:
+            return rows
+        seen: Float32Array = np.concatenate(
+            [rows[..., : self._dropped.start], rows[..., self._dropped.stop :]], axis=-1
+        )
+        return seen
+
+    def _filter(self, rows: Float32Array, asked: Float32Array) -> Float32Array:
+        """Safe actions near those asked for, both (..., 3).
+
+        Raises:
+            ValueError: what is asked for is not finite, or of another shape.
+        """
+        shape = (*rows.shape[:-1], 3)
+        if asked.shape != shape or not np.isfinite(asked).all():
+            raise ValueError(
+                f"the agent's actions must be finite numbers {shape}, but are {asked!r:.200}"
+            )
+        begun = time.perf_counter_ns()
+        flat = np.ascontiguousarray(rows.reshape(-1, rows.shape[-1]), dtype=np.float32)
+        wanted = np.ascontiguousarray(asked.reshape(-1, 3), dtype=np.float32)
+        actions, broken = np.empty_like(wanted), np.empty(len(wanted))
+        announce_compilation(filter_accelerations)
+        filter_accelerations(
+            flat,
+            wanted,
+            self.safety.barrier(),
+            self._places,
+            _RATIOS,
+            _RADII,
+            self._arena,
+            self._scratch,
+            actions,
+            broken,
+        )
+        spent = time.perf_counter_ns() - begun
+        self._tally.take(wanted, actions, broken, spent if rows.ndim == 2 else None)
+        return actions.reshape(shape)
+
+    def statistics(self) -> dict[str, Any]:
+        """How often and how much the filter has acted since it was made, and what it costs.
+
+        `decisions` of single drones; `acted`, the share that was changed; `change_mps2`, mean and
+        largest change of these; `unsafe`, the share in which no acceleration satisfied every
+        inequality, and `worst_broken_mps2`, by how much at most; `cost_us`: median and 99th
+        percentile of the time for a team, where one is flown at a time.
+        """
+        return self._tally.report()
+
+
+class _Tally:
+    """What a filter has done."""
+
+    def __init__(self) -> None:
+        self.decisions = self.acted = self.unsafe = 0
+        self.change = self.largest = self.worst = 0.0
+        self.spent_ns: list[int] = []
+
+    def take(
+        self, asked: Float32Array, given: Float32Array, broken: np.ndarray[Any, Any], ns: int | None
+    ) -> None:
+        """Count some decisions."""
+        change = ACCELERATION_LIMIT * np.sqrt(np.square(given - asked).sum(axis=-1))
+        acted = change > ACTED
+        self.decisions += len(change)
+        self.acted += int(acted.sum())
+        self.unsafe += int((broken > ACTED).sum())
+        self.change += float(change[acted].sum())
+        self.largest = max(self.largest, float(change.max(initial=0.0)))
+        self.worst = max(self.worst, float(broken.max(initial=0.0)))
+        if ns is not None:
+            self.spent_ns.append(ns)
+
+    def report(self) -> dict[str, Any]:
+        """As `SafetyFilter.statistics`."""
+        count, spent = max(self.decisions, 1), np.array(self.spent_ns, dtype=np.float64) / 1e3
+        shares = (("p50", 50), ("p99", 99)) if len(spent) else ()
+        return {
+            "decisions": self.decisions,
+            "acted": self.acted / count,
+            "change_mps2": {"mean": self.change / max(self.acted, 1), "largest": self.largest},
+            "unsafe": self.unsafe / count,
+            "worst_broken_mps2": self.worst,
+            "cost_us": {name: float(np.percentile(spent, share)) for name, share in shares},
+        }
+
+
+_RATIOS = np.array([vehicle.thrust_to_weight for vehicle in VEHICLES.values()])
+_RADII = np.array([vehicle.radius for vehicle in VEHICLES.values()])
+
+
+def _neighbor_fields(fields: Mapping[str, slice]) -> tuple[int, int]:
+    """Where the fields of the first neighbour begin, and how many numbers they are."""
+    own = [where for name, where in fields.items() if name.startswith("neighbor_0.")]
+    return own[0].start, own[-1].stop - own[0].start
+
+
+def _places(fields: Mapping[str, slice], first: int, width: int, watched: int) -> Places:
+    names = ("position", "velocity", "attitude", "thrust", "type")
+    own = {name: fields[f"self.{name}"].start for name in names}
+    return Places(**own, neighbors=first, neighbor_width=width, num_neighbors=watched)

@@ -1,0 +1,153 @@
+"""The site: every page can be found, links lead somewhere, names exist, nothing is out of date."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from docs.extensions.api_pages import packages_of, page_of
+from docs.extensions.links import inward, without_empty_folders
+from docs.extensions.names import exports, modules, public_names, resolve
+from docs.extensions.option_tables import commands, options_class, options_of
+from swarm_envs.agents.registry import SHIPPED
+from swarm_envs.cli import COMMANDS, main
+from swarm_envs.errors import unknown_name
+from tests.helpers.imports import ROOT, SOURCES
+from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
+
+WRITTEN = [ROOT / "README.md", ROOT / "CHANGELOG.md", *PAGES]
+every_page = pytest.mark.parametrize("page", WRITTEN, ids=lambda p: str(p.relative_to(ROOT)))
+
+
+@every_page
+def test_links_lead_somewhere(page):
+    for target, anchor in links(page):
+        assert target.exists(), f"{page.name} links to {target}"
+        if anchor:
+            hint = unknown_name("heading", anchor, sorted(anchors(target)))
+            assert anchor in anchors(target), f"{page.name} links into {target.name}: {hint}"
+
+
+def test_every_page_is_in_a_table_of_contents():
+    found, queue = {DOCS / "index.md"}, [DOCS / "index.md"]
+    while queue:
+        new = set(listed(queue.pop())) - found
+        found |= new
+        queue += new
+    left = [str(page.relative_to(DOCS)) for page in PAGES if page not in found]
+    assert not left, f"{left} stand in no toctree; name them in docs/index.md"
+
+
+def test_every_module_is_on_one_reference_page():
+    packages = packages_of(DOCS / "api")
+    assert len(packages) == len(set(packages))
+    public = {n for n in SOURCES if not re.search(r"\.(__main__|cli|commands)(\.|$)", n)}
+    assert set(modules()) == public
+    assert all(page_of(name, packages) for name in public)
+
+
+def test_every_shipped_agent_has_its_row():
+    rows = re.findall(r"^\| `([\w-]+)` \|", (DOCS / "agents.md").read_text(), re.MULTILINE)
+    assert sorted(rows) == sorted(SHIPPED)
+
+
+def words(page: Path) -> list[str]:
+    """What stands in backticks on a page, outside blocks of code."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    return re.findall(r"`([^`\n]+)`", text)
+
+
+def test_every_name_among_the_equations_exists():
+    simple = {name.rpartition(".")[2] for name in public_names()}
+    private = {w for f in SOURCES.values() for w in re.findall(r"\b_?[a-z]\w+\b", f.read_text())}
+    for word in words(DOCS / "equations.md"):
+        if "/" in word or word.endswith(".py"):
+            files = [ROOT / word, *ROOT.glob(f"*/**/{word}")]
+            assert any(file.exists() for file in files), f"there is no file {word}"
+        elif word.startswith("swarm-envs"):
+            assert word.split()[1] in COMMANDS
+        elif re.fullmatch(r"[\w.]+", word):
+            last = word.rpartition(".")[2]
+            assert word in public_names() or last in simple or word in private, f"{word}?"
+
+
+@pytest.mark.parametrize("command", commands(), ids=" ".join)
+def test_the_options_of_a_command_are_those_it_explains(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "120")
+    with pytest.raises(SystemExit):
+        main([*command, "--help"])
+    explained = set()
+    for line in capsys.readouterr().out.splitlines():
+        head = re.match(r"^\W{1,2}(--[a-z][\w.-]*)(?:, (--[a-z][\w.-]*))?", line)
+        explained |= set(filter(None, head.groups())) if head else set()
+    options = list(options_of(*options_class(*command)))
+    named = {n for o in options for n in o.name.split(", ") if n.startswith("--")}
+    assert named == explained
+    assert all(option.meaning for option in options)
+
+
+def test_links_out_of_the_docs_become_words_or_cards():
+    page, text = DOCS / "how-to" / "x.md", "[a](../rl.md) [b](../../tests/x.py)"
+    assert inward(text, page, DOCS) == "[a](../rl.md) b"
+    card = inward("[c](../../agents/weights/MODEL_CARD.md)", page, DOCS)
+    assert card == "[c](../model-cards.md)"
+    assert without_empty_folders("a\nhow-to/*\nnowhere/*\nb\n", DOCS) == "a\nhow-to/*\nb\n"
+
+
+def test_names_in_docstrings_are_resolved_where_they_stand():
+    model = "swarm_envs.interactions.base.InteractionModel"
+    assert resolve("forces", f"{model}.fingerprint") == f"{model}.forces"
+    assert resolve("load", model) == "swarm_envs.interactions.base.load"
+    assert resolve("parse_team()", "swarm_envs.vehicles") == "swarm_envs.vehicles.parse_team"
+    assert resolve("nothing", model) is None
+    assert ("load", "swarm_envs.agents.registry.load") in exports("swarm_envs.agents")
+
+
+def test_docstrings_become_what_sphinx_reads():
+    pytest.importorskip("sphinx")
+    from docs.extensions.docstrings import as_rst
+
+    text = ["A |x| of `load`.", "", "| a | b |", "|---|---|", "| `c` | 2*d |", "", "So:", ""]
+    text += ["    y = x_", "", "Returns:", "    (N,) m: always."]
+    lines = as_rst(text, "function", "swarm_envs.interactions.base.load")
+    assert lines[0] == r"A \|x\| of :py:obj:`load <swarm_envs.interactions.base.load>`."
+    assert [line for line in lines if line.startswith("   * - ")] == ["   * - a", "   * - ``c``"]
+    assert "::" in lines
+    assert ":returns: (N,) m: always." in lines
+
+
+class Resources(HTMLParser):
+    """What a built page loads when it is opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Note where scripts, styles, pictures and fonts come from."""
+        given = dict(attrs)
+        names = {"script": "src", "img": "src", "iframe": "src", "source": "src", "link": "href"}
+        if tag in names and given.get(names[tag]):
+            self.loaded.append(str(given[names[tag]]))
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_path):
+    pytest.importorskip("sphinx")
+    command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q"]
+    command += ["-d", str(tmp_path / "trees"), str(DOCS), str(tmp_path / "site")]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-4000:]
+    built = sorted((tmp_path / "site").rglob("*.html"))
+    assert len(built) >= len(PAGES)
+    for page in built:
+        reader = Resources()
+        reader.feed(page.read_text(encoding="utf-8"))
+        assert not [url for url in reader.loaded if re.match(r"(https?:)?//", url)], page.name
+    for style in (tmp_path / "site").rglob("*.css"):
+        assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8"))

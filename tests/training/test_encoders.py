@@ -1,0 +1,191 @@
+"""Encoders: sets do not know an order, torch and numpy agree, every type flies its own network."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import torch
+
+from swarm_envs import swap_v0
+from swarm_envs.agents import fly_episode
+from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPED
+from swarm_envs.agents.networks import ANY, Network
+from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.policy_file import Policy, read_policy, write_policy
+from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.ppo import PpoLearner
+from swarm_envs.training.rl.recipes import completed
+from swarm_envs.training.rl.run import policy_note
+
+SET = {"encoder": "deep-set", "num_neighbors": 4}
+KINDS = {
+    "sizes": {"drones": (2, 4), "num_neighbors": 3},
+    "mean": {"drones": 4, **SET},
+    "max": {"team": ("SSLL", "SL"), "pooling": "max", **SET},
+    "sum of each type": {"team": ("SSLL",), "pooling": "sum", "per_type": True, **SET},
+    "a perceptron each": {"team": ("SSLL",), "per_type": True},
+}
+
+
+def make(**given) -> tuple[TrainConfig, PpoLearner]:
+    """A learner whose last layers are no longer small, so that actions tell networks apart."""
+    options = {"environments": 4, "rollout": 16, "batch_size": 64, "hidden": (8, 8), **given}
+    config = completed(TrainConfig(out=Path("never"), interactions="none", **options), "swap_v0")
+    learner = PpoLearner(config, "swap_v0")
+    with torch.no_grad():
+        learner.model.policy.action_net.weight.mul_(50.0)
+        learner.model.policy.action_net.bias.add_(0.1)
+    return config, learner
+
+
+def policy_of(config: TrainConfig, learner: PpoLearner) -> Policy:
+    return Policy(policy_note(config, "swap_v0", learner.env), learner.actor(), {})
+
+
+def told(learner: PpoLearner) -> np.ndarray:
+    """Observation rows of every drone after some decisions."""
+    learner.env.reset()
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        learner.env.step(rng.uniform(-1, 1, (learner.env.num_envs, 3)))
+    rows = [core.rows for core in learner.env.cores]
+    return np.concatenate([row.reshape(-1, row.shape[-1]) for row in rows])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_flies_is_what_was_trained(kind, tmp_path):
+    config, learner = make(**KINDS[kind])
+    path = tmp_path / "policy.safetensors"
+    write_policy(path, policy_of(config, learner))
+    agent = PolicyAgent(read_policy(path))
+    rows = told(learner)
+    actions, _ = learner.model.predict(learner.env.told(rows), deterministic=True)
+    np.testing.assert_allclose(agent.act_batch(rows), actions, atol=2e-6)
+    assert np.ptp(actions, axis=0).min() > 0.01
+    options = {**config.teams[0], "physics": "batch", "horizon_s": 0.5, "interactions": "none"}
+    env = swap_v0.parallel_env(**options, **agent.requires)
+    assert fly_episode(env, agent, seed=0)["length_s"] > 0
+    env.close()
+    learner.close()
+
+
+@pytest.mark.parametrize("kind", ["mean", "max", "sum of each type"])
+def test_the_order_of_neighbours_changes_nothing(kind):
+    learner = make(**KINDS[kind])[1]
+    sizes = learner.env.sizes
+    values = learner.env.told(told(learner))
+    own, around = sizes.split(values)
+    swapped = np.concatenate([own, around[:, ::-1].reshape(len(own), -1)], axis=1)
+    assert not np.array_equal(swapped, values)
+    for network in learner.actor().values():
+        np.testing.assert_allclose(network(swapped, sizes), network(values, sizes), atol=2e-6)
+    before, after = (
+        learner.model.policy.predict_values(torch.from_numpy(v)).detach().numpy()
+        for v in (values, swapped)
+    )
+    np.testing.assert_allclose(after, before, atol=2e-6)
+    learner.close()
+
+
+def test_who_is_not_there_is_not_in_the_set():
+    """Four slots with one neighbour act as one slot with the same neighbour, and none as none."""
+    for pooling in ("mean", "max", "sum"):
+        _, learner = make(drones=4, pooling=pooling, **SET)
+        sizes, network = learner.env.sizes, learner.actor()[ANY]
+        values = learner.env.told(told(learner))
+        own, around = sizes.split(values)
+        alone = np.concatenate([own, around[:, 0]], axis=1)
+        around[:, 1:] = 0.0
+        padded = np.concatenate([own, around.reshape(len(own), -1)], axis=1)
+        np.testing.assert_allclose(
+            network(padded, sizes), network(alone, sizes._replace(num_neighbors=1)), atol=2e-6
+        )
+        nobody = np.concatenate([own, np.zeros_like(around).reshape(len(own), -1)], axis=1)
+        none = sizes._replace(num_neighbors=0)
+        np.testing.assert_allclose(network(nobody, sizes), network(own, none), atol=2e-6)
+        learner.close()
+
+
+def test_every_type_flies_and_sees_by_networks_of_its_own():
+    """Whose network is broken, and of which neighbour's type, shows in who acts otherwise."""
+    config, learner = make(**KINDS["sum of each type"])
+    networks, sizes = learner.actor(), learner.env.sizes
+    rows = told(learner)
+    large = learner.env.told(rows)[:, sizes.own_type + 1] == 1.0
+    assert large.mean() == 0.5
+
+    def changed(other: dict[str, Network]) -> np.ndarray:
+        note = policy_note(config, "swap_v0", learner.env)
+        first, second = (PolicyAgent(Policy(note, n, {})) for n in (networks, other))
+        return (first.act_batch(rows) != second.act_batch(rows)).any(axis=1)
+
+    mute = tuple((weight, bias + 0.3) for weight, bias in networks["L"].layers)
+    assert np.array_equal(
+        changed({**networks, "L": Network(mute, networks["L"].phi, "sum")}), large
+    )
+    phi = dict(networks["S"].phi)
+    phi["S"] = tuple((0.0 * weight, bias) for weight, bias in phi["S"])
+    blind = changed({**networks, "S": Network(networks["S"].layers, phi, "sum")})
+    assert np.array_equal(blind, ~large)
+    learner.close()
+
+
+def test_two_types_learn_apart():
+    """What only large drones have flown changes their network, and not the small ones'."""
+    _, learner = make(team=("SSLL",), per_type=True)
+    policy = learner.model.policy
+    values = torch.from_numpy(learner.env.told(told(learner)))
+    large = values[:, learner.env.sizes.own_type + 1] == 1.0
+    small_before = policy.get_distribution(values[~large]).mode().detach()
+    optimiser = torch.optim.SGD(policy.mlp_extractor.parameters(), lr=0.1)
+    policy.get_distribution(values[large]).mode().square().sum().backward()
+    optimiser.step()
+    assert torch.equal(policy.get_distribution(values[~large]).mode(), small_before)
+    learner.close()
+
+
+def test_types_are_told_in_order():
+    learner = make(team=("SL",), num_neighbors=1)[1]
+    sizes, rows = FEATURE_SETS[TYPED].sizes(1), told(learner)
+    own, around = sizes.split(learner.env.told(rows))
+    assert own[:2, sizes.own_type :].tolist() == [[1, 0, 0], [0, 1, 0]]
+    assert around[:2, 0, sizes.neighbor_type :].tolist() == [[0, 1, 0], [1, 0, 0]]
+    learner.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"drones": (4, 4)}, r"\(4, 4\).*each\s+once"),
+        ({"drones": (2, 4), "environments": 3}, "multiple of the 2 teams"),
+        ({"drones": (4, 0)}, "--drones is 0"),
+        ({"set_hidden": ()}, "--set-hidden"),
+        ({"drones": (2, 4), "algo": "mappo"}, "--algo mappo trains one team"),
+        ({"encoder": "deep-set", "algo": "mappo"}, "--algo mappo has no such option"),
+        ({"team": ("SX",)}, "unknown vehicle token 'X'"),
+    ],
+)
+def test_impossible_teams_and_networks_are_refused(options, why):
+    with pytest.raises(ValueError, match=why):
+        TrainConfig(out=Path("never"), **options)
+
+
+def test_a_policy_each_needs_types():
+    with pytest.raises(ValueError, match="--per-type needs vehicles of several types"):
+        make(per_type=True)
+
+
+def test_vehicles_that_it_has_not_flown_are_refused():
+    config, learner = make(team=("SSLL",), per_type=True)
+    agent = PolicyAgent(policy_of(config, learner))
+    options = {"team": "SS*", "physics": "batch", "interactions": "none", **agent.requires}
+    env = swap_v0.parallel_env(**options)
+    with pytest.raises(ValueError, match=r"trained for vehicles S, L, but the team has S\*"):
+        fly_episode(env, agent, seed=0)
+    env.close()
+    learner.close()
