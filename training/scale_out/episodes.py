@@ -20,7 +20,7 @@ from swarm_envs.agents import Agent
 from swarm_envs.agents.batch import AT_ONCE
 from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, source_digest
 from swarm_envs.agents.policy import FILE
-from swarm_envs.agents.registry import SHIPPED, load
+from swarm_envs.agents.registry import FILTER, SHIPPED, load
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.training.scale_out.jobs import Job, Outcome, Workers
 from swarm_envs.training.scale_out.shipping import SentFile, receive, send
@@ -150,9 +150,10 @@ def _failure(outcome: Outcome, rest: Sequence[int]) -> tuple[str | None, str]:
 def _sent_agent(entrant: Entrant) -> dict[str, Any]:
     """An agent as another machine can load it: its file, if it has one, by value."""
     sent: dict[str, Any] = {"name": entrant.name, "digest": entrant.digest}
-    if entrant.name in SHIPPED:
+    name = entrant.name.removesuffix(FILTER)
+    if name in SHIPPED:
         return sent
-    file, colon, part = entrant.name.rpartition(":")
+    file, colon, part = name.rpartition(":")
     path = Path(file if colon else part)
     return {**sent, "file": send(path / FILE if path.is_dir() else path), "part": colon + part}
 
@@ -210,7 +211,8 @@ def _close() -> None:
 def _load(agent: Mapping[str, Any]) -> Agent:
     name = agent["name"]
     if "file" in agent:
-        name = str(receive(agent["file"])) + (agent["part"] if ":" in agent["part"] else "")
+        part, behind = agent["part"], FILTER if name.endswith(FILTER) else ""
+        name = str(receive(agent["file"])) + (part if ":" in part else "") + behind
     made = load(name)
     if source_digest(made) != agent["digest"]:
         raise ValueError(

@@ -109,8 +109,9 @@ def test_another_agent_of_the_same_name_is_refused():
         chunk("hover", [1], digest="0")
 
 
-def test_an_agent_s_file_may_vanish_once_it_was_sent(mine):
-    name = f"{mine}:Fine"
+@pytest.mark.parametrize("more", ["", "+filter"])
+def test_an_agent_s_file_may_vanish_once_it_was_sent(mine, more):
+    name = f"{mine}:Fine{more}"
     entrant = Entrant(name, source_digest(load(name)))
     (job,) = episodes._jobs([entrant], "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, {3: 0}, 1)
     mine.write_text("raise RuntimeError('edited since')")

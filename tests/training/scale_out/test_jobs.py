@@ -187,7 +187,7 @@ def test_without_ray_its_extra_is_named(monkeypatch):
 def test_a_file_is_used_where_it_stands_unless_it_is_another(tmp_path):
     file = tmp_path / "agent.py"
     file.write_text("one")
-    sent: dict[str, Any] = {**send(file)}
+    sent = send(file)
     assert receive(sent) == file
     file.write_text("two")
     copy = receive(sent)
