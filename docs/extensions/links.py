@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 OUTWARD = re.compile(r"\[([^\]]+)\]\((\.\./[^)]+)\)")
-FOLDER = re.compile(r"^(\S+)/\*\n", re.MULTILINE)
+MANY = re.compile(r"^([\w/-]+\*)\n", re.MULTILINE)
 CARDS = "model-cards.md"
 
 
@@ -30,8 +30,8 @@ def inward(text: str, page: Path, docs: Path) -> str:
 
 
 def without_empty_folders(text: str, docs: Path) -> str:
-    """The text without lines `folder/*` whose folder holds no page."""
-    return FOLDER.sub(lambda found: found[0] if [*docs.glob(f"{found[1]}/*.md")] else "", text)
+    """The text without lines such as `folder/*` for which there is no page."""
+    return MANY.sub(lambda found: found[0] if [*docs.glob(f"{found[1]}.md")] else "", text)
 
 
 def setup(app: Any) -> dict[str, Any]:

@@ -81,13 +81,14 @@ def exports(package: str) -> list[tuple[str, str]]:
         if isinstance(node, ast.ImportFrom) and node.module
         for alias in node.names
     }
-    offered = next((n.value for n in tree.body if _assigns(n, "__all__")), ast.List([]))
-    names = [e.value for e in getattr(offered, "elts", []) if isinstance(e, ast.Constant)]
+    assigned = [n.value for n in tree.body if isinstance(n, ast.Assign) and _binds_all(n)]
+    offered = [e for value in assigned for e in getattr(value, "elts", [])]
+    names = [e.value for e in offered if isinstance(e, ast.Constant)]
     return [(str(name), homes[str(name)]) for name in names if name in homes]
 
 
-def _assigns(node: ast.stmt, name: str) -> bool:
-    return isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name
+def _binds_all(node: ast.Assign) -> bool:
+    return ast.unparse(node.targets[0]) == "__all__"
 
 
 def resolve(text: str, where: str) -> str | None:
