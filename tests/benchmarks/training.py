@@ -42,7 +42,7 @@ class Clocks:
     def __init__(self, learner: PpoLearner) -> None:
         self.spent = dict.fromkeys(PARTS, 0.0)
         env = learner.env
-        env.step_wait = self._timed("environment", env.step_wait)
+        env.step_wait = self._timed("environment", env.step_wait)  # type: ignore[method-assign]
         env.told = self._timed("features", env.told)  # type: ignore[method-assign]
         for core in env.cores:
             core.flight.fly = self._timed("flight", core.flight.fly)  # type: ignore[method-assign]

@@ -116,7 +116,7 @@ def test_every_type_flies_and_sees_by_networks_of_its_own():
     config, learner = make(**KINDS["sum of each type"])
     networks, sizes = learner.actor(), learner.env.sizes
     rows = told(learner)
-    large = learner.env.told(rows)[:, sizes.own_type + 1] == 1.0
+    large = learner.env.told(rows)[:, sizes.own_column("L")] == 1.0
     assert large.mean() == 0.5
 
     def changed(other: dict[str, Network]) -> np.ndarray:
@@ -128,7 +128,7 @@ def test_every_type_flies_and_sees_by_networks_of_its_own():
     assert np.array_equal(
         changed({**networks, "L": Network(mute, networks["L"].phi, "sum")}), large
     )
-    phi = dict(networks["S"].phi)
+    phi = dict(networks["S"].phi or {})
     phi["S"] = tuple((0.0 * weight, bias) for weight, bias in phi["S"])
     blind = changed({**networks, "S": Network(networks["S"].layers, phi, "sum")})
     assert np.array_equal(blind, ~large)
@@ -140,7 +140,7 @@ def test_two_types_learn_apart():
     _, learner = make(team=("SSLL",), per_type=True)
     policy = learner.model.policy
     values = torch.from_numpy(learner.env.told(told(learner)))
-    large = values[:, learner.env.sizes.own_type + 1] == 1.0
+    large = values[:, learner.env.sizes.own_column("L")] == 1.0
     small_before = policy.get_distribution(values[~large]).mode().detach()
     optimiser = torch.optim.SGD(policy.mlp_extractor.parameters(), lr=0.1)
     policy.get_distribution(values[large]).mode().square().sum().backward()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -64,7 +65,13 @@ def test_parts_must_be_alike():
 def test_threads_change_no_byte_of_what_is_learned():
     weights = []
     for threads in (1, 2):
-        small = {"environments": 8, "rollout": 16, "batch_size": 128, "passes": 2, "steps": 3000}
+        small: dict[str, Any] = {
+            "environments": 8,
+            "rollout": 16,
+            "batch_size": 128,
+            "passes": 2,
+            "steps": 3000,
+        }
         plain = TrainConfig(out=Path("never"), drones=(2, 4), threads=threads, **small)
         learner = PpoLearner(completed(plain, "swap_v0"), "swap_v0")
         learner.fly(range(2))
