@@ -37,36 +37,57 @@ class Barrier(NamedTuple):
     """What the kernels are told; `swarm_envs.agents.safety.SafetyFilter` explains each."""
 
     margin: float
+    """As of `SafetyFilter`, which explains each of these."""
     horizon: float
+    """As of `SafetyFilter`."""
     response: float
+    """As of `SafetyFilter`."""
     rate: float
+    """As of `SafetyFilter`."""
     share: float
+    """As of `SafetyFilter`."""
     stretch: float
+    """As of `SafetyFilter`."""
     aside: float
+    """As of `SafetyFilter`."""
     walls: bool
+    """As of `SafetyFilter`."""
 
 
 class Places(NamedTuple):
     """Where an observation row has what is needed."""
 
     position: int
+    """First column of the own position."""
     velocity: int
+    """First column of the own velocity."""
     attitude: int
+    """First column of the own attitude."""
     thrust: int
+    """Column of the own thrust."""
     type: int
+    """First column of the own type."""
     neighbors: int
+    """First column of the nearest neighbour."""
     neighbor_width: int
+    """Columns of a neighbour."""
     num_neighbors: int
+    """Neighbours that a row has."""
 
 
 class Scratch(NamedTuple):
     """Memory of one drone's problem."""
 
     rows: FloatArray
+    """Normals of the half-spaces."""
     bound: FloatArray
+    """Their bounds."""
     target: FloatArray
+    """What is asked for."""
     out: FloatArray
+    """What is done."""
     work: Workspace
+    """Memory of the solver."""
 
 
 @borrowing_kernel

@@ -110,12 +110,19 @@ class Plan:
     """What a file must hold: from so many features to so many actions, for these vehicles."""
 
     sizes: FeatureSizes
+    """Numbers that the networks take in."""
     actions: int
+    """Numbers that they give."""
     action: str
+    """What these mean, as the option `action` names it."""
     encoder: str
+    """How what is observed becomes one row."""
     pooling: str
+    """How neighbours become one row, where they are a set."""
     neighbor_types: tuple[str, ...]
+    """Vehicles that neighbours may be, each with a network."""
     owners: tuple[str, ...]
+    """Vehicles that act, each with a network."""
 
     def networks(self, tensors: Mapping[str, Float32Array]) -> dict[str, Network]:
         """The networks, every layer's widths checked.

@@ -109,6 +109,11 @@ def swap_ppo() -> PolicyAgent:
     return _shipped("swap-ppo")
 
 
+def swap_ppo_8() -> PolicyAgent:
+    """The policy that ships for swaps of up to eight drones; see `weights/MODEL_CARD.md`."""
+    return _shipped("swap-ppo-8")
+
+
 def formation_ppo() -> PolicyAgent:
     """The policy that ships for formations of up to eight drones; see `weights/MODEL_CARD.md`."""
     return _shipped("formation-ppo")

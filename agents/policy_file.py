@@ -30,6 +30,7 @@ from swarm_envs.files import written_whole
 from swarm_envs.vehicles import VEHICLES
 
 FORMAT = "swarm-envs-policy-2"
+"""What a file of a policy says it is."""
 _BEFORE = ("swarm-envs-policy-1",)
 """Formats that are read, though no longer written."""
 LARGEST = 1e4
@@ -107,6 +108,7 @@ class Policy:
     """A network that acts, and what it was trained for."""
 
     note: PolicyNote
+    """What it was trained for."""
     networks: Mapping[str, Network]
     """One under `ANY`, or one for each type of vehicle."""
     provenance: Mapping[str, Any]

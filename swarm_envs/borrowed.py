@@ -37,6 +37,7 @@ from numba.extending import (
 T = TypeVar("T", bound=tuple[Any, ...])
 
 types: Any = numba_types  # its names are assembled at run time
+"""Numba's types, whose names are assembled at run time."""
 
 SUPPORTED = hasattr(JITCPUCodegen, "_pass_builder")
 """Whether this numba has the insides that borrowing, and `swarm_envs.lowering`, are built on. With

@@ -16,6 +16,7 @@ from swarm_envs.commands.checks import check_folder as _check_folder
 from swarm_envs.errors import unknown_name
 
 PROGRAM = "swarm-envs"
+"""The command's name."""
 DONE, FAILED, MISUSED, INTERRUPTED = 0, 1, 2, 130
 """Exit codes."""
 
@@ -254,17 +255,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _overview() -> str:
     width = max(map(len, COMMANDS))
     lines = [f"  {name.ljust(width)}  {c.summary}" for name, c in COMMANDS.items()]
-    return "\n".join(
-        [
-            f"usage: {PROGRAM} COMMAND [options]",
-            "",
-            "commands:",
-            *lines,
-            "",
-            f"`{PROGRAM} COMMAND --help` explains a command's options; "
-            f"`{PROGRAM} --version` says which version this is.",
-        ]
-    )
+    head = [f"usage: {PROGRAM} COMMAND [options]", "", "commands:"]
+    explains = f"`{PROGRAM} COMMAND --help` explains a command's options"
+    version = f"`{PROGRAM} --version` says which version this is."
+    return "\n".join([*head, *lines, "", f"{explains}; {version}"])
 
 
 def _read(

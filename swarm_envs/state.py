@@ -15,8 +15,11 @@ import numpy.typing as npt
 from swarm_envs.vehicles import Team, Vehicle
 
 FloatArray = npt.NDArray[np.float64]
+"""float64, of any shape."""
 IntArray = npt.NDArray[np.int64]
+"""int64, of any shape."""
 BoolArray = npt.NDArray[np.bool_]
+"""Truth values, of any shape."""
 
 
 class SwarmState(NamedTuple):

@@ -172,6 +172,7 @@ VEHICLES: dict[str, Vehicle] = {v.token: v for v in (SMALL, LARGE, SMALL_STRONG)
 _TOKEN = re.compile(r"[A-Z]\*?|.")
 
 Team = tuple[Vehicle, ...]
+"""The vehicles that fly together, in the order of the agents."""
 
 
 def parse_team(team: str | Sequence[Vehicle]) -> Team:

@@ -85,7 +85,7 @@ def test_the_options_of_a_command_are_those_it_explains(command, capsys, monkeyp
     for line in capsys.readouterr().out.splitlines():
         head = re.match(r"^\W{1,2}(--[a-z][\w.-]*)(?:, (--[a-z][\w.-]*))?", line)
         explained |= set(filter(None, head.groups())) if head else set()
-    options = [option for option in options_of(*options_class(*command))]
+    options = list(options_of(*options_class(*command)))
     named = {n for o in options for n in o.name.split(", ") if n.startswith("--")}
     assert named == explained
     assert all(option.meaning for option in options)

@@ -172,7 +172,8 @@ def test_walls_are_kept_away_from():
             pass
 
         def act(self, observations, view):
-            return {name: np.array([1.0, 0.3, -1.0], np.float32) for name in observations}
+            corner = np.array([1.0, 0.3, -1.0], np.float32)
+            return dict(zip(observations, (corner, -corner), strict=True))
 
     for safety, crashes in ((Safety(), 0), (Safety(walls=False), 1)):
         agent = SafetyFilter(Outwards(), safety)

@@ -24,16 +24,17 @@ from tqdm import tqdm
 
 from swarm_envs import __version__, swap_v0
 from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
-from swarm_envs.agents.features import features
 from swarm_envs.agents.networks import Layers, plain
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
 from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_integer
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.judging import Judges, choosing_seeds
 
 TASK, ENVIRONMENT, SHARED = "swap_v0", "swarm-envs-swap", "all"
+"""What is flown, the name under which RLlib knows it, and that of the one policy."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,10 +95,14 @@ class RllibConfig:
 class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has no types
     """Gives each drone the features of its observation row, which our policies are told."""
 
+    def __init__(self, env: SwarmParallelEnv) -> None:
+        super().__init__(env)
+        self._num_neighbors = env.core.config.num_neighbors
+
     def observation_space(self, agent: str) -> spaces.Box:
         """Of the features, alike for all drones."""
-        sizes = FEATURE_SETS[GOAL].sizes(self.env.unwrapped.core.config.num_neighbors)
-        return spaces.Box(-np.inf, np.inf, (sizes.width,), np.float32)
+        width = FEATURE_SETS[GOAL].sizes(self._num_neighbors).width
+        return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -112,7 +117,7 @@ class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has n
         return self._features(rows), *rest
 
     def _features(self, rows: Mapping[str, Float32Array]) -> dict[str, Float32Array]:
-        told = features(np.stack(list(rows.values())), self.env.unwrapped.core.config.num_neighbors)
+        told = FEATURE_SETS[GOAL].make(np.stack(list(rows.values())), self._num_neighbors)
         return dict(zip(rows, told, strict=True))
 
 
@@ -217,7 +222,8 @@ def _learn(config: RllibConfig, algorithm: Any) -> Policy:
             bar.set_postfix_str(f"return {flown['episode_return_mean']:.2f}", refresh=False)
             bar.update(steps - bar.n)
             about = {"config": _ready(config), "steps": steps, "version": __version__}
-            policy = Policy(config.note(), plain(actor(algorithm.get_module(SHARED), 3)), about)
+            networks = plain(actor(algorithm.get_module(SHARED), 3))
+            policy = Policy(config.note(), networks, about)
             write_policy(config.out / FILE, policy)
     algorithm.stop()
     return policy

@@ -28,6 +28,7 @@ except ImportError as error:
     ) from error
 
 Infos = list[dict[str, Any]]
+"""What a step adds for each sub-environment."""
 
 
 class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no types here

@@ -15,6 +15,7 @@ from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
 Corner = tuple[float, float, float]
+"""A point or three factors, by axis: x, y, z."""
 
 
 @dataclass(frozen=True, kw_only=True)

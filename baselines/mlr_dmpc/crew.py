@@ -30,8 +30,11 @@ class Crew(Protocol):
     """What a swarm asks of its drones and units."""
 
     drones: list[Drone]
+    """The swarm's drones, by number."""
     num_units: int
+    """M, the number of compute units."""
     reports: dict[int, UnitRound]
+    """What each unit did in the last round, by its number."""
 
     def speak(self, k: int, targets: FloatArray, alive: set[int], present: set[int]) -> Spoken:
         """Everybody's messages of a round."""

@@ -15,6 +15,7 @@ from swarm_envs.baselines.mlr_dmpc.deadlock import deadlocked
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 NOBODY = -1
+"""Stands for the drone that is made room for where there is none."""
 
 
 class Detours(NamedTuple):

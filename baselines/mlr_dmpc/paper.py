@@ -138,7 +138,9 @@ class PaperUnit:
     planner: Planner
     num_units: int
     report: UnitRound = field(init=False)
+    """What the unit did in the last round."""
     state: State = State.REQUEST_TRAJECTORY
+    """Where the unit stands in Algorithm 2."""
 
     def __post_init__(self) -> None:
         """What is known is up to date."""

@@ -16,6 +16,7 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
 from swarm_envs.state import FloatArray
 
 ACCEPTED = "accepted"
+"""The outcome of a plan that is sent and flown."""
 
 
 class Planned(NamedTuple):

@@ -21,6 +21,7 @@ Targets = FloatArray | Callable[[float], FloatArray]
 """(N, 3), m, or what gives them at a time, s."""
 
 REFERENCE_RATE = 100.0
+"""Samples of the reference positions per second."""
 _TOLERANCE = 1e-6
 _SETTLED_ROUNDS = 35
 """After so many rounds at rest a drone is taken to stay."""

@@ -12,15 +12,21 @@ from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.state import FloatArray, IntArray
 
 TRIGGERS = ("HT", "RR", "DT")
+"""The paper's rules of who is planned next: hybrid, round robin, distance."""
 MEASURES = ("end", "next")
+"""From where distances to the target count: the plan's end, or the next round's position."""
 
 JUST_PLANNED = 0
+"""Priority of a drone that has just been planned: it wins over the maximum."""
 DEADLOCKED = 1
+"""Priority of a drone in a deadlock."""
 _LEAST, _MOST = 2, 254
 REINITIALISED = 255
+"""Priority of a drone whose trajectory begins anew."""
 _FINEST, _COARSEST = 1e-4, 30.0
 
 Levels = npt.NDArray[np.int64]
+"""(N,) priorities as messages carry them, 8 bit."""
 
 
 def urgency(

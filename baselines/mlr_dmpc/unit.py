@@ -70,6 +70,7 @@ class ComputeUnit:
     codec: Codec
     since: int = 0
     report: UnitRound = field(init=False)
+    """What the unit did in the last round."""
     _recent: tuple[int, ...] = (UNSURE,) * RECENT
     _sent: UnitMessage | None = None
     _gifts: dict[int, int] = field(default_factory=dict)

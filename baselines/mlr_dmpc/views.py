@@ -36,6 +36,7 @@ class View(NamedTuple):
 SILENCE = 11.5
 """A unit is left out when only one silence in exp(11) would be as long by loss alone."""
 LEAST_SILENT_ROUNDS = 6
+"""Rounds of silence below which no unit is left out of a view."""
 
 
 class Absences:

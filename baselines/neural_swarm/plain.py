@@ -18,6 +18,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
 
 UP = np.array([0.0, 0.0, 1.0])
+"""The world's vertical, and the direction of thrust in the body frame."""
 
 
 class Target(NamedTuple):

@@ -6,24 +6,19 @@ the force that it believes (Sec. VI). The planner believes the same, never the e
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from swarm_envs.agents import Actions, Observations
+from swarm_envs.agents.planned import PlannedAgent
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G, PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.library import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import hover_force, shortest_time
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
-from swarm_envs.tasks.motion import ORBITS
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
 MAX_DRONES = 6
@@ -38,7 +33,7 @@ _HOVER_SHARE = 1.2
 """Force bound over what is felt hovering at starts and goals, where that is above the paper's."""
 
 
-class PlanAgent:
+class PlanAgent(PlannedAgent[SwarmPlan]):
     """Plans at every change of goals, with its own belief of the forces, and flies the plan.
 
     Args:
@@ -46,77 +41,49 @@ class PlanAgent:
         decision_rate: set-points per second.
     """
 
-    privileged = True
-
     def __init__(self, belief: InteractionModel | None = None, decision_rate: int = 48) -> None:
         self._belief = belief if belief is not None else load_belief()
-        self.requires: Mapping[str, Any] = {
-            "action": "setpoint",
-            "decision_rate": decision_rate,
-            "controller": ControllerConfig(feedforward=self._belief),
-        }
-        self.plans: list[SwarmPlan] = []
-        """The episode's plans, one for each set of goals; look whether they converged."""
-        self._agents: list[str] = []
-        self._task: Task | None = None
-        self._goals, self._began, self._seed = np.zeros((0, 3)), 0.0, 0
+        controller = ControllerConfig(feedforward=self._belief)
+        super().__init__(
+            {"action": "setpoint", "decision_rate": decision_rate, "controller": controller}
+        )
 
-    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Plan the way to the first goals.
+    def check(self, task: Task) -> None:
+        """Refuse a task to which there is no plan.
 
         Raises:
-            ValueError: more than six drones, goals that move, obstacles, or goals for which no
-                plan can exist.
+            ValueError: more than six drones, goals that circle, or obstacles.
         """
-        task = env.core.task
+        super().check(task)
         if len(task.team) > MAX_DRONES:
             raise ValueError(
                 f"PlanAgent got {len(task.team)} drones, but plans for at most {MAX_DRONES}; for "
                 "more use an agent that does not plan all together, such as 'tracking-compensated'"
-            )
-        if task.motion.kind == ORBITS:
-            raise ValueError(
-                f"PlanAgent plans to goals at rest, but those of {task.name} move; use swap or "
-                "formation, or the agent 'tracking-compensated'"
             )
         if task.obstacles:
             raise ValueError(
                 f"PlanAgent knows no obstacles, but there are {len(task.obstacles)}; make the "
                 "environment without"
             )
-        self._agents, self._task, self._seed, self.plans = list(env.agents), task, seed, []
-        self._plan(env.view)
 
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk of the plan; no yaw.
+    def plan(self, task: Task, view: View, seed: int) -> SwarmPlan:
+        """A plan that keeps the forces that it believes within bounds; look if it converged.
 
         Raises:
-            ValueError: there is no view, without which goals are unknown.
+            ValueError: starts or goals for which no plan can exist.
         """
-        if view is None:
-            raise ValueError("the planning agent is privileged: pass env.view as the view")
-        if not np.array_equal(view.goals, self._goals):
-            self._plan(view)
-        reference = self.plans[-1].reference(view.time - self._began)
-        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
-        return dict(zip(self._agents, rows, strict=True))
-
-    def _plan(self, view: View) -> None:
-        assert self._task is not None
-        starts = view.setpoint.position.copy()
-        self._goals, self._began = view.goals.copy(), view.time
-        bounds = bounds_for(self._task, self._belief, starts, self._goals)
-        clock = self._task.motion.stage_s or view.horizon_s
-        plan = plan_swarm(
+        starts, goals = view.setpoint.position.copy(), view.goals.copy()
+        bounds = bounds_for(task, self._belief, starts, goals)
+        clock = task.motion.stage_s or view.horizon_s
+        return plan_swarm(
             starts,
-            self._goals,
+            goals,
             view.team,
             self._belief,
             bounds,
-            self._seed,
-            max_duration=_duration(starts, self._goals, clock),
+            seed,
+            max_duration=_duration(starts, goals, clock),
         )
-        self.plans.append(plan)
 
 
 def bounds_for(

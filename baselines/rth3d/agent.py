@@ -6,26 +6,23 @@ matched so that the squared ways sum to the least, and the flight is checked bef
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from swarm_envs.agents import Actions, Observations
+from swarm_envs.agents.planned import PlannedAgent
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, faster, smooth
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, shortest_step
 from swarm_envs.baselines.rth3d.plan import plan
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
 from swarm_envs.tasks.metrics import NEAR_MISS
-from swarm_envs.tasks.motion import ORBITS
 from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 
 MOST_SMOOTHED = 1000
@@ -68,7 +65,7 @@ class Lattice:
         return np.asarray(cells[linear_sum_assignment(square)[1]])
 
 
-class GridAgent:
+class GridAgent(PlannedAgent[SplineFlight]):
     """Plans every set of goals on a grid and flies the plan.
 
     Args:
@@ -84,8 +81,6 @@ class GridAgent:
         ValueError: a number is out of range.
     """
 
-    privileged = True
-
     def __init__(
         self,
         spacing: tuple[float, float, float] | None = None,
@@ -97,62 +92,32 @@ class GridAgent:
             raise ValueError(f"spacing is {spacing}, but must be positive")
         if not 0.0 < share <= 1.0:
             raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
-        self.requires: Mapping[str, Any] = {
-            "action": "setpoint",
-            "controller": controller or ControllerConfig(),
-        }
+        super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
         self._spacing, self._method, self._share = spacing, method, share
-        self.flights: list[SplineFlight] = []
-        """The episode's flights, one for each set of goals."""
-        self._agents: list[str] = []
-        self._task: Task | None = None
-        self._goals, self._began, self._seed = np.zeros((0, 3)), 0.0, 0
+
+    @property
+    def flights(self) -> list[SplineFlight]:
+        """The episode's plans, which are splines."""
+        return self.plans
 
     @classmethod
     def compensated(cls) -> GridAgent:
         """The agent over the controller of Neural-Swarm2, which feeds `load_belief()` forward."""
         return cls(controller=ControllerConfig(feedforward=load_belief()))
 
-    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Plan the way to the first goals; the seed is that of the planner.
+    def plan(self, task: Task, view: View, seed: int) -> SplineFlight:
+        """Paths on the grid, as smooth and as slow as the stage allows.
 
         Raises:
-            ValueError: goals that circle, a spacing at which drones could meet, too few vertices,
-                or starts or goals so close to each other that the way onto the grid is not free.
+            ValueError: a spacing at which drones could meet, too few vertices, or starts or goals
+                so close to each other that the way onto the grid is not free.
         """
-        task = env.core.task
-        if task.motion.kind == ORBITS:
-            raise ValueError(
-                f"GridAgent plans to goals at rest, but those of {task.name} circle; use swap or "
-                "formation, or the agent 'tracking-compensated'"
-            )
-        self._agents, self._task, self._seed, self.flights = list(env.agents), task, seed, []
-        self._plan(env.view)
-
-    def act(self, observations: Observations, view: View | None) -> Actions:
-        """Position, velocity, acceleration and jerk of the flight; no yaw.
-
-        Raises:
-            ValueError: there is no view, without which goals are unknown.
-        """
-        if view is None:
-            raise ValueError("the grid agent is privileged: pass env.view as the view")
-        if not np.array_equal(view.goals, self._goals):
-            self._plan(view)
-        reference = self.flights[-1].reference(view.time - self._began)
-        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
-        return dict(zip(self._agents, rows, strict=True))
-
-    def _plan(self, view: View) -> None:
-        assert self._task is not None
-        starts = view.setpoint.position.copy()
-        self._goals, self._began = view.goals.copy(), view.time
-        stage_s = self._task.motion.stage_s or view.horizon_s
-        flight = self._fly(self._task, starts, self._goals)
+        flight = self._fly(task, view.setpoint.position, view.goals, seed)
+        stage_s = task.motion.stage_s or view.horizon_s
         slower = max(1.0, self._share * stage_s / flight.duration_s)
-        self.flights.append(replace(flight, step_s=flight.step_s * slower))
+        return replace(flight, step_s=flight.step_s * slower)
 
-    def _fly(self, task: Task, starts: FloatArray, goals: FloatArray) -> SplineFlight:
+    def _fly(self, task: Task, starts: FloatArray, goals: FloatArray, seed: int) -> SplineFlight:
         spacing = _usual_spacing(task) if self._spacing is None else np.array(self._spacing)
         lattice = _lattice(task, spacing)
         free = _free(task, lattice)
@@ -163,7 +128,7 @@ class GridAgent:
             lattice.shape,
             obstacles=None if free.all() else ~free,
             method=method,
-            seed=self._seed,
+            seed=seed,
         )
         points = lattice.origin + lattice.spacing * found.paths
         control = np.concatenate([[starts] * 3, points, [goals] * 3])

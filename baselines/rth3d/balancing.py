@@ -23,6 +23,7 @@ Neighbors = npt.NDArray[np.int32]
 where there is none."""
 
 STAY = 6
+"""The direction of a wait, after those of the six edges."""
 _UNUSED = -1
 _MOST_NODES = 2**29
 _FAR = 2**30

@@ -32,6 +32,7 @@ class GridInstance:
     """Who starts where and must get where, on which grid. Made by `check_instance`."""
 
     shape: Shape
+    """Vertices by axis."""
     starts: Coordinates
     """(n, 3), all different."""
     goals: Coordinates

@@ -33,6 +33,7 @@ CELL = 3
 _UPRIGHT = ((0, 1, 2), (1, 0, 2))
 _ALL = (*_UPRIGHT, (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0))
 Axes = tuple[int, int, int]
+"""The order of the axes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,12 +102,15 @@ class Family(NamedTuple):
     """A kind of instance."""
 
     summary: str
+    """What it is, in a line."""
     draw: Callable[[_Draw], _Pair]
+    """Draws starts and goals."""
     sides: int = 1
     """Every side must be a multiple of it."""
     free_count: bool = False
     """Whether the number of robots may be chosen."""
     buildings: bool = False
+    """Whether there are obstacles."""
 
 
 FAMILIES: Mapping[str, Family] = {

@@ -22,6 +22,7 @@ from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.compiled import borrowing_kernel, kernel
 
 Items = npt.NDArray[np.int32]
+"""Whole numbers that stand for items or places."""
 
 
 @borrowing_kernel

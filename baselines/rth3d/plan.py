@@ -47,6 +47,7 @@ class GridPlan:
     winner: str
     """What the paths are by: of `auto`, "pibt", "rth3d-lba" or "pibt, then rth3d-lba"."""
     seed: int
+    """Of the planner."""
     lower_bound: int
     """Largest Manhattan distance of a robot to its goal: no plan is shorter."""
     bound: int | None

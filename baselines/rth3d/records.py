@@ -13,6 +13,7 @@ class PhaseRecord:
     """A phase of planning."""
 
     name: str
+    """Of the phase."""
     makespan: int
     """Steps that it takes in the plan as first written; of "compaction" and "pibt", those of the
     whole plan afterwards."""
@@ -29,6 +30,7 @@ class Clock:
     watch: Callable[[str], None] | None = None
     """Told the name of each phase when it begins."""
     phases: list[PhaseRecord] = field(default_factory=list)
+    """The phases so far."""
 
     @contextmanager
     def phase(self, name: str) -> Iterator[Callable[[int], None]]:

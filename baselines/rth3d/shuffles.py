@@ -18,6 +18,7 @@ from swarm_envs.baselines.rth3d.patterns import STEPS
 from swarm_envs.compiled import borrowing_kernel, kernel
 
 Steps = npt.NDArray[np.int32]
+"""A whole number for each robot, such as how far it goes."""
 
 
 class Shift(NamedTuple):

@@ -40,6 +40,7 @@ class PlanNotFound(RuntimeError):
 
 
 Solver = Callable[[GridInstance, int, Clock], Solution]
+"""Finds paths from an instance, a seed and a clock."""
 
 SIDE_STEPS = 9
 """What the five shuffles take beyond m1 + 2 m2 + 2 m3: 1 each where robots step out and back (they

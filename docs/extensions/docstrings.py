@@ -7,9 +7,10 @@ from collections.abc import Callable
 from itertools import groupby
 from typing import Any
 
-from .names import resolve
 from sphinx.ext.napoleon import Config
 from sphinx.ext.napoleon.docstring import GoogleDocstring
+
+from .names import resolve
 
 SECTION = re.compile(r"^(Args|Returns|Raises|Yields|Attributes|Example|Examples|Note|Notes):$")
 _CODE = re.compile(r"`+([^`]+)`+")

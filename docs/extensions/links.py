@@ -1,7 +1,7 @@
 """Links of pages that read well in a checkout, and on the site, where there is no checkout.
 
-A link out of `docs/` leads to the page of model cards if it is one of them; else only its words stay.
-A line of a toctree that asks for a folder's pages is left out while there are none.
+A link out of `docs/` leads to the page of model cards if it is one of them, else its words stay.
+A line of a toctree that asks for the pages of a folder is left out while there are none.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from swarm_envs.training.reproduce.papers import PAPERS
 MARK = "<!-- commands -->"
 
 
-class Asked(Exception):  # noqa: N818  # it is no error
+class Asked(Exception):
     """Raised in place of reading a command line: carries what would have been read."""
 
     def __init__(self, options: type, prefixes: bool) -> None:

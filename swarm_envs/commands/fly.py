@@ -47,8 +47,8 @@ class FlyOptions:
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     agent: str = "tracking"
     """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
-    -compensated), neural-swarm-planner, swap-ppo, formation-ppo, ring-ppo, the folder of a trained
-    policy, or path/to/file.py:Class; with +filter at its end behind a safety filter"""
+    -compensated), neural-swarm-planner, swap-ppo, swap-ppo-8, formation-ppo, ring-ppo, the folder
+    of a trained policy, or path/to/file.py:Class; with +filter at its end behind a safety filter"""
     seed: int = 0
     """of the episode and the agent"""
     physics: str | None = None

@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 from swarm_envs.commands.checks import Misuse, check_file
 
 Name = Literal["controller", "force-model", "swap"]
+"""Assignments by name."""
 
 
 @dataclass(frozen=True)
@@ -48,10 +49,10 @@ class Assignment:
 ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
     {
         "controller": Assignment(
-            metric="rms_tracking_error_m",
-            zero=0.20,
-            full=0.03,
-            flown=("--task", "swap", "--layout", "stacked", "--drones", "2"),
+            metric="worst_height_error_m",
+            zero=0.15,
+            full=0.01,
+            flown=("--task", "swap", "--layout", "stacked", "--drones", "3"),
         ),
         "force-model": Assignment(metric="explained", zero=0.3, full=0.9),
         "swap": Assignment(

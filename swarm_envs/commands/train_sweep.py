@@ -18,6 +18,7 @@ from swarm_envs.training.scale_out.jobs import Job, Outcome
 from swarm_envs.training.scale_out.options import ScaleOptions
 
 REPORT, MARKER = "sweep.json", "options.json"
+"""Files of a sweep: its report, and the options that it was begun with."""
 _OURS = ("out", "json", "seed", "progress")
 """Options of `train` that the sweep itself gives."""
 
@@ -209,21 +210,21 @@ def _report(options: SweepOptions, found: dict[tuple[str, int], dict[str, Any]])
     for variant in options.compare:
         runs = [{"seed": seed, **found[variant, seed]} for seed in options.seeds]
         whole = [entry for entry in runs if "error" not in entry]
-        rates = summary(whole) if whole else {}
+        measured = summary(whole) if whole else {}
         folder = str(options.out / _folder(variant))
-        variants.append({"options": variant, "folder": folder, "rates": rates, "runs": runs})
+        variants.append({"options": variant, "folder": folder, "measured": measured, "runs": runs})
     about = {"set": options.set, "episodes": options.episodes, "report_seed": options.report_seed}
     return {**about, "version": __version__, "variants": variants}
 
 
 def _table(report: dict[str, Any]) -> str:
-    """A line a variant: interquartile mean and interval over its runs, %."""
-    names = list(dict.fromkeys(name for v in report["variants"] for name in v["rates"]))
+    """A line a variant: interquartile means and intervals over its runs."""
+    names = list(dict.fromkeys(name for v in report["variants"] for name in v["measured"]))
     rows = [["options", "runs", *(name.replace("_", " ") for name in names), "CPU, min"]]
     failed = []
     for variant in report["variants"]:
         whole = [entry for entry in variant["runs"] if "error" not in entry]
-        cells = [_cell(variant["rates"].get(name)) for name in names]
+        cells = [_cell(name, variant["measured"].get(name)) for name in names]
         spent = sum(entry["cpu_s"] for entry in whole) / max(len(whole), 1) / 60
         rows.append([variant["options"] or "-", str(len(whole)), *cells, f"{spent:.1f}"])
         failed += [
@@ -236,8 +237,14 @@ def _table(report: dict[str, Any]) -> str:
     return "\n" + "\n".join([*(line.rstrip() for line in lines), *failed])
 
 
-def _cell(rate: dict[str, Any] | None) -> str:
-    if rate is None:
+def _cell(name: str, measure: dict[str, Any] | None) -> str:
+    if measure is None:
         return "-"
-    low, high = rate["interval"]
-    return f"{100 * rate['iqm']:.1f} ({100 * low:.1f}-{100 * high:.1f})"
+    low, high = measure["interval"]
+    if name.endswith(_SHARES):
+        return f"{measure['iqm']:.1%} ({100 * low:.1f}-{100 * high:.1f})"
+    return f"{measure['iqm']:.3g} ({low:.3g}-{high:.3g})"
+
+
+_SHARES = ("_success", "_collision")
+"""Measures that are shares of episodes; others have units of their own."""

@@ -10,7 +10,9 @@ from swarm_envs.control.state import ControllerState
 from swarm_envs.state import FloatArray
 
 Vector = tuple[float, float, float]
+"""x, y, z."""
 Quaternion = tuple[float, float, float, float]
+"""x, y, z, w: scalar last, body to world."""
 
 
 @borrowing_kernel

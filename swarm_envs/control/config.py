@@ -116,17 +116,29 @@ class ControlGains(NamedTuple):
     step: float
     """Length of a controller step, s."""
     position: float
+    """Lambda of eq. (18), 1/s."""
     velocity: float
+    """K_v / m of eq. (19), 1/s."""
     integral: float
+    """Gamma_v of eq. (19), 1/s."""
     attitude_tilt: float
+    """Lambda_q of eq. (20) for roll and pitch, 1/s."""
     attitude_yaw: float
+    """Lambda_q of eq. (20) for yaw, 1/s."""
     rate_tilt: float
+    """K_omega / J of eq. (21) for roll and pitch, 1/s."""
     rate_yaw: float
+    """K_omega / J of eq. (21) for yaw, 1/s."""
     rate_integral_tilt: float
+    """Gamma_omega / J of eq. (21) for roll and pitch, 1/s^2."""
     rate_integral_yaw: float
+    """Gamma_omega / J of eq. (21) for yaw, 1/s^2."""
     velocity_integral_limit: float
+    """Largest integral of the velocity error by axis, m."""
     rate_integral_limit: float
+    """Largest integral of the body-rate error by axis, rad."""
     min_vertical_thrust_fraction: float
+    """Least vertical part of the desired force, over the weight."""
     thrust_rate_blend: float
     """Share of the new value in the low-pass on the derivative of the desired thrust."""
     rate_error_blend: float

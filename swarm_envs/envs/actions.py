@@ -45,6 +45,7 @@ class ActionMode:
     """One meaning of actions."""
 
     name: str
+    """As the option `action` names it."""
     width: int
     """Numbers per drone."""
     bounded: bool

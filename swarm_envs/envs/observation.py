@@ -16,6 +16,7 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES, Team
 
 Float32Array = npt.NDArray[np.float32]
+"""An array of observed numbers."""
 
 RATE_SCALE = 10.0
 """Body rates are observed in units of this, rad/s."""

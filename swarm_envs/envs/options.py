@@ -52,8 +52,11 @@ class Blueprint(NamedTuple):
     """What an environment is made from, whatever its interface."""
 
     task: Task
+    """What is flown."""
     config: EnvConfig
+    """How it is flown and observed."""
     render_mode: str | None = None
+    """`rgb_array`, `human`, or None for no pictures."""
 
 
 def parallel_view(blueprint: Callable[P, Blueprint]) -> Callable[P, SwarmParallelEnv]:

@@ -26,6 +26,7 @@ from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
 
 RENDER_MODES = ("rgb_array", "human")
+"""Ways in which an environment shows itself."""
 
 
 class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):

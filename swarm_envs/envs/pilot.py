@@ -29,10 +29,13 @@ class Pilot(NamedTuple):
     level: int
     """SETPOINTS, RATES or ROTORS: where actions enter. At ROTORS the agent writes `commands`."""
     setpoint: Setpoint
+    """What the tracking loop follows."""
     asked: FloatArray
     """(E, N, 4) at RATES: total thrust, N, and body rates, rad/s."""
     memory: ControllerState
+    """The loop's integrals and filters."""
     gains: ControlGains
+    """The loop's gains."""
     nominal: Parameters
     """What the controller takes the drones to be."""
     believes: bool

@@ -11,7 +11,9 @@ from swarm_envs.state import FloatArray, Parameters
 from swarm_envs.vehicles import GRAVITY, Team
 
 Range = tuple[float, float]
+"""Lowest and highest of what is drawn evenly."""
 SAME: Range = (1.0, 1.0)
+"""The range of a factor that changes nothing."""
 
 FACTORS = {
     "mass": "mass",

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from swarm_envs.tasks.base import Task
 
 Arrays = dict[str, npt.NDArray[Any]]
+"""Arrays by name, as a snapshot holds them."""
 
 
 @dataclass(frozen=True, eq=False)

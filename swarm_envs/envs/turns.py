@@ -21,6 +21,7 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
     """
 
     env: SwarmParallelEnv
+    """The parallel environment beneath."""
 
     def __init__(self, env: SwarmParallelEnv) -> None:
         super().__init__(env)

@@ -19,6 +19,7 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
 
 Infos = dict[str, Any]
+"""What a step of a batch adds: arrays by name, an entry for each environment."""
 
 
 class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArray[Any]]):

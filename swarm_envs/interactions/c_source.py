@@ -172,3 +172,4 @@ static inline float @name@_self_test(void)
 
 #endif
 """
+"""The text, with its words in place of numbers and names."""

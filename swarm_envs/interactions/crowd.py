@@ -30,6 +30,7 @@ class Crowd(NamedTuple):
     outside: BoolArray
     """(M,): whose force is an extrapolation."""
     scratch: Scratch
+    """Working memory of the force model."""
 
 
 @register_jitable  # type: ignore[untyped-decorator]

@@ -14,6 +14,7 @@ from swarm_envs.interactions.lanes import Numbers
 from swarm_envs.state import FloatArray, IntArray
 
 NONE, WAKE, LEARNED, PAIRWISE = 0, 1, 2, 3
+"""Kinds of force model, as kernels tell them apart."""
 
 LATERAL_REACH = 0.35
 """Half width of the interaction volume in x and y, m (Neural-Swarm2's filter)."""

@@ -30,7 +30,9 @@ class TorqueModel:
     """Torques tau_a that air puts on drones. Get one with `load_torque`."""
 
     name: str
+    """The name or path it was loaded from."""
     types: tuple[str, ...]
+    """The interaction types it knows."""
     field: ForceField
     """Window, ranges and anchor."""
     networks: dict[str, Layers]

@@ -28,6 +28,7 @@ from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
 FORMAT = "wake-1"
+"""What a file of a closed form says it is."""
 _ONSET = 0.03
 _LOWEST_MEASURED = 0.07
 

@@ -28,7 +28,9 @@ class World(NamedTuple):
     """Everything a physics step reads and writes, apart from commands: E environments."""
 
     state: SwarmState
+    """Of every drone, written by each step."""
     parameters: Parameters
+    """What each drone is made of."""
     types: IntArray
     """(E, N) interaction types."""
     field: ForceField
@@ -40,6 +42,7 @@ class World(NamedTuple):
     force_scale: FloatArray
     """(E,) factor of that force."""
     gusts: Gusts
+    """The wind's state."""
     age: IntArray
     """(E,) steps since reset."""
     hold: int
@@ -51,6 +54,7 @@ class World(NamedTuple):
     battery: BatteryArrays
     """Its rows are all drones of the first environment, then those of the second, and so on."""
     contacts: Contacts
+    """What each drone touches."""
     arena: FloatArray
     """(2, 3) corners of the walls, m."""
     obstacles: FloatArray

@@ -73,7 +73,9 @@ class Task(ABC):
     name: str
     """Versioned name, such as `swap_v0`."""
     team: Team
+    """The drones, in the order of the agents."""
     success: Success | TrackingSuccess
+    """When the team has done a stage, or the task."""
     obstacles: tuple[Obstacle, ...]
     """What stands in the way, the same in every episode."""
     reward_weights: Mapping[str, float]

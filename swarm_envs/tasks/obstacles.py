@@ -16,6 +16,7 @@ from swarm_envs.physics.obstacles import BOX, COLUMN, ROW, distances, no_obstacl
 from swarm_envs.state import FloatArray
 
 Point = tuple[float, float, float]
+"""x, y, z, m."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class Column:
 
 
 Obstacle = Box | Column
+"""What can stand in the way."""
 
 
 def buildings(

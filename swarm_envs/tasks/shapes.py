@@ -147,6 +147,7 @@ SHAPES: dict[str, Callable[[int, float], FloatArray]] = {
 }
 """Every shape by name, letters apart."""
 SHAPE_NAMES = (*SHAPES, *(LETTER + character for character in CHARACTERS))
+"""Every shape and letter by name."""
 
 
 @cache

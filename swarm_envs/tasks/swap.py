@@ -39,6 +39,7 @@ from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_t
 from swarm_envs.vehicles import Team
 
 LAYOUTS = ("stacked", "circle", "random")
+"""Every layout by name."""
 _RAMP = 0.2
 """Share of a stacked swap in which the speed grows, and in which it falls."""
 
@@ -132,6 +133,7 @@ class SwapTask(Task):
 
     name = "swap_v0"
     episode_s = 8.0
+    """The clock, s."""
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)
 

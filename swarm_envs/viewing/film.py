@@ -18,6 +18,7 @@ from swarm_envs.viewing.summary import outcome, team_label
 from swarm_envs.viewing.typeface import font
 
 WIDTH, HEIGHT, FPS = 768, 544, 24
+"""Size of a picture, pixels, and pictures per second."""
 _HEADER = 40
 _SMOOTH = 2
 _TRAIL_S = 2.0

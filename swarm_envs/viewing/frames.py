@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from swarm_envs.tasks.base import Task
 
 WIDTH, HEIGHT = 640, 480
+"""Size of a picture, pixels."""
 _TRAIL_S = 2.0
 _FILES_ONLY = {"agg", "cairo", "pdf", "pgf", "ps", "svg", "template"}
 """matplotlib's backends that open no window."""

@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 Picture = npt.NDArray[np.uint8]
+"""(height, width, 3) red, green, blue."""
 Color = tuple[int, int, int, int]
+"""Red, green, blue, opacity, from 0 to 255."""
 
 _EDGE: Color = (160, 167, 176, 255)
 _SOLID_FACE: Color = (110, 120, 132, 95)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
 
 WIDTH, HEIGHT = 1280, 720
+"""Size of a picture, pixels."""
 _HEADER, _CHART = 56, 184
 _SMOOTH = 2
 """Everything is drawn at this many times the size and then averaged: neither Bullet's renderer

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK = "#202428"
+"""Colour of text and axes."""
 GREY = "#60656B"
+"""Colour of what stands back."""
 
 _STYLE: Any = {
     "font.size": 10,

@@ -30,7 +30,9 @@ class Group(NamedTuple):
     """Columns of the table that hold one field of a `Recording`."""
 
     columns: tuple[str, ...]
+    """Names of the columns."""
     dtype: str
+    """Of their numbers."""
     unit: str
     """Unit and frame."""
 

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from swarm_envs.files import written_whole
 
 Frame = npt.NDArray[np.uint8]
+"""(height, width, 3) red, green, blue."""
 
 _GIF_SKIP = 2
 """A GIF has every second frame, at half the size: it is ten times as large otherwise."""

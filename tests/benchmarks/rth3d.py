@@ -203,7 +203,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows: list[Row] = []
     if options.compile:
         rows = [compile_row(method) for method in tqdm(METHODS, unit="method")]
-        lines = [("method", "first call, s", "cached, s")]
+        lines: list[tuple[str, ...]] = [("method", "first call, s", "cached, s")]
         for row in rows:
             first = _cell(row["first"], ".1f", COMPILATION_S)
             lines.append((row["method"], first, f"{row['cached']:.2f}"))

@@ -9,8 +9,8 @@ from itertools import zip_longest
 
 from tests.helpers.imports import SOURCES, imports, parsed
 
-BASES = {"Agent": "swarm_envs.agents.protocol.Agent"}
-"""Protocols that classes follow without naming them."""
+SAME = {"swarm_envs.envs.options.EnvOptions": "swarm_envs.envs.config.EnvConfig"}
+"""Classes whose fields are another's, which explains them."""
 
 
 def fields(body: list[ast.stmt]) -> Iterator[tuple[list[str], str]]:
@@ -21,9 +21,7 @@ def fields(body: list[ast.stmt]) -> Iterator[tuple[list[str], str]]:
             targets = node.targets
         elif isinstance(node, ast.AnnAssign):
             targets = [node.target]
-        names = [
-            part.id for t in targets for part in ast.walk(t) if isinstance(part, ast.Name)
-        ] + []
+        names = [part.id for t in targets for part in ast.walk(t) if isinstance(part, ast.Name)]
         public = [name for name in names if not name.startswith("_")]
         if public and not _is_type_variable(node):
             yield public, _text(after)
@@ -55,7 +53,7 @@ CLASSES = classes()
 
 def explained(name: str) -> set[str]:
     """Fields of a class that have a docstring, there, in its own, or in a class that it extends."""
-    node = CLASSES[name]
+    node = CLASSES[SAME.get(name, name)]
     found = {field for names, text in fields(node.body) if text for field in names}
     found |= set(re.findall(r"^\s+(\w+): ", ast.get_docstring(node) or "", re.MULTILINE))
     module = name.rpartition(".")[0]
@@ -65,8 +63,6 @@ def explained(name: str) -> set[str]:
         full = bound.get(word, f"{module}.{word}")
         if full in CLASSES:
             found |= explained(full)
-    if {"requires", "privileged"} <= {f for names, _ in fields(node.body) for f in names}:
-        found |= {"requires", "privileged"}
     methods = {f.name for f in node.body if isinstance(f, ast.FunctionDef)}
     if {"reset", "act"} <= methods:  # an `Agent`, whose protocol says what these are
         found |= {"requires", "privileged"}

@@ -34,10 +34,9 @@ def package(module: str) -> str:
         return {BASE: FOUNDATION, FACE: FACES, CLI: COMMANDS}[height]
     if parts[1] == "training" and len(parts) > 2 and parts[2] in FLIGHTS.split(", "):
         return FLIGHTS
-    inner = len(parts) > 3 or SOURCES[module].name == "__init__.py"
-    if parts[1] in ("baselines", "training") and len(parts) > 2 and inner:
+    if parts[1] in ("baselines", "training") and len(parts) > 2:
         return parts[2]
-    return parts[1]  # single modules of `training` too
+    return parts[1]
 
 
 def package_graph() -> dict[str, set[str]]:

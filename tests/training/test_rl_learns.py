@@ -24,18 +24,19 @@ def test_200_000_steps_teach_two_drones_to_swap():
         out=Path("never"),
         drones=2,
         steps=200_000,
-        environments=64,
+        environments=128,
         rollout=16,
-        batch_size=512,
-        passes=10,
-        learning_rate=2e-3,
+        batch_size=1024,
+        passes=8,
+        learning_rate=3e-3,
+        num_neighbors=1,
         second_stage=0.0,
         checkpoint_rollouts=1000,
     )
     learner = PpoLearner(completed(config, "swap_v0"), "swap_v0")
     seeds = [int(word) for word in np.random.SeedSequence(1).generate_state(64)]
     judges = Judges("swap_v0", ("random",), seeds, {"num_drones": 2, "force_rate": 48})
-    note = PolicyNote("swap_v0", 2, "acceleration", 10, 3)
+    note = PolicyNote("swap_v0", 2, "acceleration", 10, 1)
 
     def success() -> float:
         return judges.judge(Policy(note, learner.actor(), {}))["random_success"]

@@ -46,11 +46,13 @@ class ScenarioSummary:
     """What a scenario gave."""
 
     flights: int
+    """Flights in which the scenario occurs."""
     drone_seconds: float
     """Time of its drones."""
     near_seconds: float
     """Of it, with a neighbour in the interaction volume; of lone drones all."""
     rows: int
+    """Rows of it."""
     held_out: int
     """Rows of flights that are for validation."""
     rms_force_g: float
@@ -62,13 +64,17 @@ class CollectSummary:
     """What a collection gave; the content of `--json`."""
 
     flights: int
+    """Flights that were logged."""
     cut_short: list[str]
     """Flights that ended before their time, at a contact."""
     seconds: float
+    """Their length together, s."""
     rows: int
+    """Rows of measured force."""
     table: str
     """Name of the file of rows."""
     scenarios: dict[str, ScenarioSummary]
+    """What there is of each scenario."""
     missing: list[str]
     """Scenarios of Table II that have no row."""
 

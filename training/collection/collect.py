@@ -23,6 +23,7 @@ from swarm_envs.training.force_model.files import differing, json_ready
 from swarm_envs.vehicles import parse_team
 
 MANIFEST = "manifest.json"
+"""File that says what the others of a folder hold."""
 HELD_OUT_EVERY = 5
 """Of the flights of a team and kind one in so many is for validation."""
 

@@ -113,9 +113,11 @@ class FlightBatch:
     """Flights of one team and kind that fly at the same time, each in its own environment."""
 
     team: str
+    """Who flies together."""
     kind: str
     """One of `KINDS`."""
     count: int
+    """Number of flights."""
 
     @property
     def names(self) -> tuple[str, ...]:

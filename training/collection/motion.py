@@ -21,6 +21,7 @@ from swarm_envs.trajectories import Reference, ramped_line
 from swarm_envs.vehicles import Team
 
 Range = tuple[float, float]
+"""Lowest and highest of what is drawn evenly."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +95,11 @@ class Target(NamedTuple):
     """Where E teams of N drones are to be now, and what moves them. World frame, (E, N, 3), SI."""
 
     position: FloatArray
+    """Where the drone should be, m."""
     velocity: FloatArray
+    """Its derivative, m/s."""
     acceleration: FloatArray
+    """Its second derivative, m/s^2."""
 
 
 class Motion(Protocol):

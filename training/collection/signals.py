@@ -12,6 +12,7 @@ from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle
 PWM_SPAN = 65536.0
 """Motor signals are PWM over this (Neural-Swarm2, Sec. VII-A)."""
 LARGEST_PWM = 65535.0
+"""The signal of a motor at full power."""
 
 
 def motor_signals(

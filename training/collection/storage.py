@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from swarm_envs.training.flight_logs.table import FlightTable
 
 Format = Literal["npz", "parquet"]
+"""Formats of a logged flight."""
 
 
 def flight_file(out: Path, name: str, form: str = "npz") -> Path:

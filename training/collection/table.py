@@ -29,8 +29,11 @@ class Flight(NamedTuple):
     """A log and whose it is."""
 
     name: str
+    """Of the flight, as in its file's name."""
     team: str
+    """Who flew."""
     log: FlightLog
+    """What was logged."""
     validation: bool
     """Whether its rows are held out of training."""
     rate_hz: int = LOG_RATE
@@ -52,6 +55,7 @@ class ScenarioCount(NamedTuple):
     """How much of a scenario was flown."""
 
     flights: int
+    """Flights in which the scenario occurs."""
     drone_seconds: float
     """Time of its drones; two like ones of a team count twice."""
     near_seconds: float

@@ -35,7 +35,9 @@ class Closeness:
     least_distance_ratio: float
     """Smallest distance of two drones in any flight over the sum of their radii: 1 is a touch."""
     flights: int
+    """Flights that were looked at."""
     seconds: float
+    """Their length together, s."""
     cut_swaps: int
     """Swaps that ended before their time, at a contact."""
     cut_walks: int

@@ -20,7 +20,9 @@ from swarm_envs.training.collection.sensors import SensorNoise
 from swarm_envs.vehicles import LARGE, parse_team
 
 PAIRS = ("SS", "SL", "LL")
+"""Teams of two, of every mixture."""
 THREES = ("SSS", "SSL", "SLL", "LLL")
+"""Teams of three, of every mixture."""
 
 GAP_SPAN_M = 0.3
 """Planes of a swap are from the least gap to this much further apart."""
@@ -33,7 +35,9 @@ class Stage:
     """Who flies in a round."""
 
     title: str
+    """What is new in the stage."""
     teams: tuple[str, ...]
+    """Who flies."""
     compensated: bool
     """Whether the pilot knows the model of the round before."""
 

@@ -15,16 +15,21 @@ class CurriculumReport:
     """The content of `curriculum.json`."""
 
     command: str
+    """The command that was run."""
     config: object
+    """Its options."""
     interactions: str
     """Force model of the environment."""
     interactions_sha256: str
+    """Fingerprint of the force model that blew."""
     rule: str
     """How a round's clearance follows from the round before."""
     rounds: list[RoundReport]
+    """What each round flew and learned."""
     true_drag: dict[str, list[float]]
     """Of the environment, by type and axis, N s/m."""
     unseen: list[Unseen]
+    """Errors on teams that no round flew."""
     explained: dict[str, dict[str, float]]
     """By number of drones: mean, least and goal of the share of the true vertical force."""
     reached: bool

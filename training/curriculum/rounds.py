@@ -32,12 +32,17 @@ class RoundReport:
     """How a round went."""
 
     number: int
+    """Of the round, from 1."""
     title: str
+    """What was new in it."""
     teams: tuple[str, ...]
+    """Who flew."""
     compensated: bool
+    """Whether the last round's model was fed forward."""
     clearance_m: float
     """Least vertical clearance that its swaps planned."""
     closeness: Closeness
+    """How near drones came to each other."""
     unknown_before_g: float
     """RMS of the force on the round's held-out flights that its pilot did not know, noise of the
     labels included."""
@@ -54,6 +59,7 @@ class RoundReport:
     drag: dict[str, list[float]]
     """Fitted linear drag by type and axis, N s/m."""
     weights_sha256: str
+    """SHA-256 of the model that was learned."""
     wall_time_s: float
     """Of this call: what was done before a kill is not in it."""
 

@@ -26,7 +26,9 @@ from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen
 from swarm_envs.training.force_model.files import json_ready
 
 ORIGIN = "origin.json"
+"""File with the options that a folder was begun with."""
 UNSEEN = "unseen.json"
+"""File with the errors on teams that no round flew."""
 
 
 def run_curriculum(config: CurriculumConfig) -> CurriculumReport:

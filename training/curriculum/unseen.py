@@ -29,6 +29,7 @@ class SwapStates(NamedTuple):
     """States of the drones of a team along its swaps, T of them, SI units, world frame."""
 
     team: str
+    """Who flew."""
     position: FloatArray
     """(T, N, 3)."""
     velocity: FloatArray
@@ -42,8 +43,11 @@ class Unseen:
     """How well the models of the rounds explain the true force on the swaps of a team."""
 
     team: str
+    """Who flew."""
     drones: int
+    """Drones of the team."""
     episodes: int
+    """Swaps that were flown."""
     crashed: int
     """Of them ended in a collision, flown with the last model as feed-forward."""
     rms_force_g: float

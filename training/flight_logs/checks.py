@@ -15,10 +15,13 @@ from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 RUNNING = 0.2
 """Mean signal above which motors run: psi1 has no meaning below."""
 SHORTEST_S = 1.0
+"""Logs of a drone shorter than this are refused, s."""
 STEP_S = (1 / 2000, 1 / 20)
 """Usual time between two lines of a drone, shortest and longest."""
 UNIT_TOLERANCE = 0.01
+"""By how much the length of a quaternion may differ from 1."""
 VOLTAGE_V = (2.5, 4.5)
+"""Lowest and highest voltage that is believed, V."""
 THRUST_SHARE = (0.6, 1.6)
 """Median thrust by psi1 over what the drone carried."""
 PACE = (0.7, 1.4)

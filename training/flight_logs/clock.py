@@ -20,8 +20,11 @@ class ClockedFlight(NamedTuple):
     """A flight of N drones at T evenly spaced times. World frame, SI units; 0 where not `known`."""
 
     names: tuple[str, ...]
+    """Names of the physical vehicles."""
     team: Team
+    """Their types."""
     rate_hz: float
+    """Samples per second of the common clock."""
     time: FloatArray
     """(T,) s since the clock's start."""
     known: BoolArray

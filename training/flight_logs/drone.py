@@ -16,14 +16,23 @@ class DroneLog(NamedTuple):
     """Lines of one drone, T of them, in order of time; units as in `FlightTable`."""
 
     name: str
+    """Of the physical vehicle."""
     vehicle: Vehicle
+    """Its type."""
     time: FloatArray
+    """(T,) s."""
     position: FloatArray
+    """(T, 3) m, world frame."""
     velocity: FloatArray
+    """(T, 3) m/s, world frame."""
     quaternion: FloatArray
+    """(T, 4) x, y, z, w, body to world."""
     acceleration: FloatArray | None
+    """(T, 3) m/s^2, world frame, with gravity; None if it was not logged."""
     pwm: FloatArray
+    """(T, 4) signals of the motors."""
     voltage: FloatArray
+    """(T,) of the battery, V."""
 
     @property
     def step_s(self) -> float:

@@ -19,21 +19,30 @@ LARGEST_G = 50.0
 LARGEST_UPWARD_G = 35.0
 """Largest upward force aloft."""
 ALOFT_M = 0.25
+"""Height from which on a drone is away from the ground, m."""
 
 
 class DroneRows(NamedTuple):
     """Rows of one drone in one flight, R of them, K neighbour slots; see `InteractionRows`."""
 
     name: str
+    """Of the physical vehicle that feels the force."""
     ego_type: int
+    """Index of its type."""
     scenario: str
+    """Who flew around it, such as `L2S`."""
     step: IntArray
     """(R,) entry of the clock."""
     position: FloatArray
+    """(R, 3) its position, m."""
     velocity: FloatArray
+    """(R, 3) its velocity, m/s."""
     neighbor: FloatArray
+    """(R, K, 6) positions and velocities of neighbours relative to it, m and m/s."""
     neighbor_type: IntArray
+    """(R, K) indices of their types; -1 where there is none."""
     force_g: FloatArray
+    """Force on it, gram-force."""
     dropped: dict[str, int]
     """Entries left out, by reason."""
 

@@ -11,13 +11,16 @@ from swarm_envs.training.flight_logs.report import FileReport
 from swarm_envs.training.flight_logs.table import SUFFIXES
 
 TABLE_SUFFIX = ".npz"
+"""How the name of a table of rows ends."""
 
 
 class Found(NamedTuple):
     """What lies at a path; all sorted by name."""
 
     tables: list[Path]
+    """Tables of rows."""
     logs: list[Path]
+    """Logs of flights."""
     twice: list[FileReport]
     """Flights that are there in several files, of which none can be preferred."""
     not_read: tuple[str, ...] = ()

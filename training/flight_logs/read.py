@@ -42,6 +42,7 @@ from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.rows import InteractionRows
 
 DEFAULT = LogOptions()
+"""The options that hold if none are given."""
 
 
 class _Flight(NamedTuple):

@@ -21,6 +21,7 @@ class FileReport:
     """What became of one file."""
 
     file: str
+    """Its name."""
     refused: str | None = None
     """Which rule it breaks; nothing of it was used then."""
     kind: Literal["log", "table"] = "log"
@@ -34,12 +35,15 @@ class FileReport:
     uncommon_seconds: float = 0.0
     """Time of the longest log outside of it, left out."""
     rate_hz: float = 0.0
+    """Samples per second."""
     acceleration: str = ""
     """`logged` or `differentiated`."""
     ignored_columns: tuple[str, ...] = ()
+    """Columns that nothing reads."""
     entries: int = 0
     """Of all drones on the common clock."""
     rows: int = 0
+    """Rows that it gave."""
     dropped: dict[str, int] = field(default_factory=dict)
     """Entries that are no rows, by reason; with `rows` they make up `entries`."""
     notes: tuple[str, ...] = ()
@@ -53,7 +57,9 @@ class Calibration:
     id: int
     """In the rows."""
     type: str
+    """Of the vehicle."""
     rows: int
+    """Quiet rows from which its offset comes."""
     quiet_rows: int
     """Training rows aloft, slow and away from wakes."""
     offset_g: float | None
@@ -69,7 +75,9 @@ class ScenarioReport:
     """Rows of one scenario."""
 
     training_rows: int
+    """Rows that are learned from."""
     validation_rows: int
+    """Rows that are held out."""
     refused: str | None = None
     """Why it was left out."""
 
@@ -79,10 +87,15 @@ class LogReport:
     """What became of logs on their way to rows."""
 
     files: list[FileReport]
+    """What became of each file."""
     scenarios: dict[str, ScenarioReport]
+    """Rows of each scenario."""
     vehicles: dict[str, Calibration]
+    """The calibration of each physical vehicle."""
     rows: int
+    """Rows that all files gave."""
     validation_rows: int
+    """Those of them that are held out."""
     not_read: tuple[str, ...] = ()
     """What else lies in the folder."""
 

@@ -21,6 +21,7 @@ from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 
 TEXT = ("drone", "type")
+"""Columns that hold names."""
 GROUPS: dict[str, tuple[str, ...]] = {
     "time": ("time",),
     "position": ("x", "y", "z"),
@@ -32,9 +33,13 @@ GROUPS: dict[str, tuple[str, ...]] = {
 }
 """Columns of numbers by the field of `FlightTable` that holds them."""
 OPTIONAL = GROUPS["acceleration"]
+"""Columns that may be left out."""
 COLUMNS = (*TEXT, *itertools.chain.from_iterable(GROUPS.values()))
+"""Every column that is read."""
 REQUIRED = tuple(name for name in COLUMNS if name not in OPTIONAL)
+"""Columns that must be there."""
 SUFFIXES = (".csv", ".parquet")
+"""How names of logs end."""
 
 _LONGEST_NAME = 31
 _NEED_PYARROW = (
@@ -45,6 +50,7 @@ _EMPTY = "the file is empty; copy it again or delete it"
 _BAD_CELL = re.compile(r"could not convert string (?P<value>'.*') to .* row (\d+), column (\d+)")
 
 Columns = Mapping[str, npt.NDArray[Any]]
+"""Columns by name, each (lines,)."""
 
 
 @dataclass(frozen=True)

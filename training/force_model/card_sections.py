@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 Report = dict[str, Any]
+"""A report as it was read from its file."""
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:

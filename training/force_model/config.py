@@ -121,6 +121,7 @@ class TrainConfig:
 
 
 Mode = Literal["anchored", "measured"]
+"""What is fitted: what environments blow with, or labels as measured."""
 
 _OWN: Mapping[Mode, Mapping[str, Any]] = {
     "anchored": {

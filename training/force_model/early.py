@@ -19,6 +19,7 @@ GUARD_ENTRIES = 15
 
 
 Held = Literal["pieces", "flights"]
+"""What is held out: pieces of flights, or whole ones."""
 
 
 def inner_split(

@@ -23,6 +23,7 @@ class Examples(NamedTuple):
     """Inputs with what the network should answer."""
 
     batch: Batch
+    """Inputs and labels of all rows."""
     label: Tensor
     """(R,) vertical force, gram-force; or (R, 4) with the torque, as `torque_head.targets`."""
     weight: Tensor

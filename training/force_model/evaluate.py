@@ -36,6 +36,7 @@ class Errors:
     """Mean squared errors of the vertical force on validation rows, g^2."""
 
     overall: float
+    """Mean squared error of all rows, g^2."""
     zero: float
     """Of predicting no force."""
     scenario_mean: float
@@ -43,7 +44,9 @@ class Errors:
     scenario: dict[str, float]
     """Of the model by scenario."""
     scenario_zero: dict[str, float]
+    """The same of a model that says nothing, by scenario."""
     scenario_scenario_mean: dict[str, float]
+    """The same of one that says the scenario's mean."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +54,15 @@ class AxisBin:
     """One bin of vertical distance under a single neighbour, lateral distance below 5 cm."""
 
     above: str
+    """Type of the upper drone."""
     below: str
+    """Type of the lower one."""
     lowest_m: float
+    """Least distance in height, m."""
     highest_m: float
+    """Largest distance in height, m."""
     rows: int
+    """Rows in it."""
     measured_g: float
     """Mean of the labels."""
     model_g: float
@@ -68,8 +76,11 @@ class Extremes:
     """Largest downward and upward force on any drone in random swarms, g."""
 
     drones: int
+    """Number of drones."""
     small_only: tuple[float, float]
+    """Lowest and highest force in swarms of small drones, g."""
     mixed: tuple[float, float]
+    """The same in mixed swarms, g."""
 
 
 def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Errors:

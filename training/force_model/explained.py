@@ -37,11 +37,15 @@ class Explained(NamedTuple):
     """How well a model explains a true force in random swarms of one team."""
 
     team: str
+    """Who flew."""
     drones: int
+    """Drones of the team."""
     states: int
+    """States that were compared."""
     explained: float
     """Share of the variance of f_a,z, at most 1; below 0 a constant would do better."""
     rms_error_g: float
+    """Root mean squared error of the model, g."""
     rms_force_g: float
     """Of the truth."""
     mean_neighbours: float

@@ -24,7 +24,9 @@ from swarm_envs.training.force_model.pairwise import build
 from swarm_envs.training.force_model.spec import NetworkKind
 
 FORMATS: dict[str, NetworkKind] = {"deep-set-1": "deep-set", "pairwise-1": "pairwise"}
+"""Kinds of network by the format of their file."""
 METADATA_KEY = "swarm_envs"
+"""Under which a file holds its note."""
 
 
 def save_network(

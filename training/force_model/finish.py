@@ -31,9 +31,11 @@ class Joined(NamedTuple):
     """Rows of several files."""
 
     rows: InteractionRows
+    """Of all files together."""
     origin: IntArray
     """(R,) which file each row is from."""
     files: list[FileReport]
+    """What became of each file."""
     unmarked: BoolArray
     """(F,) whether the file's rows come without a mark of what is held out."""
 

@@ -28,6 +28,7 @@ class Treated(NamedTuple):
     target: InteractionRows
     """With the labels that a model is fitted to."""
     offsets: Offsets
+    """What was taken out of the labels."""
     drag: FloatArray
     """(T, 3) by type, N s/m; added back to what a model says."""
 

@@ -82,10 +82,15 @@ class ForceNetwork(nn.Module, ABC):
     """What networks of the interaction force share: window, clamp, anchor, drag."""
 
     pair_low: Tensor
+    """Lowest pair inputs; lower ones are clamped."""
     pair_high: Tensor
+    """Highest pair inputs."""
     environment_low: Tensor
+    """Lowest environment inputs."""
     environment_high: Tensor
+    """Highest environment inputs."""
     drag: Tensor
+    """Linear drag by type, N s/m."""
 
     def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
         """Set the constants that the weights of a subclass come beside.

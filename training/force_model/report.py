@@ -40,7 +40,9 @@ class Findings:
     """What was measured on the weights as they ship."""
 
     rows: int
+    """Rows there were."""
     validation_rows: int
+    """Those of them that were held out."""
     errors: Errors
     """Against labels treated as in training."""
     errors_vehicle_offsets: Errors
@@ -64,13 +66,19 @@ class FitReport:
     model: str
     """`deep-set`, `pairwise` or `wake`."""
     command: str
+    """The command that was run."""
     config: object
+    """Its options."""
     data_sha256: str
+    """SHA-256 of the data."""
     offset_rule: str
+    """How offsets were taken out of the labels, in words."""
     vehicle_offsets_g: dict[str, float]
+    """Offset of each vehicle, gram-force."""
     drag: dict[str, list[float]]
     """c per type and axis, N s/m."""
     findings: Findings
+    """What came out."""
     history: list[dict[str, float]]
     """Step, training loss, validation MSE and that of early validation, g^2."""
     chosen: str

@@ -21,13 +21,17 @@ from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 
 FloatArray = npt.NDArray[np.float64]
+"""float64, of any shape."""
 IntArray = npt.NDArray[np.int64]
+"""int64, of any shape."""
 BoolArray = npt.NDArray[np.bool_]
+"""Truth values, of any shape."""
 
 NO_NEIGHBOR = -1
 """Type of a neighbour slot that is empty."""
 
 FORMAT = "interaction-rows-1"
+"""What a table of rows says it is."""
 _LARGE_VEHICLES = 100  # vehicle ids from here on are large in the logs of the published flights
 _PUBLISHED = ("x", "fa", "names", "cf", "flight", "step", "scenario")
 _INTEGERS = ("ego_type", "neighbor_type", "flight", "step", "vehicle", "scenario")
@@ -35,6 +39,7 @@ _INTEGERS = ("ego_type", "neighbor_type", "flight", "step", "vehicle", "scenario
 _DAMAGED = (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, AttributeError)
 
 Arrays = Mapping[str, npt.NDArray[Any]]
+"""Arrays by name, as a file holds them."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +129,7 @@ class InteractionRows:
 
 _ROW_VECTORS = ("ego_type", "flight", "step", "vehicle", "scenario", "validation")
 ROW_ARRAYS = ("position", "velocity", "neighbor", "neighbor_type", "force_g", *_ROW_VECTORS)
+"""Names of the arrays that have an entry for each row."""
 
 
 def _check_shape(name: str, array: npt.NDArray[np.generic], shape: tuple[int, ...]) -> None:

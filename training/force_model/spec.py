@@ -19,7 +19,9 @@ class Window(NamedTuple):
     """Where a pair's contribution fades from 1 to 0: |dx| and |dy|, and |dz|."""
 
     lateral_m: tuple[float, float] = (0.25, 0.35)
+    """Where pairs begin to fade laterally, and where they are gone, m."""
     vertical_m: tuple[float, float] = (0.8, 1.1)
+    """The same in height, m."""
 
 
 EVERYWHERE = Window((1e3, 1.001e3), (1e3, 1.001e3))

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 Spectral = Literal["clip", "exact", "none"]
+"""What is done about spectral norms: at most, exactly, or nothing."""
 
 
 @torch.no_grad()

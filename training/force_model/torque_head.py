@@ -25,6 +25,7 @@ class TorqueErrors:
     """Root mean square of the torque's error on held-out rows, N m, by component x, y, z."""
 
     error_n_m: tuple[float, ...]
+    """Root mean squared error about each axis, N m."""
     zero_n_m: tuple[float, ...]
     """Of predicting none."""
 

@@ -51,15 +51,21 @@ class Training:
     """A run: what a checkpoint holds."""
 
     network: ForceNetwork
+    """What is trained."""
     weights: FlatWeights
+    """Its weights in one array."""
     optimiser: torch.optim.Optimizer
+    """What changes them."""
     averaged: Tensor
     """(P,) running average of the weights."""
     best: Tensor
     """(P,) weights with the least error of early validation so far."""
     best_step: int = 0
+    """The step whose weights erred least, where one is chosen."""
     step: int = 0
+    """Steps that were taken."""
     history: list[Entry] = field(default_factory=list)
+    """Errors along the way."""
     chosen: str = "last step"
     """Which weights are the result, once training has ended."""
 

@@ -70,8 +70,11 @@ class WakeFit:
     """One fitted variant."""
 
     velocity: WakeVelocity
+    """Which velocity tilts the jets."""
     parameters: WakeParameters
+    """The numbers that were fitted."""
     errors: Errors
+    """Errors on the rows that were held out."""
 
 
 def bounds(types: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -36,6 +36,7 @@ class CompiledForce:
     """A model of `swarm_envs.interactions`, as `evaluate.ForceFunction` asks for one."""
 
     model: InteractionModel
+    """The model that is evaluated."""
 
     @property
     def types(self) -> tuple[str, ...]:

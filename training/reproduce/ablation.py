@@ -50,7 +50,9 @@ class Budget(NamedTuple):
     steps: int | None = None
     """Optimiser steps; this and the others are the trainer's default where None."""
     batch_size: int | None = None
+    """Rows of a step; None for the recipe's."""
     learning_rate: float | None = None
+    """Rate of the optimiser; None for the recipe's."""
 
 
 def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig:

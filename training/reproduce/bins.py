@@ -28,6 +28,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.training.reproduce.forces import force_on_ego_g
 
 GROUND, VERTICAL, LATERAL = "ground", "vertical", "lateral"
+"""Kinds of bins: over height, over the distance below, over the distance beside."""
 KINDS = {
     "ground: f vs z, |v|<0.3": GROUND,
     "one neighbour: f vs dz": VERTICAL,
@@ -35,6 +36,7 @@ KINDS = {
 }
 """The table's cases by what we call them."""
 COLUMNS = ("case", "scenario", "bin_lo", "bin_hi", "n", "fa_delay_mean", "fa_delay_std", "extra")
+"""Columns of the table of bins."""
 
 ALOFT_M = 0.3
 """Height from which a bin of a lone drone counts as far from the ground."""
@@ -52,15 +54,19 @@ class Bin:
     scenario: str
     """`L2S`: a large neighbour, the force on a small drone; `Ge2S`: alone."""
     low: float
+    """Lower edge, m."""
     high: float
     """Edges of height, vertical distance (neighbour above: positive) or lateral distance, m."""
     second: tuple[float, float] | None
     """Edges of lateral distance (m) or relative speed (m/s)."""
     rows: int
+    """Rows in it."""
     measured_g: float
+    """Mean of the measured force, g."""
     spread_g: float
     """Standard deviation of the rows in the bin."""
     predicted_g: float = 0.0
+    """Mean of the predicted force on the same rows, g."""
 
     @property
     def middle(self) -> float:

@@ -34,8 +34,11 @@ class Case:
     """One heat map."""
 
     letter: str
+    """Of the panel in the figure."""
     title: str
+    """What flies."""
     neighbours: tuple[Neighbour, ...]
+    """Those that blow."""
     ground: bool
     """Whether the map begins at the ground; otherwise it begins `WITHOUT_GROUND_M` above."""
     stated: str
@@ -111,14 +114,18 @@ CASES = (
         "as (g) with a large one at the top",
     ),
 )
+"""The panels of Fig. 5."""
 
 
 class Reading(NamedTuple):
     """A number that the paper reads off Fig. 5."""
 
     name: str
+    """Of the number that is read off."""
     what: str
+    """What it says."""
     paper_g: float
+    """The paper's value, g."""
     published_weights_g: float
     """The same from the weights that the authors published."""
 

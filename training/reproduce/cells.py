@@ -16,6 +16,7 @@ class Cell:
     paper_mean: float | None = None
     """Validation MSE in the paper, g^2; None where it gives none."""
     paper_deviation: float | None = None
+    """The paper's standard deviation; None if it gives none."""
     changes: Mapping[str, Any] = field(default_factory=dict)
     """Options of a fit by name that are set otherwise."""
 

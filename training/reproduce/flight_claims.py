@@ -17,8 +17,11 @@ class Claim(NamedTuple):
     """One claim, and whether the flights bear it out."""
 
     claim: str
+    """What the paper says."""
     found: str
+    """What we found."""
     reached: bool
+    """Whether it holds here."""
 
 
 def swap_claims(rows: Sequence[Mapping[str, Any]]) -> list[Claim]:

@@ -25,6 +25,7 @@ from swarm_envs.training.reproduce.swap_plot import plot_swaps
 TRUTHS = ("learned", "wake")
 """The forces that are flown in if none is named: those for which a belief ships."""
 MOST_EPISODES = 1000
+"""More episodes than this are refused."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,6 +33,7 @@ class FlightPlan:
     """What is flown for a figure. Raises ValueError for what cannot be."""
 
     figure: Literal[8, 9, 1]
+    """The paper's figure that is flown."""
     truths: tuple[str, ...] = TRUTHS
     """Forces that blow, each with flights of its own: names or paths of weights."""
     belief: Path | None = None

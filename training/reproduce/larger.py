@@ -54,6 +54,7 @@ def rings(drones: int) -> FloatArray:
 
 
 FORMATIONS = {"stack": stack, "rings": rings}
+"""How larger swarms are placed, by name."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,9 @@ class Swarm:
     """Forces in one formation; drones in the order of their positions."""
 
     formation: str
+    """Name of the formation."""
     team: str
+    """Who flies."""
     position: FloatArray
     """(N, 3) m."""
     neighbours: IntArray

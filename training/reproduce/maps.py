@@ -26,6 +26,7 @@ class ForceMap:
     """One heat map: rows go up in z, columns in y."""
 
     case: Case
+    """What is mapped."""
     y: FloatArray
     """(C,) m."""
     z: FloatArray

@@ -16,6 +16,7 @@ from swarm_envs.training.reproduce.flight_cases import SWAPS
 from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, TRIALS
 
 CELL_NAMES = tuple(cell.name for cell in CELLS)
+"""Every cell of Table III by name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -231,6 +232,7 @@ class Work(NamedTuple):
     check: Callable[[ReproduceOptions], None] = _nothing
     """Refuses options that contradict each other."""
     needs_torch: bool = False
+    """Whether it trains."""
 
 
 _FLIGHTS = ("truth", "belief", "episodes", "engine")

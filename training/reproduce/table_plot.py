@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 OURS, PAPER, SUM = "#0072B2", "#B8BEC5", "#D55E00"
+"""Colours of our values, of the paper's, and of sums."""
 
 
 def plot_table(path: Path, table: Mapping[str, Any]) -> None:

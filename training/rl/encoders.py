@@ -25,10 +25,13 @@ class EncoderSpec:
     """What the networks of a policy look like."""
 
     sizes: FeatureSizes
+    """Numbers that are taken in."""
     encoder: str
     """one of `swarm_envs.agents.networks.ENCODERS`"""
     pooling: str
+    """How neighbours become one row."""
     hidden: tuple[int, ...]
+    """Widths of the hidden layers."""
     set_hidden: tuple[int, ...]
     """widths of phi's layers"""
     neighbor_types: tuple[str, ...]

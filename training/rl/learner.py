@@ -20,6 +20,7 @@ from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.recipes import completed
 
 Entry = dict[str, float]
+"""What is noted of a point of the training curve, by name."""
 Watch = Callable[[], None]
 """Called after every rollout: where a progress bar moves."""
 

@@ -79,11 +79,17 @@ class Rollout(NamedTuple):
     """Decisions of every drone, one after another; after `learnable`, in one row each."""
 
     told: Tensor
+    """What the actor was told."""
     seen: Tensor
+    """What the critic was told."""
     actions: Tensor
+    """What was done."""
     log_probs: Tensor
+    """Logarithm of the density with which it was drawn."""
     advantages: Tensor
+    """By how much it was better than expected."""
     returns: Tensor
+    """What the critic learns."""
 
 
 class MappoLearner:

@@ -19,6 +19,7 @@ from swarm_envs.training.rl.side_by_side import SideBySide
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
 Infos = list[dict[str, Any]]
+"""What a step adds for each sub-environment."""
 
 
 def practice_blueprint(config: TrainConfig, task: str, team: Mapping[str, Any]) -> Blueprint:

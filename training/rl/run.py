@@ -25,6 +25,7 @@ from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.recipes import RECIPES, completed
 
 REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
+"""Files of a run: its report, where it goes on, and its curve."""
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
 

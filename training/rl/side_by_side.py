@@ -11,6 +11,7 @@ import numpy.typing as npt
 from stable_baselines3.common.vec_env import VecEnv
 
 Infos = list[dict[str, Any]]
+"""What a step adds for each sub-environment."""
 
 
 class SideBySide(VecEnv):  # type: ignore[misc]  # SB3's base has no types here

@@ -11,6 +11,7 @@ from swarm_envs.errors import check_integer
 from swarm_envs.training.scale_out.jobs import RETRIES, Workers, answer
 
 LOCAL, AUTO = "local", "auto"
+"""Names of clusters: one of this machine, and whichever is there."""
 _ADDRESS = re.compile(r"(ray://)?(?P<host>[^\s/:]+):(?P<port>\d{1,5})")
 _REACHED_S = 10.0
 """How long an address may take to answer; Ray itself would try for minutes."""

@@ -23,9 +23,10 @@ from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.registry import SHIPPED, load
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.training.scale_out.jobs import Job, Outcome, Workers
-from swarm_envs.training.scale_out.shipping import receive, send
+from swarm_envs.training.scale_out.shipping import SentFile, receive, send
 
 FUNCTION = f"{__name__}:fly_chunk"
+"""What a job calls, as `module:function`."""
 PATIENCE_S = 5.0
 """After so long a chunk begins no further episode."""
 _CHUNKS, _LARGEST = 4, 256
@@ -160,7 +161,7 @@ def fly_chunk(
     agent: Mapping[str, Any],
     task: str,
     setting: Mapping[str, Any],
-    files: Mapping[str, Mapping[str, str]],
+    files: Mapping[str, SentFile],
     seeds: list[int],
     timed: int,
 ) -> dict[str, Any]:

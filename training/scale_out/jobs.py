@@ -55,6 +55,7 @@ class Outcome:
     """What became of a job."""
 
     job: Job
+    """What was to be done."""
     result: Any = None
     """What the function gave, if there is no error."""
     error: str | None = None
@@ -132,6 +133,7 @@ class Serial(Workers):
     """This process, one job after the other: what all others must equal."""
 
     size = 1
+    """Jobs that are done at a time."""
 
     def submit(self, request: str) -> Future[str]:
         """Do the job."""

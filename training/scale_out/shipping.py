@@ -10,7 +10,6 @@ import base64
 import functools
 import hashlib
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TypedDict
 
@@ -51,7 +50,7 @@ def send(path: Path) -> SentFile:
     )
 
 
-def receive(sent: Mapping[str, str]) -> Path:
+def receive(sent: SentFile) -> Path:
     """Where the file is on this machine: where it was, or a copy that this process keeps.
 
     Raises:

@@ -18,11 +18,9 @@ from swarm_envs.agents.policy_file import read_policy
 from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean
 from swarm_envs.files import write_json
 from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.judging import Judges
-from swarm_envs.training.rl.recipes import RECIPES, completed
 
 SCORES = "scores.json"
-"""File in a run's folder with the rates on the seeds for reporting."""
+"""File in a run's folder with what was measured on the seeds for reporting."""
 
 
 def write_marker(path: Path, content: object) -> str:
@@ -58,7 +56,7 @@ def train_and_judge(config: TrainConfig, task: str, episodes: int, seed: int) ->
         seed: the episodes' seeds are drawn from it, as by `swarm-envs evaluate --seed`.
 
     Returns:
-        `rates`, by layout; `steps`, `cpu_s` and `wall_s` of the training.
+        `measured`, such as `random_success`; `steps`, `cpu_s` and `wall_s` of the training.
 
     Raises:
         ImportError: Stable-Baselines3 is not installed.
@@ -68,40 +66,42 @@ def train_and_judge(config: TrainConfig, task: str, episodes: int, seed: int) ->
     from swarm_envs.training.rl.run import finished_report, train
 
     report = finished_report(config, task) or train(config, task)
-    rates = _rates(completed(config, task), task, episodes, seed)
-    return {"rates": rates, **{name: report[name] for name in ("steps", "cpu_s", "wall_s")}}
+    measured = _judged(config, task, episodes, seed)
+    return {"measured": measured, **{name: report[name] for name in ("steps", "cpu_s", "wall_s")}}
 
 
-def _rates(config: TrainConfig, task: str, episodes: int, seed: int) -> dict[str, float]:
-    """Rates on the seeds for reporting, as they were written, if of the same policy and seeds."""
-    layouts = RECIPES[task].judged_on(str(config.layout))
+def _judged(config: TrainConfig, task: str, episodes: int, seed: int) -> dict[str, float]:
+    """Measures on the seeds for reporting, as they were written, if of this policy and seeds."""
+    from swarm_envs.training.rl.judging import Judges
+    from swarm_envs.training.rl.recipes import RECIPES, completed
+
     policy, path = read_policy(config.out / FILE), config.out / SCORES
-    about = {"episodes": episodes, "seed": seed, "layouts": list(layouts)}
-    about |= {"policy": policy.digest, "version": __version__}
+    about = {"episodes": episodes, "seed": seed, "policy": policy.digest, "version": __version__}
     if path.is_file():
         written = json.loads(path.read_text(encoding="utf-8"))
         if all(written.get(name) == value for name, value in about.items()):
-            found: dict[str, float] = written["rates"]
+            found: dict[str, float] = written["measured"]
             return found
+    layouts = RECIPES[task].judged_on(str(completed(config, task).layout))
     options = {"interactions": config.interactions}
     judges = Judges(task, layouts, frozen_seeds(seed, episodes), options, config.teams)
     try:
-        rates = judges.judge(policy)
+        measured = judges.judge(policy)
     finally:
         judges.close()
-    write_json(path, {**about, "rates": rates})
-    return rates
+    write_json(path, {**about, "measured": measured})
+    return measured
 
 
 def summary(runs: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Interquartile mean over training seeds of each rate, with its bootstrap interval.
+    """Interquartile mean over training seeds of each measure, with its bootstrap interval.
 
     Args:
         runs: as `train_and_judge` gives them, one a seed; at least one.
     """
     found = {}
-    for name in runs[0]["rates"]:
-        values = np.array([run["rates"][name] for run in runs])
+    for name in runs[0]["measured"]:
+        values = np.array([run["measured"][name] for run in runs])
         found[name] = {
             "iqm": float(interquartile_mean(values)),
             "interval": bootstrap_interval(values),

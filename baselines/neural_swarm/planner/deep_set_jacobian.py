@@ -29,6 +29,7 @@ class Pass(NamedTuple):
     """A network applied to R rows, with what its derivative needs."""
 
     layers: list[Layer]
+    """Of the network."""
     active: list[BoolArray]
     """(R, width) which units of each hidden layer are on."""
     output: FloatArray
@@ -48,8 +49,11 @@ class Pairs(NamedTuple):
     """Ordered pairs inside the interaction volume, R rows over all knots."""
 
     knot: IntArray
+    """Index of the knot of each pair."""
     ego: IntArray
+    """Index of the robot that feels."""
     neighbour: IntArray
+    """Index of the robot that is felt."""
     offset: FloatArray
     """(R, 6) p_j - p_i and v_j - v_i, m and m/s."""
     weight: FloatArray

@@ -22,6 +22,7 @@ class Scene(NamedTuple):
     """
 
     field: ForceField
+    """The believed force model."""
     types: IntArray
     """(n,) interaction types."""
     mass: FloatArray
@@ -72,9 +73,13 @@ class Work(NamedTuple):
     """Working memory: all n robots as they are at one knot."""
 
     position: FloatArray
+    """Positions that forces are evaluated at, m."""
     velocity: FloatArray
+    """Velocities that forces are evaluated at, m/s."""
     force: FloatArray
+    """Forces that come out, N."""
     scratch: Scratch
+    """Working memory of the force model."""
 
 
 def work_for(scene: Scene) -> Work:

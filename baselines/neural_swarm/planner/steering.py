@@ -18,7 +18,9 @@ from swarm_envs.state import FloatArray
 LONGEST_BURST = 8
 """Edges in the longest burst that is tried."""
 COAST, PUSH = 0, 1
+"""Which of `responses`: a velocity without control, or a control held from rest."""
 PLACE, SPEED = 0, 1
+"""What of a response: the place, m, or the speed, m/s."""
 
 
 def responses(drag: FloatArray, dt: float, steps: int) -> FloatArray:

@@ -18,6 +18,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 
 DEGREE = 3
+"""Of the splines."""
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 """Coefficients of the power of u, by row, that weigh the four control points of a step."""
 _DERIVATIVE = (

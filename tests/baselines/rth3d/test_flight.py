@@ -15,7 +15,8 @@ from swarm_envs.baselines.rth3d.flight.clearance import (
     worst_clearance,
 )
 from swarm_envs.baselines.rth3d.flight.forces import space_for_forces
-from swarm_envs.baselines.rth3d.flight.planes import bezier_points, planes_between
+from swarm_envs.baselines.rth3d.flight.planes import BEZIER, bezier_points, planes_between
+from swarm_envs.baselines.rth3d.flight.program import improve, smoothness
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, smooth
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, on_grid, shortest_step
 from swarm_envs.interactions import load
@@ -128,6 +129,58 @@ def test_smoothing_is_faster_and_no_less_safe():
     speed, acceleration, _ = smoother.largest()
     assert speed <= 2.0 + 1e-9
     assert acceleration <= 5.0 + 1e-9
+
+
+def test_a_robot_s_program_is_solved_to_its_optimum():
+    """Against OSQP on the whole program, all rows and bounds at once."""
+    import osqp
+    from scipy import sparse
+
+    flight = on_grid(crowd(14, 4, 12, 2), 0.5 * UNIT, 0 * UNIT, 0.5)
+    planes = planes_between(flight, 0.33, UNIT, 0.2)
+    count = len(flight.control)
+    eye = np.eye(count)
+    second, third = (np.diff(eye, n=k, axis=0) for k in (2, 3))
+    hessian = np.kron(second.T @ second + third.T @ third, np.eye(3))
+    for robot in range(3):
+        control = flight.control[:, robot]
+        own = planes.some(np.flatnonzero(planes.robot == robot))
+        low, high = control - 0.2, control + 0.2
+        found = improve(control, own, low[3:-3], high[3:-3], smoothness(count, 1.0))
+        low[:3] = high[:3] = control[:3]
+        low[-3:] = high[-3:] = control[-3:]
+        weights = np.zeros((len(own.step), 4, count, 3))
+        for k, (step, normal) in enumerate(zip(own.step, own.normal, strict=True)):
+            weights[k, :, step : step + 4] = BEZIER[:, :, None] * normal
+        rows = np.vstack([weights.reshape(-1, 3 * count), np.eye(3 * count)])
+        least = np.concatenate([own.offset.ravel(), low.ravel()])
+        most = np.concatenate([np.full(own.offset.size, np.inf), high.ravel()])
+        assert (rows @ found.ravel() >= least - 2e-6).all()
+        assert (rows @ found.ravel() <= most + 2e-6).all()
+        program = osqp.OSQP()
+        program.setup(
+            sparse.csc_matrix(hessian),
+            np.zeros(3 * count),
+            sparse.csc_matrix(rows),
+            least,
+            most,
+            eps_abs=1e-7,
+            eps_rel=1e-7,
+            max_iter=200_000,
+            verbose=False,
+        )
+        best = program.solve(raise_error=False).x
+        cost, reference = (x @ hessian @ x for x in (found.ravel(), best))
+        assert cost == pytest.approx(reference, rel=1e-3)
+        assert cost < control.ravel() @ hessian @ control.ravel()
+
+
+def test_no_number_of_rounds_brings_robots_closer_than_they_were():
+    flight = on_grid(crowd(20, 4, 12, 4), 0.4 * UNIT, 0 * UNIT, 0.5)
+    before = smallest_distance(flight, (1, 1, 1))
+    for rounds in (1, 2, 3):
+        config = SmoothingConfig(distance=0.28, box=((0, 0, 0), (1.2, 1.2, 1.2)), rounds=rounds)
+        assert smallest_distance(smooth(flight, config), (1, 1, 1)) >= min(before, 0.28) - 1e-4
 
 
 def test_smoothing_stays_out_of_a_house():

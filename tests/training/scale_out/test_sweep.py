@@ -38,7 +38,7 @@ def test_a_sweep_is_its_runs(serial, tmp_path):
     given = ["--drones", "2", "--interactions", "none", "--episodes", "6", "--seed", "7"]
     given += ["--layout", "random", "--json", str(tmp_path / "out.json")]
     assert main(["evaluate", "--agent", str(run), *given]) == 0
-    rates = json.loads((serial / "sweep.json").read_text())["variants"][0]["runs"][1]["rates"]
+    rates = json.loads((serial / "sweep.json").read_text())["variants"][0]["runs"][1]["measured"]
     assert (
         rates["random_success"] == json.loads((tmp_path / "out.json").read_text())["success_rate"]
     )
@@ -54,8 +54,8 @@ def test_processes_train_the_same_and_a_run_that_fails_is_named(serial, tmp_path
     assert "hidden=4 seed 1 FAILED: ValueError" in capsys.readouterr().out
     same, small = json.loads((tmp_path / "sweep.json").read_text())["variants"]
     (whole,) = json.loads((serial / "sweep.json").read_text())["variants"]
-    assert same["rates"] == whole["rates"]
-    assert len(small["rates"]["random_success"]["each"]) == 1
+    assert same["measured"] == whole["measured"]
+    assert len(small["measured"]["random_success"]["each"]) == 1
     for seed in "01":
         policy = Path(f"seed-{seed}") / "policy.safetensors"
         expected = (serial / "runs" / policy).read_bytes()
@@ -118,7 +118,7 @@ def test_a_machine_that_does_not_see_the_folder_is_named(tmp_path):
 
 def test_the_summary_leaves_out_a_quarter_at_each_end():
     rates = [0.0, 0.5, 0.6, 0.7, 1.0]
-    found = summary([{"rates": {"success": rate}} for rate in rates])["success"]
+    found = summary([{"measured": {"success": rate}} for rate in rates])["success"]
     assert found["iqm"] == pytest.approx(0.6)
     low, high = found["interval"]
     assert 0.0 <= low < 0.6 < high <= 1.0

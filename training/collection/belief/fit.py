@@ -52,17 +52,25 @@ class BeliefReport:
     name: str
     """Of the files: weights and this report."""
     command: str
+    """The command that made the belief."""
     interactions: str
     """Force model of the environment that was flown in."""
     interactions_sha256: str
     """Fingerprint of its numbers."""
     flights: int
+    """Flights it was fitted to."""
     flown_s: float
+    """Their length together, s."""
     rows: int
+    """Rows it was fitted to."""
     rows_sha256: str
+    """SHA-256 of these rows."""
     fit: FitReport
+    """How well it fits them."""
     judgements: list[SwapJudgement]
+    """How well swaps are flown with it."""
     wall_time_s: float
+    """Time that all of this took, s."""
 
 
 def fit_belief(config: BeliefConfig) -> BeliefReport:

@@ -18,8 +18,11 @@ class SwapTrial:
     """Randomised stacked swaps of one team."""
 
     team: str
+    """The vehicles, the lowest last."""
     layout: StackedLayout
+    """From what swaps are drawn."""
     episodes: int
+    """Swaps that are flown."""
 
 
 TRIALS = (
@@ -35,10 +38,15 @@ class SwapJudgement:
     """Worst height error of the lowest drone over the episodes of a trial, cm."""
 
     team: str
+    """The vehicles, the lowest last."""
     layout: StackedLayout
+    """From what swaps were drawn."""
     episodes: int
+    """Swaps that were flown."""
     uncompensated_median_cm: float
+    """Median of the worst height errors without compensation, cm."""
     compensated_median_cm: float
+    """The same with the belief fed forward, cm."""
     largest_ratio: float
     """Largest of an episode's compensated over its uncompensated error."""
     worse: int

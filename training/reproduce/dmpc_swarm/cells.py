@@ -14,10 +14,13 @@ from swarm_envs.training.reproduce.runs import Cell
 DRONES = 16
 """As in the paper."""
 SEQUENCE_LIMIT_S = 120.0
+"""Time after which the sequence of formations is given up, s."""
 CIRCLE_LIMIT_S = 60.0
+"""Time after which the circle is given up, s."""
 JAM_S = 2.0
 """For so long compute units hear nothing in Fig. 4."""
 RADIUS_M, HEIGHT_M = 1.5, 1.0
+"""Radius of the circle, and its height, m."""
 LOSSES = (0.0, 1e-4, 0.01, 0.1, 0.2, 0.3, 0.4, 0.5)
 """Shares of messages lost in the sweep."""
 MODES: Mapping[str, Any] = {"ours": True, "paper's": "paper", "none": False}

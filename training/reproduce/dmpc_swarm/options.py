@@ -23,6 +23,7 @@ from swarm_envs.training.reproduce.dmpc_swarm.pictures import (
 from swarm_envs.training.reproduce.runs import Cell, run_cells, write_table
 
 Settings = Mapping[str, Sequence[Setting]]
+"""What is varied, and its values."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,6 +26,7 @@ class Swap(NamedTuple):
     """One trial: where robots start and end."""
 
     team: str
+    """Who changes places."""
     starts: FloatArray
     """(N, 3) m, all at x = 0."""
     goals: FloatArray

@@ -18,8 +18,11 @@ class Claim:
     """Something that should be so, and what was measured."""
 
     text: str
+    """What should be so."""
     measured: str
+    """What was measured."""
     holds: bool
+    """Whether it is so."""
 
 
 def check(figure: Figure, curves: Curves) -> list[Claim]:

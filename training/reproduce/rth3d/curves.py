@@ -22,8 +22,11 @@ class Spread:
     """Mean, least and largest of the runs of a setting."""
 
     mean: float
+    """Of all runs."""
     least: float
+    """Of all runs."""
     most: float
+    """Of all runs."""
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Spread | None:
@@ -38,8 +41,11 @@ class Point:
     """All runs of a method on a setting."""
 
     setting: Setting
+    """What was planned."""
     runs: int
+    """How often."""
     solved: int
+    """How often with success."""
     robots: int
     """0 if nothing was solved."""
     cpu_s: Spread
@@ -84,6 +90,7 @@ class PowerLaw:
     """y = c x^exponent, fitted."""
 
     exponent: float
+    """Slope in a picture whose axes are logarithmic."""
     error: float
     """Standard error of the exponent."""
     settings: int

@@ -18,6 +18,7 @@ class Setting:
     family: str
     """Of `FAMILIES`."""
     shape: Shape
+    """Vertices by axis."""
     robots: int | None = None
     """None where the family says how many, a third of the vertices or 2/9 between buildings."""
 
@@ -47,7 +48,9 @@ class Target:
     """A number that a curve should reach."""
 
     series: str
+    """The curve that should reach it."""
     method: str
+    """The method of that curve."""
     most: float
     """Mean ratio of makespan to lower bound, at most."""
     settings: tuple[Setting, ...]
@@ -63,7 +66,9 @@ class Peer:
     """A public implementation, measured once on instances of the same kind, on one core."""
 
     name: str
+    """Of the implementation."""
     robots: int
+    """Robots that it planned for."""
     seconds: float
     """Of wall time; the limit if there was no answer."""
     ratio: float | None
@@ -86,6 +91,7 @@ class Figure:
     """A figure of the paper."""
 
     headline: str
+    """Above the picture."""
     axis: str
     """What grows along x: "robots", "density" or "m" (the height)."""
     series: Mapping[str, tuple[Setting, ...]]
@@ -97,7 +103,9 @@ class Figure:
     order: float | None = None
     """The theory's exponent of the run time in the number of vertices."""
     targets: tuple[Target, ...] = ()
+    """Numbers that its curves should reach."""
     peers: tuple[Peer, ...] = ()
+    """What others reach."""
 
 
 def slabs(family: str) -> tuple[Setting, ...]:

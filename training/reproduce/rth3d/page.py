@@ -9,6 +9,7 @@ from swarm_envs.training.reproduce.rth3d.curves import FIT_FROM, Curves, Point, 
 from swarm_envs.training.reproduce.rth3d.experiments import GUARANTEED, Figure
 
 Row = dict[str, object]
+"""A line of a table by its columns."""
 
 
 def rows(curves: Curves) -> list[Row]:

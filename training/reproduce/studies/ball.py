@@ -44,6 +44,7 @@ RATE_G = 0.5
 SIZE_G = 5.0
 """Bound of the random errors, gram-force. The growing one reaches RATE_G times DURATION_S."""
 DURATION_S = 20.0
+"""Length of a flight, s."""
 START = (0.3, 0.0, 0.1)
 """Position error at the start of the random errors' flights, m."""
 SHOWN = 24

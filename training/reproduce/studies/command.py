@@ -8,6 +8,7 @@ from typing import Any, Literal
 from swarm_envs.baselines.neural_swarm.flights import default_engine
 
 Study = Literal["lag", "ball", "limits"]
+"""Every study by name."""
 
 
 def run_study(

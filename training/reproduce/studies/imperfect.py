@@ -60,6 +60,7 @@ class Imperfection:
 
 
 NOTHING = Imperfection()
+"""Spoils nothing."""
 
 
 class Worst(NamedTuple):

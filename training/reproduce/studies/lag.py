@@ -59,6 +59,7 @@ VARIANTS = tuple(
     for oracle in (False, True)
     for lag in (False, True)
 )
+"""What is flown: gains, beliefs, with and without lag compensation."""
 
 
 def reproduce_lag(

@@ -14,6 +14,7 @@ from swarm_envs.training.reproduce.studies.imperfect import NOTHING, Imperfectio
 from swarm_envs.vehicles import GRAVITY, SMALL, Team, parse_team
 
 TRUTH = "learned"
+"""The force model that blows."""
 BELIEFS: Mapping[str, Callable[[], InteractionModel | None]] = {
     "none": lambda: None,
     "exact": lambda: load(TRUTH),
@@ -55,6 +56,7 @@ class Sweep:
     label: str
     """Of the axis, with the unit."""
     points: Sequence[Point]
+    """What is flown, one after another."""
 
 
 _CASES = ("S2S", "L2S")

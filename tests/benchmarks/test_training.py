@@ -1,0 +1,18 @@
+"""The benchmark of training measures what it says; how fast is never tested."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+from tests.benchmarks.training import PARTS, measure
+
+
+def test_parts_are_shares_of_the_whole():
+    small = {"environments": 4, "batch_size": 64, "rollout": 16, "drones": (2, 4), "hidden": (8,)}
+    speed, *parts = measure({**small, "interactions": "none"}, repetitions=1, rollouts=1)
+    assert speed["value"] > 0.0
+    assert [row["what"].strip() for row in parts] == list(PARTS)
+    whole, told, flown = (row["value"] for row in parts)
+    assert 0.0 < told + flown < whole < 100.0

@@ -1,0 +1,156 @@
+"""The command `grade`: points by known numbers, files that fail, and the starters of the course."""
+
+from __future__ import annotations
+
+import csv
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarm_envs.cli import main
+from swarm_envs.commands.grade import ASSIGNMENTS
+from swarm_envs.commands.grade_force import grade, score
+from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+
+STARTERS = Path(__file__).parent.parent / "docs" / "assignments"
+
+WORK = """
+import time
+import numpy as np
+class Fine:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    def reset(self, env, seed): pass
+    def act(self, observations, view):
+        return {name: self.say() for name in observations}
+    def say(self): return np.zeros(3, np.float32)
+class Nan(Fine):
+    def say(self): return np.full(3, np.nan)
+class Hangs(Fine):
+    def say(self): time.sleep(1000)
+class Sums:
+    def fit(self, rows): self.mean = rows.force_g[:, 2].mean()
+    def predict(self, rows): return np.full(len(rows.force_g), self.mean) + rows.force_g[:, 2]
+class Short(Sums):
+    def predict(self, rows): return [1.0]
+"""
+
+
+@pytest.fixture
+def work(tmp_path: Path) -> Path:
+    file = tmp_path / "work.py"
+    file.write_text(WORK, encoding="utf-8")
+    return file
+
+
+def rows_of(count: int, seed: int = 0) -> InteractionRows:
+    """Small drones under one other; the force is that of a wake of the starter's own form."""
+    rng = np.random.default_rng(seed)
+    neighbor = rng.uniform(-0.3, 0.3, (count, 1, 6))
+    neighbor[..., 2] += 0.3
+    x, y, z = neighbor[:, 0, :3].T
+    down = -8.0 * np.exp(-(x**2 + y**2) / 0.3**2 - z / 0.5) * (z > 0)
+    zeros = np.zeros(count, dtype=np.int64)
+    return InteractionRows(
+        types=("S",),
+        ego_type=zeros,
+        position=np.ones((count, 3)),
+        velocity=np.zeros((count, 3)),
+        neighbor=neighbor,
+        neighbor_type=zeros[:, None],
+        force_g=np.stack([0 * down, 0 * down, down], axis=1),
+        flight=zeros,
+        step=np.arange(count),
+        vehicle=zeros,
+        scenario=zeros,
+        validation=np.arange(count) % 4 == 0,
+        scenario_names=("S2S",),
+    )
+
+
+def test_points_rise_from_nothing_to_a_hundred():
+    swap, controller = ASSIGNMENTS["swap"], ASSIGNMENTS["controller"]
+    assert swap.points({"success_rate": 0.725}) == 50.0
+    assert swap.points({"success_rate": 0.725, "collision_rate": 0.2}) == 40.0
+    assert swap.points({"success_rate": 0.3}) == 0.0
+    assert controller.points({"worst_height_error_m": 0.08}) == 50.0  # less is better
+    assert controller.points({"worst_height_error_m": 0.01}) == 100.0
+    assert controller.points({"worst_height_error_m": None}) == 0.0
+
+
+def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys):
+    table = tmp_path / "grades.csv"
+    names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing")]
+    names.append(str(tmp_path / "none.py:Agent"))
+    arguments = ["--episodes", "1", "--csv", str(table)]
+    assert main(["grade", "--assignment", "swap", *arguments, "--work", *names]) == 1
+    with table.open(newline="") as file:
+        found = {line["work"].split(":")[-1]: line for line in csv.DictReader(file)}
+    assert [line["points"] for line in found.values()] == ["0.0"] * 4  # who hovers never arrives
+    assert (found["Fine"]["success_rate"], found["Fine"]["error"]) == ("0.0", "")
+    assert "must be finite" in found["Nan"]["error"]
+    assert "unknown class 'Missing'" in found["Missing"]["error"]
+    assert "there is no file" in found["Agent"]["error"]
+    assert capsys.readouterr().out.count("FAILED") == 3
+
+
+def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, tmp_path, capsys):
+    names = [f"{work}:Hangs", str(tmp_path / "none.py:Agent")]
+    assert main(["grade", "--assignment", "swap", "--limit-s", "12", "--work", *names]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"work.py:Hangs +0.0 +FAILED: took longer than 12 s", said)
+    assert said.count("FAILED") == 2
+
+
+def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
+    data = tmp_path / "rows.npz"
+    save_rows(data, rows_of(400))
+    starter = grade(f"{STARTERS / 'force_model.py'}:MyModel", data)
+    assert starter["explained"] == pytest.approx(1.0)  # its form is the truth here
+    held = rows_of(400).select(rows_of(400).validation)
+    mean = rows_of(400).select(~rows_of(400).validation).force_g[:, 2].mean()
+    expected = score(np.full(len(held), mean), held)  # labels of held-out rows are hidden
+    assert grade(f"{work}:Sums", data) == expected
+    assert 0.0 < expected["explained"] < 1.0
+    nothing = score(np.zeros(len(held)), held)
+    assert nothing["explained"] == 0.0
+    assert nothing["error_g"] == nothing["baseline_g"]
+    assert "must give 100 finite numbers" in grade(f"{work}:Short", data)["error"]
+    assert "AttributeError" in grade(f"{work}:Fine", data)["error"]
+
+
+def test_the_force_model_starter_is_graded_by_the_command(tmp_path, capsys):
+    data = tmp_path / "rows.npz"
+    save_rows(data, rows_of(400))
+    name = f"{STARTERS / 'force_model.py'}:MyModel"
+    assert main(["grade", "--assignment", "force-model", "--data", str(data), "--work", name]) == 0
+    assert "100.0  1" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("assignment", "name", "least"),
+    [("controller", "controller.py:MyController", 1.0), ("swap", "swap.py:MyAgent", 5.0)],
+)
+def test_starters_fly_and_leave_room(tmp_path, assignment, name, least):
+    table = tmp_path / "grades.csv"
+    arguments = ["--assignment", assignment, "--episodes", "24", "--csv", str(table)]
+    assert main(["grade", *arguments, "--work", str(STARTERS / name)]) == 0
+    with table.open(newline="") as file:
+        (line,) = csv.DictReader(file)
+    assert least < float(line["points"]) < 90.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--assignment", "swap"], "--work is empty"),
+        (["--assignment", "force-model", "--work", "a.py:A"], "needs it"),
+        (["--assignment", "swap", "--work", "a", "--limit-s", "0"], "must be positive"),
+    ],
+)
+def test_what_cannot_be_graded_is_refused(arguments, why, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["grade", *arguments])
+    assert end.value.code == 2
+    assert why in " ".join(capsys.readouterr().err.replace("│", " ").split())
