@@ -18,6 +18,7 @@ from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, frozen_seeds
 from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean, rate_interval, score
 from swarm_envs.cli import main
+from swarm_envs.files import LOCK
 
 QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "4", "--seed", "7"]
 
@@ -218,7 +219,8 @@ def test_who_fails_among_many_at_once_is_named(tmp_path, capsys, name, why):
     arguments = ["evaluate", *QUICK, "--episodes", str(TIMED + 4), "--json", str(report)]
     assert main([*arguments, "--agent", f"{file}:{name}"]) == 1
     assert re.search(why, json.loads(report.read_text())["error"])
-    (kept,) = report.with_suffix(".episodes").iterdir()
+    kept = report.with_suffix(".episodes")
+    (kept,) = (file for file in kept.iterdir() if file.name != LOCK)
     assert kept.read_text().count("\n") == 1 + TIMED  # what was flown before it failed
 
 

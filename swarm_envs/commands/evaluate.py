@@ -95,8 +95,8 @@ def run(options: EvaluateOptions) -> int:
         make(task, **options.setting()).close()
     except (ValueError, TypeError, ImportError) as error:
         raise Misuse(str(error)) from error
-    kept = _kept(options)
-    with nullcontext() if kept is None else claimed(kept):
+    folder = _kept(options) if options.out is None else options.out
+    with nullcontext() if folder is None else claimed(folder):
         return _evaluate(options, task, reports)
 
 
