@@ -74,8 +74,8 @@ def test_points_rise_from_nothing_to_a_hundred():
     assert swap.points({"success_rate": 0.725}) == 50.0
     assert swap.points({"success_rate": 0.725, "collision_rate": 0.2}) == 40.0
     assert swap.points({"success_rate": 0.3}) == 0.0
-    assert controller.points({"worst_height_error_m": 0.08}) == 50.0  # less is better
-    assert controller.points({"worst_height_error_m": 0.01}) == 100.0
+    assert controller.points({"worst_height_error_m": 0.045}) == 50.0  # less is better
+    assert controller.points({"worst_height_error_m": 0.005}) == 100.0
     assert controller.points({"worst_height_error_m": None}) == 0.0
 
 

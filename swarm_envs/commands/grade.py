@@ -49,7 +49,7 @@ ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
     {
         "controller": Assignment(
             metric="worst_height_error_m",
-            zero=0.15,
+            zero=0.08,
             full=0.01,
             flown=("--task", "swap", "--layout", "stacked", "--drones", "3"),
         ),
