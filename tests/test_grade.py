@@ -83,7 +83,7 @@ def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys
     table = tmp_path / "grades.csv"
     names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing")]
     names.append(str(tmp_path / "none.py:Agent"))
-    arguments = ["--episodes", "1", "--csv", str(table)]
+    arguments = ["--episodes", "1", "--out", str(table)]
     assert main(["grade", "--assignment", "swap", *arguments, "--work", *names]) == 1
     with table.open(newline="") as file:
         found = {line["work"].split(":")[-1]: line for line in csv.DictReader(file)}
@@ -134,7 +134,7 @@ def test_the_force_model_starter_is_graded_by_the_command(tmp_path, capsys):
 )
 def test_starters_fly_and_leave_room(tmp_path, assignment, name, least):
     table = tmp_path / "grades.csv"
-    arguments = ["--assignment", assignment, "--episodes", "24", "--csv", str(table)]
+    arguments = ["--assignment", assignment, "--episodes", "24", "--out", str(table)]
     assert main(["grade", *arguments, "--work", str(STARTERS / name)]) == 0
     with table.open(newline="") as file:
         (line,) = csv.DictReader(file)
