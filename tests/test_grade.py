@@ -74,8 +74,8 @@ def test_points_rise_from_nothing_to_a_hundred():
     assert swap.points({"success_rate": 0.725}) == 50.0
     assert swap.points({"success_rate": 0.725, "collision_rate": 0.2}) == 40.0
     assert swap.points({"success_rate": 0.3}) == 0.0
-    assert controller.points({"worst_height_error_m": 0.08}) == 50.0  # less is better
-    assert controller.points({"worst_height_error_m": 0.01}) == 100.0
+    assert controller.points({"worst_height_error_m": 0.045}) == 50.0  # less is better
+    assert controller.points({"worst_height_error_m": 0.005}) == 100.0
     assert controller.points({"worst_height_error_m": None}) == 0.0
 
 
@@ -83,7 +83,7 @@ def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys
     table = tmp_path / "grades.csv"
     names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing")]
     names.append(str(tmp_path / "none.py:Agent"))
-    arguments = ["--episodes", "1", "--csv", str(table)]
+    arguments = ["--episodes", "1", "--out", str(table)]
     assert main(["grade", "--assignment", "swap", *arguments, "--work", *names]) == 1
     with table.open(newline="") as file:
         found = {line["work"].split(":")[-1]: line for line in csv.DictReader(file)}
@@ -134,7 +134,7 @@ def test_the_force_model_starter_is_graded_by_the_command(tmp_path, capsys):
 )
 def test_starters_fly_and_leave_room(tmp_path, assignment, name, least):
     table = tmp_path / "grades.csv"
-    arguments = ["--assignment", assignment, "--episodes", "24", "--csv", str(table)]
+    arguments = ["--assignment", assignment, "--episodes", "24", "--out", str(table)]
     assert main(["grade", *arguments, "--work", str(STARTERS / name)]) == 0
     with table.open(newline="") as file:
         (line,) = csv.DictReader(file)

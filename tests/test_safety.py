@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -13,6 +16,7 @@ from swarm_envs.agents.batch import BatchAgent
 from swarm_envs.agents.evaluation import TIMED, evaluate, frozen_seeds
 from swarm_envs.agents.nearest import TOLERANCE, least_broken, nearest_point, new_workspace
 from swarm_envs.baselines.mlr_dmpc.solvers import solver
+from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
 
 BOX = np.concatenate([np.eye(3), -np.eye(3)])
@@ -102,19 +106,19 @@ def test_the_barrier_is_the_distance_to_velocities_that_collide():
 
 
 def test_two_that_meet_head_on_pass_each_other_on_the_right():
-    starts = {"start": np.array([[-1.5, 0, 1], [1.5, 0, 1]]), "goal": None}
-    starts["goal"] = starts["start"][::-1].copy()
+    start = np.array([[-1.5, 0, 1], [1.5, 0, 1]])
+    starts = {"start": start, "goal": start[::-1].copy()}
     for name, safe in (("straight-line", False), ("straight-line+filter", True)):
         agent = load(name)
         env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
         side: list[float] = []
 
-        def watch(env=env, side=side) -> None:
+        def watch(env: SwarmParallelEnv, side: list[float] = side) -> None:
             position = env.view.state.position
             if abs(position[0, 0] - position[1, 0]) < 0.1:
                 side.append(position[0, 1] - position[1, 1])
 
-        metrics = fly_episode(env, agent, 0, lambda _, w=watch: w(), options=starts)
+        metrics = fly_episode(env, agent, 0, watch, options=starts)
         assert metrics["success"] == safe
         assert (metrics["collided_drones"] == 0) == safe
         if safe:
@@ -166,7 +170,8 @@ def test_collisions_collapse(name, layout, most):
 
 def test_walls_are_kept_away_from():
     class Outwards:
-        requires, privileged = {"action": "acceleration", "decision_rate": 10}, False
+        requires: Mapping[str, Any] = {"action": "acceleration", "decision_rate": 10}
+        privileged = False
 
         def reset(self, env, seed):
             pass

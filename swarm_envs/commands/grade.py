@@ -50,7 +50,7 @@ ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
     {
         "controller": Assignment(
             metric="worst_height_error_m",
-            zero=0.15,
+            zero=0.08,
             full=0.01,
             flown=("--task", "swap", "--layout", "stacked", "--drones", "3"),
         ),
@@ -78,7 +78,7 @@ class GradeOptions:
     """which one: `controller`, `force-model` or `swap`"""
     work: list[str] = field(default_factory=list)
     """what was handed in: path/to/file.py:Class each; also folders of trained policies"""
-    csv: Path | None = None
+    out: Path | None = None
     """write the table to this file, .csv"""
     episodes: int = 64
     """episodes that each flies"""
@@ -114,8 +114,8 @@ def run(options: GradeOptions) -> int:
     """
     from tqdm import tqdm
 
-    if options.csv is not None:
-        check_file("--csv", options.csv, (".csv",))
+    if options.out is not None:
+        check_file("--out", options.out, (".csv",))
     if options.data is not None and not options.data.is_file():
         raise Misuse(f"--data is {str(options.data)!r}, but there is no such file")
     assignment = ASSIGNMENTS[options.assignment]
@@ -125,9 +125,9 @@ def run(options: GradeOptions) -> int:
         points = 0.0 if "error" in report else assignment.points(report)
         grades.append((work, points, report.get(assignment.metric), report.get("error", "")))
     print(_table(assignment, grades))
-    if options.csv is not None:
-        _write(options.csv, assignment, grades)
-        print(f"wrote {options.csv}")
+    if options.out is not None:
+        _write(options.out, assignment, grades)
+        print(f"wrote {options.out}")
     return sum(bool(error) for *_, error in grades)
 
 
