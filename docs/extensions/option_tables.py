@@ -63,7 +63,8 @@ def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
     """The options of a dataclass, those of dataclasses in it included."""
     hints, docs = get_type_hints(cls, include_extras=True), _docstrings(cls)
     for field in dataclasses.fields(cls):
-        hint, marks = hints[field.name], ()
+        hint = hints[field.name]
+        marks: tuple[str, ...] = ()
         if get_origin(hint) is Annotated:
             hint, *rest = get_args(hint)
             marks = tuple(str(mark) for mark in rest)
