@@ -34,24 +34,24 @@ TYPES = len(VEHICLES)
 
 
 class Barrier(NamedTuple):
-    """What the kernels are told; `swarm_envs.agents.safety.SafetyFilter` explains each."""
+    """What the kernels are told; `swarm_envs.agents.safety.Safety` says what each is for."""
 
     margin: float
-    """As of `SafetyFilter`, which explains each of these."""
+    """Distance beyond the sum of radii, m."""
     horizon: float
-    """As of `SafetyFilter`."""
+    """How far ahead it is kept, s."""
     response: float
-    """As of `SafetyFilter`."""
+    """Time until a drone does what it is told, s."""
     rate: float
-    """As of `SafetyFilter`."""
+    """Share of h that may be used up a second, 1/s."""
     share: float
-    """As of `SafetyFilter`."""
+    """Of each evasion, the part that is this drone's."""
     stretch: float
-    """As of `SafetyFilter`."""
+    """By how much less heights count than widths."""
     aside: float
-    """As of `SafetyFilter`."""
+    """How far to the left neighbours are taken to be, m."""
     walls: bool
-    """As of `SafetyFilter`."""
+    """Whether walls count."""
 
 
 class Places(NamedTuple):
