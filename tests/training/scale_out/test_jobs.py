@@ -112,7 +112,8 @@ def test_leaving_gives_up_at_once(tmp_path):
 
 
 DRIVER = f"""
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 from collections import deque
 from swarm_envs.training.scale_out.jobs import Job
 from swarm_envs.training.scale_out.local import LocalWorkers
@@ -131,7 +132,7 @@ def test_processes_end_with_their_driver(how, tmp_path):
     )
     wait_for(lambda: len(list(tmp_path.iterdir())) == 2)
     driver.send_signal(how)
-    driver.wait()
+    driver.wait(120)
     wait_for(lambda: not any(alive(file) for file in tmp_path.iterdir()))
 
 
