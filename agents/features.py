@@ -6,6 +6,7 @@ faster when it need not find out by itself how near is near, or where two straig
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -142,6 +143,7 @@ def _length(vectors: Float32Array) -> Float32Array:
     return length
 
 
+@cache
 def _places(num_neighbors: int) -> _Places:
     found = {field.name: field.where for field in observation_layout(num_neighbors)}
     around = [where for name, where in found.items() if name.startswith("neighbor_")]
