@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.base import Success
 from swarm_envs.tasks.metrics import NEAR_MISS
 from swarm_envs.tasks.motion import REST
@@ -52,6 +52,15 @@ def episode_metrics(core: SwarmCore, environments: Sequence[int]) -> list[dict[s
     ]
 
 
+_COUNTS = (
+    "collided_drones",
+    "collided_floor",
+    "collided_wall",
+    "collided_obstacle",
+    "tumbled",
+    "near_misses",
+)
+"""Numbers of drones that ended so."""
 _Columns = dict[str, list[Any]]
 """Metrics by name, each of every episode."""
 
@@ -64,18 +73,21 @@ def _ends(core: SwarmCore, where: IntArray) -> _Columns:
     """How episodes ended, and how near drones came, of environments `where`."""
     contacts, record = core.physics.contacts, core.record
     clearance = record.clearance[where]
+    drones = [
+        contacts.drone[where] >= 0,
+        contacts.floor[where],
+        contacts.wall[where],
+        contacts.obstacle[where] >= 0,
+        contacts.tumbling[where],
+        (clearance >= 1.0) & (clearance < NEAR_MISS),
+    ]
     to_obstacle = record.obstacle_clearance[where] * core.physics.parameters.radius[where]
     return {
         "success": core.verdict.succeeded[where].tolist(),
         "stages": [int(core.mission.goals.shape[1])] * len(where),
         "stages_reached": core.mission.reached[where].tolist(),
         "length_s": core.time[where].tolist(),
-        "collided_drones": _count(contacts.drone[where] >= 0),
-        "collided_floor": _count(contacts.floor[where]),
-        "collided_wall": _count(contacts.wall[where]),
-        "collided_obstacle": _count(contacts.obstacle[where] >= 0),
-        "tumbled": _count(contacts.tumbling[where]),
-        "near_misses": _count((clearance >= 1.0) & (clearance < NEAR_MISS)),
+        **dict(zip(_COUNTS, np.array(drones).sum(axis=2).tolist(), strict=True)),
         "minimum_separation_m": _finite(record.separation[where].min(axis=1)),
         "minimum_obstacle_distance_m": _finite(to_obstacle.min(axis=1)),
     }
@@ -96,11 +108,6 @@ def _sums(core: SwarmCore, where: IntArray) -> _Columns:
         "fraction_outside_measured_range": (outside / steps).tolist(),
         "time_to_goal_s": _finite(arrival) if at_rest else [None] * len(where),
     }
-
-
-def _count(which: BoolArray) -> list[int]:
-    counts: list[int] = np.count_nonzero(which, axis=1).tolist()
-    return counts
 
 
 def _finite(values: FloatArray) -> list[float | None]:

@@ -195,6 +195,6 @@ def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
     places = np.arange(n)
     for _ in range(1000):
         order = rng.permutation(n)
-        if not (order == places).any():
+        if not np.count_nonzero(order == places):
             return order
     raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")
