@@ -6,7 +6,6 @@ faster when it need not find out by itself how near is near, or where two straig
 
 from __future__ import annotations
 
-import math
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -156,9 +155,9 @@ def _write_neighbors(neighbors: Float32Array, made: Float32Array, nearness: Floa
             approach += neighbors[r, k] * velocity
             motion += velocity * velocity
             goal += neighbors[r, 6 + k] * neighbors[r, 6 + k]
-        distance, approach = math.sqrt(square), -approach
+        distance, approach = np.sqrt(square), -approach
         time = min(max(approach / max(motion, _LITTLE), _ZERO), _HORIZON)
-        reach, least = max(math.sqrt(goal), _REACH), _ZERO
+        reach, least = max(np.sqrt(goal), _REACH), _ZERO
         for k in range(3):
             closest = neighbors[r, k] + time * (neighbors[r, 3 + k] * _SPEED)
             least += closest * closest
@@ -166,7 +165,7 @@ def _write_neighbors(neighbors: Float32Array, made: Float32Array, nearness: Floa
             made[r, 4 + k] = neighbors[r, 3 + k] * mask
             made[r, 8 + k] = closest * mask
             made[r, 12 + k] = neighbors[r, 6 + k] / reach * mask
-        nearness[0, r], nearness[1, r] = -distance / _FOLD, -math.sqrt(least) / _FOLD
+        nearness[0, r], nearness[1, r] = -distance / _FOLD, -np.sqrt(least) / _FOLD
         made[r, 7] = time / _HORIZON * mask
         made[r, 15] = approach / max(distance, _LITTLE) / _SPEED * mask
         made[r, 16] = mask * mask
