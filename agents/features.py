@@ -6,11 +6,13 @@ faster when it need not find out by itself how near is near, or where two straig
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
 from swarm_envs.tasks.base import SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
@@ -32,6 +34,11 @@ _OTHERS_GOAL = 1.0
 """A neighbour's way to its goal is seen up to this length, m."""
 OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
 """Numbers told of a drone itself, and of each neighbour, whose mask is the last; types follow."""
+
+
+_ZERO, _LITTLE = np.float32(0.0), np.float32(1e-6)
+_SPEED, _HORIZON = np.float32(SPEED_LIMIT), np.float32(_AHEAD)
+_REACH, _FOLD = np.float32(_OTHERS_GOAL), np.float32(_NEAR)
 
 
 class _Places(NamedTuple):
@@ -113,28 +120,57 @@ def check_width(rows: Float32Array, num_neighbors: int) -> None:
 
 def _neighbor_features(neighbors: Float32Array, typed: bool) -> Float32Array:
     """(..., K, 17 or with types 20) of (..., K, width) fields of neighbours."""
-    position, velocity = neighbors[..., 0:3], neighbors[..., 3:6]
-    goal, mask = neighbors[..., 6:9], neighbors[..., -1:]
-    distance, motion = _length(position), velocity * np.float32(SPEED_LIMIT)
-    approach = -(position * motion).sum(axis=-1, keepdims=True)
-    square = np.square(motion).sum(axis=-1, keepdims=True)
-    time = np.clip(approach / np.maximum(square, 1e-6), 0.0, _AHEAD)
-    closest = position + time * motion
-    parts = [
-        position,
-        np.exp(-distance / _NEAR),
-        velocity,
-        time / _AHEAD,
-        closest,
-        np.exp(-_length(closest) / _NEAR),
-        goal / np.maximum(_length(goal), _OTHERS_GOAL),
-        approach / np.maximum(distance, 1e-6) / SPEED_LIMIT,
-        mask,
-    ]
-    if typed:
-        parts.append(neighbors[..., 9:-1])
-    made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32) * mask
-    return made
+    before = neighbors.shape[:-1]
+    flat = np.ascontiguousarray(neighbors).reshape(-1, neighbors.shape[-1])
+    width = NEIGHBOR_WIDTH + (len(TYPES) if typed else 0)
+    made: Float32Array = np.empty((len(flat), width), np.float32)
+    nearness: Float32Array = np.empty((2, len(flat)), np.float32)
+    _write_neighbors(flat, made, nearness)
+    made[:, _NEARNESS] = (np.exp(nearness, out=nearness) * flat[:, -1]).T
+    return made.reshape(*before, width)
+
+
+_NEARNESS = [3, 11]
+"""Where a neighbour's features have nearness, now and at the closest approach."""
+
+
+@borrowing_kernel
+def _write_neighbors(neighbors: Float32Array, made: Float32Array, nearness: Float32Array) -> None:
+    """Write features of neighbours, all but nearness, of which the exponents are written.
+
+    The exponential is left to numpy, whose digits trained policies have seen.
+
+    Args:
+        neighbors: (R, width) fields of neighbours.
+        made: (R, 17, or more for types) features, written.
+        nearness: (2, R) -distance / 0.4 m, now and at the closest approach, written.
+    """
+    types = made.shape[1] - NEIGHBOR_WIDTH
+    for r in range(len(neighbors)):
+        mask = neighbors[r, -1]
+        square = approach = motion = goal = _ZERO
+        for k in range(3):
+            velocity = neighbors[r, 3 + k] * _SPEED
+            square += neighbors[r, k] * neighbors[r, k]
+            approach += neighbors[r, k] * velocity
+            motion += velocity * velocity
+            goal += neighbors[r, 6 + k] * neighbors[r, 6 + k]
+        distance, approach = np.sqrt(square), -approach
+        time = min(max(approach / max(motion, _LITTLE), _ZERO), _HORIZON)
+        reach, least = max(np.sqrt(goal), _REACH), _ZERO
+        for k in range(3):
+            closest = neighbors[r, k] + time * (neighbors[r, 3 + k] * _SPEED)
+            least += closest * closest
+            made[r, k] = neighbors[r, k] * mask
+            made[r, 4 + k] = neighbors[r, 3 + k] * mask
+            made[r, 8 + k] = closest * mask
+            made[r, 12 + k] = neighbors[r, 6 + k] / reach * mask
+        nearness[0, r], nearness[1, r] = -distance / _FOLD, -np.sqrt(least) / _FOLD
+        made[r, 7] = time / _HORIZON * mask
+        made[r, 15] = approach / max(distance, _LITTLE) / _SPEED * mask
+        made[r, 16] = mask * mask
+        for k in range(types):
+            made[r, 17 + k] = neighbors[r, 9 + k] * mask
 
 
 def _length(vectors: Float32Array) -> Float32Array:
@@ -142,6 +178,7 @@ def _length(vectors: Float32Array) -> Float32Array:
     return length
 
 
+@cache
 def _places(num_neighbors: int) -> _Places:
     found = {field.name: field.where for field in observation_layout(num_neighbors)}
     around = [where for name, where in found.items() if name.startswith("neighbor_")]

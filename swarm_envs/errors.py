@@ -79,7 +79,7 @@ def check_array(
         ) from error
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, but must have shape {shape}{extra}")
-    if not np.isfinite(array).all():
+    if np.count_nonzero(np.isfinite(array)) < array.size:
         index = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise ValueError(
             f"{name} is {array[index]} at index {index}; every entry must be a finite number"

@@ -37,6 +37,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     All drones of an environment end together, and begin anew in the same step. A sub-environment's
     info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: what
     follows still has a value) and `episode_metrics`, the same for all drones of an environment.
+    Where no episode has ended, sub-environments share one info: copy it to write into it.
 
     Its copies and pickles have simulators of their own, and fly on as it would.
 
@@ -117,7 +118,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         """
         result = self.core.step(self._actions)
         ended = result.terminated | result.truncated
-        infos: Infos = [{"TimeLimit.truncated": False} for _ in range(self.num_envs)]
+        infos: Infos = [{"TimeLimit.truncated": False}] * self.num_envs
         if ended.any():
             self._report_ends(result, ended, infos)
             self.core.reset(mask=ended)
@@ -126,8 +127,10 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
     def _report_ends(self, result: StepResult, ended: npt.NDArray[np.bool_], infos: Infos) -> None:
         drones = self.core.num_drones
-        for e in np.flatnonzero(ended).tolist():
-            metrics, rows = self.core.metrics(e), self.core.rows[e].copy()
+        over = np.flatnonzero(ended)
+        environments, last = over.tolist(), self.core.rows[over]
+        told = self.core.metrics_of(environments)
+        for e, rows, metrics in zip(environments, last, told, strict=True):
             for i in range(drones):
                 infos[e * drones + i] = {
                     "TimeLimit.truncated": bool(result.truncated[e]),

@@ -224,7 +224,11 @@ class SwarmCore:
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
         """What environment `e`'s episode is judged by, so far; see `episode_metrics`."""
-        return episode_metrics(self, e)
+        return episode_metrics(self, [e])[0]
+
+    def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:
+        """The same of several environments, in their order."""
+        return episode_metrics(self, environments)
 
     def _look_up_reference(self) -> None:
         self._refer = self._refer or entry_point(self.task.write_reference, *self._referred)

@@ -6,6 +6,7 @@ not depend on the size of the team: one policy flies any number of drones. World
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -67,6 +68,7 @@ _TASK: _Entries = (
 _NEIGHBOR_WIDTH = sum(width for _, width, _, _ in _NEIGHBOR)
 
 
+@cache
 def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[Field, ...]:
     """The fields of an observation row in order.
 

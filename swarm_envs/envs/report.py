@@ -1,11 +1,14 @@
-"""The metrics of one episode, in names and plain numbers."""
+"""The metrics of episodes, in names and plain numbers."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.base import Success
 from swarm_envs.tasks.metrics import NEAR_MISS
 from swarm_envs.tasks.motion import REST
@@ -15,8 +18,8 @@ if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
 
 
-def episode_metrics(core: SwarmCore, e: int) -> dict[str, Any]:
-    """What an episode is judged by.
+def episode_metrics(core: SwarmCore, environments: Sequence[int]) -> list[dict[str, Any]]:
+    """What the episodes of these environments are judged by, so far, in their order.
 
     - `success`: whether the team did its task; `stages_reached` of `stages`: sets of goals at
       which all have stood; `length_s`: time flown.
@@ -37,34 +40,78 @@ def episode_metrics(core: SwarmCore, e: int) -> dict[str, Any]:
     - `time_to_goal_s`: when the last drone came to stay at its goal, in the present stage (None
       if one did not, or where goals move).
     """
-    contacts, record, tally = core.physics.contacts, core.record, core.flight.tally
-    clearance = record.clearance[e]
-    separation = float(record.separation[e].min())
-    steps = max(int(tally.steps[e].sum()), 1)
-    arrival = float(record.arrival[e].max())
-    arrived = np.isfinite(arrival) and isinstance(core.task.success, Success)
-    to_obstacle = float((record.obstacle_clearance[e] * core.physics.parameters.radius[e]).min())
+    where = np.array(environments, dtype=np.int64)
+    return [
+        {**ended, **_tracking(core, e), **added}
+        for e, ended, added in zip(
+            environments,
+            _by_episode(_ends(core, where)),
+            _by_episode(_sums(core, where)),
+            strict=True,
+        )
+    ]
+
+
+_COUNTS = (
+    "collided_drones",
+    "collided_floor",
+    "collided_wall",
+    "collided_obstacle",
+    "tumbled",
+    "near_misses",
+)
+"""Numbers of drones that ended so."""
+_Columns = dict[str, list[Any]]
+"""Metrics by name, each of every episode."""
+
+
+def _by_episode(columns: _Columns) -> Iterator[dict[str, Any]]:
+    return (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+
+
+def _ends(core: SwarmCore, where: IntArray) -> _Columns:
+    """How episodes ended, and how near drones came, of environments `where`."""
+    contacts, record = core.physics.contacts, core.record
+    clearance = record.clearance[where]
+    drones = [
+        contacts.drone[where] >= 0,
+        contacts.floor[where],
+        contacts.wall[where],
+        contacts.obstacle[where] >= 0,
+        contacts.tumbling[where],
+        (clearance >= 1.0) & (clearance < NEAR_MISS),
+    ]
+    to_obstacle = record.obstacle_clearance[where] * core.physics.parameters.radius[where]
     return {
-        "success": bool(core.verdict.succeeded[e]),
-        "stages": int(core.mission.goals.shape[1]),
-        "stages_reached": int(core.mission.reached[e]),
-        "length_s": float(core.time[e]),
-        "collided_drones": int((contacts.drone[e] >= 0).sum()),
-        "collided_floor": int(contacts.floor[e].sum()),
-        "collided_wall": int(contacts.wall[e].sum()),
-        "collided_obstacle": int((contacts.obstacle[e] >= 0).sum()),
-        "tumbled": int(contacts.tumbling[e].sum()),
-        "near_misses": int(((clearance >= 1.0) & (clearance < NEAR_MISS)).sum()),
-        "minimum_separation_m": separation if np.isfinite(separation) else None,
-        "minimum_obstacle_distance_m": to_obstacle if np.isfinite(to_obstacle) else None,
-        **_tracking(core, e),
-        "worst_force_g": float(tally.worst_force[e].max()) / GRAM_FORCE,
-        "energy_j": float(tally.energy[e].sum()),
-        "force_bound_violations": int(tally.over_bound[e].sum()),
-        "fraction_over_force_bound": float(tally.over_bound[e].sum() / steps),
-        "fraction_outside_measured_range": float(tally.outside[e].sum() / steps),
-        "time_to_goal_s": arrival if arrived else None,
+        "success": core.verdict.succeeded[where].tolist(),
+        "stages": [int(core.mission.goals.shape[1])] * len(where),
+        "stages_reached": core.mission.reached[where].tolist(),
+        "length_s": core.time[where].tolist(),
+        **dict(zip(_COUNTS, np.array(drones).sum(axis=2).tolist(), strict=True)),
+        "minimum_separation_m": _finite(record.separation[where].min(axis=1)),
+        "minimum_obstacle_distance_m": _finite(to_obstacle.min(axis=1)),
     }
+
+
+def _sums(core: SwarmCore, where: IntArray) -> _Columns:
+    """What flights of environments `where` add up to."""
+    tally = core.flight.tally
+    steps = np.maximum(tally.steps[where].sum(axis=1), 1)
+    over_bound, outside = (a[where].sum(axis=1) for a in (tally.over_bound, tally.outside))
+    arrival = core.record.arrival[where].max(axis=1)
+    at_rest = isinstance(core.task.success, Success)
+    return {
+        "worst_force_g": (tally.worst_force[where].max(axis=1) / GRAM_FORCE).tolist(),
+        "energy_j": tally.energy[where].sum(axis=1).tolist(),
+        "force_bound_violations": over_bound.tolist(),
+        "fraction_over_force_bound": (over_bound / steps).tolist(),
+        "fraction_outside_measured_range": (outside / steps).tolist(),
+        "time_to_goal_s": _finite(arrival) if at_rest else [None] * len(where),
+    }
+
+
+def _finite(values: FloatArray) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values.tolist()]
 
 
 def _tracking(core: SwarmCore, e: int) -> dict[str, Any]:

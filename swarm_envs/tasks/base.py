@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -119,6 +120,11 @@ class Task(ABC):
         """(M, 7) the obstacles, for the compiled contact test."""
         return obstacle_rows(self.obstacles)
 
+    @cached_property
+    def _kept(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Obstacle rows, radii and arena, made once: what every placement asks for."""
+        return self.obstacle_rows, self.radius, self.arena
+
     @property
     @abstractmethod
     def motion(self) -> Motion:
@@ -159,7 +165,7 @@ class Task(ABC):
             ValueError: what is given lies outside the arena, in an obstacle, or drones touch.
             RuntimeError: no placement was found within a bounded number of draws.
         """
-        rows, radius, arena = self.obstacle_rows, self.radius, self.arena
+        rows, radius, arena = self._kept
         for name, points in (("start", start), ("goal", goal)):
             if points is not None:
                 check_points(name, points, radius, arena, rows)

@@ -71,7 +71,8 @@ class Mission(NamedTuple):
             for k in range(3):
                 self.orbit[e, :, k] = placement.orbit[k]
             self.rate[e], self.phase[e] = placement.orbit.rate, placement.orbit.phase
-        self.distance[e] = np.linalg.norm(self.goal[e] - placement.start, axis=-1)
+        way = self.goal[e] - placement.start
+        self.distance[e] = np.sqrt(np.add.reduce(way * way, axis=-1))
         self.stage[e] = self.reached[e] = 0
         self.held[e] = False
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.obstacles import obstacle_distances
@@ -59,6 +60,31 @@ def check_points(
         ValueError: naming the drones, their distance and the rule.
     """
     points = check_array(name, points, (len(radius), 3))
+    if not _clearly_apart(points, radius, arena):
+        _refuse_touching(name, points, radius, arena)
+    why = "" if obstacles is None else check_free(name, points, radius, obstacles, margin=0.0)
+    if why:
+        raise ValueError(f"{why}; move it")
+
+
+@borrowing_kernel
+def _clearly_apart(points: FloatArray, radius: FloatArray, arena: FloatArray) -> bool:
+    """Whether all are in the arena and no two so near that rounding decides if they touch."""
+    for i in range(len(points)):
+        for k in range(3):
+            if not arena[0, k] + radius[i] <= points[i, k] <= arena[1, k] - radius[i]:
+                return False
+        for j in range(i):
+            reach, square = radius[i] + radius[j], 0.0
+            for k in range(3):
+                square += (points[i, k] - points[j, k]) ** 2
+            if square < reach * reach * (1.0 + 1e-9):
+                return False
+    return True
+
+
+def _refuse_touching(name: str, points: FloatArray, radius: FloatArray, arena: FloatArray) -> None:
+    """Name the drone that is outside, or the two that touch, if there are any."""
     low, high = arena[0] + radius[:, None], arena[1] - radius[:, None]
     outside = (points < low) | (points > high)
     if outside.any():
@@ -67,22 +93,14 @@ def check_points(
             f"{name} of drone {i} has {'xyz'[axis]} = {points[i, axis]:.3f} m, but must lie "
             f"between {low[i, axis]:.3f} and {high[i, axis]:.3f} m to be inside the arena"
         )
-    offset, reach = points[:, None] - points, radius[:, None] + radius
-    near = np.einsum("ijk,ijk->ij", offset, offset) < np.square(reach) * (1.0 + 1e-9)
-    if np.count_nonzero(near) > len(points):  # more than each with itself: look closely
-        distance = np.linalg.norm(offset, axis=-1)
-        touching = np.argwhere(np.triu(distance < reach, 1))
-    else:
-        touching = np.empty((0, 2), np.intp)
+    distance = np.linalg.norm(points[:, None] - points, axis=-1)
+    touching = np.argwhere(np.triu(distance < radius[:, None] + radius, 1))
     if len(touching):
         i, j = (int(k) for k in touching[0])
         raise ValueError(
             f"{name}s of drones {i} and {j} are {distance[i, j]:.3f} m apart, closer than the "
             f"collision distance of {radius[i] + radius[j]:.3f} m; move them apart"
         )
-    why = "" if obstacles is None else check_free(name, points, radius, obstacles, margin=0.0)
-    if why:
-        raise ValueError(f"{why}; move it")
 
 
 def check_free(
@@ -139,13 +157,12 @@ def draw_apart(
     rows = np.zeros((0, 0)) if obstacles is None else obstacles
     points = np.empty((n, 3))
     placed, corner, size = 0, np.array(low), np.subtract(high, low)
+    square = float(distance**2)
     for _ in range(10_000):
-        point = corner + size * rng.random(3)
-        if len(rows) and obstacle_distances(rows, point).min() < margin:
+        points[placed] = corner + size * rng.random(3)
+        if len(rows) and obstacle_distances(rows, points[placed]).min() < margin:
             continue
-        offset = points[:placed] - point
-        if (np.square(offset).sum(axis=1) >= distance**2).all():
-            points[placed] = point
+        if _apart_from_earlier(points, placed, square):
             placed += 1
             if placed == n:
                 return points
@@ -153,6 +170,18 @@ def draw_apart(
         f"found room for {placed} of {n} drones {distance} m apart within 10,000 draws; "
         "use fewer drones or obstacles, or give reset(options={'start': ...})"
     )
+
+
+@borrowing_kernel
+def _apart_from_earlier(points: FloatArray, i: int, least_square: float) -> bool:
+    """Whether the square of the distance of point `i` to each before it, m^2, is large enough."""
+    for j in range(i):
+        square = 0.0
+        for k in range(3):
+            square += (points[i, k] - points[j, k]) ** 2
+        if not square >= least_square:
+            return False
+    return True
 
 
 def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
@@ -166,6 +195,6 @@ def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
     places = np.arange(n)
     for _ in range(1000):
         order = rng.permutation(n)
-        if not (order == places).any():
+        if not np.count_nonzero(order == places):
             return order
     raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")

@@ -218,11 +218,11 @@ class SwapTask(Task):
         return Placement(start, _opposite(start)[None])
 
     def _draw_random(self, rng: np.random.Generator, start: FloatArray | None) -> Placement:
-        n = len(self.team)
-        edge = self.arena[1, 0] - WALL_MARGIN
-        ceiling = self.heights_m[1] * self.arena[1, 2] / ARENA_HEIGHT
+        n, (rows, radius, arena) = len(self.team), self._kept
+        edge = arena[1, 0] - WALL_MARGIN
+        ceiling = self.heights_m[1] * arena[1, 2] / ARENA_HEIGHT
         box = [-edge, -edge, self.heights_m[0]], [edge, edge, ceiling]
-        free = self.obstacle_rows, OBSTACLE_MARGIN + float(self.radius.max())
+        free = rows, OBSTACLE_MARGIN + float(radius.max())
         if n == 1:
             points = draw_apart(rng, *box, 2, self.spacing_m, *free)
             return Placement(points[:1] if start is None else start, points[None, 1:])

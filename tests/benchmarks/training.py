@@ -1,10 +1,11 @@
-"""Speed of training by PPO: agent-steps a second of CPU time, and what the environment takes of it.
+"""Speed of training by PPO: agent-steps a second, and what the environment takes of it.
 
     python -m tests.benchmarks.training --json training.json
 
 The recipe for swaps, 10 decisions a second, learned forces at 48 Hz, over whole rollouts with their
-updates, evaluations left out. All times are CPU's, of one thread, so that other work on the machine
-changes little. `environment` is all between actions and features: flight, forces, rewards,
+updates, evaluations left out. Times of one thread are CPU's, so that other work on the machine
+changes little; those of two are the wall's, and say something only where two cores are free.
+`environment` is all between actions and features: flight, forces, rewards,
 observations, features, ends of episodes and new ones. Parts are shares of the whole.
 """
 
@@ -28,6 +29,7 @@ KINDS: dict[str, dict[str, Any]] = {
     "four drones": {},
     "four and eight": {"drones": (4, 8), "num_neighbors": 5},
     "four, as deep sets": {"encoder": "deep-set"},
+    "four drones, two threads": {"threads": 2},
 }
 """Options of what is trained."""
 ROLLOUTS = 4
@@ -37,10 +39,15 @@ PARTS = ("environment", "features", "flight")
 
 
 class Clocks:
-    """CPU time of this thread in the parts of a learner."""
+    """Time in the parts of a learner.
 
-    def __init__(self, learner: PpoLearner) -> None:
-        self.spent = dict.fromkeys(PARTS, 0.0)
+    Args:
+        learner: whose methods are timed.
+        now: the clock, s.
+    """
+
+    def __init__(self, learner: PpoLearner, now: Callable[[], float]) -> None:
+        self.spent, self._now = dict.fromkeys(PARTS, 0.0), now
         env = learner.env
         env.step_wait = self._timed("environment", env.step_wait)  # type: ignore[method-assign]
         env.told = self._timed("features", env.told)  # type: ignore[method-assign]
@@ -49,38 +56,39 @@ class Clocks:
 
     def _timed(self, part: str, call: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*arguments: Any, **options: Any) -> Any:
-            begin = time.thread_time()
+            begin = self._now()
             result = call(*arguments, **options)
-            self.spent[part] += time.thread_time() - begin
+            self.spent[part] += self._now() - begin
             return result
 
         return timed
 
 
 def measure(options: dict[str, Any], repetitions: int, rollouts: int = ROLLOUTS) -> list[Row]:
-    """Agent-steps a second of CPU time, and the parts' shares in per cent.
+    """Agent-steps a second, and the parts' shares in per cent.
 
     Args:
-        options: of the training.
+        options: of the training; one thread unless they say otherwise, and then in wall time.
         repetitions: segments that are trained.
         rollouts: of each of them.
     """
-    plain = TrainConfig(out=Path("never"), threads=1, checkpoint_rollouts=rollouts, **options)
-    config = completed(plain, "swap_v0")
+    given: dict[str, Any] = {"threads": 1, "checkpoint_rollouts": rollouts, **options}
+    config = completed(TrainConfig(out=Path("never"), **given), "swap_v0")
+    now, unit = (time.thread_time, "CPU s") if config.threads == 1 else (time.perf_counter, "s")
     learner = PpoLearner(config, "swap_v0")
-    clocks, speed = Clocks(learner), []
+    clocks, speed = Clocks(learner, now), []
     shares: dict[str, list[float]] = {part: [] for part in PARTS}
     for number in range(repetitions + 1):
-        before, begin = dict(clocks.spent), time.thread_time()
+        before, begin = dict(clocks.spent), now()
         learner.fly(range(number * rollouts, (number + 1) * rollouts))
-        spent = time.thread_time() - begin
+        spent = now() - begin
         if number:  # the first compiles and warms up
             speed.append(rollouts * config.rollout_steps / spent)
             for part in PARTS:
                 shares[part].append(100.0 * (clocks.spent[part] - before[part]) / spent)
     learner.close()
     drones = sum(config.team_sizes)
-    rows = [{"what": "training", "unit": "agent-steps per CPU s", **spread(speed)}]
+    rows = [{"what": "training", "unit": f"agent-steps per {unit}", **spread(speed)}]
     rows += [{"what": f"  {part}", "unit": "% of it", **spread(shares[part])} for part in PARTS]
     return [{**row, "environments": config.environments, "drones": drones} for row in rows]
 

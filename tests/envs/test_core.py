@@ -73,6 +73,8 @@ def test_each_environment_of_a_batch_is_the_single_one(engine, action):
                 np.testing.assert_array_equal(ones[e].reset()[0], rows[e])
                 resets += 1
     assert resets >= 2
+    together = many.metrics_of([2, 0])
+    assert together == [many.metrics(2), many.metrics(0)] and together[0] != together[1]
     for e, one in enumerate(ones):
         assert one.metrics() == many.metrics(e)
         one.close()

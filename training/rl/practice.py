@@ -111,12 +111,14 @@ class Practice(VecEnvWrapper):  # type: ignore[misc]  # SB3's base has no types 
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
         """Fly to the next decision, and count what has ended."""
         rows, rewards, ended, infos = self.venv.step_wait()
-        over = np.flatnonzero(ended)
-        if len(over):
-            last = np.stack([infos[k]["terminal_observation"] for k in over])
-            for k, row in zip(over, self.told(last), strict=True):
-                infos[k]["terminal_observation"] = row
-            told = [infos[k]["episode_metrics"] for k in over]
-            for metrics in {id(metrics): metrics for metrics in told}.values():  # one a team
-                self.count(metrics)
-        return self.told(rows), rewards, ended, infos
+        over = np.flatnonzero(ended).tolist()
+        if not over:
+            return self.told(rows), rewards, ended, infos
+        last = [infos[k]["terminal_observation"] for k in over]
+        told = self.told(np.concatenate([rows, last]))
+        for k, row in zip(over, told[len(rows) :], strict=True):
+            infos[k]["terminal_observation"] = row
+        ends = [infos[k]["episode_metrics"] for k in over]
+        for metrics in {id(metrics): metrics for metrics in ends}.values():  # one a team
+            self.count(metrics)
+        return told[: len(rows)], rewards, ended, infos

@@ -69,6 +69,9 @@ class SideBySide(VecEnv):  # type: ignore[misc]  # SB3's base has no types here
         self,
     ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
         """Fly every part to its next decision."""
+        if len(self.parts) == 1:
+            alone: tuple[Any, Any, Any, Infos] = self.parts[0].step_wait()
+            return alone
         rows, rewards, ended, infos = zip(*(part.step_wait() for part in self.parts), strict=True)
         told = [info for some in infos for info in some]
         return np.concatenate(rows), np.concatenate(rewards), np.concatenate(ended), told

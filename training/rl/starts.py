@@ -68,7 +68,7 @@ class PracticeSwap(SwapTask):
         return super().draw(rng)
 
     def _draw_crowded(self, rng: np.random.Generator) -> Placement:
-        n, arena = len(self.team), self.arena
+        n, (_, _, arena) = len(self.team), self._kept
         side = rng.uniform(*self.crowded_side_m) * (n / 4.0) ** (1.0 / 3.0)
         low, high = arena[0] + WALL_MARGIN, arena[1] - WALL_MARGIN
         size = np.minimum(side, high - low)
