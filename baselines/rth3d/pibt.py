@@ -78,8 +78,14 @@ def _distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
 
 
 @borrowing_kernel
-def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, late: bool) -> None:
-    """Sort a robot's choices: near its goal first, then free ones, then at random.
+def _ask(
+    terrain: Terrain, crowd: Crowd, at: Array, robot: int, first: int, entry: Array, late: bool
+) -> None:
+    """Sort a robot's choices: near its goal first, then off the way of `first`, then free ones.
+
+    `first` is the robot that began to push: who is pushed along its way, as into a gap among robots
+    at their goals, would push it back from there, and so on for ever; who steps aside lets it pass.
+    The rest is at random.
 
     When the plan is late, one choice in four is at random, lest a few robots hinder each other in
     the same way for ever; who is at its goal does not wander.
@@ -88,6 +94,9 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, la
     where, here = crowd.where[robot], at[robot]
     bits = _draw(crowd.random)
     keys, kept = crowd.keys, 0
+    goal, ahead = crowd.where[first], -1
+    if first != robot:
+        ahead = _distance(terrain, where[0], where[1], where[2], goal)
     wander = late and bits >> 28 == 0
     if wander:
         wander = _distance(terrain, where[0], where[1], where[2], where) > 0
@@ -112,7 +121,9 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, la
             continue
         key = (bits >> 4 * k) & 15
         if not wander:
-            key += 32 * _distance(terrain, x, y, z, where)
+            key += 64 * _distance(terrain, x, y, z, where)
+        if ahead > 0 and _distance(terrain, x, y, z, goal) < ahead:
+            key += 32
         if crowd.now[vertex] >= 0 and k < 6:
             key += 16
         place = kept
@@ -130,7 +141,7 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, la
 def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, late: bool) -> None:
     """Settle the next vertex of a robot and of all whom it pushes away."""
     depth = 0
-    _ask(terrain, crowd, at, robot, crowd.asked[0], late)
+    _ask(terrain, crowd, at, robot, robot, crowd.asked[0], late)
     while depth >= 0:
         entry = crowd.asked[depth]
         who = entry[0]
@@ -148,7 +159,7 @@ def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, late: bool) -
             crowd.next[who] = vertex
             if other >= 0 and other != who and crowd.next[other] < 0:
                 depth += 1
-                _ask(terrain, crowd, at, other, crowd.asked[depth], late)
+                _ask(terrain, crowd, at, other, robot, crowd.asked[depth], late)
             else:
                 settled = True
             break
