@@ -84,19 +84,16 @@ def _ask(
 ) -> None:
     """Sort a robot's choices: near its goal, off the way of `first`, free ones, at random.
 
-    `first` is the robot that began to push. Who is pushed along its way, as into a gap among robots
-    at their goals, pushes it back from there later, and so on for ever; who steps aside, though
-    others must make room for that, lets it pass.
-
-    When the crowd is lost, one choice in four is at random, but of those who are at their goals.
+    `first` began to push. Who is pushed along its way, as into a gap among robots at their goals,
+    pushes it back later, and so on for ever; who steps aside, pushing others, lets it pass. When
+    the crowd is lost, one choice in four is at random, but of those who are at their goals.
     """
     entry[0], entry[1] = robot, 0
     where, here = crowd.where[robot], at[robot]
     bits = _draw(crowd.random)
     keys, kept = crowd.keys, 0
-    wander = lost and bits >> 28 == 0
-    if wander:
-        wander = _distance(terrain, where[0], where[1], where[2], where) > 0
+    away = _distance(terrain, where[0], where[1], where[2], where)
+    wander = lost and bits >> 28 == 0 and away > 0
     goal, ahead = crowd.where[first], 0
     if first != robot:
         ahead = _distance(terrain, where[0], where[1], where[2], goal)
@@ -212,9 +209,8 @@ def run_pibt(
 ) -> tuple[int, int]:
     """Plan steps begin + 1 ... end, unless all arrive before, or none can within `limit` steps.
 
-    `left` is what the call that planned step `begin` has returned; -1 if there was none. A crowd
-    that is lost wanders. Returns the last planned step, and the longest way that is left to anyone
-    then.
+    `left` is what the call that planned step `begin` has returned; -1 if there was none. Returns
+    the last planned step, and the longest way that is left to anyone then.
     """
     count, top = paths.shape[1], crowd.counts.shape[0] - 1
     longest = left
