@@ -1,8 +1,9 @@
 """Priority inheritance with backtracking (PIBT), the priorities by slack.
 
 In every step each robot, the most urgent first, takes the neighbouring vertex nearest to its goal
-that nobody has taken; who stands there is asked to leave first, with the asker's priority. Urgent
-is who has far to go and has long not been at its goal. There is no guarantee that all ever arrive.
+that nobody has taken; who stands there is asked to leave first, with the asker's priority, and
+leaves to the side rather than along the asker's way. Urgent is who has far to go and has long not
+been at its goal. There is no guarantee that all ever arrive.
 """
 
 from __future__ import annotations
@@ -78,19 +79,24 @@ def _distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
 
 
 @borrowing_kernel
-def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, late: bool) -> None:
-    """Sort a robot's choices: near its goal first, then free ones, then at random.
+def _ask(
+    terrain: Terrain, crowd: Crowd, at: Array, robot: int, first: int, entry: Array, lost: bool
+) -> None:
+    """Sort a robot's choices: near its goal, off the way of `first`, free ones, at random.
 
-    When the plan is late, one choice in four is at random, lest a few robots hinder each other in
-    the same way for ever; who is at its goal does not wander.
+    `first` began to push. Who is pushed along its way, as into a gap among robots at their goals,
+    pushes it back later, and so on for ever; who steps aside, pushing others, lets it pass. When
+    the crowd is lost, one choice in four is at random, but of those who are at their goals.
     """
     entry[0], entry[1] = robot, 0
     where, here = crowd.where[robot], at[robot]
     bits = _draw(crowd.random)
     keys, kept = crowd.keys, 0
-    wander = late and bits >> 28 == 0
-    if wander:
-        wander = _distance(terrain, where[0], where[1], where[2], where) > 0
+    away = _distance(terrain, where[0], where[1], where[2], where)
+    wander = lost and bits >> 28 == 0 and away > 0
+    goal, ahead = crowd.where[first], 0
+    if first != robot:
+        ahead = _distance(terrain, where[0], where[1], where[2], goal)
     for k in range(7):
         x, y, z = where[0], where[1], where[2]
         vertex = here
@@ -112,7 +118,9 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, la
             continue
         key = (bits >> 4 * k) & 15
         if not wander:
-            key += 32 * _distance(terrain, x, y, z, where)
+            key += 64 * _distance(terrain, x, y, z, where)
+        if ahead > 0 and _distance(terrain, x, y, z, goal) < ahead:
+            key += 32
         if crowd.now[vertex] >= 0 and k < 6:
             key += 16
         place = kept
@@ -127,10 +135,10 @@ def _ask(terrain: Terrain, crowd: Crowd, at: Array, robot: int, entry: Array, la
 
 
 @borrowing_kernel
-def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, late: bool) -> None:
+def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, lost: bool) -> None:
     """Settle the next vertex of a robot and of all whom it pushes away."""
     depth = 0
-    _ask(terrain, crowd, at, robot, crowd.asked[0], late)
+    _ask(terrain, crowd, at, robot, robot, crowd.asked[0], lost)
     while depth >= 0:
         entry = crowd.asked[depth]
         who = entry[0]
@@ -148,7 +156,7 @@ def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, late: bool) -
             crowd.next[who] = vertex
             if other >= 0 and other != who and crowd.next[other] < 0:
                 depth += 1
-                _ask(terrain, crowd, at, other, crowd.asked[depth], late)
+                _ask(terrain, crowd, at, other, robot, crowd.asked[depth], lost)
             else:
                 settled = True
             break
@@ -196,14 +204,13 @@ def run_pibt(
     begin: int,
     end: int,
     limit: int,
-    bound: int,
     left: int,
+    lost: bool,
 ) -> tuple[int, int]:
     """Plan steps begin + 1 ... end, unless all arrive before, or none can within `limit` steps.
 
-    The plan is late as soon as it cannot end at step `bound`. `left` is what the call that planned
-    step `begin` has returned; -1 if there was none. Returns the last planned step, and the longest
-    way that is left to anyone then.
+    `left` is what the call that planned step `begin` has returned; -1 if there was none. Returns
+    the last planned step, and the longest way that is left to anyone then.
     """
     count, top = paths.shape[1], crowd.counts.shape[0] - 1
     longest = left
@@ -216,7 +223,6 @@ def run_pibt(
         for i in range(count):
             crowd.now[at[i]] = i
             crowd.next[i] = -1
-        late = t + longest > bound
         for k in range(count):
             i = crowd.queue[k]
             if crowd.next[i] >= 0:
@@ -225,7 +231,7 @@ def run_pibt(
                 crowd.next[i] = at[i]
                 crowd.taken[at[i]] = i
             else:
-                _decide(terrain, crowd, at, i, late)
+                _decide(terrain, crowd, at, i, lost)
         for i in range(count):
             crowd.now[at[i]] = -1
         for i in range(count):
@@ -261,10 +267,9 @@ class Pibt:
         self.crowd.order[:] = generator.permutation(len(self.crowd.order))
         self.crowd.random[0] = generator.integers(2**62)
 
-    def run(self, begin: int, end: int, limit: int, left: int) -> tuple[int, int]:
+    def run(self, begin: int, end: int, limit: int, left: int, lost: bool) -> tuple[int, int]:
         """Go on from step `begin`; see `run_pibt`."""
-        bound = self.instance.lower_bound
-        last, left = run_pibt(self.terrain, self.crowd, self.paths, begin, end, limit, bound, left)
+        last, left = run_pibt(self.terrain, self.crowd, self.paths, begin, end, limit, left, lost)
         return int(last), int(left)
 
     def rewind(self, begin: int) -> None:

@@ -33,6 +33,8 @@ _GOOD_ENOUGH = 1.02
 """Multiple of the lower bound from which on PIBT is not tried again."""
 _STALL = 48
 """PIBT has stalled when the farthest robot has come no nearer to its goal for so many steps."""
+_LOST = 16
+"""The crowd is lost when it has not for so many: narrow passages are left by wandering about."""
 _GLANCE = 250_000
 """Moves of robots between two looks at the clock: a tenth of a second."""
 _STRIDE = 16
@@ -102,7 +104,8 @@ class Search:
         least, since = self.bound + 1, self.reached
         while self.reached < end and self.left != 0 and self._clock.remaining > 0:
             to = min(self.reached + self._chunk, end)
-            self.reached, self.left = self.pibt.run(self.reached, to, limit, self.left)
+            lost = self.reached >= since + _LOST
+            self.reached, self.left = self.pibt.run(self.reached, to, limit, self.left, lost)
             if self.left < least:
                 least, since = self.left, self.reached
             if self.reached < to or self.reached > max(self.bound, since + _STALL):

@@ -1,0 +1,108 @@
+"""PIBT: crowds in which robots used to push each other to and fro for ever."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.rth3d import make_instance, plan, validate
+from swarm_envs.baselines.rth3d.grid import check_instance
+from swarm_envs.baselines.rth3d.pibt import Pibt
+
+
+def first_attempt(instance, seed=0) -> tuple[int, int]:
+    """Steps taken by PIBT without restarts, and the longest way left."""
+    most = 2 * instance.lower_bound + 60
+    pibt = Pibt(instance, most)
+    pibt.shuffle(np.random.default_rng(seed))
+    return pibt.run(0, most, most, -1, lost=False)
+
+
+def in_a_block(exchanged, side=5, margin=2):
+    """Robots filling a cube inside a larger one, all at their goals but two, exchanged."""
+    shape = (side + 2 * margin,) * 3
+    starts = np.argwhere(np.ones((side,) * 3, dtype=bool)) + margin
+    goals = starts.copy()
+    first, second = ((starts == np.array(v) + margin).all(axis=1).argmax() for v in exchanged)
+    goals[[first, second]] = goals[[second, first]]
+    return check_instance(starts, goals, shape, None)
+
+
+@pytest.mark.parametrize(
+    ("exchanged", "most"),
+    [
+        ([(2, 2, 2), (3, 2, 2)], 8),
+        ([(0, 0, 0), (0, 1, 0)], 8),
+        ([(0, 2, 2), (4, 2, 2)], 12),
+        ([(0, 0, 0), (4, 4, 4)], 18),
+    ],
+)
+def test_two_robots_change_places_among_robots_at_their_goals(exchanged, most):
+    """The one in the way steps aside instead of into the gap that the other has left."""
+    for seed in range(20):
+        steps, left = first_attempt(in_a_block(exchanged), seed)
+        assert left == 0
+        assert steps <= most
+
+
+def test_two_robots_meet_in_a_lane_between_robots_at_their_goals():
+    """They pass each other, each losing a few steps, not the length of the lane."""
+    starts = np.argwhere(np.ones((20, 6, 2), dtype=bool))
+    starts = starts[~((starts[:, 1] == 0) & (starts[:, 2] == 0))]
+    lane = np.array([[0, 0, 0], [19, 0, 0]])
+    starts, goals = np.vstack([lane, starts]), np.vstack([lane[::-1], starts])
+    instance = check_instance(starts, goals, (20, 8, 4), None)
+    for seed in range(20):
+        steps, left = first_attempt(instance, seed)
+        assert left == 0
+        assert steps <= 19 + 8
+
+
+@pytest.mark.parametrize("family", ["uniform", "quasi-random", "buildings"])
+def test_no_seed_leaves_stragglers(family):
+    for seed in range(8):
+        instance = make_instance(family, (48, 24, 12), seed=seed)
+        steps, left = first_attempt(instance, seed)
+        assert left == 0
+        assert steps <= 1.02 * instance.lower_bound
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", ["uniform", "quasi-random"])
+def test_auto_is_no_lottery(family):
+    for seed in range(30):
+        instance = make_instance(family, (72, 36, 18), seed=seed)
+        found = plan(instance.starts, instance.goals, instance.shape, seed=seed)
+        assert found.winner == "pibt"
+        assert found.ratio <= 1.02
+
+
+def test_crowds_denser_than_highways_carry():
+    """70 % of all vertices are taken."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        vertices = np.argwhere(np.ones((12, 9, 6), dtype=bool))
+        count = int(0.7 * len(vertices))
+        starts, goals = rng.permutation(vertices)[:count], rng.permutation(vertices)[:count]
+        found = plan(starts, goals, (12, 9, 6), method="pibt", seed=seed)
+        assert validate(found.paths, starts, goals, (12, 9, 6))
+        assert found.ratio <= 1.4
+
+
+def test_who_is_lost_wanders_out_of_a_narrow_passage():
+    """A wall with a hole of one vertex: without wandering robots wait on both sides for ever."""
+    walls = np.zeros((14, 9, 6), dtype=bool)
+    walls[7] = True
+    walls[7, 3, 0] = False
+    solved = 0
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        free = np.argwhere(~walls)
+        starts, goals = rng.permutation(free)[:20], rng.permutation(free)[:20]
+        try:
+            found = plan(starts, goals, walls.shape, walls, method="pibt", seed=seed)
+        except RuntimeError:
+            continue
+        solved += 1
+        assert validate(found.paths, starts, goals, walls.shape, walls)
+    assert solved >= 4
