@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.dmpc_swarm import cells as experiments
 from swarm_envs.training.reproduce.dmpc_swarm.flights import Flight, Setting
 from swarm_envs.training.reproduce.dmpc_swarm.page import recording
@@ -20,7 +20,7 @@ from swarm_envs.training.reproduce.dmpc_swarm.pictures import (
     plot_sequence,
     rows,
 )
-from swarm_envs.training.reproduce.runs import Cell, run_cells, write_table
+from swarm_envs.training.reproduce.runs import Cell, run_cells
 
 Settings = Mapping[str, Sequence[Setting]]
 """What is varied, and its values."""

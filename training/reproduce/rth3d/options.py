@@ -9,14 +9,14 @@ from typing import Literal
 
 from swarm_envs.baselines.rth3d import METHODS
 from swarm_envs.errors import check_name
-from swarm_envs.files import write_json, written_whole
+from swarm_envs.files import write_json, write_table, written_whole
 from swarm_envs.training.reproduce.rth3d.cells import jobs, run_name, runs_at
 from swarm_envs.training.reproduce.rth3d.claims import check
 from swarm_envs.training.reproduce.rth3d.curves import Curves, curves, growth
 from swarm_envs.training.reproduce.rth3d.experiments import FIGURES, Figure, Setting
 from swarm_envs.training.reproduce.rth3d.page import page, rows, summary
 from swarm_envs.training.reproduce.rth3d.pictures import plot_figure
-from swarm_envs.training.reproduce.runs import Cell, run_cells, write_table
+from swarm_envs.training.reproduce.runs import Cell, run_cells
 
 
 @dataclass(frozen=True, kw_only=True)
