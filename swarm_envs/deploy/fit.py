@@ -80,7 +80,7 @@ def _excess(pieces: Pieces, time: FloatArray, rows: FloatArray, tolerance: float
 
 
 def _effort(time: FloatArray, rows: FloatArray, tolerance: float) -> FloatArray:
-    """(T,) how many polynomials, each as long as it can be, it takes to follow the curve to here."""
+    """(T,) how many polynomials, each as long as can be, follow the curve up to here."""
     effort, first = np.zeros(len(time)), 0
     scaled = rows / np.array([tolerance] * 3 + [YAW_TOLERANCE])
     count = 0
@@ -117,9 +117,7 @@ def _spread(effort: FloatArray, time: FloatArray, count: int) -> FloatArray:
     return np.array([*knots, time[-1]])
 
 
-def _spline(
-    time: FloatArray, rows: FloatArray, knots: FloatArray, rests: Sequence[bool]
-) -> Pieces:
+def _spline(time: FloatArray, rows: FloatArray, knots: FloatArray, rests: Sequence[bool]) -> Pieces:
     """The smooth spline with these knots that is nearest in the mean square."""
     from scipy.interpolate import BSpline
 

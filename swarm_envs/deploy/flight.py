@@ -22,8 +22,10 @@ LONGEST_STEP_S = 0.25
 """Between samples so far apart nobody knows where a drone was, s."""
 SHORTEST_S = 0.5
 """Shorter flights are none, s."""
-AT_REST = 0.05
-"""Below this speed a drone counts as hovering, m/s."""
+YAWS = ("hold", "flown")
+"""Yaw of a recording: as at the start throughout, or as it was, wobble included."""
+AT_REST = 0.02
+"""Below this speed a drone counts as standing still, m/s."""
 RATE = 200.0
 """Points a second at which curves are compared."""
 
@@ -165,14 +167,13 @@ class Flight:
                 return None
             return np.concatenate([array, np.repeat(array[-1:], len(steps), axis=0)])
 
-        velocity = None
-        if self.velocity is not None:
-            velocity = np.concatenate([self.velocity, ramp.derivative()(steps)])
+        time = self.time - self.time[0]
+        known = self.curve.derivative()(time) if self.velocity is None else self.velocity
         return replace(
             self,
             time=np.concatenate([self.time, self.time[-1] + steps]),
             position=np.concatenate([self.position, ramp(steps)]),
-            velocity=velocity,
+            velocity=np.concatenate([known, ramp.derivative()(steps)]),
             yaw=longer(self.yaw),
             force=longer(self.force),
         )
@@ -192,28 +193,42 @@ class Flight:
         )
 
 
-def flight_of(recording: Recording, path: str = "flown") -> Flight:
+def flight_of(recording: Recording, path: str = "flown", yaw: str = "hold") -> Flight:
     """The flight that an episode's record holds.
 
     Args:
         recording: of an episode.
         path: `flown`, or `setpoint` for what the tracking loop was asked for.
+        yaw: `hold` for that of the start throughout, or `flown`.
 
     Raises:
-        ValueError: another path, or a record that is no flight.
+        ValueError: another path or yaw, or a record that is no flight.
     """
     check_name("path", path, PATHS)
-    flown = path == "flown"
+    check_name("yaw", yaw, YAWS)
     x, y, z, w = np.moveaxis(recording.quaternion, -1, 0)
-    return Flight(
+    turned = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    flight = Flight(
         team=recording.team,
         time=recording.time,
-        position=recording.position if flown else recording.setpoint,
-        velocity=recording.velocity if flown else None,
-        yaw=np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)),
+        position=recording.position,
+        velocity=recording.velocity,
+        yaw=turned if yaw == "flown" else np.repeat(turned[:1], len(turned), axis=0),
         force=recording.force,
         about=recording.about,
     )
+    return flight if path == "flown" else _along_setpoints(flight, recording.setpoint)
+
+
+def _along_setpoints(flight: Flight, setpoint: FloatArray) -> Flight:
+    """Between decisions set-points are cubic, and begin and end as fast as the drones."""
+    from scipy.interpolate import CubicSpline
+
+    assert flight.velocity is not None
+    asked = replace(flight, position=setpoint)  # checked before a spline is drawn through it
+    ends = tuple((1, flight.velocity[k]) for k in (0, -1))
+    spline = CubicSpline(flight.time, setpoint, bc_type=ends)
+    return replace(asked, velocity=spline(flight.time, 1))
 
 
 def flight_along(

@@ -1,7 +1,7 @@
 """Polynomial pieces as a Crazyflie flies them, and the CSV files in which they travel.
 
-A trajectory is a sequence of polynomials of 7th degree in x, y, z (m, world frame) and yaw (rad), in
-the time since the start of each piece, s. The file is that of `uav_trajectories`, which cflib's
+A trajectory is a sequence of polynomials of 7th degree in x, y, z (m, world frame) and yaw (rad),
+in the time since the start of each piece, s. The file is that of `uav_trajectories`, which cflib's
 examples and Crazyswarm read; the firmware holds all numbers in single precision, and so do we.
 """
 

@@ -135,7 +135,7 @@ def _drone(flight: Flight, drone: int, pieces: Pieces) -> DroneReport:
     distance, _ = deviations(pieces, time, rows)
     velocity, acceleration = (evaluate(pieces, time, order)[:, :3] for order in (1, 2))
     force = flight.forces(drone)
-    thrust = vehicle.mass * (acceleration + [0.0, 0.0, GRAVITY]) - force
+    thrust = vehicle.mass * (acceleration + np.array([0.0, 0.0, GRAVITY])) - force
     size = np.linalg.norm(thrust, axis=1)
     first, last = (tuple(map(float, evaluate(pieces, t))) for t in (0.0, pieces.total_s))
     return DroneReport(
@@ -211,7 +211,7 @@ def _beyond_limits(drone: DroneReport, pieces: Pieces) -> list[str]:
         problems.append(f"{drone.name} takes {drone.pieces} pieces; {MOST_PIECES} fit into memory")
     for when, t in (("starts", 0.0), ("ends", pieces.total_s)):
         speed = float(np.linalg.norm(evaluate(pieces, t, 1)[:3]))
-        if speed > 2.0 * AT_REST:
+        if speed > AT_REST:
             problems.append(
                 f"{drone.name} {when} at {speed:.2f} m/s, but the firmware stands still before and "
                 "after a trajectory; add ramps (--settle-s 1)"
