@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -56,19 +57,8 @@ class Pieces:
                 f"durations have shape {duration.shape} and coefficients {values.shape}, but must "
                 f"have (P,) and (P, {len(AXES)}, {DEGREE + 1}) with at least one piece"
             )
-        for name, array in (("duration", duration), ("coefficients", values)):
-            rounded = array.astype(np.float32).astype(np.float64)
-            bad = ~np.isfinite(rounded).reshape(wanted[0], -1).all(axis=1)
-            if name == "duration":
-                bad |= ~(rounded > 0.0)
-            if bad.any():
-                k = int(np.argmax(bad))
-                raise ValueError(
-                    f"{name} of piece {k} is {array[k]}, but must be finite in single precision"
-                    + (" and positive" if name == "duration" else "")
-                )
-            rounded.flags.writeable = False
-            object.__setattr__(self, name, rounded)
+        object.__setattr__(self, "duration", _single("duration", duration, positive=True))
+        object.__setattr__(self, "coefficients", _single("coefficients", values))
 
     def __len__(self) -> int:
         """How many pieces there are."""
@@ -83,6 +73,19 @@ class Pieces:
     def knots(self) -> FloatArray:
         """(P + 1,) times at which pieces begin, and the end, s."""
         return np.concatenate([[0.0], np.cumsum(self.duration)])
+
+
+def _single(name: str, values: npt.NDArray[Any], positive: bool = False) -> FloatArray:
+    """Values, one row a piece, rounded to single precision and read-only."""
+    with np.errstate(over="ignore"):
+        rounded: FloatArray = values.astype(np.float32).astype(np.float64)
+    bad = ~np.isfinite(rounded) | (positive & ~(rounded > 0.0))
+    if bad.any():
+        at = tuple(np.argwhere(bad)[0])
+        rule = "finite in single precision" + (" and positive" if positive else "")
+        raise ValueError(f"{name} of piece {at[0]} has {values[at]}, but must be {rule}")
+    rounded.flags.writeable = False
+    return rounded
 
 
 def evaluate(
