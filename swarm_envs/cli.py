@@ -179,9 +179,13 @@ def _replay(arguments: Sequence[str]) -> int:
 
 
 def _export(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.export import ExportOptions, run
+    from swarm_envs.commands import export
 
-    run(_read("export", ExportOptions, arguments))
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(export.OVERVIEW)
+        return DONE if arguments else MISUSED
+    kind = export.find_kind(arguments[0])
+    kind.run(_read(f"export {arguments[0]}", kind.options, arguments[1:]))
     return DONE
 
 
@@ -216,7 +220,7 @@ COMMANDS: Mapping[str, Command] = {
     "train": Command("train a policy by reinforcement learning", _train),
     "train-sweep": Command("train with several seeds and options, and compare", _train_sweep),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
-    "export": Command("write a force model as a C header for a microcontroller", _export),
+    "export": Command("flights, policies and force models for real drones", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
