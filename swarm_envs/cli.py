@@ -195,7 +195,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", TrainConfig, arguments, prefixes=True)
     check(config)
-    _need_torch("sb3")
+    _need_torch()
     run(config)
     return DONE
 
@@ -204,7 +204,7 @@ def _train_sweep(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train_sweep import SweepOptions, run
 
     options = _read("train-sweep", SweepOptions, arguments)
-    _need_torch("sb3")
+    _need_torch()
     return FAILED if run(options) else DONE
 
 
@@ -282,10 +282,10 @@ def _read(
     )
 
 
-def _need_torch(extra: str = "train") -> None:
+def _need_torch() -> None:
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
-            f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
+            "training needs torch; install it by: pip install 'swarm-envs[train]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
 
