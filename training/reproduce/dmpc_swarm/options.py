@@ -31,10 +31,10 @@ Settings = Mapping[str, Sequence[Setting]]
 class ReproduceOptions:
     """Remake a figure of DMPC-Swarm, the public simulation's times beside ours.
 
-    `--figure 3a` draws the five formations, `--figure 3b` flies them with one, two and three compute units, `--figure 3c` with
-    each trigger, `--figure 4` a circle while no compute unit hears anything for two seconds.
-    `--study loss` sweeps the share of messages lost, met by our recovery, by the paper's, and not
-    at all.
+    `--figure 3a` draws the formations, `--figure 3b` flies through them with one, two and three
+    compute units, `--figure 3c` with each trigger, `--figure 4` a circle while no compute unit
+    hears anything for two seconds. `--study loss` sweeps the share of messages lost, met by our
+    recovery, by the paper's, and not at all.
     What takes a while goes on where it was when it is killed and called again.
     """
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 Verdict = Literal["agrees", "explained", "unexplained", "ours alone"]
-"""Within the tolerance; outside, for a known reason; outside; the paper gives nothing to compare."""
+"""Within the tolerance; outside, for a known reason; outside; nothing in the paper to compare."""
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ class ReproduceOptions:
     """Remake a figure of the RTH3D paper: time and makespan over the size of the grid.
 
     `--figure 5`: 4:2:1 grids; `--figure 6`: square grids six vertices high; `--figure 7`: between
-    tall buildings; `--figure 8`: by density; `--figure 9`: rings and blocks; `--figure 11`: ten drones write letters,
-    flown. The largest grids take
-    minutes; `--largest` leaves them out. What is killed goes on where it was when called again.
+    tall buildings; `--figure 8`: by density; `--figure 9`: rings and blocks; `--figure 11`: ten
+    drones write letters, flown. The largest grids take minutes; `--largest` leaves them out. What
+    is killed goes on where it was when called again.
     """
 
     figure: Literal["5", "6", "7", "8", "9", "11"]
