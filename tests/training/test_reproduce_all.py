@@ -103,7 +103,8 @@ def test_one_that_fails_is_named_and_the_others_go_on(tmp_path):
 
 
 def test_what_is_complete_is_kept_and_the_rest_redone(tmp_path):
-    execute, said = Written(), []
+    said: list[str] = []
+    execute = Written()
     items = [item("a"), item("b", "stop"), item("c", "fail")]
     with pytest.raises(KeyboardInterrupt):
         run_all(job(tmp_path, execute), items, lambda some: None, said.append, progress=False)

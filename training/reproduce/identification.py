@@ -8,8 +8,9 @@ measurements, so that each checks the other.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,19 +32,26 @@ SIGNALS = (0.3, 0.95)
 VOLTAGES = (3.4 / 4.2, 4.0 / 4.2)
 """Voltages v, over 4.2 V, between which they are drawn."""
 _TERMS = ("1", "p", "v", "p²", "pv")
-PAPER = {
-    "S": {
-        "mass, g": 34.0,
-        "largest thrust, g": 65.0,
-        "motor rate, 1/s": 16.0,
-        "psi1": (11.09, -39.08, -9.53, 20.57, 38.43),
-    },
-    "L": {
-        "mass, g": 67.0,
-        "largest thrust, g": 145.0,
-        "motor rate, 1/s": 16.0,
-        "psi1": (44.10, -122.51, -36.18, 53.11, 107.68),
-    },
+
+
+class Printed(NamedTuple):
+    """A column of Table I."""
+
+    name: str
+    """Of the vehicle."""
+    mass_g: float
+    """Its weight as the table calls it, g."""
+    largest_thrust_g: float
+    """Four rotors together, g."""
+    motor_rate: float
+    """lambda, 1/s."""
+    psi1: tuple[float, ...]
+    """Factors of 1, p, v, p^2, p v."""
+
+
+PAPER: Mapping[str, Printed] = {
+    "S": Printed("small", 34.0, 65.0, 16.0, (11.09, -39.08, -9.53, 20.57, 38.43)),
+    "L": Printed("large", 67.0, 145.0, 16.0, (44.10, -122.51, -36.18, 53.11, 107.68)),
 }
 """Table I as printed, but for psi1 of the large one, printed as 44.1.0."""
 
@@ -99,7 +107,8 @@ def fit(target: FloatArray, x: FloatArray, v: FloatArray) -> tuple[FloatArray, F
     found, *_ = np.linalg.lstsq(terms, target, rcond=None)
     left = target - terms @ found
     variance = left @ left / (len(x) - terms.shape[1])
-    return found, np.sqrt(variance * np.diag(np.linalg.inv(terms.T @ terms)))
+    spread = np.sqrt(variance * np.diag(np.linalg.inv(terms.T @ terms)))
+    return np.asarray(found, dtype=np.float64), np.asarray(spread, dtype=np.float64)
 
 
 def identify(vehicle: Vehicle, seed: int) -> list[dict[str, Any]]:
@@ -110,25 +119,24 @@ def identify(vehicle: Vehicle, seed: int) -> list[dict[str, Any]]:
         seed: of the readings.
     """
     printed = PAPER[vehicle.token]
-    name = {"S": "small", "L": "large"}[vehicle.token]
-    mass, thrust = mass_and_thrust(vehicle)
-    measured = (mass, thrust, motor_rate(vehicle))
+    name, (mass, thrust) = printed.name, mass_and_thrust(vehicle)
     rows = [
-        _row(name, what, printed[what], value, 0.0, 0.01)
-        for what, value in zip(list(printed)[:3], measured, strict=True)
+        _row(name, "mass, g", printed.mass_g, mass, 0.0, 0.01),
+        _row(name, "largest thrust, g", printed.largest_thrust_g, thrust, 0.0, 0.01),
+        _row(name, "motor rate, 1/s", printed.motor_rate, motor_rate(vehicle), 0.0, 0.01),
     ]
     signal, voltage, force = load_cell(vehicle, np.random.default_rng(seed))
     found, error = fit(force, signal, voltage)
-    for term, paper, value, spread in zip(_TERMS, printed["psi1"], found, error, strict=True):  # type: ignore[arg-type]
+    for term, paper, value, spread in zip(_TERMS, printed.psi1, found, error, strict=True):
         rows.append(_row(name, f"psi1, factor of {term}", paper, value, spread, 0.05))
     hover = 1e3 * vehicle.mass / 4.0
     back, _ = fit(signal, force, voltage)
     for volts in (3.5, 3.9):
         v = volts / 4.2
-        paper = float(pwm_for_force(vehicle, hover, v))
+        printed_signal = round(float(pwm_for_force(vehicle, hover, v)), 4)
         ours = float(back @ [1.0, hover, v, hover * hover, hover * v])
         what = f"psi2, motor signal of hover at {volts:g} V"
-        rows.append(_row(name, what, round(paper, 4), ours, 0.0, 0.03, _ROUNDED, 0.08))
+        rows.append(_row(name, what, printed_signal, ours, 0.0, 0.03, _ROUNDED, 0.08))
     return rows
 
 
@@ -140,7 +148,7 @@ _ROUNDED = (
 def _row(
     vehicle: str,
     what: str,
-    paper: Any,
+    paper: float,
     ours: float,
     error: float,
     tolerance: float,
@@ -151,7 +159,7 @@ def _row(
     return {
         "vehicle": vehicle,
         "quantity": what,
-        "paper": float(paper),
+        "paper": paper,
         "ours": round(float(ours), 4),
         "error": round(float(error), 4),
         "tolerance": tolerance,
@@ -192,10 +200,10 @@ def plot_curves(path: Path, seed: int) -> None:
                 level = np.full_like(signal, volts / 4.2)
                 terms = (np.ones_like(signal), signal, level, signal**2, signal * level)
                 axis.plot(signal, found @ np.array(terms), color=color, label=f"{volts:g} V")
-                a, b, c, d, e = PAPER[vehicle.token]["psi1"]  # type: ignore[misc]
+                a, b, c, d, e = PAPER[vehicle.token].psi1
                 paper = a + b * signal + c * level + d * signal**2 + e * signal * level
                 axis.plot(signal, paper, "--", color=GREY, linewidth=1)
-            kind = {"S": "small", "L": "large"}[vehicle.token]
+            kind = PAPER[vehicle.token].name
             axis.set(title=kind, xlabel="Motor signal p", ylabel="Force of one rotor (g)")
             axis.grid(True)
             axis.legend(fontsize=8, title="dashed: as printed")

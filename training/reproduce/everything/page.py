@@ -7,14 +7,15 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from swarm_envs.training.reproduce.everything.look import STYLE
 from swarm_envs.training.reproduce.everything.registry import TITLES
-from swarm_envs.training.reproduce.everything.rows import Row, number
+from swarm_envs.training.reproduce.everything.rows import Row, Verdict, number
 from swarm_envs.training.reproduce.everything.runner import Outcome
 
 _HEADS = ("quantity", "paper", "ours", "agrees if", "difference")
-_VERDICTS = {
+_VERDICTS: Mapping[Verdict, str] = {
     "agrees": "agrees",
     "explained": "differs, explained",
     "unexplained": "differs, unexplained",
@@ -164,6 +165,6 @@ def _line(cells: Sequence[str]) -> str:
     return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"
 
 
-def results(outcomes: Sequence[Outcome], settings: Mapping[str, object]) -> dict[str, object]:
+def results(outcomes: Sequence[Outcome], settings: Mapping[str, object]) -> dict[str, Any]:
     """Everything, ready for JSON."""
     return {**settings, "items": [outcome.as_json() for outcome in outcomes]}

@@ -162,7 +162,7 @@ def _run(execute: Execute, words: Sequence[str], said: TextIO) -> str:
     heard = _Heard(sys.stderr)
     said.write(f"$ {shell(words)}\n")
     try:
-        with redirect_stdout(said), redirect_stderr(heard):  # type: ignore[type-var]  # a stream
+        with redirect_stdout(said), redirect_stderr(heard):
             code = execute(words)
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else 1
