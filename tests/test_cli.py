@@ -34,7 +34,7 @@ def test_the_program_exits_with_the_command_s_code(module):
 
 
 CALLS = [[name] for name in COMMANDS if name != "reproduce"]
-CALLS += [["reproduce", paper] for paper in PAPERS]
+CALLS += [["reproduce", paper] for paper in (*PAPERS, "all")]
 
 
 @pytest.mark.parametrize("call", CALLS, ids=" ".join)

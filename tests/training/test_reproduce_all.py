@@ -46,12 +46,16 @@ COMMANDS = [
 @pytest.mark.parametrize(("item", "preset"), COMMANDS)
 def test_commands_are_what_the_command_line_takes(item, preset, tmp_path):
     rows = tmp_path / "rows.npz"
-    for words in item.commands(preset, tmp_path, rows):
+    for words in item.commands(preset, tmp_path, rows, seed=7):
         assert not any("{" in word for word in words)
-        assert words[0] == "reproduce" and words[1] == item.paper
+        if words[0] == "collect":
+            read = tyro.cli(CollectOptions, args=words[1:], config=(tyro.conf.OmitArgPrefixes,))
+            assert read.config.seed == 7 and tmp_path in read.out.parents
+            continue
+        assert words[:2] == ["reproduce", item.paper]
         options = papers.load(item.paper).ReproduceOptions
         read = tyro.cli(options, args=words[2:], config=(tyro.conf.OmitArgPrefixes,))
-        assert read.out == tmp_path
+        assert read.out == tmp_path and read.seed == 7
         asked = read.figure if item.name.startswith("figure") else read.table
         assert str(asked) == item.name.split("-")[1]
 

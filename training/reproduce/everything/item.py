@@ -55,23 +55,32 @@ class Item:
             raise ValueError(f"{self.key}: say how its rows are read")
 
     @property
+    def takes_data(self) -> bool:
+        """Whether it is made from rows of measured force that may be given."""
+        return any("{data}" in words for words in self.full)
+
+    @property
     def key(self) -> str:
         """Such as `neural-swarm2/table-3`: its folder, and how it is asked for."""
         return f"{self.paper}/{self.name}"
 
-    def commands(self, preset: Preset, out: Path, data: Path | None) -> list[list[str]]:
+    def commands(
+        self, preset: Preset, out: Path, data: Path | None = None, seed: int = 0
+    ) -> list[list[str]]:
         """The commands' words, places filled in.
 
         Args:
             preset: how much is run.
             out: of the item.
-            data: rows of measured force; None if there are none, which leaves out the options that
-                take them, and without which commands named `collect` make them.
+            data: rows of measured force; where there are none, `collect` flies for them.
+            seed: of every command; 0 is what they take by themselves.
         """
         chosen = self.quick if preset == "quick" and self.quick else self.full
         rows = str(data) if data is not None else f"{out}/flights/rows.npz"
-        wanted = [words for words in chosen if not (words[0] == "collect" and data is not None)]
-        return [[word.format(out=out, data=rows) for word in words] for words in wanted]
+        given = self.takes_data and data is not None
+        wanted = [words for words in chosen if not (given and words[0] == "collect")]
+        drawn = ["--seed", str(seed)] if seed else []
+        return [[*(word.format(out=out, data=rows) for word in w), *drawn] for w in wanted]
 
 
 def shell(words: Sequence[str]) -> str:

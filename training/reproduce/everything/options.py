@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarm_envs import __version__
+from swarm_envs.errors import check_integer
 from swarm_envs.files import claimed, write_json, written_whole
 from swarm_envs.training.reproduce.everything.item import Preset
 from swarm_envs.training.reproduce.everything.page import markdown, page, results
@@ -44,6 +45,8 @@ class ReproduceOptions:
     data: Path | None = None
     """rows of measured force for Table III, as `swarm-envs fit` reads them; collected in simulation
     if not given"""
+    seed: int = 0
+    """of every command"""
     json: Path | None = None
     """write the results to this file too"""
 
@@ -51,10 +54,11 @@ class ReproduceOptions:
         """Refuse what cannot be done.
 
         Raises:
-            ValueError: an unknown item.
+            ValueError: an unknown item, or a negative seed.
             FileNotFoundError: there are no such rows.
         """
         choose(self.items)
+        check_integer("seed", self.seed, 0)
         if self.data is not None and not self.data.exists():
             raise FileNotFoundError(
                 f"no file of rows at {str(self.data)!r}; give its path by --data"
@@ -84,7 +88,7 @@ def run(options: ReproduceOptions, execute: Execute) -> tuple[str, bool]:
     if options.list:
         return listing(), True
     wanted = choose(options.items)
-    job = Job(options.out, options.preset, options.data, execute)
+    job = Job(options.out, options.preset, options.data, execute, options.seed)
     with claimed(options.out):
         _check_settings(options)
         others = {key: standing(job, item) for key, item in ITEMS.items()}
@@ -102,6 +106,7 @@ def run(options: ReproduceOptions, execute: Execute) -> tuple[str, bool]:
 def _settings(options: ReproduceOptions) -> dict[str, object]:
     return {
         "preset": options.preset,
+        "seed": options.seed,
         "data": None if options.data is None else str(options.data.resolve()),
         "version": __version__,
     }

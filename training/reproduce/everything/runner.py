@@ -72,6 +72,8 @@ class Job:
     """Rows of measured force."""
     execute: Execute
     """Runs a command."""
+    seed: int = 0
+    """Of every command."""
 
     def folder(self, item: Item) -> Path:
         """Of an item."""
@@ -79,7 +81,7 @@ class Job:
 
     def words(self, item: Item) -> list[list[str]]:
         """The commands of an item."""
-        return item.commands(self.preset, self.folder(item), self.data)
+        return item.commands(self.preset, self.folder(item), self.data, self.seed)
 
 
 class _Heard:
