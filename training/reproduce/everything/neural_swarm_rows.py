@@ -50,7 +50,8 @@ def _compensation(where: str, case: Mapping[str, Any], without: Reason) -> Itera
         quantity=f"{where}: error without over error with",
         paper=f"{before / after:.2g}",
         ours=1.0 / case["ratio"],
-        agrees=Range(0.8 * before / after),
+        agrees=about(before / after, _ERROR),
+        reasons=(Reason(_QUIETER_AIR, Range(before / after)),),
     )
 
 
