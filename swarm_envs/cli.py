@@ -131,8 +131,10 @@ def _reproduce(arguments: Sequence[str]) -> int:
         print(papers.overview(f"{PROGRAM} reproduce"))
         return DONE if arguments else MISUSED
     paper = arguments[0]
+    if paper == papers.ALL:
+        return _reproduce_all(arguments[1:])
     if paper not in papers.PAPERS:
-        message = unknown_name("paper", paper, papers.PAPERS)
+        message = unknown_name("paper", paper, (papers.ALL, *papers.PAPERS))
         return _complain(f"{PROGRAM} reproduce", message, MISUSED)
     works = papers.load(paper)
     options = _read(f"reproduce {paper}", works.ReproduceOptions, arguments[1:])
@@ -143,6 +145,18 @@ def _reproduce(arguments: Sequence[str]) -> int:
     except ValueError as error:  # a model, a table or an older run is not what it should be
         return _complain(f"{PROGRAM} reproduce", str(error), FAILED)
     return DONE
+
+
+def _reproduce_all(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.reproduce.everything.options import ReproduceOptions, run
+
+    options = _read("reproduce all", ReproduceOptions, arguments)
+    _check_folder("--out", options.out)
+    if options.json is not None:
+        _check_file("--json", options.json)
+    said, complete = run(options, main)
+    print(said)
+    return DONE if complete else FAILED
 
 
 def _fly(arguments: Sequence[str]) -> int:

@@ -35,7 +35,7 @@ def test_the_program_exits_with_the_command_s_code(module):
 
 
 CALLS = [[name] for name in COMMANDS if name not in ("reproduce", "export")]
-CALLS += [["reproduce", paper] for paper in PAPERS] + [["export", kind] for kind in KINDS]
+CALLS += [["reproduce", paper] for paper in (*PAPERS, "all")] + [["export", kind] for kind in KINDS]
 
 
 @pytest.mark.parametrize("call", CALLS, ids=" ".join)
