@@ -122,19 +122,20 @@ def _scale() -> Element:
 
 
 def not_flown(board: Board) -> Element | None:
-    """What has no numbers, and why: each agent and reason once, with the tasks."""
+    """What has no numbers, or not all, and why: each agent and reason once, with the tasks."""
     labels = {agent.name: agent.label for agent in board.agents}
     tasks = {task.id: task for task in board.tasks}
     groups: dict[tuple[str, str, str], list[str]] = {}
     for (task, name), cell in board.cells.items():
-        if cell.status != "flown":
+        if cell.status != "flown" or cell.reason:
             groups.setdefault((cell.status, name, cell.reason), []).append(task)
     if not groups:
         return None
     rows = []
     for (status, name, reason), ids in sorted(groups.items()):
         where = ", ".join(f"{tasks[i].family} {short_label(tasks[i])}" for i in ids)
-        word = tag("span", status, class_=f"word {status}")
+        said = "in part" if status == "flown" else status
+        word = tag("span", said, class_=f"word {status}")
         why = reason or "no reason was given"
         rows.append(
             tag(
@@ -146,8 +147,9 @@ def not_flown(board: Board) -> Element | None:
                 tag("span", f"({where})", class_="quiet"),
             )
         )
-    said = f"Why {sum(map(len, groups.values()))} of {len(board.cells)} pairs have no numbers"
-    return tag("details", tag("summary", said), tag("ul", rows, class_="reasons"))
+    count = sum(map(len, groups.values()))
+    title = f"Why {count} of {len(board.cells)} pairs have no numbers, or (†) not of all episodes"
+    return tag("details", tag("summary", title), tag("ul", rows, class_="reasons"))
 
 
 def reproduce(board: Board) -> list[Element]:

@@ -50,7 +50,7 @@ class Rows:
         if given is None or given.value is None:
             return [NONE]
         ends = interval(given, metric.unit)
-        small = [tag("small", ends)] if ends else []
+        small = [" ", tag("small", ends)] if ends else []
         return [number(given.value, metric.unit), *small]
 
     def data(self, cell: Cell, metric: Metric) -> dict[str, float | str | None]:
@@ -149,7 +149,8 @@ def _matrix_cell(rows: Rows, task: Task, agent: Entry) -> Element:
     shown = tag("a", rows.number(cell, metric), class_="n", href=target)
     data = rows.data(cell, metric)
     replay = rows.replay(cell)
-    return tag("td", replay, shown, class_="flown", data_family=task.family, **data)
+    part = tag("abbr", "†", title=cell.reason, class_="part") if cell.reason else None
+    return tag("td", replay, part, shown, class_="flown", data_family=task.family, **data)
 
 
 def every_number(rows: Rows) -> Element:
@@ -195,4 +196,5 @@ def _number_row(rows: Rows, task: Task, agent: Entry) -> Element:
         data_task=task.id,
         data_agent=agent.name,
         data_label=rows.label(cell),
+        data_note=cell.reason or None,
     )
