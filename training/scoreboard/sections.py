@@ -22,7 +22,7 @@ def summary(board: Board) -> str:
     episodes = sum(cell.episodes for cell in flown)
     return (
         f"{len(board.agents)} agents on {len(board.tasks)} tasks: {len(flown)} pairs flown, "
-        f"{number(episodes)} episodes, all on the same frozen seeds."
+        f"{number(episodes)} episodes. On a task all fly the same frozen seeds, slow agents the first."
     )
 
 
