@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -36,6 +37,8 @@ class BenchmarkOptions:
     """fly a sixteenth of the episodes, to see that all works"""
     seed: int = SEED
     """the episodes' seeds are drawn from it; with another, scores compare with nobody else's"""
+    replays: bool = True
+    """record for each cell an episode that can be looked at, one click from the report"""
     table: Literal["parquet", "csv"] = "parquet"
     """form of the tables of episodes; csv needs no pyarrow"""
     json: Path | None = None
@@ -53,7 +56,7 @@ class BenchmarkOptions:
 
 
 def run(options: BenchmarkOptions) -> int:
-    """Fly, write and print; return how many cells failed.
+    """Fly, write and print; return how many cells failed, or have no replay that should.
 
     Raises:
         BlockingIOError: another process writes into the folder.
@@ -62,6 +65,8 @@ def run(options: BenchmarkOptions) -> int:
     """
     from swarm_envs.files import claimed, write_json
     from swarm_envs.training.scoreboard.manifest import OtherBenchmark
+    from swarm_envs.training.scoreboard.replays import record
+    from swarm_envs.training.scoreboard.report import write
     from swarm_envs.training.scoreboard.runner import SCORES
     from swarm_envs.training.scoreboard.runner import run as fly
 
@@ -69,17 +74,26 @@ def run(options: BenchmarkOptions) -> int:
     if options.json is not None:
         check_file("--json", options.json, (".json",))
     plan = _plan(options)
+    if options.replays and importlib.util.find_spec("plotly") is None:
+        raise ImportError(
+            "replay pages need plotly; install it by: pip install 'swarm-envs[viz]', or do without "
+            "them by --no-replays"
+        )
     with claimed(options.out):
         try:
             content = fly(plan, options.out, options.scale, options.table)
         except OtherBenchmark as error:
             raise Misuse(str(error)) from error
-    if options.json is not None:
-        write_json(options.json, content)
+        if options.json is not None:
+            write_json(options.json, content)
+        problems = record(options.out, options.scale.workers) if options.replays else []
+        page = write(options.out)
     print(_standings(content))
-    for path in filter(None, (options.out / SCORES, options.json)):
+    for problem in problems:
+        print(f"no replay: {problem}")
+    for path in filter(None, (options.out / SCORES, options.json, page)):
         print(f"wrote {path}")
-    return sum(cell["status"] == "failed" for cell in content["cells"])
+    return len(problems) + sum(cell["status"] == "failed" for cell in content["cells"])
 
 
 def _plan(options: BenchmarkOptions) -> Plan:

@@ -93,10 +93,10 @@ def run(plan: Plan, out: Path, scale: ScaleOptions, form: Form = "parquet") -> d
     contenders = [enter(name) for name in plan.agents]
     manifest = Manifest(out, plan.config(contenders))
     manifest.begin(command_line())
+    pairs = [(task, contender) for task in plan.tasks for contender in contenders]
     cells = [
         prepare(task, contender, frozen_seeds(plan.seed, plan.count(contender.name, task)), out)
-        for task in plan.tasks
-        for contender in contenders
+        for task, contender in tqdm(pairs, desc="cells", unit="cell", mininterval=0.5)
     ]
     _fly(cells, scale)
     rows = rows_of(cells)

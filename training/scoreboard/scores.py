@@ -12,6 +12,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.training.scoreboard.cells import Cell, Contender
 from swarm_envs.training.scoreboard.metrics import METRICS, Row, values_of
 from swarm_envs.training.scoreboard.normalised import LABELS
+from swarm_envs.training.scoreboard.replays import choose
 from swarm_envs.training.scoreboard.roster import place_of
 from swarm_envs.training.scoreboard.statistics import THRESHOLDS, aggregate, profile
 from swarm_envs.training.scoreboard.tasks import ScoredTask
@@ -83,7 +84,7 @@ def _cell(cell: Cell, rows: Sequence[Row]) -> dict[str, Any]:
         "episodes": len(rows) - len(cell.refused),
         "refused": len(cell.refused),
         "values": values_of(rows, cell.act_us) if flown else {},
-        "replay": None,
+        "replay": choose(cell.task.id, cell.contender.name, rows) if flown else None,
     }
 
 
