@@ -136,9 +136,9 @@ def _fly(cells: Sequence[Cell], scale: ScaleOptions) -> None:
 
         fly_apart(left, workers, watch)
         bar.total = bar.n  # agents that failed flew less
-    for leg in left:
-        if leg.entrant.failure is not None and ":" in leg.entrant.name:
-            sys.stderr.write(leg.entrant.trace)  # whoever wrote the file needs to see where
+    failed = [leg.entrant for leg in left if leg.entrant.failure is not None]
+    traces = {entrant.name: entrant.trace for entrant in failed if ":" in entrant.name}
+    sys.stderr.write("".join(traces.values()))  # whoever wrote a file needs to see where it failed
 
 
 def _tell_before(legs: Sequence[Leg]) -> None:

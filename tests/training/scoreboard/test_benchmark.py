@@ -52,8 +52,8 @@ def mine(tmp_path: Path) -> Path:
     return file
 
 
-def benchmark(out: Path, *more: str) -> int:
-    return main(["benchmark", "--out", str(out), *more])
+def benchmark(out: Path, *more: str, replays: str = "--no-replays") -> int:
+    return main(["benchmark", "--out", str(out), replays, *more])
 
 
 def content(out: Path) -> dict[str, Any]:
@@ -109,9 +109,8 @@ def test_one_that_fails_scores_nothing_and_one_that_refuses_is_left_out(tmp_path
     standings = content(out)["aggregates"]["swap"]
     assert standings[agents[1]]["value"] == 0.0
     assert (standings[agents[0]]["tasks"], standings[agents[0]]["of"]) == (1, 2)
-    scores = [c["values"]["score"]["value"] for c in content(out)["cells"] if c["values"]]
-    detour = standings["detour"]
-    assert 0.3 < min(scores[1:]) <= detour["value"] <= max(scores) <= 1.0
+    scores = [cells(out)["detour", task]["values"]["score"]["value"] for task in (PAIR, FOUR)]
+    assert 0.3 < min(scores) <= standings["detour"]["value"] <= max(scores) < 1.0
     profile = content(out)["profiles"]["swap"]
     above = dict(zip(profile["thresholds"], profile["agents"]["detour"]["fraction"], strict=True))
     assert (above[0.0], above[1.0]) == (1.0, 0.0)
