@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from swarm_envs import __version__
 from swarm_envs.commands.checks import Misuse
@@ -166,16 +167,15 @@ def _fly(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _evaluate(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.evaluate import EvaluateOptions, run
+def _counting(name: str) -> Callable[[Sequence[str]], int]:
+    """A command whose module has `<Name>Options`, and a `run` that counts what failed."""
 
-    return FAILED if run(_read("evaluate", EvaluateOptions, arguments)) else DONE
+    def run(arguments: Sequence[str]) -> int:
+        module = importlib.import_module(f"swarm_envs.commands.{name}")
+        options: type[Any] = getattr(module, f"{name.title()}Options")
+        return FAILED if module.run(_read(name, options, arguments)) else DONE
 
-
-def _grade(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.grade import GradeOptions, run
-
-    return FAILED if run(_read("grade", GradeOptions, arguments)) else DONE
+    return run
 
 
 def _plan(arguments: Sequence[str]) -> int:
@@ -225,8 +225,9 @@ def _train_sweep(arguments: Sequence[str]) -> int:
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
-    "evaluate": Command("many episodes of agents on the same seeds, and their scores", _evaluate),
-    "grade": Command("points for the assignments of a course, file by file", _grade),
+    "evaluate": Command("many episodes of agents, and their scores", _counting("evaluate")),
+    "benchmark": Command("every agent on every task, and a report of it", _counting("benchmark")),
+    "grade": Command("points for the assignments of a course", _counting("grade")),
     "replay": Command("play a recorded episode in a browser", _replay),
     "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
