@@ -14,12 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, write_table
 from swarm_envs.motors import pwm_for_force, rotor_force_g
 from swarm_envs.physics import TIME_STEP as DT
 from swarm_envs.physics.batch import BatchPhysics
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.runs import write_table
 from swarm_envs.training.reproduce.style import GREY, picture
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, Vehicle
 
