@@ -261,17 +261,17 @@ def _check_time(time: npt.NDArray[np.float64]) -> None:
     if not np.isfinite(time).all():
         k = int(np.argmin(np.isfinite(time)))
         raise ValueError(f"time is {time[k]} at sample {k}, but must be finite")
-    if len(time) < 4 or time[-1] - time[0] < SHORTEST_S:
-        length = float(time[-1] - time[0]) if len(time) else 0.0
-        raise ValueError(
-            f"the flight has {len(time)} samples over {length:g} s, but must have at least 4 over "
-            f"{SHORTEST_S} s"
-        )
     steps = np.diff(time)
     if (steps <= 0.0).any():
         k = int(np.argmax(steps <= 0.0))
         raise ValueError(
             f"time does not increase: sample {k} is at {time[k]:g} s, the next at {time[k + 1]:g} s"
+        )
+    if len(time) < 4 or time[-1] - time[0] < SHORTEST_S:
+        length = float(time[-1] - time[0]) if len(time) else 0.0
+        raise ValueError(
+            f"the flight has {len(time)} samples over {length:g} s, but must have at least 4 over "
+            f"{SHORTEST_S} s"
         )
     if steps.max() > LONGEST_STEP_S:
         k = int(np.argmax(steps))

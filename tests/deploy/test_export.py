@@ -152,7 +152,8 @@ def test_a_plan_on_a_grid_is_exported_smoothed(tmp_path: Path) -> None:
     spacing = np.array([0.5, 0.5, 0.6])
     step = shortest_step(spacing, 1.0, 1.0)
     way = smooth(
-        on_grid(found.paths, spacing, np.array([-0.5, -0.5, 0.7]), step), SmoothingConfig()
+        on_grid(found.paths, spacing, np.array([-0.5, -0.5, 0.7]), step),
+        SmoothingConfig(distance=0.3, box=((-1.0, -1.0, 0.4), (1.0, 1.0, 1.6))),
     )
     told = export_flight(flight_along(way.reference, way.duration_s, "SSS"), tmp_path)
     assert told.duration_s == pytest.approx(way.duration_s, abs=1e-5)
@@ -165,8 +166,7 @@ def test_a_plan_on_a_grid_is_exported_smoothed(tmp_path: Path) -> None:
 
 def test_ends_in_motion_get_ramps() -> None:
     """A straight flight at constant speed becomes one from rest to rest, along the same line."""
-    line = np.zeros((len(TIME), 1, 3)) + [0.0, 0.0, 1.0]
-    line[:, 0, 0] = 0.8 * TIME
+    line = np.column_stack([0.8 * TIME, 0.0 * TIME, 1.0 + 0.0 * TIME])[:, None]
     flight = Flight("S", TIME, line)
     assert any("starts at 0.80 m/s" in p for p in report(flight, fit_flight(flight), 0.01).problems)
     longer = flight.settled(1.0)
@@ -201,6 +201,7 @@ def sunk(flight: Flight, by: float) -> FloatArray:
     return flight.position - [0.0, 0.0, by]
 
 
+# The largest acceleration of 1.4 m in 0.5 s, 42 m/s^2, and gravity take 2.3 times the thrust.
 @pytest.mark.parametrize(
     ("flight", "said"),
     [
@@ -209,7 +210,7 @@ def sunk(flight: Flight, by: float) -> FloatArray:
         (crossing(position=sunk(crossing(), 0.97)), "drone_0 comes within 0.030 m of the floor"),
         (
             crossing(time=TIME / 6.0, velocity=None),
-            "drone_0 needs 1[0-9][0-9]% of the thrust of 'S'",
+            "drone_0 needs 230% of the thrust of 'S'",
         ),
     ],
     ids=["collision", "large", "floor", "thrust"],
