@@ -63,7 +63,7 @@ def fit_flight(
 
 def export_flight(
     flight: Flight,
-    folder: Path,
+    folder: str | Path,
     tolerance: float = 0.01,
     most: int = MOST_PIECES,
     rate: float = 100.0,
@@ -89,11 +89,12 @@ def export_flight(
     found = report(flight, fitted, tolerance)
     if found.problems:
         raise ValueError("this must not be flown: " + "; ".join(found.problems))
-    with claimed(folder):
+    out = Path(folder)
+    with claimed(out):
         for name, pieces in zip(flight.names, fitted, strict=True):
-            write_pieces(folder / f"{name}.csv", pieces)
-            _write_samples(folder / f"{name}_samples.csv", pieces, rate)
-        write_json(folder / REPORT, {"source": dict(source or {}), **report_content(found)})
+            write_pieces(out / f"{name}.csv", pieces)
+            _write_samples(out / f"{name}_samples.csv", pieces, rate)
+        write_json(out / REPORT, {"source": dict(source or {}), **report_content(found)})
     return found
 
 
