@@ -115,7 +115,7 @@ def evaluate(
     which = np.clip(np.searchsorted(knots, inside, side="left") - 1, 0, len(pieces) - 1)
     dtype = np.float32 if single else np.float64
     t = (inside - knots[which]).astype(dtype)[..., None]
-    values = pieces.coefficients[which].astype(dtype)
+    values: npt.NDArray[Any] = pieces.coefficients[which].astype(dtype)
     for _ in range(derivative):
         values = values[..., 1:] * np.arange(1, values.shape[-1], dtype=dtype)
     out = np.zeros(values.shape[:-1], dtype)

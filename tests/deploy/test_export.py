@@ -43,7 +43,7 @@ def crossing(gap: float = 0.5, team: str = "SS", **change: Any) -> Flight:
     starts = np.array([[-0.7, 0.0, 1.0], [0.7, 0.0, 1.0 + gap]])
     found = [rest_to_rest(starts, starts * [-1.0, 1.0, 1.0], 3.0, t) for t in TIME]
     position, velocity = (np.array([reference[k] for reference in found]) for k in (0, 1))
-    return replace(Flight(team, TIME, position, velocity), **change)
+    return replace(Flight(parse_team(team), TIME, position, velocity), **change)
 
 
 @pytest.fixture(scope="module")
@@ -167,7 +167,7 @@ def test_a_plan_on_a_grid_is_exported_smoothed(tmp_path: Path) -> None:
 def test_ends_in_motion_get_ramps() -> None:
     """A straight flight at constant speed becomes one from rest to rest, along the same line."""
     line = np.column_stack([0.8 * TIME, 0.0 * TIME, 1.0 + 0.0 * TIME])[:, None]
-    flight = Flight("S", TIME, line)
+    flight = Flight(parse_team("S"), TIME, line)
     assert any("starts at 0.80 m/s" in p for p in report(flight, fit_flight(flight), 0.01).problems)
     longer = flight.settled(1.0)
     assert longer.duration_s == pytest.approx(5.0)
@@ -188,7 +188,10 @@ def test_ends_in_motion_get_ramps() -> None:
         ({"position": np.full((len(TIME), 2, 3), np.nan)}, "position of drone_0 is .* at sample 0"),
         ({"velocity": np.full((len(TIME), 2, 3), np.inf)}, "velocity of drone_0"),
         ({"yaw": np.zeros(len(TIME))}, r"yaw has shape \(151,\), but must have \(151, 2\)"),
-        ({"team": "SSS"}, r"position has shape \(151, 2, 3\), but must have \(151, 3, 3\)"),
+        (
+            {"team": parse_team("SSS")},
+            r"position has shape \(151, 2, 3\), but must have \(151, 3, 3\)",
+        ),
     ],
 )
 def test_what_is_no_flight_is_refused(change: Mapping[str, Any], said: str) -> None:
