@@ -137,8 +137,8 @@ def check_free(
 
 def draw_apart(
     rng: np.random.Generator,
-    low: Sequence[float],
-    high: Sequence[float],
+    low: Sequence[float] | FloatArray,
+    high: Sequence[float] | FloatArray,
     n: int,
     distance: float,
     obstacles: FloatArray | None = None,
@@ -160,14 +160,14 @@ def draw_apart(
     """
     rows = np.zeros((0, 0)) if obstacles is None else obstacles
     points = np.empty((n, 3))
-    placed, drawn, corner, size = 0, 0, np.array(low), np.subtract(high, low)
+    placed, drawn, size, least = 0, 0, np.subtract(high, low), float(distance**2)
     while placed < n and drawn < 10_000:
         missing = min(n - placed, 10_000 - drawn)  # all of them are drawn, whatever fits
         drawn += missing
-        candidates = corner + size * rng.random((missing, 3))
+        candidates = np.add(low, size * rng.random((missing, 3)))
         if len(rows):
             candidates = candidates[obstacle_distances(rows, candidates).min(axis=-1) >= margin]
-        placed = _keep_apart(points, placed, candidates, float(distance**2))
+        placed = _keep_apart(points, placed, candidates, least)
     if placed == n:
         return points
     raise RuntimeError(
