@@ -16,7 +16,7 @@ from unittest import mock
 import tyro
 
 from swarm_envs.cli import COMMANDS, PROGRAM
-from swarm_envs.training.reproduce.papers import PAPERS
+from swarm_envs.training.reproduce.papers import ALL, PAPERS
 
 MARK = "<!-- commands -->"
 
@@ -115,7 +115,7 @@ def _docstrings(cls: type) -> dict[str, str]:
 def commands() -> list[tuple[str, ...]]:
     """Every command line that has options of its own: `("fly",)`, `("reproduce", paper)`."""
     names = [name for name in COMMANDS if name != "reproduce"]
-    return [*((name,) for name in names), *(("reproduce", paper) for paper in PAPERS)]
+    return [*((name,) for name in names), *(("reproduce", paper) for paper in (*PAPERS, ALL))]
 
 
 def section(command: tuple[str, ...]) -> str:
