@@ -8,7 +8,7 @@ from swarm_envs.training.reproduce.everything.item import Item, Words
 PAPER = "dmpc-swarm"
 """As `swarm-envs reproduce` names the paper."""
 _NUMBERS = (
-    "The paper prints no numbers; those in its column are of the authors' public simulation, on "
+    "The paper prints no numbers: those in brackets are of the authors' public simulation, on "
     "formations of its own."
 )
 
@@ -59,6 +59,11 @@ ITEMS = (
     ),
     _flown("3b", "those formations with one, two and three compute units", 3, _NUMBERS),
     _flown("3c", "the same with each event trigger", 3, _NUMBERS),
-    _flown("4", "sixteen drones across a circle while no compute unit hears for two seconds", 3),
+    _flown(
+        "4",
+        "sixteen drones across a circle while no compute unit hears for two seconds",
+        3,
+        "The time in brackets is of the authors' public simulation; the paper prints none.",
+    ),
 )
 """Every numbered figure of the paper; it has no table."""
