@@ -17,7 +17,7 @@ from swarm_envs.registration import TASKS, register
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
-__version__ = "0.1.0.dev0"
+__version__ = "0.1.0"
 
 register()
 

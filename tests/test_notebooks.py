@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
 import json
 from pathlib import Path
 from typing import Any
@@ -59,3 +60,24 @@ def test_the_quickstart_installs_flies_plots_and_scores():
     text = "".join("".join(cell["source"]) for cell in cells(NOTEBOOKS[0]))
     for word in ("%pip install", "record_episode", "plt.subplots", "fly_episode"):
         assert word in text
+
+
+def install_cell(monkeypatch) -> str:
+    """The notebook's first cell as where nothing is installed; what it asks pip for is `asked`."""
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    source = "".join(cells(NOTEBOOKS[0])[1]["source"])
+    assert '%pip install --quiet "{package}"' in source
+    return source.replace('%pip install --quiet "{package}"', "asked = package")
+
+
+@pytest.mark.parametrize("file", ["swarm_envs-0.1.0-py3-none-any.whl", "code/swarm_envs/py.typed"])
+def test_the_first_cell_installs_what_was_uploaded(file, tmp_path, monkeypatch):
+    source = install_cell(monkeypatch)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError, match="upload one"):
+        exec(source, {})
+    Path(file).parent.mkdir(parents=True, exist_ok=True)
+    Path(file).touch()
+    names: dict[str, Any] = {}
+    exec(source, names)
+    assert names["asked"] == tmp_path.resolve() / Path(file).parts[0]

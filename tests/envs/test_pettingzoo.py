@@ -146,6 +146,7 @@ def test_view_is_read_only():
 
 
 def test_render_and_close_twice():
+    pytest.importorskip("pybullet")  # which draws
     env = swap_v0.parallel_env(team="LS", physics="batch", render_mode="rgb_array")
     env.reset(seed=1)
     picture = env.render()

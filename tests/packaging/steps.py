@@ -11,8 +11,15 @@ from tests.packaging.installation import Installation
 
 ROOT = Path(__file__).parents[2]
 INSIDE = Path(__file__).parent / "inside"
-TESTS = ("physics", "envs", "interactions", "control")
-"""Folders of tests that are run against the installation: a kernel-sized part of the suite."""
+TESTS = (
+    "physics/test_rigid_body.py",
+    "physics/test_twins.py",
+    "interactions/test_models.py",
+    "control/test_closed_loop.py",
+    "envs/test_pettingzoo.py",
+    "envs/test_gymnasium.py",
+)
+"""Tests that are run against the installation: those nearest to the kernels and the interfaces."""
 
 
 def modules(here: Installation) -> None:
@@ -76,10 +83,10 @@ def refusals(here: Installation) -> None:
 
 
 def page(here: Installation) -> None:
-    """All that `fly --out` writes: film, page, log and numbers."""
-    here.command("fly", "--agent", "swap-ppo", "--seed", 3, "--horizon-s", 2, "--out", "flight")
-    names = ("flight.json", "replay.html", "trajectory.parquet")
-    _expect(here.home / "flight", *names)
+    """The replay page of a flight, and its log in Parquet."""
+    files = ("--replay", "replay.html", "--trajectory", "flight.parquet")
+    here.command("fly", "--agent", "swap-ppo", "--seed", 3, *files)
+    _expect(here.home, "replay.html", "flight.parquet")
 
 
 def cluster(here: Installation) -> None:
@@ -101,8 +108,8 @@ def tests(here: Installation) -> None:
     away = here.home / "checkout"  # without the package
     shutil.copytree(ROOT / "tests", away / "tests", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "pyproject.toml", away)
-    folders = [f"tests/{name}" for name in TESTS]
-    here.python("-m", "pytest", "-q", "-p", "no:cacheprovider", *folders, folder=away)
+    files = [f"tests/{name}" for name in TESTS]
+    here.python("-m", "pytest", "-q", "-p", "no:cacheprovider", *files, folder=away)
 
 
 def _expect(folder: Path, *names: str) -> None:
