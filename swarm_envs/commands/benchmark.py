@@ -156,27 +156,12 @@ def _plan(options: BenchmarkOptions) -> Plan:
 
 def _standings(content: dict[str, Any]) -> str:
     """The agents' scores in a few columns, and who failed."""
-    families = list(content["aggregates"])
-    rows = [["agent", *families]]
-    for agent in content["agents"]:
-        row = [agent["name"] + ("*" if agent["privileged"] else "")]
-        rows.append([*row, *(_cell(content["aggregates"][f].get(agent["name"])) for f in families)])
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
-    lines += ["* sees the true state; (k of n): tasks that it supports, all where nothing stands"]
+    from swarm_envs.training.scoreboard.standings import NOTE, aligned, standings
+
+    lines = [*aligned(standings(content)), NOTE]
     lines += [
         f"{cell['agent']} FAILED {cell['task']}: {cell['reason']}"
         for cell in content["cells"]
         if cell["status"] == "failed"
     ]
-    return "\n" + "\n".join(line.rstrip() for line in lines)
-
-
-def _cell(standing: dict[str, Any] | None) -> str:
-    if standing is None:
-        return "-"
-    low, high = standing["interval"]
-    part = (
-        "" if standing["tasks"] == standing["of"] else f" ({standing['tasks']} of {standing['of']})"
-    )
-    return f"{standing['value']:.2f} [{low:.2f}, {high:.2f}]{part}"
+    return "\n" + "\n".join(lines)
