@@ -109,8 +109,10 @@ def _cell(task: dict[str, Any], agent: str, rng: np.random.Generator) -> dict[st
     file = f"replays/{task['id']}--agent-{number}.html"
     replay = {"seed": 17, "episode": 3, "file": file, "why": "the first failure with a collision"}
     values = _values(task, agent, rng)
+    part = agent.startswith("rth3d") and task["id"] == "ring-16-v1"
+    reason = "refused 3 of 64 episodes: starts are too near" if part else None
     return {
-        **cell, "status": "flown", "reason": None, "episodes": 64, "values": values,
+        **cell, "status": "flown", "reason": reason, "episodes": 64, "values": values,
         "replay": replay,
     }  # fmt: skip
 
@@ -149,7 +151,11 @@ def _rates(cells: list[dict[str, Any]], family: str) -> dict[str, float]:
 
 def _standings(cells: list[dict[str, Any]], family: str) -> dict[str, Any]:
     return {
-        name: {"value": rate, "interval": _value("a_rate", rate)["interval"], "metric": "success"}
+        name: {
+            "value": rate,
+            "interval": _value("a_rate", rate)["interval"],
+            "metric": "interquartile mean of success",
+        }
         for name, rate in _rates(cells, family).items()
     }
 

@@ -50,7 +50,7 @@ class Rows:
         if given is None or given.value is None:
             return [NONE]
         ends = interval(given, metric.unit)
-        small = [tag("small", ends)] if ends else []
+        small = [" ", tag("small", ends)] if ends else []
         return [number(given.value, metric.unit), *small]
 
     def data(self, cell: Cell, metric: Metric) -> dict[str, float | str | None]:
@@ -108,11 +108,11 @@ def matrix(rows: Rows) -> Element:
 
 
 def _order(board: Board) -> Callable[[Entry], float]:
-    """Puts the agents with the best mean over their leaderboards first."""
+    """Puts the agents with the most in all leaderboards together first."""
 
     def key(agent: Entry) -> float:
-        scores = [s[agent.name].value for s in board.standings.values() if agent.name in s]
-        return -sum(scores) / len(scores) if scores else 0.0
+        boards = board.standings.values()
+        return -sum(standings[agent.name].value for standings in boards if agent.name in standings)
 
     return key
 
@@ -149,7 +149,8 @@ def _matrix_cell(rows: Rows, task: Task, agent: Entry) -> Element:
     shown = tag("a", rows.number(cell, metric), class_="n", href=target)
     data = rows.data(cell, metric)
     replay = rows.replay(cell)
-    return tag("td", replay, shown, class_="flown", data_family=task.family, **data)
+    part = tag("abbr", "†", title=cell.reason, class_="part") if cell.reason else None
+    return tag("td", replay, part, shown, class_="flown", data_family=task.family, **data)
 
 
 def every_number(rows: Rows) -> Element:
@@ -195,4 +196,5 @@ def _number_row(rows: Rows, task: Task, agent: Entry) -> Element:
         data_task=task.id,
         data_agent=agent.name,
         data_label=rows.label(cell),
+        data_note=cell.reason or None,
     )

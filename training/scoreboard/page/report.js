@@ -88,13 +88,13 @@
   function line(head, source) {
     const small = source.querySelector("small"), term = make("dt", head.label);
     term.title = head.help;
-    return make("div", term, make("dd", source.firstChild.textContent), make("dd", small ? small.textContent : ""));
+    return make("div", term, make("dd", source.firstChild.textContent.trim()), make("dd", small ? small.textContent : ""));
   }
   function detail(cell) {
     const row = rowOf(cell), agent = cell.closest("tr").cells[0], link = row.cells[2].querySelector("a");
     const shown = link ? [make("a", "Watch a replay"), ` ${row.cells[2].dataset.why || ""}`] : [];
     if (link) shown[0].href = link.getAttribute("href");
-    const about = `${row.cells[3].textContent} episodes of ${row.dataset.task}. ${agent.title}`;
+    const about = [`${row.cells[3].textContent} episodes of ${row.dataset.task}.`, agent.title, row.dataset.note && `† ${row.dataset.note}`].filter(Boolean).join(" ");
     open(row.dataset.label, about, shown, [...metrics.values()].map((head) => line(head, row.cells[head.column])));
   }
   matrix.addEventListener("click", (event) => {
