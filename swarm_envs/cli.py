@@ -132,8 +132,10 @@ def _reproduce(arguments: Sequence[str]) -> int:
         print(papers.overview(f"{PROGRAM} reproduce"))
         return DONE if arguments else MISUSED
     paper = arguments[0]
+    if paper == papers.ALL:
+        return _reproduce_all(arguments[1:])
     if paper not in papers.PAPERS:
-        message = unknown_name("paper", paper, papers.PAPERS)
+        message = unknown_name("paper", paper, (papers.ALL, *papers.PAPERS))
         return _complain(f"{PROGRAM} reproduce", message, MISUSED)
     works = papers.load(paper)
     options = _read(f"reproduce {paper}", works.ReproduceOptions, arguments[1:])
@@ -144,6 +146,18 @@ def _reproduce(arguments: Sequence[str]) -> int:
     except ValueError as error:  # a model, a table or an older run is not what it should be
         return _complain(f"{PROGRAM} reproduce", str(error), FAILED)
     return DONE
+
+
+def _reproduce_all(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.reproduce.everything.options import ReproduceOptions, run
+
+    options = _read("reproduce all", ReproduceOptions, arguments)
+    _check_folder("--out", options.out)
+    if options.json is not None:
+        _check_file("--json", options.json)
+    said, complete = run(options, main)
+    print(said)
+    return DONE if complete else FAILED
 
 
 def _fly(arguments: Sequence[str]) -> int:
@@ -179,9 +193,13 @@ def _replay(arguments: Sequence[str]) -> int:
 
 
 def _export(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.export import ExportOptions, run
+    from swarm_envs.commands import export
 
-    run(_read("export", ExportOptions, arguments))
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(export.OVERVIEW)
+        return DONE if arguments else MISUSED
+    kind = export.find_kind(arguments[0])
+    kind.run(_read(f"export {arguments[0]}", kind.options, arguments[1:]))
     return DONE
 
 
@@ -191,7 +209,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", TrainConfig, arguments, prefixes=True)
     check(config)
-    _need_torch("sb3")
+    _need_torch()
     run(config)
     return DONE
 
@@ -200,7 +218,7 @@ def _train_sweep(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train_sweep import SweepOptions, run
 
     options = _read("train-sweep", SweepOptions, arguments)
-    _need_torch("sb3")
+    _need_torch()
     return FAILED if run(options) else DONE
 
 
@@ -217,7 +235,7 @@ COMMANDS: Mapping[str, Command] = {
     "train": Command("train a policy by reinforcement learning", _train),
     "train-sweep": Command("train with several seeds and options, and compare", _train_sweep),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
-    "export": Command("write a force model as a C header for a microcontroller", _export),
+    "export": Command("flights, policies and force models for real drones", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
@@ -279,10 +297,10 @@ def _read(
     )
 
 
-def _need_torch(extra: str = "train") -> None:
+def _need_torch() -> None:
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
-            f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
+            "training needs torch; install it by: pip install 'swarm-envs[train]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
 
