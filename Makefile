@@ -20,13 +20,14 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test test-all test-compat lint format bench docs clean
+.PHONY: help demo test test-all test-compat matrix lint format bench docs clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
+	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
 	@echo 'make lint      ruff and mypy'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
@@ -68,6 +69,10 @@ $(COMPAT)/%/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(COMPAT)/$*
 	$(subst $(BIN),$(COMPAT)/$*/bin,$(INSTALL)) -e . pytest hypothesis $(PEERS_$*)
 	@touch $@
+
+# `make matrix MATRIX='--rows oldest 3.13 --python 3.13=/path/to/python'`; a few minutes a row.
+matrix: $(VENV)/.dev
+	$(BIN)/python -m tests.packaging.matrix $(MATRIX)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

@@ -132,8 +132,10 @@ def _reproduce(arguments: Sequence[str]) -> int:
         print(papers.overview(f"{PROGRAM} reproduce"))
         return DONE if arguments else MISUSED
     paper = arguments[0]
+    if paper == papers.ALL:
+        return _reproduce_all(arguments[1:])
     if paper not in papers.PAPERS:
-        message = unknown_name("paper", paper, papers.PAPERS)
+        message = unknown_name("paper", paper, (papers.ALL, *papers.PAPERS))
         return _complain(f"{PROGRAM} reproduce", message, MISUSED)
     works = papers.load(paper)
     options = _read(f"reproduce {paper}", works.ReproduceOptions, arguments[1:])
@@ -146,15 +148,20 @@ def _reproduce(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _fly(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.fly import FlyOptions, run
+def _reproduce_all(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.reproduce.everything.options import ReproduceOptions, run
 
-    run(_read("fly", FlyOptions, arguments))
-    return DONE
+    options = _read("reproduce all", ReproduceOptions, arguments)
+    _check_folder("--out", options.out)
+    if options.json is not None:
+        _check_file("--json", options.json)
+    said, complete = run(options, main)
+    print(said)
+    return DONE if complete else FAILED
 
 
-def _counting(name: str) -> Callable[[Sequence[str]], int]:
-    """A command whose module has `<Name>Options`, and a `run` that counts what failed."""
+def _in_module(name: str) -> Callable[[Sequence[str]], int]:
+    """A command whose module has `<Name>Options`, and a `run` that may count what failed."""
 
     def run(arguments: Sequence[str]) -> int:
         module = importlib.import_module(f"swarm_envs.commands.{name}")
@@ -164,24 +171,14 @@ def _counting(name: str) -> Callable[[Sequence[str]], int]:
     return run
 
 
-def _plan(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.plan import PlanOptions, run
-
-    run(_read("plan", PlanOptions, arguments))
-    return DONE
-
-
-def _replay(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.replay import ReplayOptions, run
-
-    run(_read("replay", ReplayOptions, arguments))
-    return DONE
-
-
 def _export(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.export import ExportOptions, run
+    from swarm_envs.commands import export
 
-    run(_read("export", ExportOptions, arguments))
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(export.OVERVIEW)
+        return DONE if arguments else MISUSED
+    kind = export.find_kind(arguments[0])
+    kind.run(_read(f"export {arguments[0]}", kind.options, arguments[1:]))
     return DONE
 
 
@@ -191,7 +188,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", TrainConfig, arguments, prefixes=True)
     check(config)
-    _need_torch("sb3")
+    _need_torch()
     run(config)
     return DONE
 
@@ -200,24 +197,24 @@ def _train_sweep(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train_sweep import SweepOptions, run
 
     options = _read("train-sweep", SweepOptions, arguments)
-    _need_torch("sb3")
+    _need_torch()
     return FAILED if run(options) else DONE
 
 
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
-    "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
-    "evaluate": Command("many episodes of agents, and their scores", _counting("evaluate")),
-    "benchmark": Command("every agent on every task, and a report of it", _counting("benchmark")),
-    "grade": Command("points for the assignments of a course", _counting("grade")),
-    "replay": Command("play a recorded episode in a browser", _replay),
-    "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
+    "fly": Command("fly one episode: metrics, film, replay page, trajectories", _in_module("fly")),
+    "evaluate": Command("many episodes of agents, and their scores", _in_module("evaluate")),
+    "benchmark": Command("every agent on every task, and a report of it", _in_module("benchmark")),
+    "grade": Command("points for the assignments of a course", _in_module("grade")),
+    "replay": Command("play a recorded episode in a browser", _in_module("replay")),
+    "plan": Command("plan paths on a grid for up to 100,000 robots and more", _in_module("plan")),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
     "train": Command("train a policy by reinforcement learning", _train),
     "train-sweep": Command("train with several seeds and options, and compare", _train_sweep),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
-    "export": Command("write a force model as a C header for a microcontroller", _export),
+    "export": Command("flights, policies and force models for real drones", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
@@ -279,10 +276,10 @@ def _read(
     )
 
 
-def _need_torch(extra: str = "train") -> None:
+def _need_torch() -> None:
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
-            f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
+            "training needs torch; install it by: pip install 'swarm-envs[train]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
 

@@ -149,7 +149,7 @@ def test_the_header_needs_nothing(tmp_path: Path) -> None:
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, facts = tmp_path / "wash.h", tmp_path / "facts.json"
-    assert main(["export", "--out", str(out), "--json", str(facts)]) == 0
+    assert main(["export", "force", "--out", str(out), "--json", str(facts)]) == 0
     assert out.read_text() == c_header(load("learned"), "wash")
     assert json.loads(facts.read_text())["weights"] == load("learned").field.weights.size
     assert "wash_force_z" in capsys.readouterr().out

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.training.force_model.evaluate import mean_squared_errors
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 
 
 def some_rows(count):

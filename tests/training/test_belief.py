@@ -13,10 +13,10 @@ from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.interactions import load
 from swarm_envs.tasks.swap import StackedLayout
+from swarm_envs.training.belief import BeliefConfig, fit_belief, judge
+from swarm_envs.training.belief.fit import command
+from swarm_envs.training.belief.judge import SwapTrial
 from swarm_envs.training.collection import CollectionConfig, interaction_rows
-from swarm_envs.training.collection.belief import BeliefConfig, fit_belief, judge
-from swarm_envs.training.collection.belief.fit import command
-from swarm_envs.training.collection.belief.judge import SwapTrial
 from swarm_envs.training.collection.collect import collect
 from swarm_envs.training.force_model import load_network
 from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows

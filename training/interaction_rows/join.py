@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.training.force_model.rows import NO_NEIGHBOR, IntArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import NO_NEIGHBOR, IntArray, InteractionRows
 
 
 def join_rows(tables: Sequence[InteractionRows]) -> InteractionRows:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.training.force_model.rows import FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
 HEIGHT_M = (0.0, 20.0)

@@ -1,10 +1,10 @@
-"""Command line of `swarm_envs.training.collection.belief.fit_belief`."""
+"""Command line of `swarm_envs.training.belief.fit_belief`."""
 
 from __future__ import annotations
 
 import tyro
 
-from swarm_envs.training.collection.belief.fit import BeliefConfig, fit_belief
+from swarm_envs.training.belief.fit import BeliefConfig, fit_belief
 
 
 def main() -> None:

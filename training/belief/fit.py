@@ -14,15 +14,15 @@ import tyro
 from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import load
-from swarm_envs.training.collection.belief.card import model_card
-from swarm_envs.training.collection.belief.judge import TRIALS, SwapJudgement, SwapTrial, judge
+from swarm_envs.training.belief.card import model_card
+from swarm_envs.training.belief.judge import TRIALS, SwapJudgement, SwapTrial, judge
 from swarm_envs.training.collection.collect import MANIFEST, collect
 from swarm_envs.training.collection.config import CollectionConfig
 from swarm_envs.training.collection.table import interaction_rows
 from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
 from swarm_envs.training.force_model import fit as fit_force_model
-from swarm_envs.training.force_model.files import file_sha256, json_ready
-from swarm_envs.training.force_model.rows import save_rows
+from swarm_envs.training.interaction_rows import save_rows
+from swarm_envs.training.provenance import file_sha256, json_ready
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def file_name(interactions: str) -> str:
 
 def command(config: BeliefConfig) -> str:
     """Command line that makes this belief, with the folder left out."""
-    words = ["python -m swarm_envs.training.collection.belief --out DIR", f"--seed {config.seed}"]
+    words = ["python -m swarm_envs.training.belief --out DIR", f"--seed {config.seed}"]
     if config.steps != BeliefConfig.steps:
         words.append(f"--steps {config.steps}")
     return " ".join(words + changed_options("collection", config.collection, CollectionConfig()))

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.training.force_model.rows import BoolArray, FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
 
 QUIET_HEIGHT_M = 0.3
 """A row below this height is not quiet, m."""

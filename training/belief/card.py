@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 from swarm_envs.training.collection.table import ROW_RATE
 
 if TYPE_CHECKING:
-    from swarm_envs.training.collection.belief.fit import BeliefReport
-    from swarm_envs.training.collection.belief.judge import SwapJudgement
+    from swarm_envs.training.belief.fit import BeliefReport
+    from swarm_envs.training.belief.judge import SwapJudgement
     from swarm_envs.training.collection.config import CollectionConfig
     from swarm_envs.training.force_model.network import InputRange
 
