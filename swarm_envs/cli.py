@@ -131,15 +131,8 @@ def _reproduce(arguments: Sequence[str]) -> int:
     return run(arguments, _read, main)
 
 
-def _fly(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.fly import FlyOptions, run
-
-    run(_read("fly", FlyOptions, arguments))
-    return DONE
-
-
-def _counting(name: str) -> Callable[[Sequence[str]], int]:
-    """A command whose module has `<Name>Options`, and a `run` that counts what failed."""
+def _in_module(name: str) -> Callable[[Sequence[str]], int]:
+    """A command whose module has `<Name>Options`, and a `run` that may count what failed."""
 
     def run(arguments: Sequence[str]) -> int:
         module = importlib.import_module(f"swarm_envs.commands.{name}")
@@ -147,20 +140,6 @@ def _counting(name: str) -> Callable[[Sequence[str]], int]:
         return FAILED if module.run(_read(name, options, arguments)) else DONE
 
     return run
-
-
-def _plan(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.plan import PlanOptions, run
-
-    run(_read("plan", PlanOptions, arguments))
-    return DONE
-
-
-def _replay(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.replay import ReplayOptions, run
-
-    run(_read("replay", ReplayOptions, arguments))
-    return DONE
 
 
 def _export(arguments: Sequence[str]) -> int:
@@ -195,12 +174,12 @@ def _train_sweep(arguments: Sequence[str]) -> int:
 
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
-    "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
-    "evaluate": Command("many episodes of agents, and their scores", _counting("evaluate")),
-    "benchmark": Command("every agent on every task, and a report of it", _counting("benchmark")),
-    "grade": Command("points for the assignments of a course", _counting("grade")),
-    "replay": Command("play a recorded episode in a browser", _replay),
-    "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
+    "fly": Command("fly one episode: metrics, film, replay page, trajectories", _in_module("fly")),
+    "evaluate": Command("many episodes of agents, and their scores", _in_module("evaluate")),
+    "benchmark": Command("every agent on every task, and a report of it", _in_module("benchmark")),
+    "grade": Command("points for the assignments of a course", _in_module("grade")),
+    "replay": Command("play a recorded episode in a browser", _in_module("replay")),
+    "plan": Command("plan paths on a grid for up to 100,000 robots and more", _in_module("plan")),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),
     "train": Command("train a policy by reinforcement learning", _train),

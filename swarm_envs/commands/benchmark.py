@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -24,8 +25,11 @@ class BenchmarkOptions:
     the others go on, and the exit code is 1; what an agent does not support is in the report too.
     """
 
-    out: Path
+    out: Path | None = None
     """folder of the report, the tables, every episode and the replay pages"""
+    report: Path | None = None
+    """write the report of this folder anew, and the replay pages that it lacks; nothing else is
+    flown"""
     agents: list[str] = field(default_factory=lambda: ["*"])
     """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
@@ -53,6 +57,8 @@ class BenchmarkOptions:
             check_integer("--episodes", self.episodes, 1)
             if self.quick:
                 raise ValueError("--quick and --episodes both say how many are flown; give one")
+        if (self.out is None) == (self.report is None):
+            raise ValueError("give either --out DIR, to fly, or --report DIR, to report anew")
 
 
 def run(options: BenchmarkOptions) -> int:
@@ -61,39 +67,74 @@ def run(options: BenchmarkOptions) -> int:
     Raises:
         BlockingIOError: another process writes into the folder.
         ImportError: what the tables, the pages or a cluster need is not installed.
-        Misuse: there is no such agent or task, or no place to write; nothing was flown.
+        Misuse: there is no such agent or task, no place to write, or nothing to write anew;
+            nothing was flown.
     """
-    from swarm_envs.files import claimed, write_json
-    from swarm_envs.training.scoreboard.manifest import OtherBenchmark
-    from swarm_envs.training.scoreboard.replays import record
-    from swarm_envs.training.scoreboard.report import write
-    from swarm_envs.training.scoreboard.runner import SCORES
-    from swarm_envs.training.scoreboard.runner import run as fly
-
-    check_folder("--out", options.out)
     if options.json is not None:
         check_file("--json", options.json, (".json",))
-    plan = _plan(options)
     if options.replays and importlib.util.find_spec("plotly") is None:
         raise ImportError(
             "replay pages need plotly; install it by: pip install 'swarm-envs[viz]', or do without "
             "them by --no-replays"
         )
-    with claimed(options.out):
+    if options.out is not None:
+        return _fly(options, options.out)
+    assert options.report is not None
+    return _rewrite(options, options.report)
+
+
+def _fly(options: BenchmarkOptions, out: Path) -> int:
+    from swarm_envs.files import claimed, write_json
+    from swarm_envs.training.scoreboard.manifest import OtherBenchmark
+    from swarm_envs.training.scoreboard.runner import SCORES
+    from swarm_envs.training.scoreboard.runner import run as fly
+
+    check_folder("--out", out)
+    plan = _plan(options)
+    with claimed(out):
         try:
-            content = fly(plan, options.out, options.scale, options.table)
+            content = fly(plan, out, options.scale, options.table)
         except OtherBenchmark as error:
             raise Misuse(str(error)) from error
         if options.json is not None:
             write_json(options.json, content)
-        problems = record(options.out, options.scale.workers) if options.replays else []
-        page = write(options.out)
+        problems, page = _show(options, out)
     print(_standings(content))
+    _tell(problems, out / SCORES, options.json, page)
+    return len(problems) + sum(cell["status"] == "failed" for cell in content["cells"])
+
+
+def _rewrite(options: BenchmarkOptions, folder: Path) -> int:
+    """Write the pages of a benchmark that was flown; return how many are missing."""
+    from swarm_envs.files import claimed, write_json
+    from swarm_envs.training.scoreboard.reading import FILE, read
+
+    try:
+        read(folder)
+    except (FileNotFoundError, ValueError) as error:
+        raise Misuse(str(error)) from error
+    with claimed(folder):
+        problems, page = _show(options, folder)
+        if options.json is not None:
+            write_json(options.json, json.loads((folder / FILE).read_text(encoding="utf-8")))
+    _tell(problems, options.json, page)
+    return len(problems)
+
+
+def _show(options: BenchmarkOptions, folder: Path) -> tuple[list[str], Path]:
+    """Write the replay pages and the report; give what went wrong, and the report."""
+    from swarm_envs.training.scoreboard.replays import record
+    from swarm_envs.training.scoreboard.report import write
+
+    problems = record(folder, options.scale.workers) if options.replays else []
+    return problems, write(folder)
+
+
+def _tell(problems: list[str], *written: Path | None) -> None:
     for problem in problems:
         print(f"no replay: {problem}")
-    for path in filter(None, (options.out / SCORES, options.json, page)):
+    for path in filter(None, written):
         print(f"wrote {path}")
-    return len(problems) + sum(cell["status"] == "failed" for cell in content["cells"])
 
 
 def _plan(options: BenchmarkOptions) -> Plan:
@@ -115,27 +156,12 @@ def _plan(options: BenchmarkOptions) -> Plan:
 
 def _standings(content: dict[str, Any]) -> str:
     """The agents' scores in a few columns, and who failed."""
-    families = list(content["aggregates"])
-    rows = [["agent", *families]]
-    for agent in content["agents"]:
-        row = [agent["name"] + ("*" if agent["privileged"] else "")]
-        rows.append([*row, *(_cell(content["aggregates"][f].get(agent["name"])) for f in families)])
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
-    lines += ["* sees the true state; (k of n): tasks that it supports, all where nothing stands"]
+    from swarm_envs.training.scoreboard.standings import NOTE, aligned, standings
+
+    lines = [*aligned(standings(content)), NOTE]
     lines += [
         f"{cell['agent']} FAILED {cell['task']}: {cell['reason']}"
         for cell in content["cells"]
         if cell["status"] == "failed"
     ]
-    return "\n" + "\n".join(line.rstrip() for line in lines)
-
-
-def _cell(standing: dict[str, Any] | None) -> str:
-    if standing is None:
-        return "-"
-    low, high = standing["interval"]
-    part = (
-        "" if standing["tasks"] == standing["of"] else f" ({standing['tasks']} of {standing['of']})"
-    )
-    return f"{standing['value']:.2f} [{low:.2f}, {high:.2f}]{part}"
+    return "\n" + "\n".join(lines)

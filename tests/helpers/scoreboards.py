@@ -151,7 +151,11 @@ def _rates(cells: list[dict[str, Any]], family: str) -> dict[str, float]:
 
 def _standings(cells: list[dict[str, Any]], family: str) -> dict[str, Any]:
     return {
-        name: {"value": rate, "interval": _value("a_rate", rate)["interval"], "metric": "success"}
+        name: {
+            "value": rate,
+            "interval": _value("a_rate", rate)["interval"],
+            "metric": "interquartile mean of success",
+        }
         for name, rate in _rates(cells, family).items()
     }
 

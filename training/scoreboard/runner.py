@@ -132,7 +132,10 @@ def _fly(cells: Sequence[Cell], scale: ScaleOptions) -> None:
             done += 1
             bar.set_description_str(f"{tasks[id(entrant)]} {entrant.name[-24:]}", refresh=False)
             bar.set_postfix_str(f"{done:,} of {total:,} episodes", refresh=False)
-            bar.update(costs[id(entrant)])
+            if "refused" in episode["metrics"]:
+                bar.total -= costs[id(entrant)]  # it took no time
+            else:
+                bar.update(costs[id(entrant)])
 
         fly_apart(left, workers, watch)
         bar.total = bar.n  # agents that failed flew less

@@ -22,7 +22,8 @@ def summary(board: Board) -> str:
     episodes = sum(cell.episodes for cell in flown)
     return (
         f"{len(board.agents)} agents on {len(board.tasks)} tasks: {len(flown)} pairs flown, "
-        f"{number(episodes)} episodes. On a task all fly the same frozen seeds, slow agents the first."
+        f"{number(episodes)} episodes. On each task all fly the "
+        "same frozen seeds, slow agents the first of them."
     )
 
 
@@ -82,7 +83,7 @@ def leaderboards(board: Board, colors: Palette) -> list[Element]:
             tag(
                 "article",
                 tag("h3", family),
-                tag("p", f"Interquartile mean of {what}", class_="quiet"),
+                tag("p", what[:1].upper() + what[1:], class_="quiet"),
                 tag("ol", rows, _scale(), class_="board"),
             )
         )
@@ -117,8 +118,8 @@ def _place(place: int, agent: Entry, standing: Standing, part: str, colors: Pale
 def _scale() -> Element:
     ticks = [tag("i", text, style=f"left:{text}%") for text in ("0", "50", "100")]
     axis = tag("span", ticks, class_="bar axis")
-    blank = [tag("span"), tag("span")]
-    return tag("li", blank, axis, tag("span", "%"), class_="axis", aria_hidden="true")
+    name = tag("span", "score, %", class_="score")
+    return tag("li", tag("span"), name, axis, class_="axis", aria_hidden="true")
 
 
 def not_flown(board: Board) -> Element | None:
@@ -169,8 +170,9 @@ def reproduce(board: Board) -> list[Element]:
         ),
         tag(
             "p",
-            "Each episode's numbers are in ", tag("code", "episodes.parquet"), ", what this page "
-            "shows in ", tag("code", "scores.json"), ", what was run where in ",
+            "Each episode's numbers are in ", tag("code", "episodes.parquet"), " (or ",
+            tag("code", ".csv"), "), what this page shows in ", tag("code", "scores.json"),
+            ", what was run where in ",
             tag("code", "manifest.json"), ".",
         ),
         tag("details", tag("summary", "The configuration"), tag("pre", tag("code", config))),
@@ -180,18 +182,21 @@ def reproduce(board: Board) -> list[Element]:
 def glossary(board: Board) -> list[Element]:
     """What each metric, task and agent is."""
     metrics = [_meaning(metric) for metric in board.metrics]
+    options = [task.options for task in board.tasks]
+    common = {k: v for k, v in options[0].items() if all(o.get(k) == v for o in options)}
     tasks = [
         _fact_of(task.label, [tag("code", task.id), f" {task.help} ",
-                 tag("small", f"{task.episodes} episodes; {_options(task.options)}")])
+                 tag("small", f"{_options(task.options, common)}; {task.episodes} episodes")])
         for task in board.tasks
     ]  # fmt: skip
     agents = [
         _fact_of(a.label, [a.help, " ", tag("em", f"◆ {PRIVILEGED}") if a.privileged else None])
         for a in board.agents
     ]
+    for_all = tag("p", _common(common), class_="quiet")
     return [
         tag("h3", "Metrics"), tag("dl", metrics, class_="terms"),
-        tag("h3", "Tasks"), tag("dl", tasks, class_="terms"),
+        tag("h3", "Tasks"), for_all, tag("dl", tasks, class_="terms"),
         tag("h3", "Agents"), tag("dl", agents, class_="terms"),
     ]  # fmt: skip
 
@@ -206,5 +211,14 @@ def _fact_of(name: str, content: Content) -> Element:
     return tag("div", tag("dt", name), tag("dd", content))
 
 
-def _options(options: Mapping[str, Any]) -> str:
-    return ", ".join(f"{name} {json.dumps(v, ensure_ascii=False)}" for name, v in options.items())
+def _common(common: Mapping[str, Any]) -> str | None:
+    return f"Each with {_options(common)}." if common else None
+
+
+def _options(options: Mapping[str, Any], but: Mapping[str, Any] | None = None) -> str:
+    """Options in a line, without those that are said elsewhere."""
+    shown = {name: value for name, value in options.items() if name not in (but or {})}
+    return ", ".join(
+        f"{name} {value if isinstance(value, str) else json.dumps(value)}"
+        for name, value in shown.items()
+    )

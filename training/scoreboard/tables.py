@@ -108,11 +108,11 @@ def matrix(rows: Rows) -> Element:
 
 
 def _order(board: Board) -> Callable[[Entry], float]:
-    """Puts the agents with the best mean over their leaderboards first."""
+    """Puts the agents with the most in all leaderboards together first."""
 
     def key(agent: Entry) -> float:
-        scores = [s[agent.name].value for s in board.standings.values() if agent.name in s]
-        return -sum(scores) / len(scores) if scores else 0.0
+        boards = board.standings.values()
+        return -sum(standings[agent.name].value for standings in boards if agent.name in standings)
 
     return key
 

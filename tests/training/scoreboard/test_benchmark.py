@@ -217,7 +217,7 @@ def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path):
     out, whole = tmp_path / "killed", tmp_path / "whole"
     command = [sys.executable, "-m", "swarm_envs", "benchmark", *few, "--out", str(out)]
     for kill in range(6):
-        wanted = kept(out) + rng.randint(0, 15)
+        wanted = kept(out) + rng.randint(kill % 2, 15)
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         deadline = time.monotonic() + 300
         while kept(out) < wanted:
@@ -230,7 +230,9 @@ def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path):
     assert benchmark(out, *few) == benchmark(whole, *few) == 0
     assert (out / "episodes.csv").read_bytes() == (whole / "episodes.csv").read_bytes()
     assert without_times(out) == without_times(whole)
-    assert [("wall_s" in run) for run in content(out)["manifest"]["runs"]] == [False] * 6 + [True]
+    *killed, last = content(out)["manifest"]["runs"]
+    assert len(killed) >= 4  # fewer than six were noted if one was killed as soon as it began
+    assert [("wall_s" in run) for run in (*killed, last)] == [False] * len(killed) + [True]
 
 
 def kept(out: Path) -> int:

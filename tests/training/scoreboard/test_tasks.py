@@ -11,8 +11,10 @@ import swarm_envs
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.training.scoreboard import roster, tasks
+from swarm_envs.training.scoreboard.metrics import METRICS
 from swarm_envs.training.scoreboard.roster import LEAST, ROSTER, episodes_of
 from swarm_envs.training.scoreboard.tasks import SEED, TASKS, digest
+from tests.helpers.pages import DOCS
 
 DIGESTS = {
     "swap-random-2-v1": "9ff0162883c1d2cf",
@@ -126,3 +128,14 @@ def test_what_is_no_name_is_refused_with_the_nearest(choose):
         choose(["*", wrong])
     with pytest.raises(ValueError, match="is named"):
         choose([])
+
+
+def test_the_page_explains_every_column_and_names_every_task():
+    page = (DOCS / "benchmark.md").read_text(encoding="utf-8")
+    measured = page.partition("## What is measured")[2]
+    assert all(f"`{metric.name}`" in measured for metric in METRICS)
+    shown = page.partition("## Tasks")[2].partition("## What is measured")[0]
+    for name in TASKS:
+        first, size, version = name.rsplit("-", 2)
+        assert f"`{name}`" in shown or (f"`{first}-" in shown and f"`-{size}`" in shown), name
+        assert version in shown
