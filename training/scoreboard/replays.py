@@ -83,7 +83,8 @@ def file_of(task: str, agent: str) -> str:
 def record(folder: Path, workers: int = 1) -> list[str]:
     """Record every replay that a scoreboard's folder names and lacks, with a progress bar.
 
-    Killed and called again, it goes on with those that are not there.
+    Killed and called again, it goes on with those that are not there. A page of another episode
+    than the one that is named now is written anew.
 
     Args:
         folder: holds `scores.json`.
@@ -118,11 +119,16 @@ def _jobs(folder: Path, board: Board) -> list[Job]:
     missing = [
         cell
         for cell in board.cells.values()
-        if cell.replay is not None and not (folder / cell.replay.file).is_file()
+        if cell.replay is not None and not _is_there(folder / cell.replay.file, cell.replay.seed)
     ]
     cost = {id(cell): _cost(cell) for cell in missing}
     missing.sort(key=lambda cell: -cost[id(cell)])
     return [_job(folder, board, cell) for cell in missing]
+
+
+def _is_there(page: Path, seed: int) -> bool:
+    """Whether a page is there, and of the episode that was chosen."""
+    return page.is_file() and f", seed {seed};" in page.read_text(encoding="utf-8")
 
 
 def _cost(cell: Cell) -> float:

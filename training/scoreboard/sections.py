@@ -170,8 +170,9 @@ def reproduce(board: Board) -> list[Element]:
         ),
         tag(
             "p",
-            "Each episode's numbers are in ", tag("code", "episodes.parquet"), ", what this page "
-            "shows in ", tag("code", "scores.json"), ", what was run where in ",
+            "Each episode's numbers are in ", tag("code", "episodes.parquet"), " (or ",
+            tag("code", ".csv"), "), what this page shows in ", tag("code", "scores.json"),
+            ", what was run where in ",
             tag("code", "manifest.json"), ".",
         ),
         tag("details", tag("summary", "The configuration"), tag("pre", tag("code", config))),

@@ -98,12 +98,15 @@ def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_pat
     data = page_data(flight, [])
     assert shown(pages[1])["position"] == data["position"]
 
-    pages[0].write_text("kept")
+    pages[0].write_text("kept: hover, seed 11; ...")
     before = pages[1].read_bytes()
     pages[1].unlink()
     assert replays.record(folder) == []
-    assert pages[0].read_text() == "kept"
+    assert pages[0].read_text().startswith("kept")
     assert pages[1].read_bytes() == before
+    pages[0].write_text("of another episode: hover, seed 12; ...")
+    assert replays.record(folder) == []
+    assert len(shown(pages[0])["time"]) > 5
 
 
 def test_what_goes_wrong_is_said_and_the_others_are_there(tmp_path):
