@@ -185,7 +185,10 @@ def _widest(policy: Policy) -> int:
 
 def _networks(policy: Policy, name: str) -> dict[str, str]:
     """Tables of weights, and of networks by the type of who acts and who is seen."""
-    types, tables, actors, phis = tuple(VEHICLES), [], [], []
+    types = tuple(VEHICLES)
+    tables: list[tuple[str, str]] = []
+    actors: list[str] = []
+    phis: list[str] = []
     inner: tuple[str, ...] = (ANY,)
     for owner in (ANY,) if ANY in policy.networks else types:
         network = policy.networks.get(owner)

@@ -7,10 +7,9 @@ faster when it need not find out by itself how near is near, or where two straig
 from __future__ import annotations
 
 from functools import cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
@@ -36,24 +35,24 @@ OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
 """Numbers told of a drone itself, and of each neighbour, whose mask is the last; types follow."""
 
 
-_ZERO, _LITTLE = np.float32(0.0), np.float32(1e-6)
+_ZERO, _LITTLE, _TWO, _CUT = (np.float32(value) for value in (0.0, 1e-6, 2.0, GOAL_REACH))
 _SPEED, _HORIZON = np.float32(SPEED_LIMIT), np.float32(AHEAD)
 _REACH, _FOLD = np.float32(OTHERS_GOAL), np.float32(NEAR)
 
 
 class _Places(NamedTuple):
-    """Where a row has what features are made of."""
+    """Where in a row begins what features are made of."""
 
-    position: slice
-    velocity: slice
-    attitude: slice
-    thrust: slice
-    setpoint_offset: slice
-    goal: slice
-    time_left: slice
-    type: slice
-    neighbors: slice
-    """Of all of them: K times the width of one."""
+    position: int
+    velocity: int
+    attitude: int
+    thrust: int
+    setpoint_offset: int
+    type: int
+    neighbors: int
+    """Of the first neighbour."""
+    goal: int
+    time_left: int
 
 
 def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Float32Array:
@@ -80,28 +79,17 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
         ValueError: rows have another width.
     """
     check_width(rows, num_neighbors)
-    places = _places(num_neighbors)
-    goal = rows[..., places.goal]
-    distance = _length(goal)
-    attitude = rows[..., places.attitude]
-    own: list[npt.NDArray[Any]] = [
-        goal / np.maximum(distance, GOAL_REACH),
-        distance,
-        rows[..., places.velocity],
-        attitude[..., 2::3],
-        rows[..., places.thrust],
-        rows[..., places.setpoint_offset],
-        rows[..., places.position] / 2.0,
-        rows[..., places.time_left],
-    ]
-    if typed:
-        own.append(rows[..., places.type])
-    before = rows.shape[:-1]
+    flat = np.ascontiguousarray(rows, np.float32).reshape(-1, rows.shape[-1])
+    own, neighbor = (width + typed * len(TYPES) for width in (OWN_WIDTH, NEIGHBOR_WIDTH))
+    made: Float32Array = np.empty((len(flat), own + num_neighbors * neighbor), np.float32)
+    nearness: Float32Array = np.empty((2, len(flat), num_neighbors), np.float32)
+    _write(flat, _places(num_neighbors), typed, made, nearness)
     if num_neighbors:
-        seen = rows[..., places.neighbors].reshape(*before, num_neighbors, -1)
-        own.append(_neighbor_features(seen, typed).reshape(*before, -1))
-    made: Float32Array = np.concatenate(own, axis=-1, dtype=np.float32)
-    return made
+        around = made[:, own:].reshape(len(flat), num_neighbors, neighbor)
+        np.exp(nearness, out=nearness)
+        for where, near in zip(_NEARNESS, nearness, strict=True):
+            np.multiply(near, around[..., _MASK], out=around[..., where])
+    return made.reshape(*rows.shape[:-1], made.shape[-1])
 
 
 def check_width(rows: Float32Array, num_neighbors: int) -> None:
@@ -118,79 +106,95 @@ def check_width(rows: Float32Array, num_neighbors: int) -> None:
         )
 
 
-def _neighbor_features(neighbors: Float32Array, typed: bool) -> Float32Array:
-    """(..., K, 17 or with types 20) of (..., K, width) fields of neighbours."""
-    before = neighbors.shape[:-1]
-    flat = np.ascontiguousarray(neighbors).reshape(-1, neighbors.shape[-1])
-    width = NEIGHBOR_WIDTH + (len(TYPES) if typed else 0)
-    made: Float32Array = np.empty((len(flat), width), np.float32)
-    nearness: Float32Array = np.empty((2, len(flat)), np.float32)
-    _write_neighbors(flat, made, nearness)
-    made[:, _NEARNESS] = (np.exp(nearness, out=nearness) * flat[:, -1]).T
-    return made.reshape(*before, width)
-
-
-_NEARNESS = [3, 11]
-"""Where a neighbour's features have nearness, now and at the closest approach."""
+_NEARNESS, _MASK = (3, 11), 16
+"""Where a neighbour's features have nearness, now and at the closest approach, and its mask."""
 
 
 @borrowing_kernel
-def _write_neighbors(neighbors: Float32Array, made: Float32Array, nearness: Float32Array) -> None:
-    """Write features of neighbours, all but nearness, of which the exponents are written.
+def _write(
+    rows: Float32Array, at: _Places, typed: bool, made: Float32Array, nearness: Float32Array
+) -> None:
+    """Write features of rows, all but nearness, of which the exponents are written.
 
     The exponential is left to numpy, whose digits trained policies have seen.
 
     Args:
-        neighbors: (R, width) fields of neighbours.
-        made: (R, 17, or more for types) features, written.
-        nearness: (2, R) -distance / 0.4 m, now and at the closest approach, written.
+        rows: (R, width).
+        at: where they have what.
+        typed: whether types are told.
+        made: (R, width) features, written.
+        nearness: (2, R, K) -distance / 0.4 m, now and at the closest approach, written.
     """
-    types = made.shape[1] - NEIGHBOR_WIDTH
-    for r in range(len(neighbors)):
-        mask = neighbors[r, -1]
-        square = approach = motion = goal = _ZERO
-        for k in range(3):
-            velocity = neighbors[r, 3 + k] * _SPEED
-            square += neighbors[r, k] * neighbors[r, k]
-            approach += neighbors[r, k] * velocity
-            motion += velocity * velocity
-            goal += neighbors[r, 6 + k] * neighbors[r, 6 + k]
-        distance, approach = np.sqrt(square), -approach
-        time = min(max(approach / max(motion, _LITTLE), _ZERO), _HORIZON)
-        reach, least = max(np.sqrt(goal), _REACH), _ZERO
-        for k in range(3):
-            closest = neighbors[r, k] + time * (neighbors[r, 3 + k] * _SPEED)
-            least += closest * closest
-            made[r, k] = neighbors[r, k] * mask
-            made[r, 4 + k] = neighbors[r, 3 + k] * mask
-            made[r, 8 + k] = closest * mask
-            made[r, 12 + k] = neighbors[r, 6 + k] / reach * mask
-        nearness[0, r], nearness[1, r] = -distance / _FOLD, -np.sqrt(least) / _FOLD
-        made[r, 7] = time / _HORIZON * mask
-        made[r, 15] = approach / max(distance, _LITTLE) / _SPEED * mask
-        made[r, 16] = mask * mask
-        for k in range(types):
-            made[r, 17 + k] = neighbors[r, 9 + k] * mask
+    types = len(TYPES) if typed else 0
+    own, width, seen = OWN_WIDTH + types, NEIGHBOR_WIDTH + types, 10 + len(TYPES)
+    for r in range(len(rows)):
+        _write_own(rows[r], at, types, made[r])
+        for j in range(nearness.shape[2]):
+            start, end = at.neighbors + j * seen, own + j * width
+            near = nearness[:, r, j]
+            _write_neighbor(rows[r, start : start + seen], types, made[r, end:], near)
 
 
-def _length(vectors: Float32Array) -> Float32Array:
-    length: Float32Array = np.sqrt(np.square(vectors).sum(axis=-1, keepdims=True))
-    return length
+@borrowing_kernel
+def _write_own(row: Float32Array, at: _Places, types: int, made: Float32Array) -> None:
+    """Write what a row tells of the drone itself."""
+    square = _ZERO
+    for k in range(3):
+        square += row[at.goal + k] * row[at.goal + k]
+    distance = np.sqrt(square)
+    for k in range(3):
+        made[k] = row[at.goal + k] / max(distance, _CUT)
+        made[4 + k] = row[at.velocity + k]
+        made[7 + k] = row[at.attitude + 2 + 3 * k]
+        made[11 + k] = row[at.setpoint_offset + k]
+        made[14 + k] = row[at.position + k] / _TWO
+    made[3], made[10], made[17] = distance, row[at.thrust], row[at.time_left]
+    for k in range(types):
+        made[OWN_WIDTH + k] = row[at.type + k]
+
+
+@borrowing_kernel
+def _write_neighbor(
+    row: Float32Array, types: int, made: Float32Array, nearness: Float32Array
+) -> None:
+    """Write what the fields of a neighbour (width,) tell, and the exponents (2,) of nearness."""
+    mask = row[len(row) - 1]
+    square = approach = motion = goal = _ZERO
+    for k in range(3):
+        velocity = row[3 + k] * _SPEED
+        square += row[k] * row[k]
+        approach += row[k] * velocity
+        motion += velocity * velocity
+        goal += row[6 + k] * row[6 + k]
+    distance, approach = np.sqrt(square), -approach
+    time = min(max(approach / max(motion, _LITTLE), _ZERO), _HORIZON)
+    reach, least = max(np.sqrt(goal), _REACH), _ZERO
+    for k in range(3):
+        closest = row[k] + time * (row[3 + k] * _SPEED)
+        least += closest * closest
+        made[k] = row[k] * mask
+        made[4 + k] = row[3 + k] * mask
+        made[8 + k] = closest * mask
+        made[12 + k] = row[6 + k] / reach * mask
+    nearness[0], nearness[1] = -distance / _FOLD, -np.sqrt(least) / _FOLD
+    made[7] = time / _HORIZON * mask
+    made[15] = approach / max(distance, _LITTLE) / _SPEED * mask
+    made[_MASK] = mask * mask
+    for k in range(types):
+        made[NEIGHBOR_WIDTH + k] = row[9 + k] * mask
 
 
 @cache
 def _places(num_neighbors: int) -> _Places:
-    found = {field.name: field.where for field in observation_layout(num_neighbors)}
-    around = [where for name, where in found.items() if name.startswith("neighbor_")]
-    whole = slice(around[0].start, around[-1].stop) if around else slice(0, 0)
+    starts = {field.name: field.where.start for field in observation_layout(num_neighbors)}
     return _Places(
-        position=found["self.position"],
-        velocity=found["self.velocity"],
-        attitude=found["self.attitude"],
-        thrust=found["self.thrust"],
-        setpoint_offset=found["self.setpoint_offset"],
-        goal=found["task.goal"],
-        time_left=found["task.time_left"],
-        type=found["self.type"],
-        neighbors=whole,
+        position=starts["self.position"],
+        velocity=starts["self.velocity"],
+        attitude=starts["self.attitude"],
+        thrust=starts["self.thrust"],
+        setpoint_offset=starts["self.setpoint_offset"],
+        type=starts["self.type"],
+        neighbors=starts.get("neighbor_0.position", 0),
+        goal=starts["task.goal"],
+        time_left=starts["task.time_left"],
     )

@@ -89,7 +89,8 @@ def fly(
     commander = {uri: scf.cf.high_level_commander for uri, scf in swarm._cfs.items()}
     try:
         for uri in sorted(starts, key=lambda uri: -starts[uri][2]):
-            swarm._cfs[uri].cf.supervisor.send_arming_request(True)
+            cf = swarm._cfs[uri].cf  # cflib before 2026 arms through its platform
+            (getattr(cf, "supervisor", None) or cf.platform).send_arming_request(True)
             sleep(1.0)
             commander[uri].takeoff(float(starts[uri][2]), TAKE_OFF_S)
             sleep(TAKE_OFF_S)

@@ -14,6 +14,7 @@ from swarm_envs import __version__
 from swarm_envs.commands.checks import Misuse
 from swarm_envs.commands.checks import check_file as _check_file
 from swarm_envs.commands.checks import check_folder as _check_folder
+from swarm_envs.commands.checks import need_torch as _need_torch
 from swarm_envs.errors import unknown_name
 
 PROGRAM = "swarm-envs"
@@ -126,38 +127,9 @@ def _curriculum(arguments: Sequence[str]) -> int:
 
 
 def _reproduce(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.reproduce import papers
+    from swarm_envs.commands.reproduce import run
 
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(papers.overview(f"{PROGRAM} reproduce"))
-        return DONE if arguments else MISUSED
-    paper = arguments[0]
-    if paper == papers.ALL:
-        return _reproduce_all(arguments[1:])
-    if paper not in papers.PAPERS:
-        message = unknown_name("paper", paper, (papers.ALL, *papers.PAPERS))
-        return _complain(f"{PROGRAM} reproduce", message, MISUSED)
-    works = papers.load(paper)
-    options = _read(f"reproduce {paper}", works.ReproduceOptions, arguments[1:])
-    if options.needs_torch:
-        _need_torch()
-    try:
-        print(works.run(options))
-    except ValueError as error:  # a model, a table or an older run is not what it should be
-        return _complain(f"{PROGRAM} reproduce", str(error), FAILED)
-    return DONE
-
-
-def _reproduce_all(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.reproduce.everything.options import ReproduceOptions, run
-
-    options = _read("reproduce all", ReproduceOptions, arguments)
-    _check_folder("--out", options.out)
-    if options.json is not None:
-        _check_file("--json", options.json)
-    said, complete = run(options, main)
-    print(said)
-    return DONE if complete else FAILED
+    return run(arguments, _read, main)
 
 
 def _in_module(name: str) -> Callable[[Sequence[str]], int]:

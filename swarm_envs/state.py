@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.vehicles import Team, Vehicle
 
 FloatArray = npt.NDArray[np.float64]
@@ -54,6 +55,20 @@ class SwarmState(NamedTuple):
         where = slice(None) if mask is None else mask
         for mine, theirs in zip(self, other, strict=True):
             mine[where] = theirs[where]
+
+
+@borrowing_kernel
+def take_state(e: int, new: SwarmState, state: SwarmState) -> None:
+    """Copy what `new` holds of environment `e` into a state."""
+    for i in range(state.battery.shape[1]):
+        state.battery[e, i] = new.battery[e, i]
+        for k in range(3):
+            state.position[e, i, k] = new.position[e, i, k]
+            state.velocity[e, i, k] = new.velocity[e, i, k]
+            state.angular_velocity[e, i, k] = new.angular_velocity[e, i, k]
+        for k in range(4):
+            state.quaternion[e, i, k] = new.quaternion[e, i, k]
+            state.rotor_thrust[e, i, k] = new.rotor_thrust[e, i, k]
 
 
 class Parameters(NamedTuple):

@@ -17,7 +17,7 @@ import tyro
 
 from swarm_envs.cli import COMMANDS, PROGRAM
 from swarm_envs.commands.export import KINDS
-from swarm_envs.training.reproduce.papers import PAPERS
+from swarm_envs.training.reproduce.papers import ALL, PAPERS
 
 MARK = "<!-- commands -->"
 
@@ -115,7 +115,7 @@ def _docstrings(cls: type) -> dict[str, str]:
 
 def commands() -> list[tuple[str, ...]]:
     """Every command line that has options of its own: `("fly",)`, `("reproduce", paper)`."""
-    inner = {"reproduce": tuple(PAPERS), "export": KINDS}
+    inner = {"reproduce": (*PAPERS, ALL), "export": KINDS}
     found: list[tuple[str, ...]] = []
     for name in COMMANDS:
         found += [(name, part) for part in inner[name]] if name in inner else [(name,)]

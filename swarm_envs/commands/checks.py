@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import tempfile
 from pathlib import Path
 
@@ -55,3 +56,16 @@ def _check_writable(given: str, folder: Path) -> None:
     except OSError as error:
         what = f"{str(existing)!r} cannot be written: {error.strerror}"
         raise Misuse(f"{given}, but {what}") from error
+
+
+def need_torch(extra: str = "train") -> None:
+    """Refuse to train where torch is not installed.
+
+    Raises:
+        ImportError: it is not; the message says how to get it, by the package's extra.
+    """
+    if importlib.util.find_spec("torch") is None:
+        raise ImportError(
+            f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
+            "(and where CUDA is not wanted, a CPU build of torch first)"
+        )

@@ -36,6 +36,10 @@ class TrajectoryOptions:
     """largest distance from the path, m"""
     pieces: int = 31
     """most pieces for each drone; 31 fill the firmware's memory"""
+    begin_s: float = 0.0
+    """leave out what was flown before, s"""
+    end_s: float | None = None
+    """leave out what was flown after, s"""
     settle_s: float = 1.0
     """ramp from and to rest where a flight begins or ends in motion, s; 0 refuses such a flight"""
     rate: float = 100.0
@@ -57,14 +61,18 @@ def export_trajectory(options: TrajectoryOptions) -> None:
         check_file("--json", options.json)
     if not options.file.is_file():
         raise Misuse(f"there is no file {str(options.file)!r}")
+    from swarm_envs.deploy import settled
     from swarm_envs.deploy.export import export_flight, report_content, report_lines
     from swarm_envs.files import write_json
 
     flight, source = _read(options)
+    if options.begin_s > 0.0 or options.end_s is not None:
+        end_s = flight.duration_s if options.end_s is None else options.end_s
+        flight = flight.part(options.begin_s, end_s)
     if options.settle_s > 0.0:
-        flight = flight.settled(options.settle_s)
+        flight = settled(flight, options.settle_s)
     given = (options.tolerance, options.pieces, options.rate)
-    found = export_flight(flight, options.out, *given, source=source)
+    found = export_flight(flight, options.out, *given, source=source, progress=True)
     if options.json is not None:
         write_json(options.json, {"source": source, **report_content(found)})
     print(*report_lines(found), sep="\n")

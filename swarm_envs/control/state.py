@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.state import BoolArray, FloatArray
 
 
@@ -105,3 +106,28 @@ class Setpoint(NamedTuple):
         where = slice(None) if mask is None else mask
         for mine, theirs in zip(self, other, strict=True):
             mine[where] = theirs[where]
+
+
+@borrowing_kernel
+def forget_flight(e: int, memory: ControllerState) -> None:
+    """Forget everything in environment `e`."""
+    for i in range(memory.started.shape[1]):
+        memory.thrust[e, i] = memory.thrust_rate[e, i] = 0.0
+        memory.started[e, i] = False
+        for k in range(4):
+            memory.desired_attitude[e, i, k] = 0.0
+        for k in range(3):
+            memory.velocity_integral[e, i, k] = memory.rate_integral[e, i, k] = 0.0
+            memory.rate_error[e, i, k] = memory.rate_error_rate[e, i, k] = 0.0
+            memory.desired_rate[e, i, k] = 0.0
+
+
+@borrowing_kernel
+def hold(e: int, position: FloatArray, setpoint: Setpoint) -> None:
+    """Rest environment `e`'s set-points at positions (E, N, 3), m."""
+    for i in range(position.shape[1]):
+        setpoint.yaw[e, i] = setpoint.yaw_rate[e, i] = 0.0
+        for k in range(3):
+            setpoint.position[e, i, k] = position[e, i, k]
+            setpoint.velocity[e, i, k] = setpoint.acceleration[e, i, k] = 0.0
+            setpoint.jerk[e, i, k] = 0.0

@@ -150,7 +150,7 @@ def track_env(
 
         tilt = tilt_towards(fx, fy, fz)
         half_yaw = 0.5 * setpoint.yaw[e, i]
-        s, c = math.sin(half_yaw), math.cos(half_yaw)
+        s, c = (half_yaw, 1.0) if half_yaw == 0.0 else (math.sin(half_yaw), math.cos(half_yaw))
         omega_desired = desired_rate(e, i, tilt, s, c, setpoint.yaw_rate[e, i], memory, gains)
         desired = (
             tilt[0] * c + tilt[1] * s,

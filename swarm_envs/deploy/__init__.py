@@ -8,6 +8,7 @@ from swarm_envs.deploy.export import export_flight, fit_flight
 from swarm_envs.deploy.fit import fit_pieces
 from swarm_envs.deploy.flight import Flight, flight_along, flight_of
 from swarm_envs.deploy.pieces import Pieces, evaluate, read_pieces, write_pieces
+from swarm_envs.deploy.ramps import settled
 from swarm_envs.deploy.report import DroneReport, Separation, TeamReport, report
 
 __all__ = [
@@ -24,5 +25,6 @@ __all__ = [
     "flight_of",
     "read_pieces",
     "report",
+    "settled",
     "write_pieces",
 ]

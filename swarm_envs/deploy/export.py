@@ -10,21 +10,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from swarm_envs.deploy.fit import fit_pieces
 from swarm_envs.deploy.flight import AT_REST, Flight
 from swarm_envs.deploy.pieces import MOST_PIECES, Pieces, evaluate, write_pieces
+from swarm_envs.deploy.plot import plot_export
 from swarm_envs.deploy.report import TeamReport, report
 from swarm_envs.files import claimed, write_json, written_whole
 
 REPORT = "report.json"
 """Name of the file with everything but the trajectories."""
+PICTURE = "paths.png"
+"""Name of the picture."""
 SAMPLE_COLUMNS = ("time", *"xyz", "vx", "vy", "vz", "ax", "ay", "az", "yaw")
 """Of the sampled files: s, m, m/s, m/s^2, rad."""
 
 
 def fit_flight(
-    flight: Flight, tolerance: float = 0.01, most: int = MOST_PIECES
+    flight: Flight, tolerance: float = 0.01, most: int = MOST_PIECES, progress: bool = False
 ) -> tuple[Pieces, ...]:
     """Pieces for every drone of a flight, all of the same duration.
 
@@ -34,6 +38,7 @@ def fit_flight(
         flight: of N drones.
         tolerance: largest distance from its path, m.
         most: pieces that each drone may take.
+        progress: show a bar.
 
     Raises:
         ValueError: a tolerance or number that cannot be, or a path that so many pieces do not
@@ -44,8 +49,8 @@ def fit_flight(
     if not 1 <= most <= MOST_PIECES:
         raise ValueError(f"most is {most}, but must be from 1 to {MOST_PIECES}: memory ends there")
     fitted = []
-    for i, name in enumerate(flight.names):
-        first, last = flight.end_speeds(i)
+    for i, name in enumerate(tqdm(flight.names, "fit", unit="drone", disable=not progress)):
+        first, last = flight.end_speeds[:, i] <= AT_REST
         try:
             fitted.append(
                 fit_pieces(
@@ -53,7 +58,7 @@ def fit_flight(
                     flight.rows(i),
                     tolerance,
                     most,
-                    (first <= AT_REST, last <= AT_REST),
+                    (bool(first), bool(last)),
                 )
             )
         except ValueError as error:
@@ -63,13 +68,14 @@ def fit_flight(
 
 def export_flight(
     flight: Flight,
-    folder: Path,
+    folder: str | Path,
     tolerance: float = 0.01,
     most: int = MOST_PIECES,
     rate: float = 100.0,
     source: Mapping[str, Any] | None = None,
+    progress: bool = False,
 ) -> TeamReport:
-    """Fit a flight, check it, and write `drone_i.csv`, `drone_i_samples.csv` and `report.json`.
+    """Fit a flight and check it; write its trajectories, samples, `report.json` and `paths.png`.
 
     Args:
         flight: of N drones.
@@ -78,6 +84,7 @@ def export_flight(
         most: pieces that each drone may take.
         rate: samples a second.
         source: where the flight comes from, for the report.
+        progress: show a bar.
 
     Raises:
         ValueError: the flight cannot be fitted, or must not be flown; nothing was written.
@@ -85,15 +92,17 @@ def export_flight(
     """
     if not 0.0 < rate <= 1000.0:
         raise ValueError(f"rate is {rate}, but must be positive and at most 1000")
-    fitted = fit_flight(flight, tolerance, most)
+    fitted = fit_flight(flight, tolerance, most, progress)
     found = report(flight, fitted, tolerance)
     if found.problems:
         raise ValueError("this must not be flown: " + "; ".join(found.problems))
-    with claimed(folder):
+    out = Path(folder)
+    with claimed(out):
         for name, pieces in zip(flight.names, fitted, strict=True):
-            write_pieces(folder / f"{name}.csv", pieces)
-            _write_samples(folder / f"{name}_samples.csv", pieces, rate)
-        write_json(folder / REPORT, {"source": dict(source or {}), **report_content(found)})
+            write_pieces(out / f"{name}.csv", pieces)
+            _write_samples(out / f"{name}_samples.csv", pieces, rate)
+        plot_export(out / PICTURE, flight, fitted, found)
+        write_json(out / REPORT, {"source": dict(source or {}), **report_content(found)})
     return found
 
 

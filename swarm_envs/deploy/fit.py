@@ -63,7 +63,7 @@ def fit_pieces(
     raise ValueError(
         f"{most} pieces come within {best * tolerance * 1e3:.1f} mm of the path at best (or yaw "
         f"within {best * YAW_TOLERANCE:.2f} rad), but the tolerance is {tolerance * 1e3:.1f} mm; "
-        "allow a larger tolerance, or export a shorter part of the flight"
+        "allow a larger tolerance, or export a part of the flight (--begin-s, --end-s)"
     )
 
 

@@ -28,6 +28,7 @@ AT_REST = 0.02
 """Below this speed a drone counts as standing still, m/s."""
 RATE = 200.0
 """Points a second at which curves are compared."""
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,13 +108,18 @@ class Flight:
             return CubicSpline(time, self.position)
         return CubicHermiteSpline(time, self.position, self.velocity)
 
+    @cached_property
+    def dense_position(self) -> FloatArray:
+        """(D, N, 3) m."""
+        return np.asarray(self.curve(self.dense_time))
+
     def rows(self, drone: int) -> FloatArray:
         """(D, 4) x, y, z (m) and yaw (rad, without jumps by a turn) of a drone, densely."""
         yaw = np.zeros(len(self.dense_time))
         if self.yaw is not None:
             turned = np.unwrap(self.yaw[:, drone])
             yaw = np.interp(self.dense_time, self.time - self.time[0], turned)
-        return np.column_stack([self.curve(self.dense_time)[:, drone], yaw])
+        return np.column_stack([self.dense_position[:, drone], yaw])
 
     def forces(self, drone: int) -> FloatArray:
         """(D, 3) force of the air on a drone, densely, N; zero where it is not known."""
@@ -124,72 +130,30 @@ class Flight:
             [np.interp(self.dense_time, time, self.force[:, drone, k]) for k in range(3)]
         )
 
-    def end_speeds(self, drone: int) -> tuple[float, float]:
-        """Speed of a drone at the start and at the end, m/s."""
-        slope = self.curve.derivative()
-        first, last = (float(np.linalg.norm(slope(t)[drone])) for t in (0.0, self.duration_s))
-        return first, last
+    @cached_property
+    def end_speeds(self) -> FloatArray:
+        """(2, N) speed at the start and at the end, m/s."""
+        return np.asarray(np.linalg.norm(self.curve([0.0, self.duration_s], 1), axis=-1))
 
-    def settled(self, seconds: float) -> Flight:
-        """The same with drones brought from rest before it, and to rest after it.
-
-        The ramps are polynomials of 5th degree, over half of what the speed at that end would
-        cover; they replace nothing that was flown. Yaw stays as it is at the ends.
-
-        Args:
-            seconds: duration of each ramp, s; only ends that move get one.
+    def part(self, begin_s: float, end_s: float) -> Flight:
+        """What was flown between two times since the first sample, at the samples between them.
 
         Raises:
-            ValueError: the duration is not positive.
+            ValueError: there is no flight between them.
         """
-        if not 0.0 < seconds < np.inf:
-            raise ValueError(f"seconds is {seconds}, but must be positive and finite")
-        speeds = np.array([self.end_speeds(i) for i in range(len(self.team))]).max(axis=0)
-        flight = self
-        if speeds[1] > AT_REST:
-            flight = flight._with_ramp(seconds)
-        if speeds[0] > AT_REST:
-            flight = flight._reversed()._with_ramp(seconds)._reversed()
-        return flight
+        since = self.time - self.time[0]
+        inside = (since >= begin_s - _ROUNDING) & (since <= end_s + _ROUNDING)
 
-    def _with_ramp(self, seconds: float) -> Flight:
-        from scipy.interpolate import BPoly
+        def cut(array: FloatArray | None) -> FloatArray | None:
+            return None if array is None else array[inside]
 
-        slopes = [self.curve.derivative(order)(self.duration_s) for order in (1, 2)]
-        there = self.position[-1] + 0.5 * seconds * slopes[0]
-        still = np.zeros_like(there)
-        rows = np.array([[self.position[-1], *slopes], [there, still, still]])
-        ramp = BPoly.from_derivatives([0.0, seconds], rows)
-        steps = np.linspace(0.0, seconds, max(int(np.ceil(seconds * 50)), 2) + 1)[1:]
-
-        def longer(array: FloatArray | None) -> FloatArray | None:
-            if array is None:
-                return None
-            return np.concatenate([array, np.repeat(array[-1:], len(steps), axis=0)])
-
-        time = self.time - self.time[0]
-        known = self.curve.derivative()(time) if self.velocity is None else self.velocity
         return replace(
             self,
-            time=np.concatenate([self.time, self.time[-1] + steps]),
-            position=np.concatenate([self.position, ramp(steps)]),
-            velocity=np.concatenate([known, ramp.derivative()(steps)]),
-            yaw=longer(self.yaw),
-            force=longer(self.force),
-        )
-
-    def _reversed(self) -> Flight:
-        def back(array: FloatArray | None, sign: float = 1.0) -> FloatArray | None:
-            return None if array is None else sign * array[::-1]
-
-        position = self.position[::-1]
-        return replace(
-            self,
-            time=-self.time[::-1],
-            position=position,
-            velocity=back(self.velocity, -1.0),
-            yaw=back(self.yaw),
-            force=back(self.force),
+            time=self.time[inside],
+            position=self.position[inside],
+            velocity=cut(self.velocity),
+            yaw=cut(self.yaw),
+            force=cut(self.force),
         )
 
 
@@ -261,17 +225,17 @@ def _check_time(time: npt.NDArray[np.float64]) -> None:
     if not np.isfinite(time).all():
         k = int(np.argmin(np.isfinite(time)))
         raise ValueError(f"time is {time[k]} at sample {k}, but must be finite")
-    if len(time) < 4 or time[-1] - time[0] < SHORTEST_S:
-        length = float(time[-1] - time[0]) if len(time) else 0.0
-        raise ValueError(
-            f"the flight has {len(time)} samples over {length:g} s, but must have at least 4 over "
-            f"{SHORTEST_S} s"
-        )
     steps = np.diff(time)
     if (steps <= 0.0).any():
         k = int(np.argmax(steps <= 0.0))
         raise ValueError(
             f"time does not increase: sample {k} is at {time[k]:g} s, the next at {time[k + 1]:g} s"
+        )
+    if len(time) < 4 or time[-1] - time[0] < SHORTEST_S:
+        length = float(time[-1] - time[0]) if len(time) else 0.0
+        raise ValueError(
+            f"the flight has {len(time)} samples over {length:g} s, but must have at least 4 over "
+            f"{SHORTEST_S} s"
         )
     if steps.max() > LONGEST_STEP_S:
         k = int(np.argmax(steps))

@@ -115,7 +115,7 @@ def evaluate(
     which = np.clip(np.searchsorted(knots, inside, side="left") - 1, 0, len(pieces) - 1)
     dtype = np.float32 if single else np.float64
     t = (inside - knots[which]).astype(dtype)[..., None]
-    values = pieces.coefficients[which].astype(dtype)
+    values: npt.NDArray[Any] = pieces.coefficients[which].astype(dtype)
     for _ in range(derivative):
         values = values[..., 1:] * np.arange(1, values.shape[-1], dtype=dtype)
     out = np.zeros(values.shape[:-1], dtype)
@@ -141,20 +141,23 @@ def largest_jump(pieces: Pieces, derivative: int = 0) -> float:
     return float(np.linalg.norm((ends - begins)[:, :3], axis=1).max())
 
 
-def write_pieces(path: Path, pieces: Pieces) -> None:
+def write_pieces(path: str | Path, pieces: Pieces) -> None:
     """Write the CSV file, whole or not at all, so that it is read back to the last bit.
 
     Raises:
         OSError: the file cannot be written.
     """
     rows = np.concatenate([pieces.duration[:, None], pieces.coefficients.reshape(-1, 32)], axis=1)
-    with written_whole(path) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+    with (
+        written_whole(Path(path)) as partial,
+        partial.open("w", encoding="utf-8", newline="") as file,
+    ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(HEADER)
         writer.writerows([[str(value) for value in row] for row in rows.astype(np.float32)])
 
 
-def read_pieces(path: Path) -> Pieces:
+def read_pieces(path: str | Path) -> Pieces:
     """Read a CSV file of `write_pieces`, `uav_trajectories` or Crazyswarm.
 
     Raises:
@@ -162,7 +165,7 @@ def read_pieces(path: Path) -> Pieces:
             duration first; the message names the file and the line.
         OSError: the file cannot be read.
     """
-    with path.open(encoding="utf-8", newline="") as file:
+    with Path(path).open(encoding="utf-8", newline="") as file:
         lines = [[cell.strip() for cell in row] for row in csv.reader(file) if any(row)]
     lines = [row[:-1] if row[-1] == "" else row for row in lines]  # Crazyswarm ends with a comma
     head = [cell.lower().lstrip("# ") for cell in lines[0]] if lines else []
@@ -178,7 +181,7 @@ def read_pieces(path: Path) -> Pieces:
         raise ValueError(f"{path}: {error}") from error
 
 
-def _row(path: Path, number: int, cells: list[str]) -> list[float]:
+def _row(path: str | Path, number: int, cells: list[str]) -> list[float]:
     if len(cells) != len(HEADER):
         raise ValueError(f"{path}, line {number}: {len(cells)} numbers, but must be {len(HEADER)}")
     try:

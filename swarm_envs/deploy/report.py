@@ -113,7 +113,7 @@ def report(flight: Flight, fitted: Sequence[Pieces], tolerance: float) -> TeamRe
     """
     time, team = flight.dense_time, flight.team
     drones = tuple(_drone(flight, i, pieces) for i, pieces in enumerate(fitted))
-    flown = separation(flight.curve(time), time, team)
+    flown = separation(flight.dense_position, time, team)
     positions = np.stack([evaluate(p, time, single=True)[:, :3] for p in fitted], axis=1)
     now = separation(positions, time, team)
     problems = [*_collisions(flight, flown, now, tolerance), *_around(flight, positions)]

@@ -20,10 +20,10 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.engine import make_physics
 from swarm_envs.envs.episodes import draw_placements, randomize
 from swarm_envs.envs.flight import Flight
-from swarm_envs.envs.judge import Rules, judge, new_verdict, success_rules, tick
+from swarm_envs.envs.judge import Rules, begin, judge, new_verdict, success_rules, tick
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.observer import Aims, Observer
-from swarm_envs.envs.report import episode_metrics
+from swarm_envs.envs.report import Reporter
 from swarm_envs.envs.snapshot import Snapshot, rebuild, restore_snapshot, take_snapshot
 from swarm_envs.envs.teams import fly_task, task_for
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -94,7 +94,9 @@ class SwarmCore:
         self.rows = self.observer.rows
         self._apply = self.mode.bind(self.flight.pilot, config.decision_s)
         self._flown = self.running.copy()
+        self._reporter = Reporter(self)
         self._lend()
+        self._begin: Callable[..., None] | None = None
         self._tick: Callable[..., None] | None = None
         self._refer: Callable[..., None] | None = None
         self._judge: Callable[..., None] | None = None
@@ -107,15 +109,15 @@ class SwarmCore:
         situation = self.verdict.situation(self.mission, contacts)
         self._clock = (int(self.config.decision_rate), self.decisions, self.time)
         self._referred = (mission, lend(self.motion), self.time, lend(self._reference))
+        kept = (mission, lend(self.record), lend(self.verdict))
+        self._begun = (rules.radius, self.decisions, self.time, self.running, *kept)
         self._judged: tuple[Any, ...] = (
             self.time,
             self.physics.state.position,
             self._reference.position,
             lend(contacts),
             lend(rules),
-            mission,
-            lend(self.record),
-            lend(self.verdict),
+            *kept,
             self.running,
         )
         self._rewarded = (lend(situation), rules.decision_s, rules.horizon_s)
@@ -169,17 +171,12 @@ class SwarmCore:
         for e, placement in draw_placements(self, task, environments, seeds, given).items():
             fly_task(self, e, task)
             self.mission.place(e, placement)
-        state = self.physics.hover(self.mission.start)
+        self.flight.start.position[...] = self.mission.start
         if self.config.randomization is not None:
-            randomize(self, self.config.randomization, environments, state)
-        self.flight.reset(state, where)
-        self.record.clear(where)
-        there = self.mission.distance < self._rules.radius
-        self.record.arrival[where[:, None] & there] = 0.0
-        self.decisions[where] = 0
-        self.time[where] = 0.0
-        self.running[where] = True
-        self.verdict.clear(where)
+            randomize(self, self.config.randomization, environments)
+        self.flight.reset(where)
+        self._begin = self._begin or entry_point(begin, where, *self._begun)
+        self._begin(where, *self._begun)
         self._look_up_reference()
         return self.observer.observe(where, self.decisions)
 
@@ -223,12 +220,12 @@ class SwarmCore:
             self._weights[self.task.reward_names.index(name)] = weight
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
-        """What environment `e`'s episode is judged by, so far; see `episode_metrics`."""
-        return episode_metrics(self, [e])[0]
+        """What environment `e`'s episode is judged by, so far; see `Reporter.metrics`."""
+        return self._reporter.metrics([e])[0]
 
     def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:
         """The same of several environments, in their order."""
-        return episode_metrics(self, environments)
+        return self._reporter.metrics(environments)
 
     def _look_up_reference(self) -> None:
         self._refer = self._refer or entry_point(self.task.write_reference, *self._referred)

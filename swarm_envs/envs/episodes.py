@@ -9,7 +9,7 @@ import numpy as np
 
 from swarm_envs.envs.randomization import Randomization, draw_parameters
 from swarm_envs.errors import check_integer
-from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.mission import Placement
 
@@ -49,21 +49,19 @@ def draw_placements(
     return placements
 
 
-def randomize(
-    core: SwarmCore, ranges: Randomization, environments: Sequence[int], state: SwarmState
-) -> None:
+def randomize(core: SwarmCore, ranges: Randomization, environments: Sequence[int]) -> None:
     """Draw vehicles, charges and streams of noise of new episodes.
 
     Args:
-        core: its physics' parameters, force scales and keys are set.
+        core: its physics' parameters, force scales and keys are set, and charges at the start.
         ranges: what is drawn.
         environments: those that begin an episode.
-        state: that they begin with; the charges are set.
     """
-    world, nominal = core.physics.world, core.flight.pilot.nominal
+    flight, world = core.flight, core.physics.world
+    nominal, battery = flight.pilot.nominal, flight.start.battery
     for e in environments:
         rng = core.generators[e]
         draw_parameters(rng, ranges, nominal, e, world.parameters)
         world.force_scale[e] = rng.uniform(*ranges.force_scale)
-        state.battery[e] = rng.uniform(*ranges.battery, state.battery.shape[1])
+        battery[e] = rng.uniform(*ranges.battery, battery.shape[1])
         world.gusts.key[e], core.observer.noise_key[e] = rng.integers(2**63, size=2)

@@ -14,28 +14,47 @@ import numpy as np
 from swarm_envs.borrowed import lend
 from swarm_envs.compiled import borrowing_kernel, entry_point
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.control.state import Setpoint
-from swarm_envs.envs.pilot import Pilot, believe, decide, new_pilot
-from swarm_envs.envs.tally import Airframe, Tally, airframe_of, count, new_tally
+from swarm_envs.envs.pilot import Pilot, believe, decide, new_pilot, rest
+from swarm_envs.envs.tally import Airframe, Tally, airframe_of, clear_tally, count, new_tally
 from swarm_envs.envs.workers import Workers
 from swarm_envs.interactions import load
 from swarm_envs.interactions.crowd import Crowd, crowd_for
 from swarm_envs.physics import BulletPhysics, Physics
-from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
+from swarm_envs.physics.contact import forget
 from swarm_envs.physics.gusts import gust
-from swarm_envs.physics.step import World, blow, prepare_wrench, step_environment
-from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState, parameters, replace_rows
+from swarm_envs.physics.step import World, blow, prepare_wrench, refresh, step_environment
+from swarm_envs.state import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    SwarmState,
+    hover_state,
+    parameters,
+    replace_rows,
+    take_state,
+)
 from swarm_envs.vehicles import Team
 
 
 @borrowing_kernel
-def forget(e: int, contacts: Contacts) -> None:
-    """Forget what environment `e` touched, before the next decision is flown."""
-    for i in range(contacts.drone.shape[1]):
-        contacts.drone[e, i] = NO_DRONE
-        contacts.floor[e, i] = contacts.wall[e, i] = contacts.tumbling[e, i] = False
-        contacts.separation[e, i] = contacts.clearance[e, i] = np.inf
-        contacts.obstacle[e, i], contacts.obstacle_clearance[e, i] = NO_OBSTACLE, np.inf
+def begin_flight(
+    mask: BoolArray, new: SwarmState, world: World, pilot: Pilot, tally: Tally
+) -> None:
+    """Place the drones in the environments of the mask, as if nothing had been flown.
+
+    Args:
+        mask: (E,) environments that begin.
+        new: their state.
+        world: changed in place.
+        pilot: rests on the drones' positions.
+        tally: begins anew.
+    """
+    for e in range(mask.shape[0]):
+        if mask[e]:
+            take_state(e, new, world.state)
+            refresh(e, world)
+            rest(e, new, pilot)
+            clear_tally(e, tally)
 
 
 @borrowing_kernel
@@ -202,6 +221,10 @@ class Flight:
         memories = [memory, *(self._memory() for _ in range(self.workers.threads - 1))]
         self._by_thread: list[tuple[Any, ...]] = [(*lent, total, *own) for own in memories]
         self._entry: Callable[..., None] | None = None
+        self.start = physics.hover(np.zeros((*shape, 3)))
+        """State in which the next episodes begin: at rest, with full batteries, unless changed."""
+        self._begun: tuple[Any, ...] = (lend(self.start), *lent[:3])
+        self._begin: Callable[..., None] | None = None
 
     def _memory(self) -> tuple[IntArray, Crowd, Crowd]:
         """Working memory of a thread."""
@@ -217,20 +240,17 @@ class Flight:
         """
         types = self.belief.type_indices(team)
         self.physics.set_team(e, team)
+        self.start.rotor_thrust[e] = hover_state(team, self.start.position[e]).rotor_thrust[0]
         self.pilot.belief_types[e] = types
         replace_rows(self.pilot.nominal, e, parameters(team))
         replace_rows(self._airframe, e, airframe_of(team, self._bounds_g))
 
-    def reset(self, state: SwarmState, mask: BoolArray) -> None:
-        """Place the drones, at rest on their set-points, in the environments of the mask."""
-        self.physics.reset(state, mask)
-        self.pilot.memory.reset(mask)
-        self.pilot.belief_force[mask] = 0.0
-        self.pilot.commands[mask] = state.rotor_thrust[mask]
-        self.pilot.asked[mask] = 0.0
-        self.pilot.asked[mask, :, 0] = state.rotor_thrust[mask].sum(axis=-1)
-        self.pilot.setpoint.assign(Setpoint.hold(state.position), mask)
-        self.tally.clear(mask)
+    def reset(self, mask: BoolArray) -> None:
+        """Let the environments of the mask begin in the state `start`, on their set-points."""
+        if self._begin is None:
+            self._begin = entry_point(begin_flight, mask, *self._begun)
+        self._begin(mask, *self._begun)
+        self.physics.place_bodies(mask)
 
     def fly(self, steps: int, running: BoolArray) -> None:
         """Fly `steps` physics steps in the running environments (E,)."""

@@ -14,8 +14,8 @@ from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import Situation, Success, TrackingSuccess
-from swarm_envs.tasks.metrics import Record, measure
-from swarm_envs.tasks.mission import Mission
+from swarm_envs.tasks.metrics import Record, clear_record, measure
+from swarm_envs.tasks.mission import Mission, begin_mission
 from swarm_envs.tasks.motion import stage_at
 
 _ROUNDING = 1e-9
@@ -71,11 +71,6 @@ class Verdict(NamedTuple):
     effort: FloatArray
     """(E, N) mean square of the action; 0 where actions are unbounded."""
 
-    def clear(self, mask: BoolArray) -> None:
-        """Begin anew in the environments of the mask."""
-        for array in self:
-            array[mask] = 0
-
     def situation(self, mission: Mission, contacts: Contacts) -> Situation:
         """What rewards are computed from."""
         return Situation(
@@ -103,6 +98,44 @@ def new_verdict(num_envs: int, num_drones: int) -> Verdict:
         error=np.zeros(shape),
         effort=np.zeros(shape),
     )
+
+
+@borrowing_kernel
+def begin(
+    mask: BoolArray,
+    radius: float,
+    decisions: IntArray,
+    time: FloatArray,
+    running: BoolArray,
+    mission: Mission,
+    record: Record,
+    verdict: Verdict,
+) -> None:
+    """Begin to judge the environments of the mask, whose missions have just been placed.
+
+    Args:
+        mask: (E,) which begin.
+        radius: how near a drone must be to its goal to be there, m.
+        decisions: (E,) of this episode, set to 0.
+        time: (E,) s, set to 0.
+        running: (E,) set.
+        mission: enters its first stage.
+        record: begins anew; who starts at the goal has arrived.
+        verdict: begins anew.
+    """
+    for e in range(mask.shape[0]):
+        if not mask[e]:
+            continue
+        decisions[e], time[e], running[e] = 0, 0.0, True
+        begin_mission(e, mission)
+        clear_record(e, record)
+        verdict.succeeded[e] = verdict.terminated[e] = verdict.truncated[e] = False
+        verdict.achieved[e] = 0.0
+        for i in range(mission.distance.shape[1]):
+            if mission.distance[e, i] < radius:
+                record.arrival[e, i] = 0.0
+            verdict.crashed[e, i] = False
+            verdict.last_distance[e, i] = verdict.error[e, i] = verdict.effort[e, i] = 0.0
 
 
 @borrowing_kernel

@@ -9,14 +9,14 @@ import numpy as np
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.control.config import ControlGains, ControllerConfig, compile_gains
 from swarm_envs.control.rates import hold_rates
-from swarm_envs.control.state import ControllerState, Setpoint
+from swarm_envs.control.state import ControllerState, Setpoint, forget_flight, hold
 from swarm_envs.control.tracking import extrapolate, track_env
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions.crowd import Crowd, crowd_forces
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World
-from swarm_envs.state import FloatArray, IntArray, Parameters, parameters
+from swarm_envs.state import FloatArray, IntArray, Parameters, SwarmState, parameters
 from swarm_envs.vehicles import Team
 
 SETPOINTS, RATES, ROTORS = 0, 1, 2
@@ -79,6 +79,22 @@ def new_pilot(
         belief_force=np.zeros((num_envs, drones, 3)),
         commands=np.zeros((num_envs, drones, 4)),
     )
+
+
+@borrowing_kernel
+def rest(e: int, state: SwarmState, pilot: Pilot) -> None:
+    """Begin anew in environment `e`, on set-points where the drones are, rotors as they turn."""
+    forget_flight(e, pilot.memory)
+    hold(e, state.position, pilot.setpoint)
+    for i in range(pilot.commands.shape[1]):
+        total = 0.0
+        for k in range(4):
+            pilot.commands[e, i, k] = state.rotor_thrust[e, i, k]
+            pilot.asked[e, i, k] = 0.0
+            total += state.rotor_thrust[e, i, k]
+        pilot.asked[e, i, 0] = total
+        for k in range(3):
+            pilot.belief_force[e, i, k] = 0.0
 
 
 @borrowing_kernel

@@ -11,7 +11,7 @@ import numpy as np
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import World
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
 AIR_DENSITY = 1.225
@@ -35,11 +35,6 @@ class Tally(NamedTuple):
     over_bound: IntArray
     """Physics steps in which the vertical interaction force was above the drone's bound."""
 
-    def clear(self, mask: BoolArray) -> None:
-        """Begin anew in the environments of the mask."""
-        for array in self:
-            array[mask] = 0
-
 
 def new_tally(num_envs: int, num_drones: int) -> Tally:
     """The tally of flights that have not begun."""
@@ -51,8 +46,8 @@ def new_tally(num_envs: int, num_drones: int) -> Tally:
 class Airframe(NamedTuple):
     """What the tally knows of the drones."""
 
-    disc_area: FloatArray
-    """(E, N) swept area of one rotor, m^2."""
+    power_step: FloatArray
+    """(E, N) energy of a rotor over one physics step for a thrust of 1 N, J."""
     force_bound: FloatArray
     """(E, N) bound on the vertical interaction force, N."""
 
@@ -66,9 +61,18 @@ def airframe_of(team: Team, bounds_g: Mapping[str, float], num_envs: int = 1) ->
             are left out have none.
         num_envs: how many environments it flies.
     """
-    area = [math.pi * vehicle.rotor_radius**2 for vehicle in team]
+    areas = [math.pi * vehicle.rotor_radius**2 for vehicle in team]
+    power = [TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * area) for area in areas]
     bound = [bounds_g.get(vehicle.token, np.inf) * GRAM_FORCE for vehicle in team]
-    return Airframe(*(np.repeat(np.array([row]), num_envs, axis=0) for row in (area, bound)))
+    return Airframe(*(np.repeat(np.array([row]), num_envs, axis=0) for row in (power, bound)))
+
+
+@borrowing_kernel
+def clear_tally(e: int, tally: Tally) -> None:
+    """Begin anew in environment `e`."""
+    for i in range(tally.steps.shape[1]):
+        tally.worst_force[e, i] = tally.energy[e, i] = 0.0
+        tally.outside[e, i] = tally.steps[e, i] = tally.over_bound[e, i] = 0
 
 
 @borrowing_kernel
@@ -82,7 +86,7 @@ def count(e: int, world: World, tally: Tally, airframe: Airframe) -> None:
         airframe: what the tally knows of the drones.
     """
     force, thrust = world.force, world.state.rotor_thrust
-    for i in range(airframe.disc_area.shape[1]):
+    for i in range(airframe.force_bound.shape[1]):
         size = 0.0
         for k in range(3):
             size += force[e, i, k] * force[e, i, k]
@@ -90,8 +94,7 @@ def count(e: int, world: World, tally: Tally, airframe: Airframe) -> None:
         power = 0.0
         for r in range(4):
             power += thrust[e, i, r] * math.sqrt(max(thrust[e, i, r], 0.0))
-        scale = TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * airframe.disc_area[e, i])
-        tally.energy[e, i] += power * scale
+        tally.energy[e, i] += power * airframe.power_step[e, i]
         tally.outside[e, i] += world.outside[e, i]
         tally.steps[e, i] += 1
         tally.over_bound[e, i] += abs(force[e, i, 2]) > airframe.force_bound[e, i]

@@ -14,14 +14,15 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.motors import BATTERY_ROWS, BatteryModel, rotor_limit
+from swarm_envs.motors import BATTERY_ROWS, BatteryModel
 from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
 from swarm_envs.physics.gusts import new_gusts
 from swarm_envs.physics.obstacles import ROW, no_obstacles
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
-from swarm_envs.physics.step import World
+from swarm_envs.physics.step import World, refresh_all
 from swarm_envs.state import (
     BoolArray,
     FloatArray,
@@ -161,16 +162,12 @@ class Physics(ABC):
         """
         new = self.hover(self._default_positions()) if state is None else state
         check_state(new, self._state)
-        where: BoolArray = np.ones(self.num_envs, dtype=np.bool_) if mask is None else mask
+        where: BoolArray = np.ones(self.num_envs, dtype=np.bool_)
+        if mask is not None:
+            where &= mask
         self._state.assign(new, where)
-        # Bullet keeps quaternions of exactly unit length, so its twin starts from one too.
-        length = np.linalg.norm(self._state.quaternion, axis=-1, keepdims=True)
-        self._state.quaternion[where] /= length[where]
-        self.world.age[where] = 0
-        self._limit_rotors(where)
-        self.force[where] = 0.0
-        self.world.gusts.acceleration[where] = 0.0
-        self.contacts.clear(where)
+        announce_compilation(refresh_all)
+        refresh_all(where, self.world)
         self.place_bodies(where)
         return self.state
 
@@ -223,16 +220,6 @@ class Physics(ABC):
         Args:
             mask: (E,) the environments in which they were.
         """
-
-    def _limit_rotors(self, mask: BoolArray) -> None:
-        """Set the largest rotor thrusts of the environments in the mask, by their batteries."""
-        world, limit = self.world, self.parameters.max_rotor_thrust
-        world.rotor_limit[mask] = limit[mask]
-        if world.drains:
-            for e, i in np.argwhere(mask[:, None] & (self._state.battery < 1.0)).tolist():
-                charge, total = self._state.battery[e, i], self._state.rotor_thrust[e, i].sum()
-                most, row = 4.0 * limit[e, i], e * len(self.team) + i
-                world.rotor_limit[e, i] = rotor_limit(charge, total, most, world.battery, row)
 
     def _default_positions(self) -> FloatArray:
         row = np.zeros((self.num_envs, len(self.team), 3))

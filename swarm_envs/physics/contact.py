@@ -80,6 +80,16 @@ def no_contacts(num_envs: int, num_drones: int) -> Contacts:
 
 
 @borrowing_kernel
+def forget(e: int, contacts: Contacts) -> None:
+    """Forget what environment `e` touched."""
+    for i in range(contacts.drone.shape[1]):
+        contacts.drone[e, i] = NO_DRONE
+        contacts.floor[e, i] = contacts.wall[e, i] = contacts.tumbling[e, i] = False
+        contacts.separation[e, i] = contacts.clearance[e, i] = np.inf
+        contacts.obstacle[e, i], contacts.obstacle_clearance[e, i] = NO_OBSTACLE, np.inf
+
+
+@borrowing_kernel
 def find_contacts(
     e: int,
     position: FloatArray,

@@ -65,8 +65,10 @@ def lag_rotors(
         dt: s.
     """
     motor_rate = parameters.motor_rate
+    decay = 0.0
     for i in range(thrust.shape[1]):
-        decay = math.exp(-motor_rate[e, i] * dt)
+        if i == 0 or motor_rate[e, i] != motor_rate[e, i - 1]:
+            decay = math.exp(-motor_rate[e, i] * dt)
         for r in range(4):
             command = min(max(commands[e, i, r], 0.0), limit[e, i])
             thrust[e, i, r] = command + (thrust[e, i, r] - command) * decay

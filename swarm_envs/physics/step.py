@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,8 @@ from swarm_envs.compiled import borrowing_kernel, kernel
 from swarm_envs.interactions.crowd import Crowd, crowd_for, crowd_forces
 from swarm_envs.interactions.field import ForceField
 from swarm_envs.interactions.forces import outside_measured_range
-from swarm_envs.motors import BatteryArrays, battery_step
-from swarm_envs.physics.contact import Contacts, find_contacts
+from swarm_envs.motors import BatteryArrays, battery_step, rotor_limit
+from swarm_envs.physics.contact import Contacts, find_contacts, forget
 from swarm_envs.physics.gusts import Gusts
 from swarm_envs.physics.rigid_body import (
     TIME_STEP,
@@ -61,6 +62,43 @@ class World(NamedTuple):
     """(M, 7) rows of `swarm_envs.physics.obstacles`."""
     order: IntArray
     """(E, N) drones of each environment, as last sorted along x."""
+
+
+@borrowing_kernel
+def refresh(e: int, world: World) -> None:
+    """Begin anew in environment `e`, whose state has just been set.
+
+    Bullet keeps quaternions of exactly unit length, so its twin starts from one too.
+    """
+    q, f, most = world.state.quaternion, world.state.rotor_thrust, world.parameters.max_rotor_thrust
+    drones = most.shape[1]
+    world.age[e] = 0
+    for k in range(3):
+        world.gusts.acceleration[e, k] = 0.0
+    for i in range(drones):
+        square = total = 0.0
+        for k in range(4):
+            square += q[e, i, k] * q[e, i, k]
+            total += f[e, i, k]
+        for k in range(4):
+            q[e, i, k] /= math.sqrt(square)
+        for k in range(3):
+            world.force[e, i, k] = 0.0
+        world.rotor_limit[e, i] = most[e, i]
+        charge = world.state.battery[e, i]
+        if world.drains and charge < 1.0:
+            row = e * drones + i
+            limit = rotor_limit(charge, total, 4.0 * most[e, i], world.battery, row)
+            world.rotor_limit[e, i] = limit
+    forget(e, world.contacts)
+
+
+@borrowing_kernel
+def refresh_all(mask: BoolArray, world: World) -> None:
+    """Begin anew in the environments of the mask."""
+    for e in range(mask.shape[0]):
+        if mask[e]:
+            refresh(e, world)
 
 
 @borrowing_kernel

@@ -9,14 +9,11 @@ import numpy as np
 
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.physics.contact import Contacts
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.mission import Mission
 
 NEAR_MISS = 1.5
 """Drones that come closer than this times the sum of their radii had a near miss."""
-
-
-_LARGE_AT_FIRST = ("separation", "clearance", "obstacle_clearance", "arrival")
 
 
 class Record(NamedTuple):
@@ -39,27 +36,31 @@ class Record(NamedTuple):
     arrival: FloatArray
     """(E, N) time at which the drone last came to its goal, s; infinite if it is not there."""
 
-    def clear(self, mask: BoolArray) -> None:
-        """Begin anew in the environments of the mask."""
-        for name, array in zip(self._fields, self, strict=True):
-            array[mask] = np.inf if name in _LARGE_AT_FIRST else 0
-
 
 def new_record(num_envs: int, num_drones: int) -> Record:
     """A record of environments that have not begun."""
     shape = (num_envs, num_drones)
-    record = Record(
-        separation=np.zeros(shape),
-        clearance=np.zeros(shape),
-        obstacle_clearance=np.zeros(shape),
+    return Record(
+        separation=np.full(shape, np.inf),
+        clearance=np.full(shape, np.inf),
+        obstacle_clearance=np.full(shape, np.inf),
         worst_error=np.zeros(shape),
         worst_height_error=np.zeros(shape),
         squared_error=np.zeros(shape),
         scored=np.zeros(num_envs, np.int64),
-        arrival=np.zeros(shape),
+        arrival=np.full(shape, np.inf),
     )
-    record.clear(np.ones(num_envs, dtype=np.bool_))
-    return record
+
+
+@borrowing_kernel
+def clear_record(e: int, record: Record) -> None:
+    """Begin anew in environment `e`."""
+    record.scored[e] = 0
+    for i in range(record.arrival.shape[1]):
+        record.separation[e, i] = record.clearance[e, i] = np.inf
+        record.obstacle_clearance[e, i] = record.arrival[e, i] = np.inf
+        record.worst_error[e, i] = record.worst_height_error[e, i] = 0.0
+        record.squared_error[e, i] = 0.0
 
 
 @borrowing_kernel

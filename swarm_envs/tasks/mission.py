@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 
@@ -64,17 +66,24 @@ class Mission(NamedTuple):
     """(E,) how many stages are done."""
 
     def place(self, e: int, placement: Placement) -> None:
-        """Begin a new episode in environment `e`."""
+        """Keep a new episode of environment `e`, which `begin_mission` begins."""
         self.start[e], self.goals[e], self.duration[e] = placement[:3]
-        self.goal[e] = self.goals[e, 0]
         if placement.orbit is not None:
             for k in range(3):
                 self.orbit[e, :, k] = placement.orbit[k]
             self.rate[e], self.phase[e] = placement.orbit.rate, placement.orbit.phase
-        way = self.goal[e] - placement.start
-        self.distance[e] = np.sqrt(np.add.reduce(way * way, axis=-1))
-        self.stage[e] = self.reached[e] = 0
-        self.held[e] = False
+
+
+@borrowing_kernel
+def begin_mission(e: int, mission: Mission) -> None:
+    """Enter the first stage of environment `e`, the drones at their starts."""
+    mission.stage[e], mission.reached[e], mission.held[e] = 0, 0, False
+    for i in range(mission.start.shape[1]):
+        square = 0.0
+        for k in range(3):
+            mission.goal[e, i, k] = mission.goals[e, 0, i, k]
+            square += (mission.goal[e, i, k] - mission.start[e, i, k]) ** 2
+        mission.distance[e, i] = math.sqrt(square)
 
 
 def new_mission(num_envs: int, num_drones: int, num_stages: int = 1) -> Mission:
@@ -100,4 +109,5 @@ def mission_of(placement: Placement) -> Mission:
     stages, drones, _ = placement.goals.shape
     mission = new_mission(1, drones, stages)
     mission.place(0, placement)
+    begin_mission(0, mission)
     return mission

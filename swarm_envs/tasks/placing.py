@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import borrowing_kernel
 from swarm_envs.errors import check_array
-from swarm_envs.state import FloatArray
+from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.obstacles import obstacle_distances
 
 ARENA_WIDTH, ARENA_HEIGHT = 4.0, 2.5
@@ -59,9 +59,10 @@ def check_points(
     Raises:
         ValueError: naming the drones, their distance and the rule.
     """
-    points = check_array(name, points, (len(radius), 3))
-    if not _clearly_apart(points, radius, arena):
-        _refuse_touching(name, points, radius, arena)
+    plain = points.flags.c_contiguous and points.dtype == np.float64
+    fits = plain and points.shape == (len(radius), 3)
+    if not fits or not _clearly_apart(points, radius, arena):
+        _refuse_touching(name, check_array(name, points, (len(radius), 3)), radius, arena)
     why = "" if obstacles is None else check_free(name, points, radius, obstacles, margin=0.0)
     if why:
         raise ValueError(f"{why}; move it")
@@ -69,7 +70,10 @@ def check_points(
 
 @borrowing_kernel
 def _clearly_apart(points: FloatArray, radius: FloatArray, arena: FloatArray) -> bool:
-    """Whether all are in the arena and no two so near that rounding decides if they touch."""
+    """Whether all are in the arena and no two so near that rounding decides if they touch.
+
+    False where a number is NaN.
+    """
     for i in range(len(points)):
         for k in range(3):
             if not arena[0, k] + radius[i] <= points[i, k] <= arena[1, k] - radius[i]:
@@ -133,8 +137,8 @@ def check_free(
 
 def draw_apart(
     rng: np.random.Generator,
-    low: Sequence[float],
-    high: Sequence[float],
+    low: Sequence[float] | FloatArray,
+    high: Sequence[float] | FloatArray,
     n: int,
     distance: float,
     obstacles: FloatArray | None = None,
@@ -156,16 +160,16 @@ def draw_apart(
     """
     rows = np.zeros((0, 0)) if obstacles is None else obstacles
     points = np.empty((n, 3))
-    placed, corner, size = 0, np.array(low), np.subtract(high, low)
-    square = float(distance**2)
-    for _ in range(10_000):
-        points[placed] = corner + size * rng.random(3)
-        if len(rows) and obstacle_distances(rows, points[placed]).min() < margin:
-            continue
-        if _apart_from_earlier(points, placed, square):
-            placed += 1
-            if placed == n:
-                return points
+    placed, drawn, size, least = 0, 0, np.subtract(high, low), float(distance**2)
+    while placed < n and drawn < 10_000:
+        missing = min(n - placed, 10_000 - drawn)  # all of them are drawn, whatever fits
+        drawn += missing
+        candidates = np.add(low, size * rng.random((missing, 3)))
+        if len(rows):
+            candidates = candidates[obstacle_distances(rows, candidates).min(axis=-1) >= margin]
+        placed = _keep_apart(points, placed, candidates, least)
+    if placed == n:
+        return points
     raise RuntimeError(
         f"found room for {placed} of {n} drones {distance} m apart within 10,000 draws; "
         "use fewer drones or obstacles, or give reset(options={'start': ...})"
@@ -173,15 +177,29 @@ def draw_apart(
 
 
 @borrowing_kernel
-def _apart_from_earlier(points: FloatArray, i: int, least_square: float) -> bool:
-    """Whether the square of the distance of point `i` to each before it, m^2, is large enough."""
-    for j in range(i):
-        square = 0.0
-        for k in range(3):
-            square += (points[i, k] - points[j, k]) ** 2
-        if not square >= least_square:
-            return False
-    return True
+def _keep_apart(
+    points: FloatArray, placed: int, candidates: FloatArray, least_square: float
+) -> int:
+    """Add candidates (M, 3) that are far enough from all points before; return how many there are.
+
+    Args:
+        points: (N, 3) m, written from `placed` on.
+        placed: how many there are.
+        candidates: at most as many as are missing, m.
+        least_square: smallest square of the distance between two, m^2.
+    """
+    for candidate in candidates:
+        fits = True
+        for j in range(placed):
+            square = 0.0
+            for k in range(3):
+                square += (candidate[k] - points[j, k]) ** 2
+            fits &= square >= least_square
+        if fits:
+            for k in range(3):
+                points[placed, k] = candidate[k]
+            placed += 1
+    return placed
 
 
 def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
@@ -192,9 +210,17 @@ def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
     Raises:
         RuntimeError: a thousand draws did not fit, which does not happen by chance.
     """
-    places = np.arange(n)
     for _ in range(1000):
         order = rng.permutation(n)
-        if not np.count_nonzero(order == places):
+        if _all_moved(order):
             return order
     raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")
+
+
+@borrowing_kernel
+def _all_moved(order: IntArray) -> bool:
+    """Whether a permutation leaves nothing in its place."""
+    moved = 0
+    for place in range(len(order)):
+        moved += order[place] != place
+    return moved == len(order)

@@ -15,6 +15,7 @@ import pytest
 
 from swarm_envs.deploy import Flight, export_flight, read_pieces
 from swarm_envs.trajectories import rest_to_rest
+from swarm_envs.vehicles import parse_team
 
 FILE = Path(__file__).parents[2] / "examples" / "fly_crazyflie.py"
 URIS = {"drone_0": "radio://0/80/2M/E7E7E7E701", "drone_1": "radio://0/80/2M/E7E7E7E702"}
@@ -91,7 +92,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     starts = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.5]])
     found = [rest_to_rest(starts, starts * [-1.0, 1.0, 1.0], 4.0, t) for t in time]
     position, velocity = (np.array([reference[k] for reference in found]) for k in (0, 1))
-    export_flight(Flight("SS", time, position, velocity), out)
+    export_flight(Flight(parse_team("SS"), time, position, velocity), out)
     return out
 
 
@@ -110,7 +111,8 @@ def test_what_is_uploaded_are_the_file_s_bytes(script: Any, folder: Path) -> Non
 
 def test_upper_drones_take_off_first_and_land_last(script: Any, folder: Path) -> None:
     trajectories = script.load(folder, URIS)
-    swarm, waited = Swarm(trajectories, {}), []
+    swarm = Swarm(trajectories, {})
+    waited: list[float] = []
     script.fly(swarm, trajectories, waited.append)
     low, high = URIS["drone_0"], URIS["drone_1"]
     order = [(entry[0], entry[1]) for entry in swarm.log]

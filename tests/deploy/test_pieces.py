@@ -47,7 +47,7 @@ def test_it_rests_before_and_after_as_the_firmware_does() -> None:
 def test_jumps_are_those_of_the_coefficients() -> None:
     one = np.zeros((2, 4, 8))
     one[0, 0, 1], one[1, 0, 0], one[1, 1, 1] = 1.0, 1.5, 2.0  # x = t; then x = 1.5, y = 2 t
-    pieces = Pieces([1.0, 1.0], one)
+    pieces = Pieces(np.ones(2), one)
     assert largest_jump(pieces) == pytest.approx(0.5)
     assert largest_jump(pieces, 1) == pytest.approx(np.hypot(1.0, 2.0))
 

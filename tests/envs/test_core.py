@@ -7,6 +7,8 @@ import pytest
 
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.envs.snapshot import living_arrays
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import parse_team
 
@@ -96,6 +98,25 @@ def test_masked_reset_leaves_the_others_untouched(engine, layout):
     states = [g.bit_generator.state for g in core.generators]
     assert [a == b for a, b in zip(generators, states, strict=True)] == [True, False, True]
     core.close()
+
+
+@pytest.mark.parametrize("action", ["velocity", "ctbr"])
+def test_an_environment_begins_as_one_that_never_flew(engine, action):
+    """Whatever was flown before: nothing of it is left anywhere."""
+    options: dict[str, object] = {"action": action, "randomization": Randomization()}
+    used, fresh = (cores(engine, 2, "SS", **options) for _ in range(2))
+    used.reset([1, 2])
+    for _ in range(80):
+        used.step(np.full((2, 2, used.mode.width), -0.9))
+    assert used.verdict.crashed.any()
+    used.reset([3, 4])
+    fresh.reset([3, 4])
+    forgotten = "outside"  # written before it is read
+    arrays, expected = living_arrays(used), living_arrays(fresh)
+    for name in expected.keys() - {forgotten}:
+        np.testing.assert_array_equal(arrays[name], expected[name], name)
+    used.close()
+    fresh.close()
 
 
 def test_ended_environments_stay_as_they_ended():

@@ -173,3 +173,22 @@ def test_points_are_drawn_apart():
     distance = np.linalg.norm(points[:, None] - points[None], axis=2)
     assert distance[np.triu_indices(10, 1)].min() >= 0.3
     assert ((points >= 0) & (points <= 1)).all()
+
+
+@pytest.mark.parametrize("side", [1.0, 3.0])
+def test_points_drawn_in_blocks_are_those_drawn_one_by_one(side):
+    """To the last bit, and the generator stands where it would."""
+    ours, theirs = np.random.default_rng(3), np.random.default_rng(3)
+    points = draw_apart(ours, [0, 0, 0], [side] * 3, 10, 0.4)
+    expected: list[np.ndarray] = []
+    while len(expected) < 10:
+        candidate = np.zeros(3) + side * theirs.random(3)
+        if all(((candidate - other) ** 2).sum() >= 0.4**2 for other in expected):
+            expected.append(candidate)
+    np.testing.assert_array_equal(points, expected)
+    assert ours.bit_generator.state == theirs.bit_generator.state
+
+
+def test_a_full_box_is_refused():
+    with pytest.raises(RuntimeError, match=r"of 10 drones 0\.9 m apart within 10,000 draws"):
+        draw_apart(np.random.default_rng(0), [0, 0, 0], [1, 1, 1], 10, 0.9)

@@ -70,7 +70,10 @@ def test_everything_that_was_found_stands_on_the_page(written):
 
 
 def test_the_table_in_markdown_has_a_line_for_each_row(tmp_path):
-    lines = markdown(outcomes(tmp_path)).strip().splitlines()
+    text = markdown(outcomes(tmp_path), ABOUT)
+    assert text.startswith(f"# Side by side\n\n{ABOUT[0]}\n")
+    assert "Of 4 numbers 1 agree, 1 differ for a known reason, 1 differ, unexplained, 1" in text
+    lines = [line for line in text.splitlines() if line.startswith("|")]
     assert len(lines) == 2 + 4 + 3
     assert all(line.count("|") == 6 for line in lines)
 

@@ -18,6 +18,7 @@ pytest.importorskip("stable_baselines3")
 import torch
 from safetensors import safe_open
 
+from swarm_envs import swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.policy import FILE, PolicyAgent
@@ -90,6 +91,34 @@ def test_a_finished_run_stays_as_it_is(whole, capsys):
     assert main(["train", *TINY, "--out", str(whole), "--discount", "0.9"]) == 1
     assert "discount is 0.98 there, 0.9 here" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in whole.iterdir()} == before
+
+
+@pytest.mark.parametrize(("action", "width"), [("velocity", 3), ("ctbr", 4)])
+def test_a_policy_of_another_action_flies_with_that_one_alone(action, width, tmp_path):
+    short = [*TINY, "--steps", "128", "--action", action, "--out", str(tmp_path)]
+    assert main(["train", *short]) == 0
+    agent = load(str(tmp_path))
+    assert agent.policy.note.action == agent.requires["action"] == action
+    env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
+    observations, _ = env.reset(seed=0)
+    agent.reset(env, 0)
+    assert {row.shape for row in agent.act(observations, None).values()} == {(width,)}
+    env.close()
+    other = swap_v0.parallel_env(num_drones=2, **{**agent.requires, "action": "acceleration"})
+    other.reset(seed=0)
+    with pytest.raises(ValueError, match=f"requires action='{action}'"):
+        agent.reset(other, 0)
+    other.close()
+
+
+def test_a_run_from_before_there_was_a_choice_of_actions_is_the_same_run(whole, tmp_path, capsys):
+    report = json.loads((whole / "report.json").read_text())
+    assert report["config"].pop("action") == "acceleration"
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    assert main(["train", *TINY, "--out", str(tmp_path)]) == 0
+    assert "was finished before" in capsys.readouterr().out
+    assert main(["train", *TINY, "--action", "velocity", "--out", str(tmp_path)]) == 1
+    assert "action is acceleration there, velocity here" in capsys.readouterr().err
 
 
 def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp_path, capsys):

@@ -14,6 +14,9 @@ from swarm_envs.training.force_model.checkpoint import write_safetensors
 from swarm_envs.training.provenance import differing
 from swarm_envs.training.rl.learner import Learner
 
+_EARLIER = {"action": "acceleration"}
+"""What all runs did before there was an option for it."""
+
 
 def save_checkpoint(path: Path, learner: Learner, progress: Mapping[str, Any]) -> None:
     """Write everything that `load_checkpoint` needs, whole or not at all.
@@ -56,7 +59,11 @@ def load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) -> 
 
 
 def differing_runs(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
-    """Options in which two runs differ, in words; of two algorithms the names alone."""
+    """Options in which two runs differ, in words; of two algorithms the names alone.
+
+    What an older run does not say is as it was then.
+    """
+    there = {**_EARLIER, **there}
     if there.get("algo") != here["algo"]:
         return differing({"algo": there.get("algo")}, {"algo": here["algo"]})
     return differing(there, here)

@@ -90,6 +90,9 @@ class TrainConfig:
     horizon_s: float | None = None
     """the clock of training, s; the recipe's if not given: shorter than the task's, since failures
     come early; the time-out is bootstrapped"""
+    action: Literal["acceleration", "velocity", "ctbr", "rotors"] = "acceleration"
+    """what the policy's numbers mean: set-points' `acceleration` or `velocity`, collective thrust
+    and body rates (`ctbr`), or each of the `rotors`; it will fly with this one alone"""
     decision_rate: int = 10
     """decisions per second, in training and in flight"""
     force_rate: int = 48

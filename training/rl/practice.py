@@ -42,6 +42,7 @@ def practice_blueprint(config: TrainConfig, task: str, team: Mapping[str, Any]) 
         **team,
         reward_weights=weights,
         interactions=config.interactions,
+        action=config.action,
         decision_rate=config.decision_rate,
         force_rate=config.force_rate,
         num_neighbors=config.num_neighbors,

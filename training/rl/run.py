@@ -187,7 +187,7 @@ def policy_note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
     return PolicyNote(
         task,
         max(config.team_sizes),
-        "acceleration",
+        config.action,
         config.decision_rate,
         config.num_neighbors,
         features=env.features,

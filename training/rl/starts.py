@@ -73,7 +73,7 @@ class PracticeSwap(SwapTask):
         low, high = arena[0] + WALL_MARGIN, arena[1] - WALL_MARGIN
         size = np.minimum(side, high - low)
         corner = low + (high - low - size) * rng.random(3)
-        start = draw_apart(rng, corner.tolist(), (corner + size).tolist(), n, 0.35)
+        start = draw_apart(rng, corner, corner + size, n, 0.35)
         paired = rng.random() < self.pairs_share and n % 2 == 0
         order = _pairs(rng, n) if paired else derangement(rng, n)
         return Placement(start, start[order][None])

@@ -140,7 +140,7 @@ def _write(options: ReproduceOptions, outcomes: Mapping[str, Outcome]) -> None:
         write_json(options.json, content)
     texts = {
         "index.html": page(listed, _about(options), options.out),
-        "side_by_side.md": markdown(listed),
+        "side_by_side.md": markdown(listed, _about(options)),
     }
     for name, text in texts.items():
         with written_whole(options.out / name) as partial:

@@ -21,6 +21,12 @@ _VERDICTS: Mapping[Verdict, str] = {
     "unexplained": "differs, unexplained",
     "ours alone": "nothing to compare",
 }
+_COUNTED: Mapping[Verdict, str] = {
+    "agrees": "agree",
+    "explained": "differ for a known reason",
+    "unexplained": "differ, unexplained",
+    "ours alone": "have nothing to be compared with",
+}
 
 
 def page(outcomes: Sequence[Outcome], about: Sequence[str], out: Path) -> str:
@@ -59,15 +65,8 @@ def _text(line: str) -> str:
 
 def _summary(outcomes: Sequence[Outcome]) -> Iterator[str]:
     states = Counter(outcome.state for outcome in outcomes)
-    verdicts = Counter(row.verdict for outcome in outcomes for row in outcome.rows)
     yield "<p>Items: " + ", ".join(f"{count} {state}" for state, count in states.items()) + ".</p>"
-    if verdicts:
-        said = (
-            f'<span class="{_css(verdict)}">{verdicts[verdict]} {_VERDICTS[verdict]}</span>'
-            for verdict in _VERDICTS
-            if verdict in verdicts
-        )
-        yield f"<p>Numbers: {', '.join(said)}.</p>"
+    yield from (f"<p>{escape(line)}</p>" for line in _count(outcomes))
     failed = [outcome for outcome in outcomes if outcome.state == "failed"]
     for outcome in failed:
         yield (
@@ -145,9 +144,16 @@ def cells_of(row: Row) -> tuple[str, str, str, str, str]:
     return row.quantity, row.paper, ours, str(row.agrees or ""), said
 
 
-def markdown(outcomes: Sequence[Outcome]) -> str:
-    """The same numbers as a table in Markdown, without pictures and commands."""
-    lines = ["| item | quantity | paper | ours | difference |", "|---|---|---|---|---|"]
+def markdown(outcomes: Sequence[Outcome], about: Sequence[str]) -> str:
+    """The same numbers as a page in Markdown, without pictures and commands.
+
+    Args:
+        outcomes: of every item, in the order of the page.
+        about: paragraphs that stand at the top.
+    """
+    head = [line for paragraph in about for line in (paragraph, "")]
+    lines = ["# Side by side", "", *head, *_count(outcomes), ""]
+    lines += ["| item | quantity | paper | ours | difference |", "|---|---|---|---|---|"]
     for outcome in outcomes:
         item = outcome.item
         key = f"{item.paper}, {item.label}"
@@ -159,6 +165,14 @@ def markdown(outcomes: Sequence[Outcome]) -> str:
             lines.append(_line((key, quantity, paper, ours, said)))
             key = ""
     return "\n".join([*lines, ""])
+
+
+def _count(outcomes: Sequence[Outcome]) -> Iterator[str]:
+    """How many numbers agree, in a sentence; nothing if there are none."""
+    found = Counter(row.verdict for outcome in outcomes for row in outcome.rows)
+    said = [f"{found[verdict]} {says}" for verdict, says in _COUNTED.items() if found[verdict]]
+    if said:
+        yield f"Of {found.total()} numbers {', '.join(said)}."
 
 
 def _line(cells: Sequence[str]) -> str:
