@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -246,14 +245,6 @@ def _read(
         prog=f"{PROGRAM} {name}",
         config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
     )
-
-
-def _need_torch() -> None:
-    if importlib.util.find_spec("torch") is None:
-        raise ImportError(
-            "training needs torch; install it by: pip install 'swarm-envs[train]' "
-            "(and where CUDA is not wanted, a CPU build of torch first)"
-        )
 
 
 def _complain(where: str, message: str, code: int) -> int:
