@@ -56,9 +56,10 @@ def _draw(
     time = flight.dense_time
     place = evaluate(pieces, time)
     above.plot(place[:, 0], place[:, 1], color=color, linewidth=1.4)
-    above.plot(*place[0, :2], "o", color=color, markersize=6)
+    first = (float(place[0, 0]), float(place[0, 1]))
+    above.plot(*first, "o", color=color, markersize=6)
     above.plot(*place[-1, :2], "s", color=color, markersize=6)
-    above.annotate(str(i), place[0, :2], xytext=(5, 5), textcoords="offset points", color=color)
+    above.annotate(str(i), first, xytext=(5, 5), textcoords="offset points", color=color)
     knots = evaluate(pieces, pieces.knots[1:-1])
     above.plot(knots[:, 0], knots[:, 1], "|", color=INK, markersize=7)
     beside[0].plot(time, place[:, 2], color=color, linewidth=1.2)
