@@ -14,7 +14,7 @@
   const better = (head) => head.dataset.better || (head.dataset.task ? metrics.get(metric).better : "");
   const key = (row, column) => {
     const cell = row.cells[column], number = cell.dataset.v;
-    return number !== undefined ? Number(number) : cell.tagName === "TH" ? cell.textContent : null;
+    return number !== undefined ? Number(number) : cell.tagName === "TH" ? cell.firstChild.textContent : null;
   };
   function compare(a, b, sign) {
     if (a === null || b === null) return (a === null) - (b === null);
