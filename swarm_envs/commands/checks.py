@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 import tempfile
 from pathlib import Path
 
@@ -55,3 +57,11 @@ def _check_writable(given: str, folder: Path) -> None:
     except OSError as error:
         what = f"{str(existing)!r} cannot be written: {error.strerror}"
         raise Misuse(f"{given}, but {what}") from error
+
+
+def forget_output() -> None:
+    """Let the end of the process not fail a second time over what it could not print."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

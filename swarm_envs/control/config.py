@@ -6,6 +6,9 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarm_envs.arguments import typed
+from swarm_envs.errors import check_kind
+
 if TYPE_CHECKING:
     from swarm_envs.interactions.base import InteractionModel
 
@@ -50,6 +53,7 @@ GAINS: dict[str, PositionGains] = {"soft": SOFT, "mid": MID, "stiff": STIFF}
 """The presets by name."""
 
 
+@typed
 @dataclass(frozen=True)
 class ControllerConfig:
     """Configuration of the tracking controller of Neural-Swarm2, Sec. VI.
@@ -101,6 +105,10 @@ class ControllerConfig:
             raise TypeError(
                 f"gains is {self.gains!r}, but must be PositionGains, such as GAINS['mid']"
             )
+        if self.feedforward is not None:
+            from swarm_envs.interactions import InteractionModel
+
+            check_kind("feedforward", self.feedforward, InteractionModel, "load('learned')")
         skip = ("gains", "feedforward", "lag_compensation")
         _check_positive(self, tuple(f.name for f in fields(self) if f.name not in skip))
         if self.min_vertical_thrust_fraction >= 1.0:
