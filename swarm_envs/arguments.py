@@ -15,6 +15,8 @@ from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.errors import unknown_name
+
 Target = TypeVar("Target", bound=Callable[..., Any])
 
 
@@ -32,6 +34,8 @@ class Kind(NamedTuple):
     """Such as "an integer"."""
     fits: Callable[[Any], bool]
     """Whether a value is of this kind."""
+    names: tuple[str, ...] = ()
+    """What text it may be, where only some."""
 
 
 def typed(target: Target) -> Target:
@@ -66,10 +70,16 @@ def _guarded(function: Callable[..., Any], module: str) -> Callable[..., Any]:
         wanted = kinds()
         for name, value in (*zip(parameters, args), *options.items()):
             if name in wanted and not wanted[name].fits(value):
-                raise WrongKind(f"{name} is {value!r:.80}, but must be {wanted[name].words}")
+                raise WrongKind(_refusal(name, value, wanted[name]))
         return function(*args, **options)
 
     return checked
+
+
+def _refusal(name: str, value: object, kind: Kind) -> str:
+    if isinstance(value, str) and kind.names:
+        return unknown_name(name, value, kind.names)
+    return f"{name} is {value!r:.80}, but must be {kind.words}"
 
 
 def _meaning(annotation: Any, space: dict[str, Any]) -> Any:
@@ -95,6 +105,7 @@ def kind_of(annotation: Any) -> Kind:
         return Kind(
             " or ".join(part.words for part in parts),
             lambda value: any(part.fits(value) for part in parts),
+            tuple(name for part in parts for name in part.names),
         )
     if origin is Annotated:
         return kind_of(inner[0])
@@ -125,6 +136,7 @@ def _one_of(names: Sequence[Any]) -> Kind:
     return Kind(
         f"one of {', '.join(map(repr, names))}",
         lambda value: any(type(value) is type(name) and value == name for name in names),
+        tuple(name for name in names if isinstance(name, str)),
     )
 
 

@@ -59,7 +59,7 @@ BAD: list[tuple[str, Any, str]] = [
     ("share", "0.5", "a number or None"),
     ("share", 1j, "a number or None"),
     ("name", None, "text"),
-    ("mode", "c", "one of 'a', 'b'"),
+    ("mode", 1, "one of 'a', 'b'"),
     ("yes", 1, "True or False"),
     ("path", "here", "a pathlib.Path"),
     ("sizes", (1.0,), "a tuple: a number, a number"),
@@ -86,6 +86,11 @@ def test_what_does_not_fit_is_named_with_its_value(name, value, words):
         job(**{name: value})
     assert str(error.value) == f"{name} is {value!r:.80}, but must be {words}"
     assert isinstance(error.value, TypeError) and isinstance(error.value, ValueError)
+
+
+def test_text_that_is_none_of_those_that_may_be_is_told_the_nearest():
+    with pytest.raises(WrongKind, match="unknown mode 'c'; .*valid: 'a', 'b'"):
+        job(mode="c")  # type: ignore[arg-type]
 
 
 def test_arguments_by_place_are_looked_at_too():

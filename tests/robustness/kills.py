@@ -1,8 +1,9 @@
 """Kill commands at random moments: `python -m tests.robustness.kills --command fit --times 10`.
 
-A command is run once in peace. Then it is begun, killed with SIGKILL after a random time, begun
-again in the same folder ... ten times, and at last left to end. What it then has written must be
-what the run in peace wrote, except for the times that runs took, and nothing may lie about.
+A command is run once in peace. Then it is begun, killed with SIGKILL after a random time, and begun
+again in the same folder, until it ends; and anew, until it was killed so many times. What it has
+written at each end must be what the run in peace wrote, except for the times that runs took, and
+nothing may lie about.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import json
 import multiprocessing
 import os
 import re
+import shutil
 import sys
 import tempfile
 import time
@@ -95,7 +97,7 @@ class KillOptions:
     command: list[str]
     """one or more of the commands, or `all`"""
     times: int = 10
-    """how often each is killed before it may end"""
+    """how often each is killed"""
     seed: int = 0
     """of the moments"""
 
@@ -127,21 +129,23 @@ def killed(job: Run, folder: Path, times: int, seed: int = 0) -> dict[str, Any]:
     ended = begun(job, whole)
     ended.join()
     assert ended.exitcode == 0, f"without a kill it ended with {ended.exitcode}"
-    took, kills = time.monotonic() - begin, 0
-    for _ in range(times):
+    took, kills, finished = time.monotonic() - begin, 0, 0
+    while kills < times or out.exists():
         process = begun(job, out)
-        process.join(draws.uniform(0.0, 0.7) * took)
-        kills += process.is_alive()
-        process.kill()
-        process.join()
-    last = begun(job, out)
-    last.join()
-    assert last.exitcode == 0, f"after {kills} kills it ended with {last.exitcode}"
-    left = sorted(p.name for p in folder.rglob("*") if ".partial" in p.name or "tmp" in p.name)
-    assert not left, f"left behind: {left}"
-    different = differences(whole, out)
-    assert not different, f"after {kills} kills differ: {different}"
-    return {"kills": kills, "whole_s": took, "files": len(contents(out))}
+        process.join(draws.uniform(0.0, 0.7) * took if kills < times else None)
+        if process.is_alive():
+            process.kill()
+            process.join()
+            kills += 1
+            continue
+        assert process.exitcode == 0, f"after {kills} kills it ended with {process.exitcode}"
+        left = sorted(p.name for p in folder.rglob("*") if ".partial" in p.name)
+        assert not left, f"after {kills} kills left behind: {left}"
+        different = differences(whole, out)
+        assert not different, f"after {kills} kills differ: {different}"
+        shutil.rmtree(out)
+        finished += 1
+    return {"kills": kills, "finished": finished, "in peace, s": round(took, 2)}
 
 
 def contents(folder: Path) -> dict[str, Any]:
@@ -157,6 +161,8 @@ def _content(file: Path, folder: Path) -> Any:
     raw = file.read_bytes().replace(os.fsencode(folder), b"OUT")
     if file.suffix == ".json":
         return _without_times(json.loads(raw))
+    if file.suffix == ".safetensors":
+        return _tensors(raw)
     if file.suffix == ".jsonl":
         lines = [json.loads(line) for line in raw.splitlines()]
         return sorted(json.dumps(_without_times(line), sort_keys=True) for line in lines)
@@ -172,6 +178,19 @@ def _content(file: Path, folder: Path) -> Any:
     if file.suffix == ".md":
         return re.sub(rb"\d[\d.,]* ?(s|ms|min|minutes)\b", b"TIME", raw)
     return raw
+
+
+def _tensors(raw: bytes) -> Any:
+    """What is in weights, the words about them included."""
+    size = int.from_bytes(raw[:8], "little")
+    head = json.loads(raw[8 : 8 + size])
+    words = {}
+    for name, text in head.pop("__metadata__", {}).items():
+        try:
+            words[name] = _without_times(json.loads(text))
+        except ValueError:
+            words[name] = text
+    return _without_times(words), head, raw[8 + size :]
 
 
 def _without_times(value: Any) -> Any:

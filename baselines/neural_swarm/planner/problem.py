@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds, check_positive
 from swarm_envs.errors import check_array, check_name
 from swarm_envs.interactions import InteractionModel, load
@@ -22,7 +21,6 @@ Plane = Literal["xyz", "yz"]
 _NEXT_TO_NOTHING = 1e-9
 
 
-@typed
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
     """Where robots start and end, what they are, and what blows between them (eq. 6).
