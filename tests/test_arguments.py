@@ -89,7 +89,7 @@ def test_what_does_not_fit_is_named_with_its_value(name, value, words):
 
 
 def test_text_that_is_none_of_those_that_may_be_is_told_the_nearest():
-    with pytest.raises(WrongKind, match="unknown mode 'c'; .*valid: 'a', 'b'"):
+    with pytest.raises(WrongKind, match=r"unknown mode 'c'; .*valid: 'a', 'b'"):
         job(mode="c")  # type: ignore[arg-type]
 
 

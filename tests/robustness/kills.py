@@ -26,6 +26,7 @@ from typing import Any
 
 import numpy as np
 import tyro
+from tqdm import tqdm
 
 from swarm_envs.cli import main as command_line
 
@@ -208,6 +209,7 @@ def differences(one: Path, two: Path) -> list[str]:
 def main() -> int:
     """Kill what was asked for, and print what became of it."""
     options = tyro.cli(KillOptions)
+    tqdm.monitor_interval = 0  # its thread may hold a lock at the moment of a fork
     names = list(COMMANDS) if options.command == ["all"] else options.command
     worst = 0
     for name in names:

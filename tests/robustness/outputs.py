@@ -23,6 +23,8 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
+from tqdm import tqdm
+
 from swarm_envs.cli import main as command_line
 
 FLY = ["fly", "--agent", "hover", "--physics", "batch", "--horizon-s", "1"]
@@ -46,6 +48,8 @@ COMMANDS: dict[str, tuple[list[str], str]] = {
 }
 """Commands, small, whose name ends in the option that says where to write, and what: a file of this
 name, or a folder."""
+PATIENCE_S = 300
+"""A command that takes longer hangs."""
 BEFORE = b"what was there before"
 BARS = re.compile(r"%\||\?|it/s|kernels, once|pybullet build|phase|episode/s|^\s*$")
 """Lines of progress."""
@@ -70,11 +74,23 @@ def run(
         if child == 0:
             _become([*words, name.split()[1], str(target)], prepare, error.fileno())
         after(child)
-        _, status = os.waitpid(child, 0)
+        status = _wait(child)
         error.seek(0)
         text = error.read().decode(errors="replace").replace("\r", "\n")
     said = [line for line in text.splitlines() if not BARS.search(line)]
     return Ended(os.waitstatus_to_exitcode(status), said)
+
+
+def _wait(child: int) -> int:
+    """The status with which a process ended; killed after `PATIENCE_S`."""
+    until = time.monotonic() + PATIENCE_S
+    while True:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return status
+        if time.monotonic() > until:
+            os.kill(child, signal.SIGKILL)
+        time.sleep(0.005)
 
 
 def _become(words: list[str], prepare: Callable[[], object], error: int) -> None:
@@ -238,6 +254,7 @@ def refused(found: Ended, why: str, code: int = 0) -> Ended:
 def main() -> int:
     """Run every command in every situation, print a table, and say whether all was well."""
     names = sys.argv[1:] or list(COMMANDS)
+    tqdm.monitor_interval = 0  # its thread may hold a lock at the moment of a fork
     wrong: list[str] = []
     counts = {"ran": 0, "well": 0}
     for name in names:
@@ -252,8 +269,8 @@ def main() -> int:
                 counts["well"] += 1
             except AssertionError as error:
                 wrong.append(f"{name}, {situation}: {str(error)[:600]}")
+                print(wrong[-1], flush=True)
             shutil.rmtree(folder_path, ignore_errors=True)
-    print(*wrong, sep="\n")
     print(f"{counts['well']} of {counts['ran']} as they should be")
     return 1 if wrong else 0
 
