@@ -156,13 +156,17 @@ def _tuple_of(inner: Sequence[Any]) -> Kind:
     )
 
 
+def _each_fits(kind: Kind, values: Iterable[Any]) -> bool:
+    return all(map(kind.fits, values))
+
+
 def _many_of(kind: Kind, holders: tuple[type, ...]) -> Kind:
     return Kind(
         f"a sequence, each {kind.words}",
         lambda value: (
             isinstance(value, holders)
             and not isinstance(value, str | bytes)
-            and all(kind.fits(part) for part in value)
+            and _each_fits(kind, cast(Iterable[Any], value))
         ),
     )
 

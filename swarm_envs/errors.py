@@ -46,7 +46,7 @@ def check_integer(name: str, value: object, least: int, most: int | None = None)
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Integral) or value < least:
         raise ValueError(f"{name} is {value!r:.80}, but must be an integer of at least {least}")
-    if most is not None and value > most:
+    if most is not None and int(value) > most:
         raise ValueError(f"{name} is {value!r:.80}, but must be at most {most:,}")
     return int(value)
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
 from swarm_envs.arguments import typed
-from swarm_envs.errors import check_kind
 
 if TYPE_CHECKING:
     from swarm_envs.interactions.base import InteractionModel
@@ -105,10 +104,12 @@ class ControllerConfig:
             raise TypeError(
                 f"gains is {self.gains!r}, but must be PositionGains, such as GAINS['mid']"
             )
-        if self.feedforward is not None:
-            from swarm_envs.interactions import InteractionModel
-
-            check_kind("feedforward", self.feedforward, InteractionModel, "load('learned')")
+        model = self.feedforward
+        if model is not None and not callable(getattr(model, "forces", None)):
+            raise TypeError(
+                f"feedforward is {model!r:.80}, but must be an InteractionModel, such "
+                "as load('learned'), or None"
+            )
         skip = ("gains", "feedforward", "lag_compensation")
         _check_positive(self, tuple(f.name for f in fields(self) if f.name not in skip))
         if self.min_vertical_thrust_fraction >= 1.0:

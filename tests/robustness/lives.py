@@ -98,7 +98,7 @@ def live(
         for name, count in engines.items()
     ]
     try:
-        return _fly(*cores, np.random.default_rng(seed), steps)
+        return _fly(cores[0], cores[1], np.random.default_rng(seed), steps)
     finally:
         for core in cores:
             core.close()

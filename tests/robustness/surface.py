@@ -13,7 +13,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -67,7 +67,14 @@ EXEMPT = {
     "InteractionModel": "made by `load`",
     "ForceField": "arrays for kernels, made by `load`",
 }
-OWN = ("make(swap_v0)", "make(ring_v0)", "make(formation_v0)", "make", "env.reset", "env.step")
+OWN: tuple[str, ...] = (
+    "make(swap_v0)",
+    "make(ring_v0)",
+    "make(formation_v0)",
+    "make",
+    "env.reset",
+    "env.step",
+)
 OWN += ("env.reset options", "vector.step", "BatchPhysics", "BulletPhysics", "physics.step")
 OWN += ("forces", "fly_episode", "write_trajectory")
 """Calls that are more than one function with its arguments: see `calls`."""
@@ -113,7 +120,9 @@ def settings() -> dict[str, Call]:
         if dataclasses.is_dataclass(kind) and not RESULTS.search(name) and name not in EXEMPT:
             given = REQUIRED.get(name, {})
             fields = [f for f in dataclasses.fields(kind) if f.init]
-            found[name] = Call(kind, {f.name: given.get(f.name, _default(f)) for f in fields})
+            found[name] = Call(
+                cast(Any, kind), {f.name: given.get(f.name, _default(f)) for f in fields}
+            )
     return found
 
 

@@ -46,7 +46,14 @@ def test_settings_refuse_by_name(name, values):
     assert not faults(SETTINGS[name], values)
 
 
-QUICK = ("parse_team", "rest_to_rest", "error_ball", "max_density", "buildings", "agents.load")
+QUICK: tuple[str, ...] = (
+    "parse_team",
+    "rest_to_rest",
+    "error_ball",
+    "max_density",
+    "buildings",
+    "agents.load",
+)
 QUICK += ("TrackingAgent", "SafetyFilter", "read_trajectory", "read_table", "read_rows")
 
 
