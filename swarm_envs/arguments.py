@@ -134,7 +134,7 @@ def _class(kind: Any) -> Kind:
 
 def _one_of(names: Sequence[Any]) -> Kind:
     return Kind(
-        f"one of {', '.join(map(repr, names))}",
+        " or ".join(map(repr, names)),
         lambda value: any(type(value) is type(name) and value == name for name in names),
         tuple(name for name in names if isinstance(name, str)),
     )

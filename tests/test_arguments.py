@@ -59,7 +59,7 @@ BAD: list[tuple[str, Any, str]] = [
     ("share", "0.5", "a number or None"),
     ("share", 1j, "a number or None"),
     ("name", None, "text"),
-    ("mode", 1, "one of 'a', 'b'"),
+    ("mode", 1, "'a' or 'b'"),
     ("yes", 1, "True or False"),
     ("path", "here", "a pathlib.Path"),
     ("sizes", (1.0,), "a tuple: a number, a number"),
