@@ -8,6 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.viewing.record import Recorder, Recording
@@ -71,6 +72,7 @@ def check_wishes(agent: Agent, given: Mapping[str, Any]) -> None:
             raise ValueError(f"it requires {option}={wanted!r}, not {given[option]!r}")
 
 
+@typed
 def fly_episode(
     env: SwarmParallelEnv,
     agent: Agent,
@@ -99,6 +101,7 @@ def fly_episode(
     return metrics
 
 
+@typed
 def record_episode(
     env: SwarmParallelEnv,
     agent: Agent,

@@ -12,6 +12,7 @@ from types import MappingProxyType, ModuleType
 from typing import Any
 
 from swarm_envs.agents.protocol import Agent
+from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 
 SHIPPED: Mapping[str, str] = MappingProxyType(
@@ -44,6 +45,7 @@ FILTER = "+filter"
 _USERS_MODULE = "swarm_envs_users_agent_"
 
 
+@typed
 def load(name: str) -> Agent:
     """Make an agent.
 

@@ -23,6 +23,7 @@ from swarm_envs.agents.batch import BatchAgent
 from swarm_envs.agents.evaluation import source_digest
 from swarm_envs.agents.nearest import new_workspace
 from swarm_envs.agents.protocol import Actions, Agent, Observations, check_requirements
+from swarm_envs.arguments import typed
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -34,6 +35,7 @@ ACTED = 1e-3
 """A change of an acceleration counts from this size on, m/s^2."""
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class Safety:
     """How much safety a filter keeps. Raises ValueError for what cannot be."""
@@ -87,6 +89,7 @@ class Safety:
         )
 
 
+@typed
 class SafetyFilter:
     """Flies as an agent does, but keeps its drones apart. By name: `swap-ppo+filter`.
 

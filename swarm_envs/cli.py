@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from swarm_envs import __version__
-from swarm_envs.commands.checks import Misuse
+from swarm_envs.commands.checks import Misuse, forget_output
 from swarm_envs.commands.checks import check_file as _check_file
 from swarm_envs.commands.checks import check_folder as _check_folder
 from swarm_envs.commands.checks import need_torch as _need_torch
@@ -212,11 +212,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(PROGRAM, unknown_name("command", name, COMMANDS), MISUSED)
     where = f"{PROGRAM} {name}"
     try:
-        return COMMANDS[name].run(rest)
+        code = COMMANDS[name].run(rest)
+        sys.stdout.flush()  # here it can be told that what reads it is gone, or a disk full
+        return code
     except Misuse as error:
         return _complain(where, str(error), MISUSED)
     except (OSError, ImportError, ValueError) as error:  # a traceback would not say more
-        return _complain(where, str(error), FAILED)
+        forget_output()
+        return _complain(where, " ".join(str(error).splitlines()), FAILED)
     except KeyboardInterrupt:
         return _complain(where, "interrupted", INTERRUPTED)
 

@@ -38,14 +38,16 @@ def check_name(kind: str, name: object, valid: Iterable[str]) -> str:
     return name
 
 
-def check_integer(name: str, value: object, least: int) -> int:
-    """Return `value` as an int if it is an integer, of Python or numpy, of at least `least`.
+def check_integer(name: str, value: object, least: int, most: int | None = None) -> int:
+    """Return `value` as an int if it is an integer, of Python or numpy, in this range.
 
     Raises:
         ValueError: it is not; booleans are not integers here.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, Integral) or value < least:
-        raise ValueError(f"{name} is {value!r}, but must be an integer of at least {least}")
+        raise ValueError(f"{name} is {value!r:.80}, but must be an integer of at least {least}")
+    if most is not None and int(value) > most:
+        raise ValueError(f"{name} is {value!r:.80}, but must be at most {most:,}")
     return int(value)
 
 

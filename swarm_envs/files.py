@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import csv
+import glob
 import json
 import os
+import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
+from zlib import crc32
 
 try:
     import fcntl
@@ -25,19 +28,37 @@ _PARTIAL = re.compile(r"\..+\.\d+\.partial(\..+)?")
 def written_whole(path: Path) -> Iterator[Path]:
     """Give a temporary path beside `path`, with its suffix, that replaces it on success.
 
-    A reader sees the old file or the whole new one. After an exception nothing is left behind.
+    A reader sees the old file or the whole new one. After an exception nothing is left behind, and
+    what processes of this machine left that were killed is removed.
 
     Raises:
         OSError: the folder cannot be made or written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     # Of a long name a part: with what is added it might be longer than a name may be.
-    partial = path.with_name(f".{path.stem[:48]}.{os.getpid()}.partial{path.suffix}")
+    name = f".{path.stem[:48]}.{crc32(platform.node().encode())}"
+    partial = path.with_name(f"{name}.{os.getpid()}.partial{path.suffix}")
+    for old in path.parent.glob(glob.escape(name) + f".*.partial{glob.escape(path.suffix)}"):
+        if not _runs(int(old.name.removeprefix(name).split(".")[1])):
+            old.unlink(missing_ok=True)
     try:
         yield partial
         partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _runs(process: int) -> bool:
+    """Whether a process of this machine is there; where that cannot be told, that it is."""
+    if fcntl is None:  # Windows: a signal 0 would end it
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # another user's
+        return True
+    return True
 
 
 def write_json(path: Path, content: object) -> None:

@@ -36,6 +36,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
+from swarm_envs.arguments import typed
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import (
     Blueprint,
@@ -53,6 +54,7 @@ from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Vehicle
 
 
+@typed
 def blueprint(
     *,
     num_drones: int = 9,
@@ -102,6 +104,8 @@ def blueprint(
     weights, standing = check_common(reward_weights, obstacles)
     if letters is not None:
         check_kind("letters", letters, str, "'ARC'")
+        if not letters:
+            raise ValueError("letters is '', but must have at least one, such as 'ARC'")
         shapes = shapes_of(letters)
     mission = {"shapes": shapes, "labels": labels, "shape_s": shape_s}
     if turn_rad is None:

@@ -34,6 +34,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Unpack
 
+from swarm_envs.arguments import typed
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import (
     Blueprint,
@@ -51,6 +52,7 @@ from swarm_envs.tasks.rings import RingLayout
 from swarm_envs.vehicles import Vehicle
 
 
+@typed
 def blueprint(
     *,
     num_drones: int = 5,

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import FloatArray
 
 
@@ -43,6 +44,7 @@ class _Profile(NamedTuple):
     third: FloatArray
 
 
+@typed
 def rest_to_rest(
     start: npt.ArrayLike, goal: npt.ArrayLike, duration: npt.ArrayLike, t: npt.ArrayLike
 ) -> Reference:

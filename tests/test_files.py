@@ -21,6 +21,16 @@ with claimed(Path(sys.argv[1])):
     time.sleep(60)
 """
 
+HALF = """
+import sys
+from pathlib import Path
+from swarm_envs.files import written_whole
+with written_whole(Path(sys.argv[1])) as partial:
+    partial.write_text('half')
+    print('begun', flush=True)
+    sys.stdin.read()
+"""
+
 needs_locks = pytest.mark.skipif(os.name == "nt", reason="no flock on this system")
 
 
@@ -79,3 +89,21 @@ def test_a_folder_that_cannot_be_made_is_no_claim(tmp_path):
     if Path("/proc/self").exists():
         with pytest.raises(OSError, match="proc"), claimed(Path("/proc/run")):
             pass
+
+
+@needs_locks
+def test_what_a_killed_writer_left_is_removed_by_the_next(tmp_path):
+    """Also where no folder is claimed; what a living process writes is left alone."""
+    target = tmp_path / "a[1].json"
+    command = [sys.executable, "-c", HALF, str(target)]
+    writer = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert writer.stdin is not None and writer.stdout is not None
+    with writer.stdin, writer.stdout:
+        assert writer.stdout.readline() == b"begun\n"
+        write_json(target, 1)
+        assert len(list(tmp_path.iterdir())) == 2  # it is not half written, but being written
+        writer.send_signal(signal.SIGKILL)
+        writer.wait()
+    write_json(target, 2)
+    assert [file.name for file in tmp_path.iterdir()] == [target.name]
+    assert target.read_text(encoding="utf-8") == "2\n"

@@ -17,6 +17,7 @@ from typing import Any, TextIO
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 
@@ -136,6 +137,7 @@ def _missing(missing: Sequence[str], names: Sequence[str]) -> str:
     return f"column {missing[0]!r} is missing{rest}; {hint}add it; there are {', '.join(names)}"
 
 
+@typed
 def read_table(path: str | os.PathLike[str]) -> FlightTable:
     """Read the file of one flight; its values are not judged yet, see `checks.check_table`.
 
@@ -251,6 +253,7 @@ def _numbers(name: str, values: npt.NDArray[Any]) -> FloatArray:
         raise ValueError(f"column {name!r} must hold finite numbers: {error}") from None
 
 
+@typed
 def write_table(path: str | os.PathLike[str], table: FlightTable) -> None:
     """Write a flight's table, atomically, so that `read_table` gives exactly the same.
 

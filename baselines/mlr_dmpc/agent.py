@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from swarm_envs.agents import Actions, Observations
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.corridors import obstacle_planes
 from swarm_envs.baselines.mlr_dmpc.loss import LossModel
@@ -33,6 +34,7 @@ _ROOM = 1.2
 """Distance of starts and of goals over that of references: at the very limit nobody gets past."""
 
 
+@typed
 class MlrDmpcAgent:
     """Flies to goals at rest by distributed MPC over a radio that may lose messages.
 

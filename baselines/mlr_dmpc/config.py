@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
@@ -18,6 +19,7 @@ Corner = tuple[float, float, float]
 """A point or three factors, by axis: x, y, z."""
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class MlrDmpcConfig:
     """Parameters of the optimisation (Sec. 4.2.3, Appendix B) and of its rounds (Sec. 3.1).

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
 from swarm_envs.state import BoolArray, FloatArray
 
@@ -30,6 +31,7 @@ def _check_probabilities(model: object, names: tuple[str, ...]) -> None:
             raise ValueError(f"{name} is {value!r}, but must be a share in [0, 1]")
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class Jam:
     """Rounds in which what some send does not reach some others.
@@ -58,13 +60,16 @@ class Jam:
                 f"a jam from round {self.first_round} to {self.last_round}: rounds must be in "
                 "order and not negative"
             )
-        for name in (*_names(self.senders), *_names(self.receivers)):
-            if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", name):
-                raise ValueError(
-                    f"{name!r} names nobody: write all, drones, units, 'drone 3' or 'unit 0'"
-                )
+        for field in ("senders", "receivers"):
+            for name in _names(getattr(self, field)):
+                if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", name):
+                    raise ValueError(
+                        f"{field} has {name!r}, which names nobody: write all, drones, units, "
+                        "'drone 3' or 'unit 0'"
+                    )
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class GilbertElliott:
     """A channel by receiver that is good or bad, and turns at random between rounds.
@@ -85,6 +90,7 @@ class GilbertElliott:
         _check_probabilities(self, ("turns_bad", "turns_good", "loss_when_bad"))
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class LossModel:
     """A message arrives if none of these loses it; what one sends to oneself always arrives.

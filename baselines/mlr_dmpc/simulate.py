@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.checks import checked_points
 from swarm_envs.baselines.mlr_dmpc.closest import closest_distances
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
@@ -27,6 +28,7 @@ _SETTLED_ROUNDS = 35
 """After so many rounds at rest a drone is taken to stay."""
 
 
+@typed
 def simulate(
     starts: FloatArray,
     targets: Targets,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.checks import (
     checked_indices,
     checked_options,
@@ -25,6 +26,7 @@ from swarm_envs.compiled import announce_compilation
 from swarm_envs.state import FloatArray
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class UnitOutage:
     """Rounds in which a compute unit is dead. It comes back knowing nothing."""
@@ -55,6 +57,7 @@ class RoundReport:
     """In all slots together."""
 
 
+@typed
 class MlrDmpcSwarm:
     """A swarm under MLR-DMPC.
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from swarm_envs.agents import Actions, Observations
 from swarm_envs.agents.detour import DetourAgent
+from swarm_envs.arguments import typed
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
@@ -27,6 +28,7 @@ BELIEFS: Mapping[str, str] = {"learned": "belief", "wake": "belief_wake"}
 """Files of the beliefs that ship, by the force model of the environment they were learned in."""
 
 
+@typed
 def load_belief(truth: str = "learned") -> InteractionModel:
     """The deep set that the compensated controller believes: fitted to simulated flights.
 
@@ -54,6 +56,7 @@ def _read_shipped(name: str) -> InteractionModel:
         return load(Path(path))
 
 
+@typed
 class TrackingAgent:
     """Follows the task's reference with the tracking loop of Neural-Swarm2.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from swarm_envs.agents.planned import PlannedAgent
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G, PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.library import plan_swarm
@@ -33,6 +34,7 @@ _HOVER_SHARE = 1.2
 """Force bound over what is felt hovering at starts and goals, where that is above the paper's."""
 
 
+@typed
 class PlanAgent(PlannedAgent[SwarmPlan]):
     """Plans at every change of goals, with its own belief of the forces, and flies the plan.
 

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.control.config import ControllerConfig, PositionGains
 from swarm_envs.state import FloatArray
 
@@ -33,6 +34,7 @@ class ErrorBall(NamedTuple):
     """Rate at which what lies outside decays, 1/s: the smallest of the three gains."""
 
 
+@typed
 def error_ball(gains: PositionGains, mass: float, error_rate: float) -> ErrorBall:
     """The ball of eq. (23), for gains that are the same in x, y and z.
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import BoolArray
 
 Array = npt.NDArray[Any]
@@ -27,6 +28,7 @@ _LONGEST_SIDE = 32767  # paths are int16
 _MOST_VERTICES = 2**28  # a flow over several steps numbers them in int32
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class GridInstance:
     """Who starts where and must get where, on which grid. Made by `check_instance`."""

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.rth3d.grid import Coordinates, GridInstance, Shape, check_shape, points
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import BoolArray
@@ -23,6 +24,7 @@ class _Draw(NamedTuple):
     obstacles: BoolArray
 
 
+@typed
 def buildings(shape: Shape) -> BoolArray:
     """The tall buildings of Fig. 1: a column at every (3i + 1, 3j + 1)."""
     found = np.zeros(shape, dtype=np.bool_)
@@ -130,6 +132,7 @@ FAMILIES: Mapping[str, Family] = {
 """Every family by its name."""
 
 
+@typed
 def make_instance(
     family: str, shape: Shape, count: int | None = None, seed: int = 0
 ) -> GridInstance:

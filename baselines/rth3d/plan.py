@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.rth3d.grid import (
     Coordinates,
     GridInstance,
@@ -112,6 +113,7 @@ def _check_limit(time_limit: float | None) -> float:
     return time.monotonic() + float(time_limit)
 
 
+@typed
 def plan(
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.rth3d.grid import Array, check_instance
 from swarm_envs.compiled import borrowing_kernel
 
@@ -112,6 +113,7 @@ def _step(before: Array, now: Array, holder: Array, i: int) -> int:
     return -1
 
 
+@typed
 def validate(
     paths: npt.ArrayLike,
     starts: npt.ArrayLike,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import os
+import sys
 import tempfile
 from pathlib import Path
 
@@ -69,3 +71,11 @@ def need_torch(extra: str = "train") -> None:
             f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
+
+
+def forget_output() -> None:
+    """Let the end of the process not fail a second time over what it could not print."""
+    try:
+        sys.stdout.flush()
+    except (OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

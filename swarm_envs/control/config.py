@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarm_envs.arguments import typed
+
 if TYPE_CHECKING:
     from swarm_envs.interactions.base import InteractionModel
 
@@ -50,6 +52,7 @@ GAINS: dict[str, PositionGains] = {"soft": SOFT, "mid": MID, "stiff": STIFF}
 """The presets by name."""
 
 
+@typed
 @dataclass(frozen=True)
 class ControllerConfig:
     """Configuration of the tracking controller of Neural-Swarm2, Sec. VI.
@@ -100,6 +103,12 @@ class ControllerConfig:
         if not isinstance(self.gains, PositionGains):
             raise TypeError(
                 f"gains is {self.gains!r}, but must be PositionGains, such as GAINS['mid']"
+            )
+        model = self.feedforward
+        if model is not None and not callable(getattr(model, "forces", None)):
+            raise TypeError(
+                f"feedforward is {model!r:.80}, but must be an InteractionModel, such "
+                "as load('learned'), or None"
             )
         skip = ("gains", "feedforward", "lag_compensation")
         _check_positive(self, tuple(f.name for f in fields(self) if f.name not in skip))

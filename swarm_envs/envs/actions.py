@@ -209,7 +209,10 @@ def check_actions(
         ValueError: a wrong shape, or an entry that is not finite or outside the bounds; the
             message names the drone, the value, the rule and the fix.
     """
-    array: FloatArray = np.ascontiguousarray(actions, dtype=np.float64)
+    try:
+        array: FloatArray = np.ascontiguousarray(actions, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"actions are {actions!r:.80}, but must be numbers, {shape}") from error
     if array.shape != shape:
         raise ValueError(
             f"actions have shape {array.shape}, but must have shape {shape}: environments, drones, "

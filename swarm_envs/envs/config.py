@@ -26,6 +26,10 @@ ENGINES = ("bullet", "batch")
 
 MANY_DRONES = 1024
 """From so many drones in all environments together on, more threads than one pay."""
+MOST_OBSERVED = 10_000
+"""Of K and M: an observation has room for all of them, whoever is there."""
+MOST_THREADS = 1024
+"""Of `threads`: each is the system's."""
 
 
 def _check_positive(name: str, value: object, unit: str) -> None:
@@ -93,11 +97,11 @@ class EnvConfig:
                     f"{name} is {rate}, but must be {PHYSICS_RATE} over an integer, such as "
                     "240, 120, 48, 24 or 10"
                 )
-        check_integer("num_neighbors", self.num_neighbors, 0)
+        check_integer("num_neighbors", self.num_neighbors, 0, MOST_OBSERVED)
         if self.threads is not None:
-            check_integer("threads", self.threads, 1)
+            check_integer("threads", self.threads, 1, MOST_THREADS)
         if self.num_obstacles is not None:
-            check_integer("num_obstacles", self.num_obstacles, 0)
+            check_integer("num_obstacles", self.num_obstacles, 0, MOST_OBSERVED)
         if self.horizon_s is not None:
             _check_positive("horizon_s", self.horizon_s, "s")
         check_kind("force_bounds_g", self.force_bounds_g, Mapping, "{'S': 5.0, 'L': 10.0}")

@@ -26,6 +26,9 @@ from swarm_envs.vehicles import Team, Vehicle, parse_team
 
 P = ParamSpec("P")
 
+MOST_DRONES = 100_000
+"""Of `num_drones`: a batch of environments shares the memory."""
+
 
 class EnvOptions(TypedDict, total=False):
     """Options that every task's `parallel_env` takes; `EnvConfig` says what each means."""
@@ -117,4 +120,4 @@ def team_of(team: str | Sequence[Vehicle] | None, num_drones: int) -> Team:
     """
     if team is not None:
         return parse_team(team)
-    return parse_team("S" * check_integer("num_drones", num_drones, 1))
+    return parse_team("S" * check_integer("num_drones", num_drones, 1, MOST_DRONES))

@@ -15,6 +15,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.compiled import entry_point
 from swarm_envs.errors import unknown_name
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
@@ -30,6 +31,7 @@ PRECISIONS = ("float64", "float32")
 """Arithmetic in which networks can be evaluated."""
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class InteractionModel:
     """Forces f_a that air puts on drones beyond rotor thrust and gravity. Get one with `load`.
@@ -113,6 +115,7 @@ _ENTRIES: WeakKeyDictionary[InteractionModel, Callable[..., None]] = WeakKeyDict
 """`all_forces` for the types of each model's arrays, which are then not looked up at each call."""
 
 
+@typed
 def load(name: str | Path | InteractionModel) -> InteractionModel:
     """Load an interaction model.
 

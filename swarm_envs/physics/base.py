@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.compiled import announce_compilation
-from swarm_envs.errors import check_array
+from swarm_envs.errors import check_array, check_integer
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.motors import BATTERY_ROWS, BatteryModel
 from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
@@ -33,6 +34,9 @@ from swarm_envs.state import (
     replace_rows,
 )
 from swarm_envs.vehicles import Vehicle, parse_team
+
+MOST_ENVIRONMENTS = 1_000_000
+"""Of `num_envs`: memory ends before."""
 
 
 class Physics(ABC):
@@ -57,6 +61,7 @@ class Physics(ABC):
     name: str
     """The engine's name, as environments report it."""
 
+    @typed
     def __init__(
         self,
         team: str | Sequence[Vehicle],
@@ -69,10 +74,9 @@ class Physics(ABC):
         gusts: tuple[float, float] | None = None,
         obstacles: npt.ArrayLike | None = None,
     ) -> None:
+        check_integer("num_envs", num_envs, 1, MOST_ENVIRONMENTS)
         self.team = parse_team(team)
         self.teams = [self.team] * num_envs
-        if num_envs < 1:
-            raise ValueError(f"num_envs is {num_envs}, but must be at least 1")
         if force_rate < 1 or PHYSICS_RATE % force_rate:
             raise ValueError(
                 f"force_rate is {force_rate}, but must be {PHYSICS_RATE} or a divisor of it, "
@@ -83,8 +87,8 @@ class Physics(ABC):
         self.types = np.repeat(self.interactions.type_indices(self.team)[None], num_envs, axis=0)
         self.parameters: Parameters = parameters(self.team, num_envs)
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
-        rows = no_obstacles() if obstacles is None else obstacles
-        self.obstacles = check_array("obstacles", rows, (len(np.asarray(rows)), ROW))
+        rows = np.asarray(no_obstacles() if obstacles is None else obstacles)
+        self.obstacles = check_array("obstacles", rows, (*rows.shape[:1], ROW), "(M, 7)")
         shape = (num_envs, len(self.team))
         self.contacts: Contacts = no_contacts(*shape)
         self.force: FloatArray = np.zeros((*shape, 3))

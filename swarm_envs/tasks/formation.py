@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.base import Success, Task
@@ -60,6 +61,7 @@ CLOSEST = 2.0 * math.sqrt(2.0)
 _RAMP = 0.5
 
 
+@typed
 @dataclass(frozen=True)
 class FormationTask(Task):
     """Fly one shape after another. See the module for who goes where."""

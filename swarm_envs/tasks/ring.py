@@ -25,6 +25,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task, TrackingSuccess
 from swarm_envs.tasks.mission import Orbit, Placement
@@ -61,6 +62,7 @@ def ring_team(num_drones: int) -> Team:
     return parse_team(teams.get(num_drones, num_drones * "S"))
 
 
+@typed
 @dataclass(frozen=True)
 class RingTask(Task):
     """Keep to a reference on intertwined rings. See the module for who flies where."""

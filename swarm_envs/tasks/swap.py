@@ -21,6 +21,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Success, Task
@@ -108,6 +109,7 @@ class CircleLayout:
         return max(self.radius_m, self.spacing_m / (2.0 * math.sin(math.pi / num_drones)))
 
 
+@typed
 @dataclass(frozen=True)
 class SwapTask(Task):
     """Swap places. See the module for the layouts."""

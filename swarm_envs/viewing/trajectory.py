@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 from swarm_envs.vehicles import Vehicle
@@ -78,6 +79,7 @@ def check_trajectory_path(path: Path) -> None:
         _arrow()
 
 
+@typed
 def write_trajectory(path: Path, recording: Recording) -> None:
     """Write an episode, whole or not at all.
 
@@ -101,6 +103,7 @@ def write_trajectory(path: Path, recording: Recording) -> None:
             _write_parquet(partial, recording)
 
 
+@typed
 def read_trajectory(path: Path) -> Recording:
     """Read an episode that `write_trajectory` wrote.
 

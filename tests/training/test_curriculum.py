@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ from swarm_envs.vehicles import SMALL
 
 CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)
 TINY = CurriculumConfig(
-    out=None,  # type: ignore[arg-type]
+    out=Path("replaced"),
     flights=2,
     duration_s=3.0,
     steps=30,

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 import tyro
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import load
@@ -25,6 +26,7 @@ from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.training.provenance import file_sha256, json_ready
 
 
+@typed
 @dataclass(frozen=True)
 class BeliefConfig:
     """How the belief is made."""
@@ -73,6 +75,7 @@ class BeliefReport:
     """Time that all of this took, s."""
 
 
+@typed
 def fit_belief(config: BeliefConfig) -> BeliefReport:
     """Make the belief: see the module. Killed and called again, it goes on.
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, fly, swap_test
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel
@@ -55,6 +56,7 @@ class SwapJudgement:
     """Largest growth of another drone's worst height error by compensation."""
 
 
+@typed
 def judge(
     trial: SwapTrial, belief: InteractionModel, environment: str | InteractionModel = "learned"
 ) -> SwapJudgement:

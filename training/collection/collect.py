@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics.rigid_body import TIME_STEP
@@ -28,6 +29,7 @@ HELD_OUT_EVERY = 5
 """Of the flights of a team and kind one in so many is for validation."""
 
 
+@typed
 def collect(
     config: CollectionConfig,
     out: Path,
@@ -145,6 +147,7 @@ def make_motion(
     return StackedSwaps(team, rngs, ranges, lowest, config.duration_s, step)
 
 
+@typed
 def read_flights(config: CollectionConfig, out: Path) -> list[Flight]:
     """Read the flights of a finished collection.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_name
 from swarm_envs.training.collection.fleet import CalibrationErrors
 from swarm_envs.training.collection.flight import PILOTS
@@ -25,6 +26,7 @@ KINDS = ("walk", "low-walk", "swap", "low-swap")
 """Motions: random walks and stacked swaps, aloft and near the ground."""
 
 
+@typed
 @dataclass(frozen=True)
 class CollectionConfig:
     """A collection of flights. The same configuration gives the same logs, to the last bit."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import VEHICLES, Team
 
@@ -28,6 +29,7 @@ class Vehicles(NamedTuple):
     """(E, N) thrust of a rotor over what was commanded."""
 
 
+@typed
 @dataclass(frozen=True)
 class CalibrationErrors:
     """By how much vehicles differ from their type: relative standard deviations.

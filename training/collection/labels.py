@@ -14,6 +14,7 @@ from typing import Literal
 import numpy as np
 from scipy.signal import lfilter
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.log import LOG_RATE, FlightLog, world_acceleration
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
@@ -69,6 +70,7 @@ def smooth(values: FloatArray, width: int) -> FloatArray:
     return result
 
 
+@typed
 def interaction_force(
     log: FlightLog,
     team: Team,

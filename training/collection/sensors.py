@@ -10,10 +10,12 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.log import FlightLog
 
 
+@typed
 @dataclass(frozen=True)
 class SensorNoise:
     """White noise on every log entry, and biases; standard deviations per component.

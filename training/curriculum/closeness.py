@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.collect import was_cut_short
 from swarm_envs.training.collection.table import Flight
@@ -86,6 +87,7 @@ def measure(flights: Sequence[Flight], duration_s: float) -> Closeness:
     )
 
 
+@typed
 def next_clearance(
     clearance_m: float, closeness: Closeness, unknown: float, margin: float, least_m: float
 ) -> float:

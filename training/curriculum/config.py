@@ -11,6 +11,7 @@ from typing import Any
 
 import tyro
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
 from swarm_envs.training.collection.config import CollectionConfig
 from swarm_envs.training.collection.fleet import CalibrationErrors
@@ -76,6 +77,7 @@ _QUICK: Mapping[str, Any] = {
 """What the small version is run with."""
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Learn the interaction force in rounds, each closer together with what the last one learned.

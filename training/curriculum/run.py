@@ -9,6 +9,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from swarm_envs.arguments import typed
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.collection.collect import begin_manifest
@@ -31,6 +32,7 @@ UNSEEN = "unseen.json"
 """File with the errors on teams that no round flew."""
 
 
+@typed
 def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
     """Run what is not yet done and report on everything.
 

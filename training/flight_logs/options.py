@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from swarm_envs.arguments import typed
 
+
+@typed
 @dataclass(frozen=True)
 class LogOptions:
     """How logs of flights become rows, and which rows of tables are held out."""

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.arguments import typed
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.table import TYPES
 from swarm_envs.training.flight_logs.checks import check_table
@@ -52,6 +53,7 @@ class _Flight(NamedTuple):
     rows: list[DroneRows]
 
 
+@typed
 def read_logs(
     path: Path, options: LogOptions = DEFAULT, progress: bool = False
 ) -> tuple[InteractionRows, LogReport]:

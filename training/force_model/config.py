@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
 from swarm_envs.training.flight_logs.options import LogOptions
 
@@ -175,6 +176,7 @@ def _check_measured(config: TrainConfig) -> None:
             )
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(TrainConfig):
     """What to fit, from which rows, and where to put the result."""

@@ -11,6 +11,7 @@ import torch
 from safetensors import safe_open
 from torch import Tensor, nn
 
+from swarm_envs.arguments import typed
 from swarm_envs.training.force_model.checkpoint import write_safetensors
 from swarm_envs.training.force_model.network import (
     DeepSet,
@@ -29,6 +30,7 @@ METADATA_KEY = "swarm_envs"
 """Under which a file holds its note."""
 
 
+@typed
 def save_network(
     path: str | os.PathLike[str],
     network: ForceNetwork,
@@ -69,6 +71,7 @@ def save_network(
     write_safetensors(Path(path), exact, {METADATA_KEY: json.dumps(description)})
 
 
+@typed
 def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
     """Read a file that `save_network` wrote, as a float64 network.
 

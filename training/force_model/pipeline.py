@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import torch
 
+from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.report import LogReport
@@ -65,6 +66,7 @@ class _Fitted(NamedTuple):
     torque: TorqueErrors | None = None
 
 
+@typed
 def fit(config: FitConfig) -> FitReport:
     """Fit a model to rows and write it and its report into `config.out`.
 

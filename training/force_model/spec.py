@@ -8,6 +8,8 @@ from typing import Literal, NamedTuple
 
 from torch import nn
 
+from swarm_envs.arguments import typed
+
 NetworkKind = Literal["deep-set", "pairwise"]
 """`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: the sum over pairs, `pairwise.PairwiseSum`."""
 
@@ -47,6 +49,7 @@ OUTER_FADE = Window()
 """The fade of the models that ship: over the outer 0.1 m laterally and 0.3 m vertically."""
 
 
+@typed
 @dataclass(frozen=True)
 class DeepSetSpec:
     """What a deep set computes beside its weights."""

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 
@@ -153,6 +154,7 @@ def _check_index(name: str, array: IntArray, low: int, high: int) -> None:
         )
 
 
+@typed
 def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
     """Write the table as a compressed npz without pickle, atomically.
 
@@ -172,6 +174,7 @@ def save_rows(path: str | os.PathLike[str], rows: InteractionRows) -> None:
         np.savez_compressed(partial, allow_pickle=False, **arrays)
 
 
+@typed
 def read_rows(path: str | os.PathLike[str]) -> InteractionRows:
     """Read rows from a file that `save_rows` wrote, or from the published flights' table.
 

@@ -9,6 +9,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.training.force_model.explained import generalisation
@@ -28,6 +29,7 @@ _FILES = {
 """Pictures; the last two only with measured bins."""
 
 
+@typed
 def reproduce_figure(
     out: Path,
     model: str | Path = "learned",

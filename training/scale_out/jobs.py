@@ -19,6 +19,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from swarm_envs import __version__
+from swarm_envs.arguments import typed
 
 RETRIES = 3
 """How often a job is begun anew after the process or the machine that did it died."""
@@ -28,6 +29,7 @@ class WorkerDied(RuntimeError):
     """A worker died while it did a job, each time that it was tried. The message says how."""
 
 
+@typed
 @dataclass(frozen=True)
 class Job:
     """A piece of work. Done twice it must give the same, or find that it was done."""

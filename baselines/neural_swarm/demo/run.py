@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.demo.flights import CONTROLLERS, SCENARIOS, fly_all
 from swarm_envs.baselines.neural_swarm.demo.report import summarise
@@ -24,6 +25,7 @@ VIDEO_TEAM, VIDEO_S, VIDEO_FPS = "L2S", 5.0, 24
 """What is filmed, for how long, s, and with how many frames per second."""
 
 
+@typed
 def run_demo(
     out: Path,
     seed: int = 0,

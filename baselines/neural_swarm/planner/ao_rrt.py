@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.flight import INVALID
 from swarm_envs.baselines.neural_swarm.planner.growth import Chances, grow
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
@@ -40,6 +41,7 @@ Postprocess = Literal["repeat", "track"]
 _NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
 
 
+@typed
 @dataclass(frozen=True)
 class SearchConfig:
     """Options of stage 1.
@@ -124,6 +126,7 @@ class SearchResult:
         return self.trajectories is not None and self.stop != "time limit"
 
 
+@typed
 def search(
     problem: PlanningProblem,
     config: SearchConfig | None = None,

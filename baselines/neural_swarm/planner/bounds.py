@@ -10,6 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, Team
@@ -18,6 +19,7 @@ FORCE_BOUNDS_G: Mapping[str, float] = MappingProxyType({"S": 5.0, "S*": 5.0, "L"
 """f_a,max by vehicle token, grams (Neural-Swarm2, Sec. VII-D, Fig. 6 and 7)."""
 
 
+@typed
 @dataclass(frozen=True)
 class PlanningBounds:
     """Bounds on every robot's states, controls and forces: the sets X and U of eq. (6).

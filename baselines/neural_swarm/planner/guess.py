@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.merit import measure
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.solution import Weights
@@ -16,6 +17,7 @@ from swarm_envs.errors import check_array, check_integer
 from swarm_envs.trajectories import rest_to_rest
 
 
+@typed
 def straight_lines(
     problem: PlanningProblem, steps: int | None = None, bend: npt.ArrayLike | None = None
 ) -> Trajectories:

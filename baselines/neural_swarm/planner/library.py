@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds, check_positive
 from swarm_envs.baselines.neural_swarm.planner.first import first_motions
@@ -39,6 +40,7 @@ _SEARCH_SHARE = 0.6
 _NEXT_TO_NOTHING = 1e-9
 
 
+@typed
 def plan_swarm(
     starts: npt.ArrayLike,
     goals: npt.ArrayLike,

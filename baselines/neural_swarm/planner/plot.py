@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_forces
 from swarm_envs.interactions import InteractionModel
@@ -44,6 +45,7 @@ class Motion:
     """(T + 1,) s."""
 
 
+@typed
 def plot_plan(
     path: str | Path,
     plan: SwarmPlan,

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.convex import convexify
 from swarm_envs.baselines.neural_swarm.planner.merit import measure
 from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, excess_of_forces
@@ -36,6 +37,7 @@ _NEARLY = 5e-3
 """Part of a force bound by which it may be exceeded between knots."""
 
 
+@typed
 @dataclass(frozen=True)
 class RefinementOptions:
     """How stage 2 searches."""

@@ -14,12 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import Team
 
 
+@typed
 @dataclass(frozen=True, eq=False)
 class Trajectories:
     """Motions of N robots over T steps. World frame, SI units."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.arguments import typed
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
 from swarm_envs.baselines.rth3d.flight.planes import joined, planes_between, planes_to_boxes
 from swarm_envs.baselines.rth3d.flight.program import FIXED, improve, smoothness
@@ -23,6 +24,7 @@ _ROUNDING = 1e-5
 """By which robots may come closer, m: what planes are broken by."""
 
 
+@typed
 @dataclass(frozen=True, kw_only=True)
 class SmoothingConfig:
     """How far and how often a flight is smoothed.
@@ -61,6 +63,7 @@ class SmoothingConfig:
             raise ValueError("rounds must be at least 1, and jerk_weight not negative")
 
 
+@typed
 def smooth(flight: SplineFlight, config: SmoothingConfig, progress: bool = False) -> SplineFlight:
     """A flight on the same vertices' way with less acceleration, and no longer than before.
 

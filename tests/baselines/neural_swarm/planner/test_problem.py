@@ -91,7 +91,7 @@ def test_starts_and_goals_in_another_wake_are_refused():
         ({"force_g": {"S": 0.0}}, r"force_g\['S'\] is 0.0"),
         ({"clearance_factor": 0.9}, "clearance_factor is 0.9, but must be at least 1"),
         ({"lower": (0, 0, 3)}, "upper must be larger"),
-        ({"upper": (0, 0)}, "upper has shape"),
+        ({"upper": (0, 0)}, r"upper is \(0, 0\)"),
     ],
 )
 def test_bounds_refused(changes, message):

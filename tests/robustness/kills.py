@@ -1,0 +1,226 @@
+"""Kill commands at random moments: `python -m tests.robustness.kills --command fit --times 10`.
+
+A command is run once in peace. Then it is begun, killed with SIGKILL after a random time, and begun
+again in the same folder, until it ends; and anew, until it was killed so many times. What it has
+written at each end must be what the run in peace wrote, except for the times that runs took, and
+nothing may lie about.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import multiprocessing
+import os
+import re
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from swarm_envs.cli import main as command_line
+
+Run = Callable[[Path], int]
+"""Does a job into a folder; its exit code."""
+RL = ["--drones", "2", "--environments", "8", "--hidden", "8", "--num-neighbors", "1"]
+RL += ["--interactions", "none", "--judge-every", "2", "--judge-episodes", "4"]
+RL += ["--no-tensorboard", "--no-progress", "--seed", "5"]
+ON_POLICY = [*RL, "--rollout", "8", "--batch-size", "64", "--passes", "2", "--steps", "5000"]
+ON_POLICY += ["--checkpoint-rollouts", "3"]
+OFF_POLICY = [*RL, "--steps", "3000", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"]
+OFF_POLICY += ["--sac.learning-starts", "200", "--sac.buffer-size", "1000"]
+OFF_POLICY += ["--sac.batch-size", "32"]
+SWEEP = ["drones=2", "environments=8", "rollout=8", "batch_size=64", "hidden=8,8", "steps=2000"]
+SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "passes=1"]
+SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]
+FIT = ["--steps", "200", "--batch-size", "64", "--checkpoint-every", "10", "--no-progress"]
+QUIET = re.compile(r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s)$")
+"""Keys of JSON, and columns, whose values say how long a run took, or what it was called with."""
+TRACES = re.compile(r"\.lock$|events\.out|\.png$|\.html$|\.mp4$")
+"""Files that are not compared: locks, logs of events, and pictures of what is compared."""
+
+
+def run(*arguments: str) -> Run:
+    """A command line with `--out`."""
+    return lambda out: command_line([*arguments, "--out", str(out)])
+
+
+def _fit(out: Path) -> int:
+    from swarm_envs.training.force_model.rows import save_rows
+    from tests.helpers.tiny_fits import rows_of
+
+    data = out.parent / "rows.npz"
+    if not data.exists():
+        save_rows(data, rows_of())
+    return command_line(["fit", "--data", str(data), *FIT, "--out", str(out)])
+
+
+def _curriculum(out: Path) -> int:
+    from swarm_envs.training.curriculum import run_curriculum
+    from tests.training.test_curriculum import TINY
+
+    run_curriculum(replace(TINY, out=out))
+    return 0
+
+
+COMMANDS: Mapping[str, Run] = {
+    "collect": run("collect", "--teams", "S", "SL", "--duration-s", "4", "--no-progress"),
+    "curriculum": _curriculum,
+    "fit": _fit,
+    "ppo": run("train", *ON_POLICY),
+    "mappo": run("train", "--algo", "mappo", *ON_POLICY),
+    "sac": run("train", "--algo", "sac", *OFF_POLICY),
+    "train-sweep": run("train-sweep", "--seeds", "0", "1", "--set", *SWEEP, "--episodes", "6"),
+    "evaluate": run(
+        *("evaluate", "--drones", "2", "--horizon-s", "1", "--agent", "hover", "tracking"),
+        *("--episodes", "60", "--workers", "2"),
+    ),
+    "plan": run("plan", "--grid", "24x24x12", "--density", "0.3"),
+    "reproduce": run("reproduce", "rth3d", "--figure", "5", "--runs", "2", "--largest", "2000"),
+}
+"""Commands to kill, as small as they can be. To add one is a line."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KillOptions:
+    """Kill commands at random moments, and see whether anything is lost."""
+
+    command: list[str]
+    """one or more of the commands, or `all`"""
+    times: int = 10
+    """how often each is killed"""
+    seed: int = 0
+    """of the moments"""
+
+
+def begun(job: Run, out: Path) -> BaseProcess:
+    """A process that does the job, in a group of its own with its workers."""
+    process = multiprocessing.get_context("fork").Process(target=_work, args=(job, out))
+    process.start()
+    return process
+
+
+def _work(job: Run, out: Path) -> None:
+    silence = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silence, 1)
+    os.dup2(silence, 2)
+    sys.exit(job(out))
+
+
+def killed(job: Run, folder: Path, times: int, seed: int = 0) -> dict[str, Any]:
+    """Run a job in peace, and killed so many times; what became of it.
+
+    Raises:
+        AssertionError: it did not end, left something behind, or wrote something else.
+    """
+    whole, out, draws = folder / "whole", folder / "killed", np.random.default_rng(seed)
+    with contextlib.redirect_stdout(io.StringIO()):
+        assert job(folder / "warm") == 0  # loads and compiles what the processes inherit
+    begin = time.monotonic()
+    ended = begun(job, whole)
+    ended.join()
+    assert ended.exitcode == 0, f"without a kill it ended with {ended.exitcode}"
+    took, kills, finished = time.monotonic() - begin, 0, 0
+    while kills < times or out.exists():
+        process = begun(job, out)
+        process.join(draws.uniform(0.0, 0.7) * took if kills < times else None)
+        if process.is_alive():
+            process.kill()
+            process.join()
+            kills += 1
+            continue
+        assert process.exitcode == 0, f"after {kills} kills it ended with {process.exitcode}"
+        left = sorted(p.name for p in folder.rglob("*") if ".partial" in p.name)
+        assert not left, f"after {kills} kills left behind: {left}"
+        different = differences(whole, out)
+        assert not different, f"after {kills} kills differ: {different}"
+        shutil.rmtree(out)
+        finished += 1
+    return {"kills": kills, "finished": finished, "in peace, s": round(took, 2)}
+
+
+def contents(folder: Path) -> dict[str, Any]:
+    """What is in each file of a folder, but for what says how long it took."""
+    found = {}
+    for file in sorted(folder.rglob("*")):
+        if file.is_file() and not TRACES.search(file.name):
+            found[str(file.relative_to(folder))] = _content(file, folder)
+    return found
+
+
+def _content(file: Path, folder: Path) -> Any:
+    raw = file.read_bytes().replace(os.fsencode(folder), b"OUT")
+    if file.suffix == ".json":
+        return _without_times(json.loads(raw))
+    if file.suffix == ".safetensors":
+        return _tensors(raw)
+    if file.suffix == ".jsonl":
+        lines = [json.loads(line) for line in raw.splitlines()]
+        return sorted(json.dumps(_without_times(line), sort_keys=True) for line in lines)
+    if file.suffix == ".csv":
+        rows = [line.split(",") for line in raw.decode().splitlines()]
+        kept = [k for k, name in enumerate(rows[0]) if not QUIET.search(name)]
+        return [[row[k] for k in kept if k < len(row)] for row in rows]
+    if file.suffix == ".npz":
+        with np.load(file) as arrays:
+            return {
+                name: array.tobytes() for name, array in arrays.items() if not QUIET.search(name)
+            }
+    if file.suffix == ".md":
+        return re.sub(rb"\d[\d.,]* ?(s|ms|min|minutes)\b", b"TIME", raw)
+    return raw
+
+
+def _tensors(raw: bytes) -> Any:
+    """What is in weights, the words about them included."""
+    size = int.from_bytes(raw[:8], "little")
+    head = json.loads(raw[8 : 8 + size])
+    words = {}
+    for name, text in head.pop("__metadata__", {}).items():
+        try:
+            words[name] = _without_times(json.loads(text))
+        except ValueError:
+            words[name] = text
+    return _without_times(words), head, raw[8 + size :]
+
+
+def _without_times(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _without_times(v) for k, v in value.items() if not QUIET.search(k)}
+    return [_without_times(part) for part in value] if isinstance(value, list) else value
+
+
+def differences(one: Path, two: Path) -> list[str]:
+    """Names of files that are in one folder alone, or differ."""
+    first, second = contents(one), contents(two)
+    return sorted(n for n in {*first, *second} if n not in first or first[n] != second.get(n))
+
+
+def main() -> int:
+    """Kill what was asked for, and print what became of it."""
+    options = tyro.cli(KillOptions)
+    tqdm.monitor_interval = 0  # its thread may hold a lock at the moment of a fork
+    names = list(COMMANDS) if options.command == ["all"] else options.command
+    worst = 0
+    for name in names:
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                found = killed(COMMANDS[name], Path(folder), options.times, options.seed)
+            except AssertionError as error:
+                found, worst = {"FAILED": str(error)}, 1
+        print(name, found, flush=True)
+    return worst
+
+
+if __name__ == "__main__":
+    sys.exit(main())
