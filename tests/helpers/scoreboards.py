@@ -110,9 +110,9 @@ def _cell(task: dict[str, Any], agent: str, rng: np.random.Generator) -> dict[st
     replay = {"seed": 17, "episode": 3, "file": file, "why": "the first failure with a collision"}
     values = _values(task, agent, rng)
     part = agent.startswith("rth3d") and task["id"] == "ring-16-v1"
-    reason = "refused 3 of 64 episodes: starts are too near" if part else None
+    refused = "refused 3 of 64 episodes: starts are too near" if part else None
     return {
-        **cell, "status": "flown", "reason": reason, "episodes": 64, "values": values,
+        **cell, "status": "flown", "reason": refused, "episodes": 64, "values": values,
         "replay": replay,
     }  # fmt: skip
 

@@ -50,8 +50,8 @@ class Rows:
         if given is None or given.value is None:
             return [NONE]
         ends = interval(given, metric.unit)
-        small = [" ", tag("small", ends)] if ends else []
-        return [number(given.value, metric.unit), *small]
+        text = number(given.value, metric.unit)
+        return [text, " ", tag("small", ends)] if ends else [text]
 
     def data(self, cell: Cell, metric: Metric) -> dict[str, float | str | None]:
         """Attributes of the cell of a table that shows a value: by what to sort, how good it is."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from typing import Any
 
 import pytest
 
@@ -13,7 +14,12 @@ from swarm_envs.training.scoreboard import replays
 from swarm_envs.viewing.replay import page_data
 from tests.helpers.scoreboards import AGENTS, TASKS, scores, write_scores
 
-OPTIONS = {"num_drones": 2, "physics": "batch", "interactions": "none", "horizon_s": 0.5}
+OPTIONS: dict[str, Any] = {
+    "num_drones": 2,
+    "physics": "batch",
+    "interactions": "none",
+    "horizon_s": 0.5,
+}
 
 
 def flown(success, collided=False, apart=0.3):
@@ -38,6 +44,7 @@ REFUSED = {"success": False, "collided": False, "minimum_separation_m": None, "r
 def test_the_rule_of_choice(episodes, index, why):
     seeded = [{**episode, "seed": 100 + k} for k, episode in enumerate(episodes)]
     chosen = replays.choose("swap-2-v1", "hover", seeded)
+    assert chosen is not None
     assert chosen["seed"] == 100 + index
     assert chosen["episode"] == index
     assert chosen["success"] == episodes[index]["success"]
@@ -78,7 +85,9 @@ def small_board(folder, *agents):
 
 def shown(path):
     text = path.read_text(encoding="utf-8")
-    return json.loads(re.search(r'<script id="data" type="application/json">(.*?)<', text)[1])
+    data = re.search(r'<script id="data" type="application/json">(.*?)<', text)
+    assert data is not None
+    return json.loads(data[1])
 
 
 def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_path):

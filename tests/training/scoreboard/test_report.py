@@ -6,6 +6,7 @@ import base64
 import hashlib
 import re
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,8 @@ class Reader(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.open, self.elements = [], []
+        self.open: list[dict[str, Any]] = []
+        self.elements: list[dict[str, Any]] = []
         self.feed(text)
         assert [e["tag"] for e in self.open] == []  # everything that was opened was closed
 
@@ -78,7 +80,7 @@ def page(text):
 
 
 def test_every_number_of_the_file_is_in_the_page(page, content):
-    shown = {}
+    shown: dict[tuple[str, str], list[Any]] = {}
     for cell in page.all("td"):
         row = cell["row"]
         if "data-task" in row and row.get("id", "").startswith("n"):
@@ -95,8 +97,9 @@ def test_every_number_of_the_file_is_in_the_page(page, content):
             else:
                 assert float(found["data-v"]) == pytest.approx(value, rel=1e-4)
                 scale = 100.0 if metric["unit"] == "%" else 1.0
-                said = float(re.match(r"[\d.]+", found["text"].replace("\u202f", ""))[0])
-                assert said == pytest.approx(scale * value, rel=0.01, abs=0.05)
+                digits = re.match(r"[\d.]+", found["text"].replace("\u202f", ""))
+                assert digits is not None
+                assert float(digits[0]) == pytest.approx(scale * value, rel=0.01, abs=0.05)
 
 
 def test_without_the_script_the_table_shows_success_and_says_what_is_missing(page, content):
@@ -169,8 +172,9 @@ def test_lines_of_a_profile_are_its_numbers(folder):
     left, right, top, bottom = 40.0, WIDTH - 18.0, 10.0, HEIGHT - 40.0
     for group in drawn.iter("g"):
         line = next(e for e in group if e.get("class") == "line")
-        points = np.array([pair.split() for pair in line.get("d")[1:].split("L")], float)
-        curve = board.profiles["ring"].curves[group.get("data-agent")]
+        pairs = line.attrib["d"][1:].split("L")
+        points = np.array([[float(c) for c in pair.split()] for pair in pairs])
+        curve = board.profiles["ring"].curves[group.attrib["data-agent"]]
         fraction = (bottom - points[:, 1]) / (bottom - top)
         np.testing.assert_allclose(fraction, curve.fraction, atol=3e-4)
         threshold = (points[:, 0] - left) / (right - left)

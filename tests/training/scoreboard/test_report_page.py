@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarm_envs.training.scoreboard import replays, report
+from swarm_envs.viewing.replay import share_script
 from tests.helpers.browsers import OVERFLOW, chromium, complaints, requests
 from tests.helpers.scoreboards import EVIL, scores, write_scores
 
@@ -187,7 +188,7 @@ def test_every_replay_is_there_and_one_plays(browser, folder, content, tmp_path)
     options = {"num_drones": 2, "physics": "batch", "interactions": "none", "horizon_s": 0.5}
     file = content["cells"][0]["replay"]["file"]
     (folder / file).unlink()
-    replays.share_script(folder / "replays")
+    share_script(folder / "replays")
     assert replays.record_one(str(folder / file), "swap_v0", options, "hover", 17, False) is None
     page = browser.new_page(viewport=DESK)
     page.set_default_timeout(120_000)

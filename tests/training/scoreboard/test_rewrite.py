@@ -24,7 +24,7 @@ def test_a_report_is_written_anew_out_of_the_scores_alone(tmp_path, capsys):
 def test_what_cannot_be_reported_is_misuse(tmp_path, capsys):
     def misused(*arguments, said):
         try:
-            code = main(["benchmark", "--no-replays", *map(str, arguments)])
+            code: object = main(["benchmark", "--no-replays", *map(str, arguments)])
         except SystemExit as exited:
             code = exited.code
         assert code == 2
