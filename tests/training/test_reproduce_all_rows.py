@@ -107,6 +107,7 @@ def point(grid: str, method: str, before: float, robots: int = 100) -> dict[str,
         ("full", 1.55, "explained"),  # shorter than the paper's
         ("full", 1.9, "unexplained"),
         ("quick", 1.9, "explained"),  # a small grid
+        ("quick", 1.58, "explained"),
     ],
 )
 def test_ratios_of_makespans(tmp_path, preset, largest, verdict):
@@ -117,6 +118,9 @@ def test_ratios_of_makespans(tmp_path, preset, largest, verdict):
     ]
     rows = by_name(grids.figure_5(written(tmp_path, "points.json", {"points": points}), preset))
     assert rows["uniform 48 x 24 x 12, `rth3d`: ratio before compaction"].verdict == verdict
+    ratio = rows["uniform 48 x 24 x 12, `rth3d`: ratio before compaction"]
+    if ratio.reason is not None:  # small grids have larger ratios, never smaller ones
+        assert ("--quick" in ratio.reason.text) == (largest > 1.7)
     fallen = rows["uniform, `rth3d`: ratio on the largest grid over the smallest"]
     assert (fallen.ours, fallen.verdict) == (largest / 2.5, "agrees")
 
