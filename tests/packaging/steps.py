@@ -76,7 +76,9 @@ def quickstart(here: Installation) -> None:
 
 def refusals(here: Installation) -> None:
     """Without an extra, what needs it says so before any work, and which one it is."""
-    here.refused("fly", "--agent", "hover", "--out", "flight", says="swarm-envs[viz]")
+    page = ("fly", "--agent", "hover", "--replay", "flight.html")
+    here.refused(*page, says="swarm-envs[viz]")
+    here.refused("fly", "--agent", "hover", "--out", "flight", says="swarm-envs[parquet]")
     here.refused("train", "--out", "run", says="swarm-envs[train]")
     asked = ("evaluate", "--agent", "hover", "--episodes", 1, "--ray", "local")
     here.refused(*asked, says="swarm-envs[ray]")
