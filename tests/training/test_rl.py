@@ -98,6 +98,7 @@ def test_a_policy_of_another_action_flies_with_that_one_alone(action, width, tmp
     short = [*TINY, "--steps", "128", "--action", action, "--out", str(tmp_path)]
     assert main(["train", *short]) == 0
     agent = load(str(tmp_path))
+    assert isinstance(agent, PolicyAgent)
     assert agent.policy.note.action == agent.requires["action"] == action
     env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
     observations, _ = env.reset(seed=0)
