@@ -7,7 +7,9 @@ python -m tests.mutation --group physics --sample 0     all mutants of one; hour
 from __future__ import annotations
 
 import argparse
+import json
 import os
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -22,10 +24,19 @@ from tests.mutation.runner import run_tests, warm_up
 from tests.mutation.targets import GROUPS, Group
 
 Row = dict[str, Any]
+Key = tuple[Any, ...]
+Note = Callable[[Row], None]
 
 
-def judge(group: Group, size: int, seed: int, rows: list[Row], out: Path | None) -> None:
-    """Run the group's tests on a sample of its mutants and add what became of each to the rows.
+def judge(group: Group, size: int, seed: int, killed: dict[Key, Row], note: Note) -> None:
+    """Run the group's tests on a sample of its mutants.
+
+    Args:
+        group: whose mutants.
+        size: of the sample; 0 for all.
+        seed: of the sample.
+        killed: rows of an earlier run, which need no other.
+        note: told what became of each mutant.
 
     Raises:
         RuntimeError: the tests fail on the files as they are.
@@ -33,19 +44,29 @@ def judge(group: Group, size: int, seed: int, rows: list[Row], out: Path | None)
     limits: dict[tuple[str, ...], int] = {}
     chosen = sample(group.modules, size, seed)
     for mutant, source in tqdm(chosen, desc=group.name, unit="mutant", total=size or None):
+        row: Row = {**asdict(mutant), "difference": mutant.difference(source)}
+        if _key(row) in killed:
+            note(killed[_key(row)])
+            continue
         tests = group.modules[mutant.path]
         if tests not in limits:
             limits[tests] = 5 + int(4 * warm_up(tests))
         verdict = run_tests(tests, limits[tests], (mutant.path, source))
-        found = {
-            "group": group.name,
-            "verdict": "survived" if verdict.status == "passed" else verdict.status,
-            "difference": mutant.difference(source),
-            "cpu_s": round(verdict.cpu_s, 2),
-        }
-        rows.append({**asdict(mutant), **found})
-        if out is not None:
-            write_json(out, rows)
+        status = "survived" if verdict.status == "passed" else verdict.status
+        cpu_s = round(verdict.cpu_s, 2)
+        note({**row, "group": group.name, "verdict": status, "cpu_s": cpu_s})
+
+
+def _key(row: Row) -> Key:
+    return tuple(row[name] for name in ("path", "operator", "occurrence", "difference"))
+
+
+def _killed_before(out: Path | None) -> dict[Key, Row]:
+    """Rows of an interrupted or earlier run; what survived is tried again, on tests of today."""
+    if out is None or not out.exists():
+        return {}
+    rows = json.loads(out.read_text(encoding="utf-8"))
+    return {_key(row): row for row in rows if row["verdict"] != "survived"}
 
 
 def table(rows: list[Row]) -> str:
@@ -86,13 +107,20 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--group", choices=[g.name for g in GROUPS], action="append")
     parser.add_argument("--sample", type=int, default=100, help="mutants of each group; 0: all")
     parser.add_argument("--seed", type=int, default=0, help="of the sample")
-    parser.add_argument("--json", type=Path, help="write what became of each mutant")
+    parser.add_argument("--json", type=Path, help="write what became of each; kills are kept")
     options = parser.parse_args(arguments)
     rows: list[Row] = []
+    killed = _killed_before(options.json)
+
+    def note(row: Row) -> None:
+        rows.append(row)
+        killed.pop(_key(row), None)
+        if options.json is not None:
+            write_json(options.json, [*rows, *killed.values()])
+
     for group in GROUPS:
-        if options.group and group.name not in options.group:
-            continue
-        judge(group, options.sample, options.seed, rows, options.json)
+        if not options.group or group.name in options.group:
+            judge(group, options.sample, options.seed, killed, note)
     print(table(rows))
     for row in rows:
         if row["verdict"] == "survived":
