@@ -20,7 +20,7 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test test-all test-compat coverage mutation lint format bench docs clean
+.PHONY: help demo test test-all test-compat coverage mutation matrix lint format bench docs clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
@@ -29,6 +29,7 @@ help:
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; half an hour'
 	@echo 'make mutation  which small mistakes in physics, trackers and validators the tests notice'
+	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
 	@echo 'make lint      ruff and mypy'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
@@ -95,6 +96,10 @@ $(VENV)/.mutation: $(VENV)/.dev
 
 mutation: $(VENV)/.mutation
 	$(BIN)/python -m tests.mutation --json build/mutation.json
+
+# `make matrix MATRIX='--rows oldest 3.13 --python 3.13=/path/to/python'`; a few minutes a row.
+matrix: $(VENV)/.dev
+	$(BIN)/python -m tests.packaging.matrix $(MATRIX)
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

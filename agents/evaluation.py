@@ -39,6 +39,10 @@ class AgentFailed(RuntimeError):
     """An agent raised, or gave actions that no environment takes. The message says where."""
 
 
+class AgentRefused(AgentFailed):
+    """An agent does not fly such an episode: its `reset` raised a ValueError, the cause."""
+
+
 def frozen_seeds(seed: int, count: int) -> list[int]:
     """Seeds of `count` episodes, the same for every agent; fewer are the first of more.
 
@@ -57,12 +61,17 @@ class _Timed:
         self.requires, self.privileged = agent.requires, agent.privileged
         self.spent_us: list[int] = []
         self.begun = 0
+        self.refused = False
         self._agent = agent
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """As the agent does; not timed: it may plan as long as it likes."""
         self.spent_us, self.begun = [], 0
-        self._agent.reset(env, seed)
+        try:
+            self._agent.reset(env, seed)
+        except ValueError:
+            self.refused = True
+            raise
 
     def act(self, observations: Observations, view: View | None) -> Actions:
         """As the agent does."""
@@ -77,17 +86,30 @@ def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int) -> Episode:
     """Fly one episode and say how it went.
 
     Raises:
-        AgentFailed: the agent did; the cause is chained.
+        AgentFailed: the agent did; the cause is chained. `AgentRefused`, if its `reset` refused.
     """
     timed = _Timed(agent)
     try:
         metrics = fly_episode(env, timed, seed)
     except Exception as error:
-        raise AgentFailed(
+        kind = AgentRefused if timed.refused else AgentFailed
+        raise kind(
             f"in the episode of seed {seed}, decision {timed.begun}: "
             f"{type(error).__name__}: {error}"
         ) from error
     return {"seed": seed, "metrics": metrics, "act_us": timed.spent_us}
+
+
+def fly_or_refuse(env: SwarmParallelEnv, agent: Agent, seed: int) -> Episode:
+    """As `fly_seed`, but what an agent refuses is an episode too: its metrics are `refused`, why.
+
+    Raises:
+        AgentFailed: the agent did otherwise.
+    """
+    try:
+        return fly_seed(env, agent, seed)
+    except AgentRefused as refusal:
+        return {"seed": seed, "metrics": {"refused": str(refusal.__cause__)}, "act_us": []}
 
 
 def evaluate(
@@ -97,6 +119,7 @@ def evaluate(
     kept: Mapping[int, Episode] | None = None,
     keep: Callable[..., None] | None = None,
     timed: int = TIMED,
+    refusals: bool = False,
 ) -> Iterator[Episode]:
     """Give the episodes of the seeds in their order; those that are kept are not flown again.
 
@@ -111,22 +134,24 @@ def evaluate(
         kept: episodes flown before, by seed.
         keep: called with new episodes, one or more, before they are given.
         timed: of the seeds, how many are flown one by one in any case.
+        refusals: whether an episode that the agent refuses is given too, as of `fly_or_refuse`.
 
     Raises:
         AgentFailed: the agent did.
     """
     found = kept or {}
+    fly = fly_or_refuse if refusals else fly_seed
     batched = flies_batches(env, agent)
     single = seeds[:timed] if batched else seeds
     for seed in single:
         episode = found.get(seed)
         if episode is None:
-            episode = fly_seed(env, agent, seed)
+            episode = fly(env, agent, seed)
             if keep is not None:
                 keep(episode)
         yield episode
     if batched:
-        yield from _evaluate_batched(env, agent, seeds[len(single) :], found, keep)
+        yield from _evaluate_batched(env, agent, seeds[len(single) :], found, keep, refusals)
 
 
 def _evaluate_batched(
@@ -135,6 +160,7 @@ def _evaluate_batched(
     seeds: Sequence[int],
     kept: Mapping[int, Episode],
     keep: Callable[..., None] | None,
+    refusals: bool,
 ) -> Iterator[Episode]:
     """As `evaluate`, many at once."""
     core: SwarmCore | None = None
@@ -143,8 +169,13 @@ def _evaluate_batched(
         missing = [seed for seed in chunk if seed not in kept]
         new: list[Episode] = []
         if missing:
-            core = core or _prepared(env, agent, missing[0], min(AT_ONCE, len(seeds)))
-            new = _fly_seeds(core, env, agent, missing)
+            try:
+                core = core or _prepared(env, agent, missing[0], min(AT_ONCE, len(seeds)))
+                new = _fly_seeds(core, env, agent, missing)
+            except AgentRefused:
+                if not refusals:
+                    raise
+                new = [fly_or_refuse(env, agent, seed) for seed in missing]
             if keep is not None:
                 keep(*new)
         given = {**kept, **{episode["seed"]: episode for episode in new}}
@@ -158,7 +189,8 @@ def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> Swa
         env.reset(seed=seed)
         agent.reset(env, seed)
     except Exception as error:
-        raise AgentFailed(f"before its first decision: {type(error).__name__}: {error}") from error
+        kind = AgentRefused if isinstance(error, ValueError) else AgentFailed
+        raise kind(f"before its first decision: {type(error).__name__}: {error}") from error
     return SwarmCore(env.core.task, env.core.config, count)
 
 

@@ -24,21 +24,21 @@ TYPED = "goal-and-closest-approach-typed-1"
 TYPES = tuple(VEHICLES)
 """In the order of their one-hot code."""
 
-_GOAL_REACH = 0.5
+GOAL_REACH = 0.5
 """Beyond this distance the goal's vector is a direction, m."""
-_NEAR = 0.4
+NEAR = 0.4
 """Length over which nearness falls by e, m."""
-_AHEAD = 2.0
+AHEAD = 2.0
 """How far ahead closest approaches are looked for, s."""
-_OTHERS_GOAL = 1.0
+OTHERS_GOAL = 1.0
 """A neighbour's way to its goal is seen up to this length, m."""
 OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
 """Numbers told of a drone itself, and of each neighbour, whose mask is the last; types follow."""
 
 
 _ZERO, _LITTLE = np.float32(0.0), np.float32(1e-6)
-_SPEED, _HORIZON = np.float32(SPEED_LIMIT), np.float32(_AHEAD)
-_REACH, _FOLD = np.float32(_OTHERS_GOAL), np.float32(_NEAR)
+_SPEED, _HORIZON = np.float32(SPEED_LIMIT), np.float32(AHEAD)
+_REACH, _FOLD = np.float32(OTHERS_GOAL), np.float32(NEAR)
 
 
 class _Places(NamedTuple):
@@ -85,7 +85,7 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
     distance = _length(goal)
     attitude = rows[..., places.attitude]
     own: list[npt.NDArray[Any]] = [
-        goal / np.maximum(distance, _GOAL_REACH),
+        goal / np.maximum(distance, GOAL_REACH),
         distance,
         rows[..., places.velocity],
         attitude[..., 2::3],

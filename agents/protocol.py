@@ -56,6 +56,21 @@ def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
             )
 
 
+def check_wishes(agent: Agent, given: Mapping[str, Any]) -> None:
+    """Refuse an agent that requires another environment than was asked for.
+
+    Args:
+        agent: who is to fly.
+        given: options of the environment that were asked for.
+
+    Raises:
+        ValueError: an option was given and the agent requires another; the message names it.
+    """
+    for option, wanted in agent.requires.items():
+        if option in given and given[option] != wanted:
+            raise ValueError(f"it requires {option}={wanted!r}, not {given[option]!r}")
+
+
 def fly_episode(
     env: SwarmParallelEnv,
     agent: Agent,

@@ -19,13 +19,13 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 NAME = "reference-and-downwash-1"
 """Name of this choice of features: files of policies say by it what their numbers are."""
 
-_REACH = 0.2
+REACH = 0.2
 """Beyond this distance from the reference its vector is a direction, m."""
-_FAST = 0.5
+FAST = 0.5
 """Unit of errors of velocity, m/s."""
-_BESIDE = 0.2
+BESIDE = 0.2
 """Length over which downwash falls by e to the side, m."""
-_ABOVE = 0.5
+ABOVE = 0.5
 """Height at which a neighbour counts as fully above or below, m."""
 OWN_WIDTH, NEIGHBOR_WIDTH = 23, 12
 """Numbers told of a drone itself, whose type is last, and of each neighbour: type and mask last."""
@@ -59,14 +59,14 @@ def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
     velocity = rows[..., at["self.velocity"]] * np.float32(SPEED_LIMIT)
     wanted = rows[..., at["task.reference_velocity"]] * np.float32(SPEED_LIMIT)
     parts: list[npt.NDArray[Any]] = [
-        error / np.maximum(distance, _REACH),
+        error / np.maximum(distance, REACH),
         distance,
-        (wanted - velocity) / np.float32(_FAST),
+        (wanted - velocity) / np.float32(FAST),
         wanted,
         rows[..., at["task.reference_acceleration"]] * np.float32(ACCELERATION_LIMIT),
         rows[..., at["self.attitude"]][..., 2::3],
         rows[..., at["self.thrust"]],
-        (rows[..., at["self.setpoint_offset"]] - error) / np.float32(_REACH),
+        (rows[..., at["self.setpoint_offset"]] - error) / np.float32(REACH),
         rows[..., at["self.type"]],
     ]
     if num_neighbors:
@@ -79,8 +79,8 @@ def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
 def _neighbor_features(rows: Float32Array, at: Mapping[str, slice], name: str) -> Float32Array:
     """(..., 12) of the rows' neighbour of this name."""
     position, mask = rows[..., at[f"{name}.position"]], rows[..., at[f"{name}.mask"]]
-    beside = np.exp(-np.linalg.norm(position[..., :2], axis=-1, keepdims=True) / _BESIDE)
-    above = np.clip(position[..., 2:3] / _ABOVE, -1.0, 1.0)
+    beside = np.exp(-np.linalg.norm(position[..., :2], axis=-1, keepdims=True) / BESIDE)
+    above = np.clip(position[..., 2:3] / ABOVE, -1.0, 1.0)
     velocity, kind = rows[..., at[f"{name}.velocity"]], rows[..., at[f"{name}.type"]]
     parts = [position, velocity, beside, beside * above, kind, mask]
     made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32) * mask

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from swarm_envs import __version__
 from swarm_envs.commands.checks import Misuse
@@ -131,8 +132,10 @@ def _reproduce(arguments: Sequence[str]) -> int:
         print(papers.overview(f"{PROGRAM} reproduce"))
         return DONE if arguments else MISUSED
     paper = arguments[0]
+    if paper == papers.ALL:
+        return _reproduce_all(arguments[1:])
     if paper not in papers.PAPERS:
-        message = unknown_name("paper", paper, papers.PAPERS)
+        message = unknown_name("paper", paper, (papers.ALL, *papers.PAPERS))
         return _complain(f"{PROGRAM} reproduce", message, MISUSED)
     works = papers.load(paper)
     options = _read(f"reproduce {paper}", works.ReproduceOptions, arguments[1:])
@@ -145,6 +148,18 @@ def _reproduce(arguments: Sequence[str]) -> int:
     return DONE
 
 
+def _reproduce_all(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.reproduce.everything.options import ReproduceOptions, run
+
+    options = _read("reproduce all", ReproduceOptions, arguments)
+    _check_folder("--out", options.out)
+    if options.json is not None:
+        _check_file("--json", options.json)
+    said, complete = run(options, main)
+    print(said)
+    return DONE if complete else FAILED
+
+
 def _fly(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.fly import FlyOptions, run
 
@@ -152,16 +167,15 @@ def _fly(arguments: Sequence[str]) -> int:
     return DONE
 
 
-def _evaluate(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.evaluate import EvaluateOptions, run
+def _counting(name: str) -> Callable[[Sequence[str]], int]:
+    """A command whose module has `<Name>Options`, and a `run` that counts what failed."""
 
-    return FAILED if run(_read("evaluate", EvaluateOptions, arguments)) else DONE
+    def run(arguments: Sequence[str]) -> int:
+        module = importlib.import_module(f"swarm_envs.commands.{name}")
+        options: type[Any] = getattr(module, f"{name.title()}Options")
+        return FAILED if module.run(_read(name, options, arguments)) else DONE
 
-
-def _grade(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.grade import GradeOptions, run
-
-    return FAILED if run(_read("grade", GradeOptions, arguments)) else DONE
+    return run
 
 
 def _plan(arguments: Sequence[str]) -> int:
@@ -179,9 +193,13 @@ def _replay(arguments: Sequence[str]) -> int:
 
 
 def _export(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.export import ExportOptions, run
+    from swarm_envs.commands import export
 
-    run(_read("export", ExportOptions, arguments))
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(export.OVERVIEW)
+        return DONE if arguments else MISUSED
+    kind = export.find_kind(arguments[0])
+    kind.run(_read(f"export {arguments[0]}", kind.options, arguments[1:]))
     return DONE
 
 
@@ -191,7 +209,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", TrainConfig, arguments, prefixes=True)
     check(config)
-    _need_torch("sb3")
+    _need_torch()
     run(config)
     return DONE
 
@@ -200,15 +218,16 @@ def _train_sweep(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train_sweep import SweepOptions, run
 
     options = _read("train-sweep", SweepOptions, arguments)
-    _need_torch("sb3")
+    _need_torch()
     return FAILED if run(options) else DONE
 
 
 COMMANDS: Mapping[str, Command] = {
     "demo": Command("drones swap places through each other's downwash", _demo),
     "fly": Command("fly one episode: metrics, film, replay page, trajectories", _fly),
-    "evaluate": Command("many episodes of agents on the same seeds, and their scores", _evaluate),
-    "grade": Command("points for the assignments of a course, file by file", _grade),
+    "evaluate": Command("many episodes of agents, and their scores", _counting("evaluate")),
+    "benchmark": Command("every agent on every task, and a report of it", _counting("benchmark")),
+    "grade": Command("points for the assignments of a course", _counting("grade")),
     "replay": Command("play a recorded episode in a browser", _replay),
     "plan": Command("plan paths on a grid for up to 100,000 robots and more", _plan),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
@@ -216,7 +235,7 @@ COMMANDS: Mapping[str, Command] = {
     "train": Command("train a policy by reinforcement learning", _train),
     "train-sweep": Command("train with several seeds and options, and compare", _train_sweep),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
-    "export": Command("write a force model as a C header for a microcontroller", _export),
+    "export": Command("flights, policies and force models for real drones", _export),
     "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
@@ -278,10 +297,10 @@ def _read(
     )
 
 
-def _need_torch(extra: str = "train") -> None:
+def _need_torch() -> None:
     if importlib.util.find_spec("torch") is None:
         raise ImportError(
-            f"training needs torch; install it by: pip install 'swarm-envs[{extra}]' "
+            "training needs torch; install it by: pip install 'swarm-envs[train]' "
             "(and where CUDA is not wanted, a CPU build of torch first)"
         )
 

@@ -10,6 +10,7 @@ import pytest
 
 import swarm_envs
 from swarm_envs.cli import COMMANDS, main
+from swarm_envs.commands.export import KINDS
 from swarm_envs.training.reproduce.papers import PAPERS
 
 
@@ -33,18 +34,18 @@ def test_the_program_exits_with_the_command_s_code(module):
     assert "unknown command 'dmeo'; did you mean 'demo'?" in done.stderr
 
 
-CALLS = [[name] for name in COMMANDS if name != "reproduce"]
-CALLS += [["reproduce", paper] for paper in PAPERS]
+CALLS = [[name] for name in COMMANDS if name not in ("reproduce", "export")]
+CALLS += [["reproduce", paper] for paper in (*PAPERS, "all")] + [["export", kind] for kind in KINDS]
 
 
 @pytest.mark.parametrize("call", CALLS, ids=" ".join)
 def test_help_explains_every_option(call, capsys):
-    name = call[0]
     with pytest.raises(SystemExit) as end:
         main([*call, "--help"])
     assert end.value.code == 0
     text = capsys.readouterr().out
-    assert "--seed" in text or name == "replay"  # which draws nothing at random
+    # What draws nothing at random needs no seed.
+    assert "--seed" in text or call in (["replay"], ["export", "trajectory"])
     assert "--out" in text
 
 
@@ -55,6 +56,15 @@ def test_reproduce_knows_its_papers(capsys):
     assert main(["reproduce"]) == 2
     assert main(["reproduce", "neural-swarm3", "--figure", "5"]) == 2
     assert "did you mean 'neural-swarm2'" in capsys.readouterr().err
+
+
+def test_export_knows_its_kinds(capsys):
+    assert main(["export", "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"\n  {kind} " in shown for kind in KINDS)
+    assert main(["export"]) == 2
+    assert main(["export", "polcy"]) == 2
+    assert "did you mean 'policy'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

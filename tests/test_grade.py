@@ -12,7 +12,7 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.commands.grade import ASSIGNMENTS
 from swarm_envs.commands.grade_force import grade, score
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 
 STARTERS = Path(__file__).parent.parent / "docs" / "assignments"
 

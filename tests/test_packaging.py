@@ -15,7 +15,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 SOURCES = ("swarm_envs", "agents", "baselines", "training")
-FILES = ("pyproject.toml", "README.md", "LICENSE")
+FILES = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE")
+STRAYS = ("tests/test_stray.py", "demo/summary.json", "swarm_envs/notes.txt", "agents/log.csv")
 
 IMPORT_ALL = """
 import importlib, importlib.util, sys
@@ -61,6 +62,9 @@ def dist(tmp_path_factory):
     no_caches = shutil.ignore_patterns("__pycache__", "*.egg-info")
     for name in SOURCES:
         shutil.copytree(ROOT / name, checkout / name, symlinks=True, ignore=no_caches)
+    for name in STRAYS:
+        (checkout / name).parent.mkdir(exist_ok=True)
+        (checkout / name).touch()
     run("-m", "build", "--no-isolation", cwd=checkout)
     return checkout / "dist"
 
@@ -115,13 +119,16 @@ def test_the_wheel_holds_every_source_and_every_weight(wheel):
             assert archive.read(name) == (ROOT / name).read_bytes(), name
 
 
-def test_the_source_archive_holds_files_in_place_of_links(dist):
+def test_the_source_archive_holds_the_package_alone_and_files_in_place_of_links(dist):
     (file,) = dist.glob("*.tar.gz")
     with tarfile.open(file) as archive:
         members = archive.getmembers()
     assert not [m.name for m in members if m.issym() or m.islnk()]
     names = {m.name.partition("/")[2] for m in members}
     assert checkout_files() <= names
+    made = {"PKG-INFO", "setup.cfg", *(n for n in names if n.startswith("swarm_envs.egg-info/"))}
+    folders = {m.name.partition("/")[2] for m in members if m.isdir()}
+    assert names - folders - made == checkout_files() | set(FILES)
 
 
 def test_every_module_imports_from_an_installed_wheel(wheel, tmp_path):

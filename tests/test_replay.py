@@ -5,10 +5,8 @@ from __future__ import annotations
 import io
 import json
 import re
-import shutil
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,9 +17,10 @@ from swarm_envs.agents import load, record_episode
 from swarm_envs.vehicles import GRAM_FORCE
 from swarm_envs.viewing.palette import drone_colors
 from swarm_envs.viewing.record import Recording
-from swarm_envs.viewing.replay import page_data, replay_page, write_replay
+from swarm_envs.viewing.replay import page_data, replay_page, share_script, write_replay
 from swarm_envs.viewing.solids import Solid
 from swarm_envs.viewing.summary import events, near_misses
+from tests.helpers.browsers import OVERFLOW, chromium, complaints, requests
 
 MEGABYTE = 1_000_000
 
@@ -101,6 +100,26 @@ def test_a_page_of_sixteen_drones_for_eight_seconds_is_small(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["a.html"]
 
 
+def test_pages_that_share_plotly_are_small_and_load_nothing_else(crash, tmp_path):
+    pytest.importorskip("plotly")
+    share_script(tmp_path)
+    script = tmp_path / "plotly.js"
+    write_replay(tmp_path / "a.html", crash, shared=True, most_samples=600)
+    page = (tmp_path / "a.html").read_text(encoding="utf-8")
+    assert len(page) < 0.1 * MEGABYTE < script.stat().st_size
+    assert re.findall(r"<script src=([^>]*)>", page) == ['"plotly.js"']
+    policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)
+    assert policy is not None
+    assert "default-src 'none'" in policy[1]
+    assert "script-src 'unsafe-inline' 'unsafe-eval' 'self' file:;" in policy[1]
+    script.write_text("kept")
+    share_script(tmp_path)
+    assert script.read_text() == "kept"
+    happened = events(crash)
+    few = page_data(crash, happened, most_samples=300)["time"]
+    assert 300 / 6 / 2 < len(few) <= 300 / 6 + len(happened) + 1
+
+
 def test_pages_that_cannot_be_are_refused(crash, tmp_path, monkeypatch):
     with pytest.raises(ValueError, match=r"must end in \.html"):
         write_replay(tmp_path / "a.txt", crash)
@@ -110,32 +129,10 @@ def test_pages_that_cannot_be_are_refused(crash, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def find_browser() -> str | None:
-    names = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
-    return next(filter(None, map(shutil.which, names)), None)
-
-
-CHROMIUM = [
-    "--no-sandbox",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
-
-
 @pytest.fixture
 def browser():
-    sync_api = pytest.importorskip("playwright.sync_api")
-    program = find_browser()
-    with sync_api.sync_playwright() as playwright:
-        if program is None and not Path(playwright.chromium.executable_path).exists():
-            pytest.skip("there is no Chromium here")
-        opened = playwright.chromium.launch(executable_path=program, args=CHROMIUM)
+    with chromium() as opened:
         yield opened
-        opened.close()
 
 
 def count_color(picture: bytes, color: str) -> int:
@@ -147,7 +144,6 @@ def count_color(picture: bytes, color: str) -> int:
 FRAME = "Number(document.getElementById('scrub').value)"
 EYE = "JSON.stringify(document.getElementById('swarm').layout.scene.camera.eye)"
 BODIES = "Array.from(document.getElementById('swarm').data[0].x)"
-OVERFLOW = "document.documentElement.scrollWidth - window.innerWidth"
 
 
 @pytest.mark.slow
@@ -157,10 +153,7 @@ def test_the_page_plays_in_a_browser(browser, crash, tmp_path):
     address = (tmp_path / "a.html").as_uri()
     page = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme="light")
     page.set_default_timeout(60_000)
-    said, asked = [], []
-    page.on("console", lambda message: said.append(message.text) if is_bad(message) else None)
-    page.on("pageerror", lambda error: said.append(str(error)))
-    page.on("request", lambda request: asked.append(request.url))
+    said, asked = complaints(page), requests(page)
     page.goto(address)
     page.wait_for_selector("body[data-ready=yes]")
     assert page.evaluate(OVERFLOW) <= 0
@@ -228,10 +221,4 @@ def test_the_page_plays_in_a_browser(browser, crash, tmp_path):
     dark = page.evaluate("getComputedStyle(document.documentElement).backgroundColor")
     assert max(map(int, re.findall(r"\d+", dark))) < 60
     assert said == []
-    assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [address]
-
-
-def is_bad(message) -> bool:
-    slow_drawing = ("willReadFrequently", "GPU stall", "GL Driver Message")
-    bad = message.type in ("error", "warning")
-    return bad and not any(text in message.text for text in slow_drawing)
+    assert asked == [address]

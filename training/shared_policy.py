@@ -24,7 +24,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise ImportError(
-        "SharedPolicyVecEnv needs Stable-Baselines3; install it by: pip install 'swarm-envs[sb3]'"
+        "SharedPolicyVecEnv needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
     ) from error
 
 Infos = list[dict[str, Any]]

@@ -16,6 +16,7 @@ from unittest import mock
 import tyro
 
 from swarm_envs.cli import COMMANDS, PROGRAM
+from swarm_envs.commands.export import KINDS
 from swarm_envs.training.reproduce.papers import PAPERS
 
 MARK = "<!-- commands -->"
@@ -114,8 +115,11 @@ def _docstrings(cls: type) -> dict[str, str]:
 
 def commands() -> list[tuple[str, ...]]:
     """Every command line that has options of its own: `("fly",)`, `("reproduce", paper)`."""
-    names = [name for name in COMMANDS if name != "reproduce"]
-    return [*((name,) for name in names), *(("reproduce", paper) for paper in PAPERS)]
+    inner = {"reproduce": tuple(PAPERS), "export": KINDS}
+    found: list[tuple[str, ...]] = []
+    for name in COMMANDS:
+        found += [(name, part) for part in inner[name]] if name in inner else [(name,)]
+    return found
 
 
 def section(command: tuple[str, ...]) -> str:

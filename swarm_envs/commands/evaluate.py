@@ -179,11 +179,10 @@ def prepare(name: str, options: EvaluateOptions, task: str) -> tuple[Agent, Swar
     """
     from swarm_envs import make
     from swarm_envs.agents import load
+    from swarm_envs.agents.protocol import check_wishes
 
     agent, given = load(name), options.setting()
-    for option, wanted in agent.requires.items():
-        if option in given and given[option] != wanted:
-            raise ValueError(f"it requires {option}={wanted!r}, not {given[option]!r}")
+    check_wishes(agent, given)
     return agent, make(task, **{**given, **agent.requires})
 
 

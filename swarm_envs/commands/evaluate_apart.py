@@ -18,7 +18,7 @@ from swarm_envs.commands.evaluate import (
     tell_before,
     unflyable,
 )
-from swarm_envs.training.scale_out.episodes import Entrant, fly_apart
+from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart
 
 
 def reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, Any]]:
@@ -78,7 +78,8 @@ def _fly(entrants: list[Entrant], options: EvaluateOptions, task: str) -> None:
             bar.set_description_str(entrant.name[-30:], refresh=False)
             bar.update()
 
-        fly_apart(entrants, task, options.setting(), seeds, workers, watch)
+        setting = options.setting()
+        fly_apart([Leg(e, task, setting, seeds) for e in entrants], workers, watch)
 
 
 def _scores(entrant: Entrant, options: EvaluateOptions) -> dict[str, Any]:

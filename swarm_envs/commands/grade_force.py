@@ -11,7 +11,7 @@ import numpy as np
 
 from swarm_envs.agents.registry import load_class
 from swarm_envs.files import write_json
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows
+from swarm_envs.training.interaction_rows import InteractionRows, read_rows
 
 
 def score(predicted: Any, held_out: InteractionRows) -> dict[str, float]:

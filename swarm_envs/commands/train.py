@@ -44,7 +44,7 @@ def run(config: TrainConfig) -> None:
     """
     if importlib.util.find_spec("stable_baselines3") is None:
         raise ImportError(
-            "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[sb3]'"
+            "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
         )
     from swarm_envs.files import write_json
     from swarm_envs.training.rl.run import finished_report, train

@@ -7,13 +7,11 @@ clamps, anchor and drag are those of the model, so the header's force is the sim
 from __future__ import annotations
 
 import hashlib
-import re
-from collections.abc import Iterable
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from swarm_envs.c_text import array, check_prefix, comment, enumeration, filled, number, rows
 from swarm_envs.interactions.base import InteractionModel
 from swarm_envs.interactions.c_source import HEADER
 from swarm_envs.interactions.field import LEARNED, ForceField
@@ -23,7 +21,7 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 SAMPLES, NEIGHBOURS = 16, 3
 """States in the header's self-test, and neighbours in each."""
-_PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_TAKEN = ("TYPES", "SELF_TEST", "FORCE_H")
 
 
 def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> str:
@@ -37,10 +35,7 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
     Raises:
         ValueError: the model is no deep set, or the name cannot begin an identifier of C.
     """
-    if not _PREFIX.fullmatch(name):
-        raise ValueError(
-            f"name is {name!r}, but must be a letter and up to 30 letters, digits or underscores"
-        )
+    check_prefix(name)
     field = model.field
     if field.kind != LEARNED:
         raise ValueError(
@@ -55,26 +50,22 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
     words = {
         "name": name,
         "NAME": name.upper(),
-        "provenance": _comment(_provenance(model)),
-        "costs": _comment(_costs(field)),
+        "provenance": comment(_provenance(model)),
+        "costs": comment(_costs(field)),
         "lateral": f"{field.window[1]:g}",
         "vertical": f"{field.window[3]:g}",
-        "types": _enumeration(name.upper(), model.types),
+        "types": enumeration(name.upper(), model.types, _TAKEN),
         "tables": "\n".join(_tables(name, field)),
         "phi": ",\n    ".join(networks[:kinds]),
         "environment": networks[kinds],
         "rho": ",\n    ".join(networks[kinds + 1 :]),
         "widest": str(_widest(field)),
         "hidden": str(_widths(field, 0)[-1]),
-        "gram": _number(GRAM_FORCE),
-        "anchor": _number(field.anchor_height),
+        "gram": number(GRAM_FORCE),
+        "anchor": number(field.anchor_height),
         **_self_test(field, np.random.default_rng(seed)),
     }
-    return re.sub(r"@(\w+)@", lambda found: words[found[1]], HEADER)
-
-
-def _comment(lines: Iterable[str]) -> str:
-    return "\n".join(" *   " + line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
+    return filled(HEADER, words)
 
 
 def _provenance(model: InteractionModel) -> list[str]:
@@ -116,29 +107,20 @@ def _widest(field: ForceField) -> int:
     return max(max(_widths(field, n)) for n in range(len(field.layout)))
 
 
-def _enumeration(prefix: str, types: tuple[str, ...]) -> str:
-    """The types' constants, under their names as far as C takes them."""
-    names = [re.sub(r"\W", "_", kind, flags=re.ASCII) for kind in types]
-    if len({*names, "TYPES", "SELF_TEST", "FORCE_H"}) < len(names) + 3:
-        names = [f"TYPE_{k}" for k in range(len(names))]
-    rows = [f"    {prefix}_{name} = {k}," for k, name in enumerate(names)]
-    return "\n".join([*rows, f"    {prefix}_TYPES = {len(types)}"])
-
-
 def _tables(name: str, field: ForceField) -> list[str]:
     """Declarations of all numbers."""
     fades = field.window.reshape(2, 2)
     steep = [1.0 / (end - full) if end > full else 0.0 for full, end in fades]
     tables = [
-        _array(f"{name}_window", np.column_stack([fades, steep]).ravel()),
-        _array(f"{name}_environment_range", field.environment_range),
-        _array(f"{name}_pair_range", field.pair_range),
-        _array(f"{name}_drag", field.drag),
+        array(f"{name}_window", np.column_stack([fades, steep]).ravel()),
+        array(f"{name}_environment_range", field.environment_range),
+        array(f"{name}_pair_range", field.pair_range),
+        array(f"{name}_drag", field.drag),
     ]
     for n in range(len(field.layout)):
         widths = ", ".join(map(str, _widths(field, n)))
         tables.append(f"static const int {name}_widths_{n}[] = {{{widths}}};")
-        tables.append(_array(f"{name}_weights_{n}", _by_output(field, n)))
+        tables.append(array(f"{name}_weights_{n}", _by_output(field, n)))
     return tables
 
 
@@ -151,29 +133,6 @@ def _by_output(field: ForceField, n: int) -> FloatArray:
         matrix = field.weights[start:bias].reshape(inputs, outputs).T
         parts.append(np.column_stack([field.weights[bias : bias + outputs], matrix]).ravel())
     return np.concatenate(parts)
-
-
-def _array(name: str, values: npt.ArrayLike) -> str:
-    numbers = np.asarray(values)
-    if numbers.ndim == 1:
-        return f"static const float {name}[] = {{\n{_lines(map(_number, numbers))}}};"
-    return f"static const float {name}[][{numbers.shape[1]}] = {{\n{_rows(numbers)}}};"
-
-
-def _rows(numbers: npt.NDArray[np.generic]) -> str:
-    return ",\n".join(f"    {{{_lines(map(_number, row)).lstrip()}}}" for row in numbers)
-
-
-def _lines(words: Iterable[str], each: int = 7) -> str:
-    given = list(words)
-    lines = [", ".join(given[k : k + each]) for k in range(0, len(given), each)]
-    return ",\n".join(f"    {line}" for line in lines)
-
-
-def _number(value: float) -> str:
-    if isinstance(value, np.integer):
-        return str(value)
-    return f"{np.float32(value)!s}f"  # the shortest text that gives the same float32
 
 
 def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
@@ -193,6 +152,6 @@ def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
     return {
         "samples": str(SAMPLES),
         "neighbours": str(NEIGHBOURS),
-        "test_types": _rows(types),
-        "test_states": _rows(np.concatenate(states, axis=1)),
+        "test_types": rows(types),
+        "test_states": rows(np.concatenate(states, axis=1)),
     }

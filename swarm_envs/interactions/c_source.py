@@ -1,7 +1,7 @@
 """The C99 text of an exported force model, with @words@ where `c_header` puts numbers and names."""
 
 HEADER = """\
-/* Vertical interaction force on a drone, made by `swarm-envs export`. C99, float only, no library.
+/* Vertical interaction force on a drone, made by `swarm-envs export force`. C99, float only.
  *
 @provenance@
  *

@@ -1,7 +1,7 @@
 """A recorded episode as one HTML page that needs no server and no network.
 
 The page carries plotly.js, a small script that moves time, and the numbers. A policy in its head
-forbids it to fetch anything.
+forbids it to fetch anything. Many pages in one folder may share plotly.js: see `share_script`.
 """
 
 from __future__ import annotations
@@ -34,8 +34,10 @@ from swarm_envs.viewing.summary import (
 
 _UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quaternion": 1e-4}
 """What one in the page's integers is: mm, hundredths of a gram."""
-_MOST_SAMPLES = 50_000
+MOST_SAMPLES = 50_000
 """Drones times frames in a page; a longer flight keeps every second sample, or fewer."""
+SHARED_SCRIPT = "plotly.js"
+"""Name of the file beside pages that share it."""
 _FASTEST = 60.0
 """Frames per second that a page keeps at most."""
 _LONGEST_ARROW_M = 0.45
@@ -43,12 +45,16 @@ _SCALES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Lengths of an arrow of one gram, m; the longest that fits is taken."""
 
 
-def write_replay(path: Path, recording: Recording) -> None:
+def write_replay(
+    path: Path, recording: Recording, shared: bool = False, most_samples: int = MOST_SAMPLES
+) -> None:
     """Write the page, whole or not at all.
 
     Args:
         path: ends in `.html`.
         recording: what it shows.
+        shared: leave plotly.js out: the page loads it from where `share_script` puts it.
+        most_samples: drones times frames that the page keeps, beside those of events.
 
     Raises:
         ValueError: another suffix.
@@ -56,9 +62,21 @@ def write_replay(path: Path, recording: Recording) -> None:
         OSError: the file cannot be written.
     """
     check_replay_path(path)
-    page = replay_page(recording)
+    page = replay_page(recording, shared, most_samples)
     with written_whole(path) as partial:
         partial.write_text(page, encoding="utf-8")
+
+
+def share_script(folder: Path) -> None:
+    """Put plotly.js, which is 5 MB, beside pages that share it; one that is there stays.
+
+    Raises:
+        ImportError: plotly is missing.
+        OSError: the file cannot be written.
+    """
+    if not (folder / SHARED_SCRIPT).is_file():
+        with written_whole(folder / SHARED_SCRIPT) as partial:
+            partial.write_text(_plotly().get_plotlyjs(), encoding="utf-8")
 
 
 def check_replay_path(path: Path) -> None:
@@ -73,15 +91,19 @@ def check_replay_path(path: Path) -> None:
     _plotly()
 
 
-def replay_page(recording: Recording) -> str:
-    """The page as text: 3-D swarm, playback, plots.
+def replay_page(
+    recording: Recording, shared: bool = False, most_samples: int = MOST_SAMPLES
+) -> str:
+    """The page as text: 3-D swarm, playback, plots. The arguments are those of `write_replay`.
 
     Raises:
         ImportError: plotly is missing.
     """
     about, happened = recording.about, events(recording)
     marked = sorted([*happened, *near_misses(recording)], key=lambda event: event.frame)
-    data = json.dumps(page_data(recording, marked), separators=(",", ":"), allow_nan=False)
+    data = json.dumps(
+        page_data(recording, marked, most_samples), separators=(",", ":"), allow_nan=False
+    )
     seed = "" if about.seed is None else f", seed {about.seed}"
     good = bool(about.metrics) and bool(about.metrics["success"])
     flown = f"{about.physics} engine, {about.decision_rate} decisions a second"
@@ -99,20 +121,28 @@ def replay_page(recording: Recording) -> str:
         "footer": "Drawn with plotly.js (MIT).",
         "css": _asset("replay.css"),
         "script": _asset("replay.js"),
-        "plotly": _plotly().get_plotlyjs(),
+        "script_from": " 'self' file:" if shared else "",
+        "plotly": (
+            f'<script src="{SHARED_SCRIPT}"></script>'
+            if shared
+            else f"<script>{_plotly().get_plotlyjs()}</script>"
+        ),
         "data": data.replace("</", "<\\/").replace("<!--", "<\\u0021--"),
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda found: texts[found[1]], _asset("replay.html"))
 
 
-def page_data(recording: Recording, happened: Sequence[Event]) -> dict[str, Any]:
+def page_data(
+    recording: Recording, happened: Sequence[Event], most_samples: int = MOST_SAMPLES
+) -> dict[str, Any]:
     """What the page's script reads: flat arrays of integers, frame by frame, drone by drone.
 
     Args:
         recording: the episode.
         happened: its events, near misses among them.
+        most_samples: drones times frames that are kept, beside those of events.
     """
-    frames = _frames(recording, happened)
+    frames = _frames(recording, happened, most_samples)
     place = {int(frame): k for k, frame in enumerate(frames)}
     types = list(dict.fromkeys(recording.team))
     separation, touching = _separation(recording)
@@ -153,11 +183,11 @@ def page_data(recording: Recording, happened: Sequence[Event]) -> dict[str, Any]
     }
 
 
-def _frames(recording: Recording, happened: Sequence[Event]) -> IntArray:
+def _frames(recording: Recording, happened: Sequence[Event], most_samples: int) -> IntArray:
     """Indices of the samples that the page keeps: evenly spaced, and those of events."""
     steps, drones = recording.position.shape[:2]
     fast = recording.about.decision_rate / _FASTEST
-    stride = max(1, int(np.ceil(fast)), int(np.ceil(steps * drones / _MOST_SAMPLES)))
+    stride = max(1, int(np.ceil(fast)), int(np.ceil(steps * drones / most_samples)))
     kept = [*range(0, steps, stride), steps - 1, *(event.frame for event in happened)]
     return np.unique(np.array(kept, dtype=np.int64))
 

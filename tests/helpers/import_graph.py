@@ -11,8 +11,6 @@ from tests.helpers.imports import BASE, CLI, FACE, ROOT, SOURCES, imported_modul
 
 PICTURE = ROOT / "docs" / "imports.svg"
 FOUNDATION, FACES, COMMANDS = "vehicles, state ...", "swap_v0, ring_v0 ...", "cli, commands"
-FLIGHTS = "collection, flight_logs, force_model"
-"""Three packages of `training` that know each other, and stand in one box."""
 WIDTH, ROW, HEIGHT, LETTER = 1000, 84, 34, 7.6
 """Of the picture, from one row of boxes to the next, of a box, and of a letter, pixels."""
 
@@ -32,8 +30,6 @@ def package(module: str) -> str:
     parts, height = module.split("."), level(module)
     if height in (BASE, FACE, CLI):
         return {BASE: FOUNDATION, FACE: FACES, CLI: COMMANDS}[height]
-    if parts[1] == "training" and len(parts) > 2 and parts[2] in FLIGHTS.split(", "):
-        return FLIGHTS
     if parts[1] in ("baselines", "training") and len(parts) > 2:
         return parts[2]
     return parts[1]

@@ -13,8 +13,9 @@ OUTER = ("agents", "baselines", "training")
 
 BASE = 0  # vehicles, state and the other single modules at the bottom
 LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
+LEVELS |= {"deploy": 3}
 _BASE_MODULES = (
-    *("vehicles", "state", "errors", "motors", "files"),
+    *("vehicles", "state", "errors", "motors", "files", "c_text"),
     *("compiled", "borrowed", "lowering", "neighbors"),
 )
 LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)

@@ -6,7 +6,7 @@ import numpy as np
 
 from swarm_envs.training.force_model.config import TrainConfig
 from swarm_envs.training.force_model.network import EVERYWHERE, DeepSetSpec
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.interaction_rows import InteractionRows
 
 PLAIN = TrainConfig(
     steps=40,

@@ -25,7 +25,7 @@ from swarm_envs.training.curriculum.config import STAGES, Stage, adds_drones, co
 from swarm_envs.training.curriculum.report import goals_reached, rounds_table, sizes_as_json
 from swarm_envs.training.curriculum.run import command
 from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen, share
-from swarm_envs.training.force_model.files import json_ready
+from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import SMALL
 
 CALM = Closeness(0.04, 0.1, 1.5, 10, 100.0, 0, 0)

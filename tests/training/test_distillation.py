@@ -21,8 +21,8 @@ from swarm_envs.training.force_model.distil import (
 from swarm_envs.training.force_model.early import inner_split
 from swarm_envs.training.force_model.network import EVERYWHERE, DeepSet, DeepSetSpec
 from swarm_envs.training.force_model.pipeline import fit
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 from swarm_envs.training.force_model.train import Training, predict, to_batch, train
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 
 SPEC = DeepSetSpec(("S",), EVERYWHERE, None, None)
 TAUGHT = TrainConfig(

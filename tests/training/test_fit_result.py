@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from swarm_envs.interactions import load
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.report import Calibration
 from swarm_envs.training.force_model.evaluate import Errors
-from swarm_envs.training.force_model.files import differing
-from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.pipeline import WEIGHTS, FitConfig, fit
 from swarm_envs.training.force_model.report import worth
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from swarm_envs.training.provenance import differing
 
 
 def planted_rows(count, seed=0):

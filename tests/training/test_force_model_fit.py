@@ -12,20 +12,20 @@ import torch
 
 from swarm_envs.interactions import load
 from swarm_envs.training.force_model import pipeline
-from swarm_envs.training.force_model.calibration import (
-    estimate_offsets,
-    quiet_rows,
-    subtract_offsets,
-)
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.labels import measured_range
 from swarm_envs.training.force_model.network import OUTER_FADE, DeepSetSpec
 from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
 from swarm_envs.training.force_model.train import TrainConfig, predict, to_batch, train
 from swarm_envs.training.force_model.wake_fit import WakeFitConfig, fit_wake, run
 from swarm_envs.training.force_model.wake_model import WakeParameters, wake_force_g, wake_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows.calibration import (
+    estimate_offsets,
+    quiet_rows,
+    subtract_offsets,
+)
 from swarm_envs.vehicles import GRAM_FORCE
 
 TRUTH = WakeParameters(

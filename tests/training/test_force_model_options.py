@@ -15,10 +15,10 @@ from swarm_envs.training.force_model.config import TrainConfig, settled
 from swarm_envs.training.force_model.epochs import Examples, shuffled, turn
 from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, swarm_batch
 from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.rows import save_rows
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.force_model.train import to_batch, train
+from swarm_envs.training.interaction_rows import save_rows
 from tests.helpers.tiny_fits import PLAIN, SPEC, rows_of
 
 

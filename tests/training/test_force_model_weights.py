@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 import torch
 
-from swarm_envs.training.force_model.calibration import estimate_offsets, subtract_offsets
 from swarm_envs.training.force_model.card import CardConfig, write_card
 from swarm_envs.training.force_model.evaluate import (
     mean_squared_errors,
@@ -23,7 +22,8 @@ from swarm_envs.training.force_model.evaluate import (
 from swarm_envs.training.force_model.export import load_network
 from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
 from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.rows import read_rows
+from swarm_envs.training.interaction_rows import read_rows
+from swarm_envs.training.interaction_rows.calibration import estimate_offsets, subtract_offsets
 
 WEIGHTS = Path(__file__).parents[2] / "swarm_envs" / "interactions" / "weights"
 

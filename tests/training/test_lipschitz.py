@@ -12,9 +12,9 @@ import torch
 from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
 from swarm_envs.training.force_model.network import DeepSetSpec, ForceNetwork, layers
 from swarm_envs.training.force_model.pairwise import build
-from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.spec import EVERYWHERE, OUTER_FADE, InputRange, NetworkKind
 from swarm_envs.training.force_model.train import TrainConfig, train
+from swarm_envs.training.interaction_rows import InteractionRows
 
 RANGE = InputRange(
     ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),

@@ -16,7 +16,7 @@ from swarm_envs.interactions import load
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, layers, without_velocity
 from swarm_envs.training.force_model.pipeline import fit
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.reproduce.ablation import (
     Budget,
     fit_config,

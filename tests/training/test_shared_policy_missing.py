@@ -18,7 +18,7 @@ def without_sb3(monkeypatch):
 
 
 def test_says_what_to_install(without_sb3):
-    message = r"SharedPolicyVecEnv needs Stable-Baselines3.*pip install 'swarm-envs\[sb3\]'"
+    message = r"SharedPolicyVecEnv needs Stable-Baselines3.*pip install 'swarm-envs\[train\]'"
     with pytest.raises(ImportError, match=message):
         swarm_envs.training.SharedPolicyVecEnv  # noqa: B018
     with pytest.raises(ImportError, match=message):

@@ -7,7 +7,8 @@ import json
 
 import pytest
 
-from swarm_envs.training.reproduce.runs import draw_seeds, run_cells, write_table
+from swarm_envs.files import write_table
+from swarm_envs.training.reproduce.runs import draw_seeds, run_cells
 from swarm_envs.training.reproduce.studies.lag import (
     VARIANTS,
     WANTED_RATIO,

@@ -12,14 +12,14 @@ import torch
 from swarm_envs.interactions import load
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
 from swarm_envs.state import FloatArray
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.force_model.data import Wanted, read_data
 from swarm_envs.training.force_model.epochs import changed_label, transform, turn
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import Batch, DeepSet, DeepSetSpec, swarm_batch
 from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.force_model.spec import OUTER_FADE, InputRange
+from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
 
 RANGE = InputRange(

@@ -11,7 +11,7 @@ import pytest
 
 from swarm_envs.interactions import load
 from swarm_envs.training.force_model.pipeline import WEIGHTS, FitConfig, fit
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle
 
 STRONG: Vehicle = dataclasses.replace(SMALL_STRONG, interaction_type="S*")

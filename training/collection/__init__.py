@@ -4,8 +4,8 @@ The environment's counterpart of Neural-Swarm2, Sec. VII-B. Order of reading: `c
 flown), `motion` and `potentials` (random walks, stacked swaps), `fleet` (vehicles that differ from
 their type), `log` and `flight` (the loop and what it logs), `sensors` (their noise), `labels`
 (interaction force from a log), `table` (rows for the trainer), `signals` and `storage` (files),
-`collect` (all flights to a folder). `belief` fits the deep set that the compensated controller
-believes.
+`collect` (all flights to a folder). `swarm_envs.training.belief` fits the deep set that the
+compensated controller believes to them.
 
 Command: `swarm-envs collect --out DIR --seed 0`; the page is docs/collect.md.
 """

@@ -18,7 +18,7 @@ from swarm_envs.training.collection.table import (
     interaction_rows,
     scenario_counts,
 )
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 
 
 @dataclass(frozen=True, kw_only=True)

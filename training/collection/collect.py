@@ -19,7 +19,7 @@ from swarm_envs.training.collection.motion import Motion, RandomWalk, StackedSwa
 from swarm_envs.training.collection.sensors import with_noise
 from swarm_envs.training.collection.storage import flight_file, read_log, save_log
 from swarm_envs.training.collection.table import Flight, scenario_counts
-from swarm_envs.training.force_model.files import differing, json_ready
+from swarm_envs.training.provenance import differing, json_ready
 from swarm_envs.vehicles import parse_team
 
 MANIFEST = "manifest.json"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -12,10 +12,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.training.collection.fleet import vehicle_names
 from swarm_envs.training.collection.log import FlightLog, rotate_back, world_acceleration
 from swarm_envs.training.collection.signals import commanded_thrust, motor_signals
+from swarm_envs.training.flight_table import FlightTable, read_table, write_table
 from swarm_envs.vehicles import Team
-
-if TYPE_CHECKING:
-    from swarm_envs.training.flight_logs.table import FlightTable
 
 Format = Literal["npz", "parquet"]
 """Formats of a logged flight."""
@@ -43,8 +41,6 @@ def save_log(
         ImportError: it is to be Parquet, and pyarrow is not installed.
     """
     if path.suffix == ".parquet":
-        from swarm_envs.training.flight_logs.table import write_table  # it imports this package
-
         write_table(path, to_table(log, team, rate_hz, accelerometer))
         return
     arrays = {name: array.astype(np.float32) for name, array in log._asdict().items()}
@@ -63,8 +59,6 @@ def read_log(path: Path, team: Team | None = None) -> FlightLog:
         FileNotFoundError: there is none.
     """
     if path.suffix == ".parquet":
-        from swarm_envs.training.flight_logs.table import read_table
-
         if team is None:
             raise ValueError(f"{path.name} is Parquet, whose lines are no team; give the team")
         return from_table(read_table(path), team)
@@ -78,8 +72,6 @@ def to_table(log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = T
     Rotor thrusts become motor signals and voltages by psi1 of Table I, and the specific force the
     acceleration in the world by the logged attitude.
     """
-    from swarm_envs.training.flight_logs.table import FlightTable
-
     count, drones = log.position.shape[:2]
     pwm, voltage = motor_signals(log.commands, team, rate_hz)
     acceleration = lines(world_acceleration(log)) if accelerometer else None

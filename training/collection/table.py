@@ -12,7 +12,7 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.fleet import vehicle_ids
 from swarm_envs.training.collection.labels import Label, interaction_force
 from swarm_envs.training.collection.log import LOG_RATE, FlightLog
-from swarm_envs.training.force_model.rows import NO_NEIGHBOR, InteractionRows
+from swarm_envs.training.interaction_rows import NO_NEIGHBOR, InteractionRows
 from swarm_envs.vehicles import parse_team
 
 TYPES = ("S", "L")

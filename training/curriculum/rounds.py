@@ -19,9 +19,9 @@ from swarm_envs.training.curriculum.config import CurriculumConfig, collection_c
 from swarm_envs.training.force_model.config import FitConfig
 from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.force_model.export import load_network
-from swarm_envs.training.force_model.files import file_sha256, json_ready
 from swarm_envs.training.force_model.pipeline import fit
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from swarm_envs.training.provenance import file_sha256, json_ready
 
 MARK = "round.json"
 """Written last: a round that has it is done."""

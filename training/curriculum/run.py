@@ -23,7 +23,7 @@ from swarm_envs.training.curriculum.report import (
 )
 from swarm_envs.training.curriculum.rounds import RoundReport, fly_round, weights_of
 from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen
-from swarm_envs.training.force_model.files import json_ready
+from swarm_envs.training.provenance import json_ready
 
 ORIGIN = "origin.json"
 """File with the options that a folder was begun with."""

@@ -15,7 +15,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.collection.belief.judge import SwapTrial, fly_swaps
+from swarm_envs.training.belief.judge import SwapTrial, fly_swaps
 from swarm_envs.training.force_model.explained import explained_variance
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 

@@ -34,7 +34,7 @@ What is made of it
 Label: f_a = m a / g - T R[:, 2] in gram-force (Neural-Swarm2, Sec. VII-B), with psi1 of the type
 (Table I) at PWM / 65536 and voltage / 4.2 V for the commanded thrust, which T follows with the
 motor rate of eq. (1c). A wrong mass or thrust curve makes a constant offset in it; that belongs to
-the vehicle's calibration (`force_model.calibration`), which a fit estimates from lone flight.
+the vehicle's calibration (`interaction_rows.calibration`), which a fit estimates from lone flight.
 
 All drones of a flight are resampled to one clock. Rows stay if some neighbour is within 0.35 m
 laterally in x and y and 1.1 m vertically (of a drone that flies alone: all), z > 0.07 m (S) or
@@ -46,14 +46,14 @@ else lies in the folder.
 Commands: `swarm-envs fit --data logs/ --out runs/fit`; to look at logs without a fit,
 `python -m swarm_envs.training.flight_logs logs/`.
 
-Order of reading: `folder` (which files), `table` (the file), `checks` and `motion_checks` (its
-rules), `copies`, `clock` (one clock for all drones), `labels` (the force), `filters` (which entries
-stay), `split` (what is held out), `read` (all).
+Order of reading: `options`, `folder` (which files), `swarm_envs.training.flight_table` (the file),
+`checks` and `motion_checks` (its rules), `copies`, `clock` (one clock for all drones), `labels`
+(the force), `filters` (which entries stay), `split` (what is held out), `read` (all).
 """
 
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.read import read_logs
 from swarm_envs.training.flight_logs.report import LogReport
-from swarm_envs.training.flight_logs.table import FlightTable, read_table, write_table
-from swarm_envs.training.force_model.log_options import LogOptions
+from swarm_envs.training.flight_table import FlightTable, read_table, write_table
 
 __all__ = ["FlightTable", "LogOptions", "LogReport", "read_logs", "read_table", "write_table"]

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import tyro
 
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.read import DEFAULT, read_logs
-from swarm_envs.training.force_model.log_options import LogOptions
-from swarm_envs.training.force_model.rows import save_rows
+from swarm_envs.training.interaction_rows import save_rows
 
 
 def run(

@@ -9,7 +9,7 @@ from swarm_envs.training.collection.labels import thrust_direction
 from swarm_envs.training.collection.signals import PWM_SPAN
 from swarm_envs.training.flight_logs.drone import DroneLog
 from swarm_envs.training.flight_logs.motion_checks import check_acceleration, check_height
-from swarm_envs.training.flight_logs.table import GROUPS, FlightTable
+from swarm_envs.training.flight_table import GROUPS, FlightTable
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
 RUNNING = 0.2

@@ -12,7 +12,7 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.training.collection.signals import PWM_SPAN
 from swarm_envs.training.flight_logs.checks import RUNNING
 from swarm_envs.training.flight_logs.drone import DroneLog
-from swarm_envs.training.force_model.log_options import LogOptions
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.vehicles import Team
 
 

@@ -13,7 +13,7 @@ from swarm_envs.training.collection.fleet import vehicle_names
 from swarm_envs.training.collection.storage import flight_file, read_log
 from swarm_envs.training.collection.table import ROW_RATE, Flight, interaction_rows
 from swarm_envs.training.flight_logs.report import FileReport, LogReport, ScenarioReport
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.vehicles import parse_team
 
 __all__ = ["MANIFEST", "is_collection", "read_collected"]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.training.flight_logs.drone import DroneLog
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.interaction_rows import InteractionRows
 
 
 def flight_key(drones: Iterable[DroneLog]) -> str:

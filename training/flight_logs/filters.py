@@ -10,7 +10,7 @@ from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.training.collection.table import TYPES, scenario_name
 from swarm_envs.training.flight_logs.clock import ClockedFlight
-from swarm_envs.training.force_model.rows import NO_NEIGHBOR
+from swarm_envs.training.interaction_rows import NO_NEIGHBOR
 
 LOWEST_M = {"S": 0.07, "L": 0.085}
 """Height that a row's drone must be above, by interaction type: it stands on its legs below."""

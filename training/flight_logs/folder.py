@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from swarm_envs.training.collection.collect import MANIFEST
 from swarm_envs.training.flight_logs.report import FileReport
-from swarm_envs.training.flight_logs.table import SUFFIXES
+from swarm_envs.training.flight_table import SUFFIXES
 
 TABLE_SUFFIX = ".npz"
 """How the name of a table of rows ends."""

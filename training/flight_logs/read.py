@@ -21,6 +21,7 @@ from swarm_envs.training.flight_logs.drone import DroneLog
 from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
 from swarm_envs.training.flight_logs.folder import find_data
 from swarm_envs.training.flight_logs.labels import interaction_force_g
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.report import (
     Calibration,
     FileReport,
@@ -36,10 +37,9 @@ from swarm_envs.training.flight_logs.split import (
     is_guarded,
     is_held_out,
 )
-from swarm_envs.training.flight_logs.table import read_table
-from swarm_envs.training.force_model.join import with_present_types
-from swarm_envs.training.force_model.log_options import LogOptions
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.flight_table import read_table
+from swarm_envs.training.interaction_rows import InteractionRows
+from swarm_envs.training.interaction_rows.join import with_present_types
 
 DEFAULT = LogOptions()
 """The options that hold if none are given."""

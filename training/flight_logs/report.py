@@ -7,9 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from swarm_envs.training.force_model.calibration import quiet_rows
-from swarm_envs.training.force_model.log_options import LogOptions
-from swarm_envs.training.force_model.rows import InteractionRows
+from swarm_envs.training.flight_logs.options import LogOptions
+from swarm_envs.training.interaction_rows import InteractionRows
+from swarm_envs.training.interaction_rows.calibration import quiet_rows
 from swarm_envs.vehicles import VEHICLES
 
 PLAUSIBLE_SHARE = 0.15
@@ -167,7 +167,7 @@ def _implausible(name: str, vehicle: Calibration) -> list[str]:
 
 
 def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibration]:
-    """Offsets by vehicle name; see `force_model.calibration` for what a quiet row is."""
+    """Offsets by vehicle name; see `interaction_rows.calibration` for what a quiet row is."""
     quiet = quiet_rows(rows) & ~rows.validation
     found = {}
     for name, vehicle in names.items():

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.training.force_model.log_options import LogOptions
+from swarm_envs.training.flight_logs.options import LogOptions
 
 
 def held_out_blocks(lengths: Sequence[int], share: float, seed: int) -> list[BoolArray]:

@@ -1,7 +1,7 @@
 """Trainer of the interaction-force models: from rows of measured force to weights that ship.
 
-Order of reading: `rows` (the data), `data` (files of them, and of flights), `labels` with
-`calibration` and `drag` (what is taken out of the labels), `spec` and `network` (the heterogeneous
+Order of reading: `data` (files of `swarm_envs.training.interaction_rows`, and of flights),
+`labels` and `drag` (what is taken out of the labels), `spec` and `network` (the heterogeneous
 deep set, Neural-Swarm2 eq. 10), `pairwise` (a sum over pairs), `train`, `export`, `evaluate`,
 `lipschitz`, `pipeline` (all of it: `fit`). `wake_product` fits the closed form to the same rows;
 `wake_fit` and `card` make the parameters and the model card that ship.
@@ -19,18 +19,15 @@ if TYPE_CHECKING:
     from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, Window
     from swarm_envs.training.force_model.pipeline import fit
     from swarm_envs.training.force_model.report import FitReport
-    from swarm_envs.training.force_model.rows import InteractionRows, read_rows
 
 __all__ = [
     "DeepSet",
     "DeepSetSpec",
     "FitConfig",
     "FitReport",
-    "InteractionRows",
     "Window",
     "fit",
     "load_network",
-    "read_rows",
     "save_network",
 ]
 
@@ -40,7 +37,6 @@ _HOMES = {
     "network": ("DeepSet", "DeepSetSpec", "Window"),
     "pipeline": ("fit",),
     "report": ("FitReport",),
-    "rows": ("InteractionRows", "read_rows"),
 }
 
 

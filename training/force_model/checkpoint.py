@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from swarm_envs.files import written_whole
-from swarm_envs.training.force_model.files import differing
+from swarm_envs.training.provenance import differing
 
 if TYPE_CHECKING:
     from swarm_envs.training.force_model.train import Training

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar
 
 from swarm_envs.errors import check_integer
-from swarm_envs.training.force_model.log_options import LogOptions
+from swarm_envs.training.flight_logs.options import LogOptions
 
 
 @dataclass(frozen=True)

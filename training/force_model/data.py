@@ -14,14 +14,14 @@ import numpy as np
 from swarm_envs.training.collection.collect import MANIFEST
 from swarm_envs.training.flight_logs.copies import refuse_copy, table_key
 from swarm_envs.training.flight_logs.folder import Found, find_data
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.read import read_flights, read_logs
 from swarm_envs.training.flight_logs.report import FileReport, LogReport
-from swarm_envs.training.force_model.files import file_sha256
 from swarm_envs.training.force_model.finish import Joined, finish
-from swarm_envs.training.force_model.join import join_rows
-from swarm_envs.training.force_model.log_options import LogOptions
-from swarm_envs.training.force_model.row_checks import check_table, notes_of
-from swarm_envs.training.force_model.rows import InteractionRows, read_rows
+from swarm_envs.training.interaction_rows import InteractionRows, read_rows
+from swarm_envs.training.interaction_rows.join import join_rows
+from swarm_envs.training.interaction_rows.row_checks import check_table, notes_of
+from swarm_envs.training.provenance import file_sha256
 
 
 class Wanted(NamedTuple):

@@ -21,8 +21,8 @@ from swarm_envs.training.force_model.config import TrainConfig, settled
 from swarm_envs.training.force_model.early import inner_split
 from swarm_envs.training.force_model.epochs import transform
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
-from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.train import Entry, Lesson, Training, predict, to_batch, train
+from swarm_envs.training.interaction_rows import InteractionRows
 
 
 def train_taught(

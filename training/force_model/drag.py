@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.training.force_model.calibration import quiet_rows
-from swarm_envs.training.force_model.rows import BoolArray, FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.calibration import quiet_rows
+from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
 

@@ -10,7 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from swarm_envs.training.force_model.rows import BoolArray, InteractionRows
+from swarm_envs.training.flight_logs.split import held_out_blocks
+from swarm_envs.training.interaction_rows.rows import BoolArray, InteractionRows
 
 PIECE_ENTRIES = 150
 """Length of a piece, in entries of a flight's clock: 4.5 s of the published flights' table."""
@@ -66,8 +67,6 @@ def _flights(rows: InteractionRows, share: float, seed: int) -> tuple[BoolArray,
 
 def _pieces(rows: InteractionRows, share: float, seed: int) -> tuple[BoolArray, BoolArray]:
     """Contiguous pieces of time, and what lies in their guard gaps."""
-    from swarm_envs.training.flight_logs.split import held_out_blocks  # imports this package
-
     flights = np.unique(rows.flight)
     entries = [_entries(rows.step[rows.flight == flight]) for flight in flights]
     blocks = [int(entry.max()) // PIECE_ENTRIES + 1 for entry in entries]

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from swarm_envs.training.force_model.network import ForceNetwork
-from swarm_envs.training.force_model.rows import BoolArray, FloatArray, InteractionRows
 from swarm_envs.training.force_model.train import predict, to_batch
+from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
 _AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis

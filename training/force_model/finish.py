@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.report import (
     FileReport,
     LogReport,
@@ -22,9 +23,8 @@ from swarm_envs.training.flight_logs.split import (
     is_guarded,
     is_held_out,
 )
-from swarm_envs.training.force_model.join import vehicle_name, with_present_types
-from swarm_envs.training.force_model.log_options import LogOptions
-from swarm_envs.training.force_model.rows import BoolArray, IntArray, InteractionRows
+from swarm_envs.training.interaction_rows.join import vehicle_name, with_present_types
+from swarm_envs.training.interaction_rows.rows import BoolArray, IntArray, InteractionRows
 
 
 class Joined(NamedTuple):

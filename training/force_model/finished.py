@@ -6,7 +6,7 @@ import json
 from pathlib import Path
 
 from swarm_envs.training.force_model.config import FitConfig
-from swarm_envs.training.force_model.files import differing, json_ready
+from swarm_envs.training.provenance import differing, json_ready
 
 _NO_RESULT = ("data", "out", "progress", "json", "tensorboard")
 """Options that change nothing of the result; what the data is, its digest says."""

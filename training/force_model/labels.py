@@ -7,16 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.interactions.field import INTERACTION_VOLUME
-from swarm_envs.training.force_model.calibration import (
+from swarm_envs.training.force_model.config import FitConfig
+from swarm_envs.training.force_model.drag import fit_drag
+from swarm_envs.training.force_model.spec import InputRange
+from swarm_envs.training.interaction_rows.calibration import (
     NO_OFFSETS,
     Offsets,
     estimate_offsets,
     subtract_offsets,
 )
-from swarm_envs.training.force_model.config import FitConfig
-from swarm_envs.training.force_model.drag import fit_drag
-from swarm_envs.training.force_model.rows import FloatArray, InteractionRows
-from swarm_envs.training.force_model.spec import InputRange
+from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
 

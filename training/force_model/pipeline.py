@@ -9,15 +9,14 @@ from typing import NamedTuple
 import torch
 
 from swarm_envs.files import write_json
+from swarm_envs.training.flight_logs.options import LogOptions
 from swarm_envs.training.flight_logs.report import LogReport
-from swarm_envs.training.force_model.calibration import RULE
 from swarm_envs.training.force_model.config import FitConfig as FitConfig
 from swarm_envs.training.force_model.config import settled
 from swarm_envs.training.force_model.data import Wanted, data_sha256, read_data
 from swarm_envs.training.force_model.distil import teacher_checkpoint, train_taught
 from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.finished import check_finished
 from swarm_envs.training.force_model.labels import (
     Treated,
@@ -26,10 +25,8 @@ from swarm_envs.training.force_model.labels import (
     measured_range,
     treat,
 )
-from swarm_envs.training.force_model.log_options import LogOptions
 from swarm_envs.training.force_model.network import DeepSet
 from swarm_envs.training.force_model.report import Findings, FitReport, examine, worth
-from swarm_envs.training.force_model.rows import InteractionRows
 from swarm_envs.training.force_model.spec import (
     EVERYWHERE,
     OUTER_FADE,
@@ -41,6 +38,9 @@ from swarm_envs.training.force_model.tensorboard import scalar_writer
 from swarm_envs.training.force_model.torque_head import TorqueErrors, torque_errors
 from swarm_envs.training.force_model.unseen import silence_unseen
 from swarm_envs.training.force_model.wake_product import fit_wake_model
+from swarm_envs.training.interaction_rows import InteractionRows
+from swarm_envs.training.interaction_rows.calibration import RULE
+from swarm_envs.training.provenance import json_ready
 
 WEIGHTS = {
     "deep-set": "learned.safetensors",

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarm_envs.training.force_model.calibration import subtract_offsets
+from swarm_envs.training.flight_logs import LogReport
 from swarm_envs.training.force_model.evaluate import (
     AxisBin,
     Errors,
@@ -25,11 +24,9 @@ from swarm_envs.training.force_model.lipschitz import (
     measure_lipschitz,
 )
 from swarm_envs.training.force_model.network import ForceNetwork
-from swarm_envs.training.force_model.rows import FloatArray
 from swarm_envs.training.force_model.torque_head import TorqueErrors
-
-if TYPE_CHECKING:
-    from swarm_envs.training.flight_logs import LogReport
+from swarm_envs.training.interaction_rows.calibration import subtract_offsets
+from swarm_envs.training.interaction_rows.rows import FloatArray
 
 _SWARM_SIZES = (2, 3, 5, 8, 16)
 _SWARMS = 2000

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from swarm_envs.training.force_model.network import Batch, ForceNetwork
-from swarm_envs.training.force_model.rows import NO_NEIGHBOR
+from swarm_envs.training.interaction_rows import NO_NEIGHBOR
 
 
 def random_inputs(types: int, count: int, neighbors: int, rng: np.random.Generator) -> Batch:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE
 from swarm_envs.training.force_model.network import DeepSet
-from swarm_envs.training.force_model.rows import FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
 
 
 @dataclass(frozen=True)

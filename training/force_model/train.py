@@ -26,11 +26,11 @@ from swarm_envs.training.force_model.epochs import Examples, batches_per_epoch, 
 from swarm_envs.training.force_model.flat import FlatWeights
 from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 from swarm_envs.training.force_model.pairwise import build
-from swarm_envs.training.force_model.rows import ROW_ARRAYS, FloatArray, InteractionRows
 from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
 from swarm_envs.training.force_model.soap import Soap
 from swarm_envs.training.force_model.spectral import hold_spectral_norms
 from swarm_envs.training.force_model.torque_head import targets
+from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS, FloatArray, InteractionRows
 
 Entry = dict[str, float]
 """Of the history: step, mean training loss since the last entry, validation MSE, g^2."""

@@ -13,7 +13,7 @@ from torch import nn
 
 from swarm_envs.training.force_model.network import DeepSet, ForceNetwork, layers
 from swarm_envs.training.force_model.pairwise import PairwiseSum
-from swarm_envs.training.force_model.rows import BoolArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import BoolArray, InteractionRows
 
 
 def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:

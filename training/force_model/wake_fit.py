@@ -16,13 +16,10 @@ import tyro
 from scipy.optimize import least_squares
 
 from swarm_envs.files import write_json
-from swarm_envs.training.force_model.calibration import RULE, estimate_offsets, subtract_offsets
 from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.evaluate import Errors, mean_squared_errors
-from swarm_envs.training.force_model.files import file_sha256, json_ready
 from swarm_envs.training.force_model.labels import measured_range
 from swarm_envs.training.force_model.network import OUTER_FADE
-from swarm_envs.training.force_model.rows import FloatArray, InteractionRows, read_rows
 from swarm_envs.training.force_model.unseen import shown_pairs
 from swarm_envs.training.force_model.wake_model import (
     WakeParameters,
@@ -31,6 +28,13 @@ from swarm_envs.training.force_model.wake_model import (
     wake_force_g,
     wake_rows,
 )
+from swarm_envs.training.interaction_rows.calibration import (
+    RULE,
+    estimate_offsets,
+    subtract_offsets,
+)
+from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows, read_rows
+from swarm_envs.training.provenance import file_sha256, json_ready
 from swarm_envs.vehicles import GRAM_FORCE
 
 _PER_PAIR = {  # start, lowest, highest

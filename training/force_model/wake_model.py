@@ -19,7 +19,12 @@ import numpy as np
 import torch
 
 from swarm_envs.training.force_model.network import OUTER_FADE, Window, fade
-from swarm_envs.training.force_model.rows import BoolArray, FloatArray, IntArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InteractionRows,
+)
 
 ROTOR_DEPTH_M = 0.03
 """Vertical distance over which a neighbour passes from beside to above."""

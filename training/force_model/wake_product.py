@@ -19,12 +19,12 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.training.force_model.config import FitConfig
 from swarm_envs.training.force_model.evaluate import mean_squared_errors
-from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.labels import Treated, measured_range
-from swarm_envs.training.force_model.rows import FloatArray, InteractionRows
 from swarm_envs.training.force_model.unseen import never_together, shown_pairs
 from swarm_envs.training.force_model.wake_fit import WakeFit, description, fit_wake
 from swarm_envs.training.force_model.wake_model import wake_force_g, wake_rows
+from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
+from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE
 
 MOST_ROWS = 100_000

@@ -19,8 +19,8 @@ from tqdm import tqdm
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.training.force_model.config import FitConfig, TrainConfig, settled
 from swarm_envs.training.force_model.data import data_sha256
-from swarm_envs.training.force_model.files import json_ready
 from swarm_envs.training.force_model.pipeline import REPORTS, fit
+from swarm_envs.training.provenance import json_ready
 from swarm_envs.training.reproduce.cells import CELLS, Cell
 from swarm_envs.training.reproduce.table_plot import is_three_drones, plot_table
 

@@ -18,7 +18,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Success
-from swarm_envs.training.force_model.files import differing
+from swarm_envs.training.provenance import differing
 from swarm_envs.training.reproduce.flight_cases import Case, settings_of
 from swarm_envs.vehicles import GRAM_FORCE
 

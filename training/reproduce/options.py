@@ -23,6 +23,7 @@ CELL_NAMES = tuple(cell.name for cell in CELLS)
 class ReproduceOptions:
     """Remake a figure or a table of Neural-Swarm2, with the paper's values beside ours.
 
+    `--table 1` identifies both vehicles anew.
     `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model,
     with `--bins` its calibration too. `--figure 8` flies stacked swaps with and without
     compensation, `--figure 9` the rings of 5, `--figure 1` those of 16, in environments whose force
@@ -34,7 +35,7 @@ class ReproduceOptions:
 
     figure: Literal[1, 5, 6, 7, 8, 9] | None = None
     """number of the figure"""
-    table: Literal[3] | None = None
+    table: Literal[1, 3] | None = None
     """number of the table"""
     study: Literal["lag", "ball", "limits"] | None = None
     """lag compensation on and off; the ball of Theorem 5; the limits of compensation"""
@@ -94,7 +95,7 @@ class ReproduceOptions:
                 f"--{foreign[0].replace('_', '-')} has no meaning for {self.name}, but for "
                 f"{_homes(foreign[0])}; leave it out"
             )
-        if self.table is not None and self.data is None:
+        if self.table == 3 and self.data is None:
             raise ValueError("--table 3 fits models: give the rows to fit by --data PATH")
         if self.seed < 0:
             raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
@@ -151,6 +152,16 @@ def _table(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
     cells = [cell for cell in CELLS if cell.name in options.cells]
     table = run_ablation(options.out, Budget(options.data, options.steps), seeds, cells)
     return table, f"{format_table(table)}\n{_wrote(options, 'table_3')}"
+
+
+def _identified(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
+    from swarm_envs.training.reproduce.identification import (
+        format_identification,
+        reproduce_identification,
+    )
+
+    summary = reproduce_identification(options.out, options.seed)
+    return summary, f"{format_identification(summary)}\n{_wrote(options, 'table_1')}"
 
 
 def _flights(options: ReproduceOptions) -> tuple[dict[str, Any], str]:
@@ -248,6 +259,7 @@ WORKS: Mapping[tuple[str, int | str], Work] = {
     ("study", "lag"): Work(_study, ("episodes", "engine")),
     ("study", "ball"): Work(_study, ("episodes",)),
     ("study", "limits"): Work(_study, ("episodes",)),
+    ("table", 1): Work(_identified, ()),
     ("table", 3): Work(_table, ("data", "seeds", "cells", "steps"), needs_torch=True),
 }
 """Everything that can be remade. To add one, name it here and in `ReproduceOptions`."""

@@ -37,6 +37,9 @@ PAPERS: Mapping[str, Paper] = MappingProxyType(
 )
 """Every paper by the name that the command takes."""
 
+ALL = "all"
+"""In a paper's place: every table and figure of all of them."""
+
 
 def load(paper: str) -> ModuleType:
     """The module that remakes what is in a paper, a key of `PAPERS`."""
@@ -53,6 +56,7 @@ def overview(program: str) -> str:
             "",
             "papers:",
             *lines,
+            f"  {ALL.ljust(width)}  every table and figure of these, beside the papers' values",
             "",
             f"`{program} PAPER --help` lists its figures and tables.",
         ]

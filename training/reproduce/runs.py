@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import csv
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.files import write_json, written_whole
+from swarm_envs.files import write_json
 
 Cell = dict[str, Any]
 """The numbers of one cell, ready for JSON."""
@@ -66,24 +65,6 @@ def _read(path: Path, wanted: Mapping[str, Any]) -> dict[str, Cell]:
             "--out, or delete it"
         )
     return cells
-
-
-def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as CSV, whole or not at all; the first row's keys are the columns.
-
-    Raises:
-        OSError: the file cannot be written.
-        ValueError: there is no row, or one has other keys.
-    """
-    if not rows:
-        raise ValueError(f"there is no row to write into {str(path)!r}")
-    with (
-        written_whole(path) as partial,
-        partial.open("w", newline="", encoding="utf-8") as file,
-    ):
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def draw_seeds(seed: int, count: int) -> list[int]:

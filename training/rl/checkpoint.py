@@ -11,7 +11,7 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from swarm_envs.training.force_model.checkpoint import write_safetensors
-from swarm_envs.training.force_model.files import differing
+from swarm_envs.training.provenance import differing
 from swarm_envs.training.rl.learner import Learner
 
 

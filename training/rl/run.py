@@ -13,10 +13,9 @@ from tqdm import tqdm
 from swarm_envs import __version__
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
-from swarm_envs.files import claimed, write_json
-from swarm_envs.training.force_model.files import json_ready
+from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.tensorboard import scalar_writer
-from swarm_envs.training.reproduce.runs import write_table
+from swarm_envs.training.provenance import json_ready
 from swarm_envs.training.rl.checkpoint import differing_runs, load_checkpoint, save_checkpoint
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import Judges, choosing_seeds

@@ -63,24 +63,39 @@ class Entrant:
         return [self.episodes[seed] for seed in seeds]
 
 
+@dataclass(frozen=True)
+class Leg:
+    """An agent on a task: what is to be flown."""
+
+    entrant: Entrant
+    """who flies; what comes out is in it"""
+    task: str
+    """versioned name"""
+    setting: Mapping[str, Any]
+    """options of the environment, ready for JSON; agents' own go before them"""
+    seeds: Sequence[int]
+    """of the episodes, each once"""
+    refusals: bool = False
+    """whether an episode that the agent refuses counts as one; see `fly_or_refuse`"""
+
+    @property
+    def missing(self) -> list[int]:
+        """Seeds of which there is no episode yet."""
+        return [seed for seed in self.seeds if seed not in self.entrant.episodes]
+
+
 def fly_apart(
-    entrants: Sequence[Entrant],
-    task: str,
-    setting: Mapping[str, Any],
-    seeds: Sequence[int],
+    legs: Sequence[Leg],
     workers: Workers,
     watch: Callable[[Entrant, Episode], None] = lambda entrant, episode: None,
 ) -> None:
     """Fly every agent on every seed that it has no episode of yet.
 
-    An agent that fails is given up on; the episodes before its failure are flown still, so that
-    it is the first, as it would be if they were flown in order. The others go on.
+    An agent that fails a leg is given up on there; the episodes before its failure are flown
+    still, so that it is the first, as it would be if they were flown in order. The others go on.
 
     Args:
-        entrants: changed: what came out is in them.
-        task: versioned name.
-        setting: options of the environment, ready for JSON; agents' own go before them.
-        seeds: of the episodes.
+        legs: their entrants are changed: what came out is in them. Begun in this order.
         workers: who flies.
         watch: called with each new episode, once it is kept.
 
@@ -88,11 +103,12 @@ def fly_apart(
         OSError: an agent's file cannot be read, or an episode not be kept.
         ValueError: an agent's file is too large to be sent.
     """
-    places = {seed: place for place, seed in enumerate(seeds)}
-    by_name = {entrant.name: entrant for entrant in entrants}
-    jobs = deque(_jobs(entrants, task, setting, places, workers.size))
+    by_label = {str(k): leg for k, leg in enumerate(legs)}
+    places = {k: {seed: i for i, seed in enumerate(leg.seeds)} for k, leg in by_label.items()}
+    jobs = deque(job for k, leg in by_label.items() for job in _jobs(leg, k, workers.size))
     for outcome in workers.run(jobs):
-        entrant, chunk = by_name[outcome.job.label], outcome.job.arguments["seeds"]
+        label, chunk = outcome.job.label, outcome.job.arguments["seeds"]
+        entrant, place = by_label[label].entrant, places[label]
         flown = outcome.result["episodes"] if outcome.error is None else []
         if flown and entrant.kept is not None:
             entrant.kept.add(*flown)
@@ -100,43 +116,39 @@ def fly_apart(
             entrant.episodes[episode["seed"]] = episode
             watch(entrant, episode)
         rest = chunk[len(flown) :]
-        if rest and places[rest[0]] < entrant.failed_at:
+        if rest and place[rest[0]] < entrant.failed_at:
             why, trace = _failure(outcome, rest)
             if why is None:
-                jobs.appendleft(_of_seeds(outcome.job, rest, places))
+                jobs.appendleft(_of_seeds(outcome.job, rest, by_label[label].seeds))
                 continue
-            entrant.failure, entrant.trace, entrant.failed_at = why, trace, places[rest[0]]
-            for job in [job for job in jobs if job.label == entrant.name]:
-                if places[job.arguments["seeds"][0]] > entrant.failed_at:
+            entrant.failure, entrant.trace, entrant.failed_at = why, trace, place[rest[0]]
+            for job in [job for job in jobs if job.label == label]:
+                if place[job.arguments["seeds"][0]] > entrant.failed_at:
                     jobs.remove(job)
 
 
-def _jobs(
-    entrants: Sequence[Entrant],
-    task: str,
-    setting: Mapping[str, Any],
-    places: Mapping[int, int],
-    workers: int,
-) -> list[Job]:
+def _jobs(leg: Leg, label: str, workers: int) -> list[Job]:
+    """Chunks of a leg's missing seeds."""
     files = {
         name: send(Path(value))
-        for name, value in setting.items()
+        for name, value in leg.setting.items()
         if isinstance(value, str) and value.endswith(".safetensors") and Path(value).is_file()
     }
-    made = []
-    for entrant in entrants:
-        missing = [seed for seed in places if seed not in entrant.episodes]
-        fair = -(-len(missing) // (_CHUNKS * workers))
-        size = min(_LARGEST, max(fair, AT_ONCE if entrant.batched else 1))
-        about = {"agent": _sent_agent(entrant), "task": task, "setting": dict(setting)}
-        whole = Job(FUNCTION, {**about, "files": files}, entrant.name)
-        for first in range(0, len(missing), size):
-            made.append(_of_seeds(whole, missing[first : first + size], places))
-    return made
+    missing, entrant = leg.missing, leg.entrant
+    if not missing:
+        return []
+    fair = -(-len(missing) // (_CHUNKS * workers))
+    size = min(_LARGEST, max(fair, AT_ONCE if entrant.batched else 1))
+    about = {"agent": _sent_agent(entrant), "task": leg.task, "setting": dict(leg.setting)}
+    whole = Job(FUNCTION, {**about, "files": files, "refusals": leg.refusals}, label)
+    return [
+        _of_seeds(whole, missing[first : first + size], leg.seeds)
+        for first in range(0, len(missing), size)
+    ]
 
 
-def _of_seeds(job: Job, seeds: list[int], places: Mapping[int, int]) -> Job:
-    timed = sum(places[seed] < TIMED for seed in seeds)
+def _of_seeds(job: Job, seeds: list[int], order: Sequence[int]) -> Job:
+    timed = sum(seed in order[:TIMED] for seed in seeds)
     return Job(job.function, {**job.arguments, "seeds": seeds, "timed": timed}, job.label)
 
 
@@ -165,6 +177,7 @@ def fly_chunk(
     files: Mapping[str, SentFile],
     seeds: list[int],
     timed: int,
+    refusals: bool = False,
 ) -> dict[str, Any]:
     """Fly one agent on some seeds, in order, the first `timed` one by one; `fly_apart`'s job.
 
@@ -179,7 +192,8 @@ def fly_chunk(
     begun = time.monotonic()
     made, env = _at_hand(json.dumps([agent, task, setting, files]))
     try:
-        for _ in evaluate(env, made, seeds, None, lambda *new: flown.extend(new), timed):
+        keep = flown.extend
+        for _ in evaluate(env, made, seeds, None, lambda *new: keep(new), timed, refusals):
             if time.monotonic() - begun > PATIENCE_S:
                 break
     except Exception as error:

@@ -10,7 +10,7 @@ import pytest
 
 from swarm_envs.training.flight_logs import LogOptions, read_logs, read_table, write_table
 from swarm_envs.training.flight_logs.checks import check_table
-from swarm_envs.training.flight_logs.table import from_columns
+from swarm_envs.training.flight_table import from_columns
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL
 
 

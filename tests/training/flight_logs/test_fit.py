@@ -16,7 +16,7 @@ from swarm_envs.training.flight_logs import read_logs, write_table
 from swarm_envs.training.flight_logs.__main__ import main as look
 from swarm_envs.training.force_model.data import data_sha256
 from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.rows import read_rows
+from swarm_envs.training.interaction_rows import read_rows
 
 QUICK = ("--steps", "40", "--batch-size", "64", "--slope-inputs", "16", "--lipschitz-samples", "0")
 

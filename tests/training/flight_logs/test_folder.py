@@ -19,7 +19,7 @@ from swarm_envs.training.flight_logs import (
 )
 from swarm_envs.training.flight_logs.report import Calibration
 from swarm_envs.training.force_model.data import read_data
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import SMALL
 
 OPTIONS = LogOptions(min_scenario_rows=1, min_quiet_rows=0, block_s=1.0, guard_s=0.1)

@@ -16,7 +16,7 @@ from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import FlightTable, LogOptions, read_logs, write_table
 from swarm_envs.training.force_model.data import Wanted, read_data
 from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
-from swarm_envs.training.force_model.rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
 
 QUICK = ("--steps", "30", "--batch-size", "64", "--slope-inputs", "16", "--lipschitz-samples", "50")

@@ -17,7 +17,7 @@ from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import EpisodeFile, frozen_seeds, source_digest
 from swarm_envs.cli import main
 from swarm_envs.training.scale_out import episodes
-from swarm_envs.training.scale_out.episodes import Entrant, fly_apart, fly_chunk
+from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart, fly_chunk
 from swarm_envs.training.scale_out.jobs import Serial
 
 QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "20", "--seed", "7"]
@@ -97,7 +97,7 @@ def test_a_chunk_that_takes_long_is_handed_out_in_parts(tmp_path, monkeypatch):
     kept = EpisodeFile(tmp_path, "hover", {})
     entrant = Entrant("hover", source_digest(load("hover")), kept=kept)
     setting = {"num_drones": 2, "horizon_s": 0.5, "physics": "batch"}
-    fly_apart([entrant], "swap_v0", setting, frozen_seeds(1, 5), Serial())
+    fly_apart([Leg(entrant, "swap_v0", setting, frozen_seeds(1, 5))], Serial())
     assert [e["metrics"] for e in entrant.flown(frozen_seeds(1, 5))] == [
         e["metrics"] for e in whole
     ]
@@ -113,7 +113,8 @@ def test_another_agent_of_the_same_name_is_refused():
 def test_an_agent_s_file_may_vanish_once_it_was_sent(mine, more):
     name = f"{mine}:Fine{more}"
     entrant = Entrant(name, source_digest(load(name)))
-    (job,) = episodes._jobs([entrant], "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, {3: 0}, 1)
+    leg = Leg(entrant, "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, [3])
+    (job,) = episodes._jobs(leg, "0", 1)
     mine.write_text("raise RuntimeError('edited since')")
     assert fly_chunk(**job.arguments)["episodes"][0]["seed"] == 3
 

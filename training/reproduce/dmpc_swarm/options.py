@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.dmpc_swarm import cells as experiments
 from swarm_envs.training.reproduce.dmpc_swarm.flights import Flight, Setting
 from swarm_envs.training.reproduce.dmpc_swarm.page import recording
@@ -20,7 +20,8 @@ from swarm_envs.training.reproduce.dmpc_swarm.pictures import (
     plot_sequence,
     rows,
 )
-from swarm_envs.training.reproduce.runs import Cell, run_cells, write_table
+from swarm_envs.training.reproduce.dmpc_swarm.places import format_places, reproduce_places
+from swarm_envs.training.reproduce.runs import Cell, run_cells
 
 Settings = Mapping[str, Sequence[Setting]]
 """What is varied, and its values."""
@@ -30,14 +31,14 @@ Settings = Mapping[str, Sequence[Setting]]
 class ReproduceOptions:
     """Remake a figure of DMPC-Swarm, the public simulation's times beside ours.
 
-    `--figure 3b` flies five formations with one, two and three compute units, `--figure 3c` with
-    each trigger, `--figure 4` a circle while no compute unit hears anything for two seconds.
-    `--study loss` sweeps the share of messages lost, met by our recovery, by the paper's, and not
-    at all.
+    `--figure 3a` draws the formations, `--figure 3b` flies through them with one, two and three
+    compute units, `--figure 3c` with each trigger, `--figure 4` a circle while no compute unit
+    hears anything for two seconds. `--study loss` sweeps the share of messages lost, met by our
+    recovery, by the paper's, and not at all.
     What takes a while goes on where it was when it is killed and called again.
     """
 
-    figure: Literal["3b", "3c", "4"] | None = None
+    figure: Literal["3a", "3b", "3c", "4"] | None = None
     """number of the figure"""
     study: Literal["loss"] | None = None
     """the sweep of losses"""
@@ -59,7 +60,7 @@ class ReproduceOptions:
             ValueError: not exactly one of figure and study, or a number out of range.
         """
         if (self.figure is None) == (self.study is None):
-            raise ValueError("give one of --figure 3b, --figure 3c, --figure 4, --study loss")
+            raise ValueError("give one of --figure 3a, 3b, 3c, 4, or --study loss")
         if self.seed < 0 or self.seeds < 1:
             raise ValueError(
                 f"--seed is {self.seed} and --seeds {self.seeds}, but must be at least 0 and 1"
@@ -78,6 +79,8 @@ class ReproduceOptions:
 
 def run(options: ReproduceOptions) -> str:
     """Do what the options say, and return what to print."""
+    if options.figure == "3a":
+        return _places(options)
     settings, fly_one = _plan(options)
     flights: dict[str, Flight] = {}
     jobs: dict[str, Callable[[], Cell]] = {
@@ -93,6 +96,14 @@ def run(options: ReproduceOptions) -> str:
         write_json(options.json, {"cells": found, "theirs_s": dict(experiments.THEIRS)})
     names = ", ".join(str(path) for path in written)
     return f"{format_cells(found, experiments.THEIRS)}\nwrote {names}"
+
+
+def _places(options: ReproduceOptions) -> str:
+    summary = reproduce_places(options.out)
+    if options.json is not None:
+        write_json(options.json, summary)
+    files = ", ".join(str(options.out / f"figure_3a.{kind}") for kind in ("json", "csv", "png"))
+    return f"{format_places(summary)}\nwrote {files}"
 
 
 def _plan(options: ReproduceOptions) -> tuple[Settings, Callable[[Setting], Flight]]:

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.planning.figure_6_plot import plot_figure_6
 from swarm_envs.training.reproduce.planning.plant import track_plan
 from swarm_envs.training.reproduce.planning.scenarios import TRIALS, figure_6_swap
@@ -23,7 +23,7 @@ from swarm_envs.training.reproduce.planning.trials import (
     fly_trial,
     kept_plan,
 )
-from swarm_envs.training.reproduce.runs import draw_seeds, write_table
+from swarm_envs.training.reproduce.runs import draw_seeds
 from swarm_envs.vehicles import GRAM_FORCE
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.planning.figure_7_plot import plot_figure_7
 from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, TRIALS, draw_swap
 from swarm_envs.training.reproduce.planning.summary import format_rows, scenario_rows, verdicts
@@ -21,7 +21,7 @@ from swarm_envs.training.reproduce.planning.trials import (
     fly_trial,
     kept_plan,
 )
-from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
+from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells
 
 PLANTS: Mapping[str, str] = {
     "model_plant": "(a) the planner's own model, tracked by a PID, no compensation",

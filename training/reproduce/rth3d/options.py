@@ -9,14 +9,14 @@ from typing import Literal
 
 from swarm_envs.baselines.rth3d import METHODS
 from swarm_envs.errors import check_name
-from swarm_envs.files import write_json, written_whole
+from swarm_envs.files import write_json, write_table, written_whole
 from swarm_envs.training.reproduce.rth3d.cells import jobs, run_name, runs_at
 from swarm_envs.training.reproduce.rth3d.claims import check
 from swarm_envs.training.reproduce.rth3d.curves import Curves, curves, growth
 from swarm_envs.training.reproduce.rth3d.experiments import FIGURES, Figure, Setting
 from swarm_envs.training.reproduce.rth3d.page import page, rows, summary
 from swarm_envs.training.reproduce.rth3d.pictures import plot_figure
-from swarm_envs.training.reproduce.runs import Cell, run_cells, write_table
+from swarm_envs.training.reproduce.runs import Cell, run_cells
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,11 +24,12 @@ class ReproduceOptions:
     """Remake a figure of the RTH3D paper: time and makespan over the size of the grid.
 
     `--figure 5`: 4:2:1 grids; `--figure 6`: square grids six vertices high; `--figure 7`: between
-    tall buildings; `--figure 8`: by density; `--figure 9`: rings and blocks. The largest grids take
-    minutes; `--largest` leaves them out. What is killed goes on where it was when called again.
+    tall buildings; `--figure 8`: by density; `--figure 9`: rings and blocks; `--figure 11`: ten
+    drones write letters, flown. The largest grids take minutes; `--largest` leaves them out. What
+    is killed goes on where it was when called again.
     """
 
-    figure: Literal["5", "6", "7", "8", "9"]
+    figure: Literal["5", "6", "7", "8", "9", "11"]
     """number of the figure"""
     out: Path = Path("reproduce")
     """folder for the picture, the numbers and the page; made if missing"""
@@ -60,7 +61,7 @@ class ReproduceOptions:
                 f"--seed is {self.seed}, --runs {self.runs} and --budget {self.budget}, but must "
                 "be at least 0, 1 and 1"
             )
-        if not chosen(self).series:
+        if self.figure != _LETTERS and not chosen(self).series:
             raise ValueError(
                 f"--largest is {self.largest} vertices, below every grid of figure {self.figure}; "
                 f"the smallest has {_smallest(FIGURES[self.figure])}"
@@ -81,6 +82,10 @@ class ReproduceOptions:
         return range(self.seed, self.seed + runs_at(setting, self.runs, self.budget))
 
 
+_LETTERS = "11"
+"""The figure that is flown."""
+
+
 def _smallest(figure: Figure) -> int:
     return min(setting.vertices for curve in figure.series.values() for setting in curve)
 
@@ -97,6 +102,8 @@ def chosen(options: ReproduceOptions) -> Figure:
 
 def run(options: ReproduceOptions) -> str:
     """Do what the options say, and return what to print."""
+    if options.figure == _LETTERS:
+        return _letters(options)
     figure = chosen(options)
     path = options.out / f"{options.name}.json"
     settings = {"figure": options.figure}
@@ -113,6 +120,16 @@ def run(options: ReproduceOptions) -> str:
         write_json(options.json, content | {"claims": [asdict(claim) for claim in claims]})
     names = ", ".join(str(file) for file in (path, *files))
     return f"{summary(drawn, claims)}\nwrote {names}"
+
+
+def _letters(options: ReproduceOptions) -> str:
+    from swarm_envs.training.reproduce.rth3d.letters import format_letters, reproduce_letters
+
+    summary = reproduce_letters(options.out, options.seed)
+    if options.json is not None:
+        write_json(options.json, summary)
+    files = ", ".join(str(options.out / f"figure_11.{kind}") for kind in ("json", "csv", "png"))
+    return f"{format_letters(summary)}\nwrote {files}"
 
 
 def _by_setting(

@@ -26,10 +26,10 @@ from swarm_envs.baselines.neural_swarm.theorem import (
     integral_force,
 )
 from swarm_envs.control.config import GAINS, ControllerConfig
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, write_table
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
+from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells
 from swarm_envs.training.reproduce.studies.ball_plot import plot_ball
 from swarm_envs.training.reproduce.studies.lag import TEAM, TRUTH
 from swarm_envs.training.reproduce.studies.planted import (

@@ -16,9 +16,9 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.flights import Flights, fly, swap_test
 from swarm_envs.control.config import GAINS, ControllerConfig
-from swarm_envs.files import write_json
+from swarm_envs.files import write_json, write_table
 from swarm_envs.interactions import load
-from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
+from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells
 from swarm_envs.training.reproduce.studies.lag_plot import plot_lag
 
 TRUTH = "learned"

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.summary import quartiles
-from swarm_envs.files import write_json
-from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells, write_table
+from swarm_envs.files import write_json, write_table
+from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells
 from swarm_envs.training.reproduce.studies.imperfect import fly_imperfectly
 from swarm_envs.training.reproduce.studies.limits_plot import plot_limits
 from swarm_envs.training.reproduce.studies.sweeps import TRUTH, Point, Sweep, all_sweeps

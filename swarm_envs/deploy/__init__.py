@@ -1,0 +1,30 @@
+"""From simulation to real Crazyflies: flights as polynomial pieces, checked before they are flown.
+
+Trained policies and force models as C headers are made by `swarm_envs.agents.c_header` and
+`swarm_envs.interactions.c_header`.
+"""
+
+from swarm_envs.deploy.export import export_flight, fit_flight
+from swarm_envs.deploy.fit import fit_pieces
+from swarm_envs.deploy.flight import Flight, flight_along, flight_of
+from swarm_envs.deploy.pieces import Pieces, evaluate, read_pieces, write_pieces
+from swarm_envs.deploy.ramps import settled
+from swarm_envs.deploy.report import DroneReport, Separation, TeamReport, report
+
+__all__ = [
+    "DroneReport",
+    "Flight",
+    "Pieces",
+    "Separation",
+    "TeamReport",
+    "evaluate",
+    "export_flight",
+    "fit_flight",
+    "fit_pieces",
+    "flight_along",
+    "flight_of",
+    "read_pieces",
+    "report",
+    "settled",
+    "write_pieces",
+]

@@ -1,0 +1,245 @@
+"""The flight of a team as curves in time: from a recording, a plan, or arrays; checked by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.errors import check_name
+from swarm_envs.state import FloatArray
+from swarm_envs.trajectories import Reference
+from swarm_envs.vehicles import Team, parse_team
+from swarm_envs.viewing.record import About, Recording
+
+PATHS = ("flown", "setpoint")
+"""What of a recording is exported: where drones were, or where the tracking loop wanted them."""
+LONGEST_STEP_S = 0.25
+"""Between samples so far apart nobody knows where a drone was, s."""
+SHORTEST_S = 0.5
+"""Shorter flights are none, s."""
+YAWS = ("hold", "flown")
+"""Yaw of a recording: as at the start throughout, or as it was, wobble included."""
+AT_REST = 0.02
+"""Below this speed a drone counts as standing still, m/s."""
+RATE = 200.0
+"""Points a second at which curves are compared."""
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """Motions of N drones, sampled T times. World frame, SI.
+
+    Args:
+        team: the N vehicles.
+        time: (T,) s, increasing.
+        position: (T, N, 3) m.
+        velocity: (T, N, 3) m/s, or None where it is not known.
+        yaw: (T, N) rad, or None for zero.
+        force: (T, N, 3) force of the air beyond thrust, N, or None for none.
+        about: what the episode was, if it was one.
+
+    Raises:
+        ValueError: shapes that do not fit, NaN, a time that does not increase, a gap, or a flight
+            that is too short; the message names the drone and the time.
+    """
+
+    team: Team
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray | None = None
+    yaw: FloatArray | None = None
+    force: FloatArray | None = None
+    about: About | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        object.__setattr__(self, "team", parse_team(self.team))
+        time = np.asarray(self.time, dtype=np.float64)
+        if time.ndim != 1:
+            raise ValueError(f"time has shape {time.shape}, but must be (T,)")
+        object.__setattr__(self, "time", time)
+        drones = len(self.team)
+        for name, shape in (("position", (3,)), ("velocity", (3,)), ("yaw", ()), ("force", (3,))):
+            if getattr(self, name) is not None:
+                self._check(name, (len(time), drones, *shape))
+        _check_time(time)
+
+    def _check(self, name: str, shape: tuple[int, ...]) -> None:
+        array = np.asarray(getattr(self, name), dtype=np.float64)
+        if array.shape != shape:
+            raise ValueError(f"{name} has shape {array.shape}, but must have {shape}")
+        if not np.isfinite(array).all():
+            t, i = (int(n) for n in np.argwhere(~np.isfinite(array))[0][:2])
+            raise ValueError(
+                f"{name} of drone_{i} is {array[t, i]} at sample {t}; leave the flight out, or cut "
+                "it before that"
+            )
+        object.__setattr__(self, name, array)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the N drones, as environments call them."""
+        return tuple(f"drone_{i}" for i in range(len(self.team)))
+
+    @property
+    def duration_s(self) -> float:
+        """From the first sample to the last, s."""
+        return float(self.time[-1] - self.time[0])
+
+    @cached_property
+    def dense_time(self) -> FloatArray:
+        """(D,) times since the first sample, at `RATE` and at the end, s."""
+        count = max(int(np.ceil(self.duration_s * RATE)), 1)
+        return np.linspace(0.0, self.duration_s, count + 1)
+
+    @cached_property
+    def curve(self) -> Any:
+        """Position (N, 3) as a function of time since the first sample, through every sample."""
+        from scipy.interpolate import CubicHermiteSpline, CubicSpline
+
+        time = self.time - self.time[0]
+        if self.velocity is None:
+            return CubicSpline(time, self.position)
+        return CubicHermiteSpline(time, self.position, self.velocity)
+
+    @cached_property
+    def dense_position(self) -> FloatArray:
+        """(D, N, 3) m."""
+        return np.asarray(self.curve(self.dense_time))
+
+    def rows(self, drone: int) -> FloatArray:
+        """(D, 4) x, y, z (m) and yaw (rad, without jumps by a turn) of a drone, densely."""
+        yaw = np.zeros(len(self.dense_time))
+        if self.yaw is not None:
+            turned = np.unwrap(self.yaw[:, drone])
+            yaw = np.interp(self.dense_time, self.time - self.time[0], turned)
+        return np.column_stack([self.dense_position[:, drone], yaw])
+
+    def forces(self, drone: int) -> FloatArray:
+        """(D, 3) force of the air on a drone, densely, N; zero where it is not known."""
+        if self.force is None:
+            return np.zeros((len(self.dense_time), 3))
+        time = self.time - self.time[0]
+        return np.column_stack(
+            [np.interp(self.dense_time, time, self.force[:, drone, k]) for k in range(3)]
+        )
+
+    @cached_property
+    def end_speeds(self) -> FloatArray:
+        """(2, N) speed at the start and at the end, m/s."""
+        return np.asarray(np.linalg.norm(self.curve([0.0, self.duration_s], 1), axis=-1))
+
+    def part(self, begin_s: float, end_s: float) -> Flight:
+        """What was flown between two times since the first sample, at the samples between them.
+
+        Raises:
+            ValueError: there is no flight between them.
+        """
+        since = self.time - self.time[0]
+        inside = (since >= begin_s - _ROUNDING) & (since <= end_s + _ROUNDING)
+
+        def cut(array: FloatArray | None) -> FloatArray | None:
+            return None if array is None else array[inside]
+
+        return replace(
+            self,
+            time=self.time[inside],
+            position=self.position[inside],
+            velocity=cut(self.velocity),
+            yaw=cut(self.yaw),
+            force=cut(self.force),
+        )
+
+
+def flight_of(recording: Recording, path: str = "flown", yaw: str = "hold") -> Flight:
+    """The flight that an episode's record holds.
+
+    Args:
+        recording: of an episode.
+        path: `flown`, or `setpoint` for what the tracking loop was asked for.
+        yaw: `hold` for that of the start throughout, or `flown`.
+
+    Raises:
+        ValueError: another path or yaw, or a record that is no flight.
+    """
+    check_name("path", path, PATHS)
+    check_name("yaw", yaw, YAWS)
+    x, y, z, w = np.moveaxis(recording.quaternion, -1, 0)
+    turned = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    flight = Flight(
+        team=recording.team,
+        time=recording.time,
+        position=recording.position,
+        velocity=recording.velocity,
+        yaw=turned if yaw == "flown" else np.repeat(turned[:1], len(turned), axis=0),
+        force=recording.force,
+        about=recording.about,
+    )
+    return flight if path == "flown" else _along_setpoints(flight, recording.setpoint)
+
+
+def _along_setpoints(flight: Flight, setpoint: FloatArray) -> Flight:
+    """Between decisions set-points are cubic, and begin and end as fast as the drones."""
+    from scipy.interpolate import CubicSpline
+
+    assert flight.velocity is not None
+    asked = replace(flight, position=setpoint)  # checked before a spline is drawn through it
+    ends = tuple((1, flight.velocity[k]) for k in (0, -1))
+    spline = CubicSpline(flight.time, setpoint, bc_type=ends)
+    return replace(asked, velocity=spline(flight.time, 1))
+
+
+def flight_along(
+    reference: Callable[[float], Reference],
+    duration_s: float,
+    team: str | Team,
+    rate: float = RATE,
+) -> Flight:
+    """The flight that a plan asks for.
+
+    Args:
+        reference: where the N drones should be at a time, s, such as `SwarmPlan.reference`.
+        duration_s: of the plan, s.
+        team: the vehicles.
+        rate: samples a second.
+
+    Raises:
+        ValueError: a duration that is not positive, or a reference that is not finite.
+    """
+    if not 0.0 < duration_s < np.inf:
+        raise ValueError(f"duration_s is {duration_s}, but must be positive and finite")
+    time = np.linspace(0.0, duration_s, int(np.ceil(duration_s * rate)) + 1)
+    # At the end itself a plan may say that all is over.
+    samples = [reference(min(t, duration_s * (1.0 - 1e-12))) for t in time]
+    position, velocity = (np.array([sample[k] for sample in samples]) for k in (0, 1))
+    return Flight(parse_team(team), time, position, velocity)
+
+
+def _check_time(time: npt.NDArray[np.float64]) -> None:
+    if not np.isfinite(time).all():
+        k = int(np.argmin(np.isfinite(time)))
+        raise ValueError(f"time is {time[k]} at sample {k}, but must be finite")
+    steps = np.diff(time)
+    if (steps <= 0.0).any():
+        k = int(np.argmax(steps <= 0.0))
+        raise ValueError(
+            f"time does not increase: sample {k} is at {time[k]:g} s, the next at {time[k + 1]:g} s"
+        )
+    if len(time) < 4 or time[-1] - time[0] < SHORTEST_S:
+        length = float(time[-1] - time[0]) if len(time) else 0.0
+        raise ValueError(
+            f"the flight has {len(time)} samples over {length:g} s, but must have at least 4 over "
+            f"{SHORTEST_S} s"
+        )
+    if steps.max() > LONGEST_STEP_S:
+        k = int(np.argmax(steps))
+        raise ValueError(
+            f"there is a gap of {steps[k]:.3g} s after {time[k]:g} s, but samples must be at most "
+            f"{LONGEST_STEP_S} s apart: nobody knows where drones were in between"
+        )

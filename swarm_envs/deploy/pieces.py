@@ -1,0 +1,190 @@
+"""Polynomial pieces as a Crazyflie flies them, and the CSV files in which they travel.
+
+A trajectory is a sequence of polynomials of 7th degree in x, y, z (m, world frame) and yaw (rad),
+in the time since the start of each piece, s. The file is that of `uav_trajectories`, which cflib's
+examples and Crazyswarm read; the firmware holds all numbers in single precision, and so do we.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.files import written_whole
+from swarm_envs.state import FloatArray
+
+DEGREE = 7
+"""Of every polynomial."""
+AXES = ("x", "y", "z", "yaw")
+"""In the order of the file, and of the firmware's memory."""
+PIECE_BYTES = 132
+"""What a piece takes of the firmware's memory: 33 numbers of 4 bytes."""
+MEMORY_BYTES = 4096
+"""The firmware's memory for trajectories (`TRAJECTORY_MEMORY_SIZE`), which all of them share."""
+MOST_PIECES = MEMORY_BYTES // PIECE_BYTES
+"""Pieces that fit into it: 31."""
+HEADER = ("Duration", *(f"{axis}^{power}" for axis in AXES for power in range(DEGREE + 1)))
+"""First line of the file."""
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """A trajectory of one drone, P pieces one after the other. World frame, SI.
+
+    Args:
+        duration: (P,) s.
+        coefficients: (P, 4, 8) of x, y, z and yaw, by ascending powers of time.
+
+    Raises:
+        ValueError: wrong shapes, no piece, a number that is not finite, or a duration that is not
+            positive; the message names the piece.
+    """
+
+    duration: FloatArray
+    coefficients: FloatArray
+
+    def __post_init__(self) -> None:
+        """Check, round to single precision as the firmware does, and freeze."""
+        duration, values = np.asarray(self.duration), np.asarray(self.coefficients)
+        wanted = (len(duration) if duration.ndim == 1 else 0, len(AXES), DEGREE + 1)
+        if not wanted[0] or values.shape != wanted:
+            raise ValueError(
+                f"durations have shape {duration.shape} and coefficients {values.shape}, but must "
+                f"have (P,) and (P, {len(AXES)}, {DEGREE + 1}) with at least one piece"
+            )
+        object.__setattr__(self, "duration", _single("duration", duration, positive=True))
+        object.__setattr__(self, "coefficients", _single("coefficients", values))
+
+    def __len__(self) -> int:
+        """How many pieces there are."""
+        return len(self.duration)
+
+    @property
+    def total_s(self) -> float:
+        """Duration of the whole, s."""
+        return float(self.duration.sum())
+
+    @property
+    def knots(self) -> FloatArray:
+        """(P + 1,) times at which pieces begin, and the end, s."""
+        return np.concatenate([[0.0], np.cumsum(self.duration)])
+
+
+def _single(name: str, values: npt.NDArray[Any], positive: bool = False) -> FloatArray:
+    """Values, one row a piece, rounded to single precision and read-only."""
+    with np.errstate(over="ignore"):
+        rounded: FloatArray = values.astype(np.float32).astype(np.float64)
+    bad = ~np.isfinite(rounded) | (positive & ~(rounded > 0.0))
+    if bad.any():
+        at = tuple(np.argwhere(bad)[0])
+        rule = "finite in single precision" + (" and positive" if positive else "")
+        raise ValueError(f"{name} of piece {at[0]} has {values[at]}, but must be {rule}")
+    rounded.flags.writeable = False
+    return rounded
+
+
+def evaluate(
+    pieces: Pieces, time: npt.ArrayLike, derivative: int = 0, single: bool = False
+) -> FloatArray:
+    """Where the drone should be, or a derivative of that.
+
+    As in the firmware (`piecewise_eval`), it rests where it ends; before the start it rests too.
+    At a knot the earlier piece counts.
+
+    Args:
+        pieces: the trajectory.
+        time: (...) s since the start.
+        derivative: 0 for position, 1 for velocity, and so on.
+        single: calculate in single precision, as the firmware does.
+
+    Returns:
+        (..., 4) x, y, z (m) and yaw (rad), over s to the power of the derivative.
+
+    Raises:
+        ValueError: the derivative is negative.
+    """
+    if derivative < 0:
+        raise ValueError(f"derivative is {derivative}, but must be 0 or more")
+    asked, knots = np.asarray(time, dtype=np.float64), pieces.knots
+    inside = np.clip(asked, 0.0, knots[-1])
+    which = np.clip(np.searchsorted(knots, inside, side="left") - 1, 0, len(pieces) - 1)
+    dtype = np.float32 if single else np.float64
+    t = (inside - knots[which]).astype(dtype)[..., None]
+    values: npt.NDArray[Any] = pieces.coefficients[which].astype(dtype)
+    for _ in range(derivative):
+        values = values[..., 1:] * np.arange(1, values.shape[-1], dtype=dtype)
+    out = np.zeros(values.shape[:-1], dtype)
+    for power in range(values.shape[-1] - 1, -1, -1):
+        out = out * t + values[..., power]
+    if derivative:
+        out = out * ((asked >= 0.0) & (asked <= knots[-1]))[..., None]
+    return out.astype(np.float64)
+
+
+def largest_jump(pieces: Pieces, derivative: int = 0) -> float:
+    """Largest jump of position (m) or one of its derivatives from a piece to the next."""
+    if len(pieces) == 1:
+        return 0.0
+    ends = np.array(
+        [
+            evaluate(Pieces(pieces.duration[k : k + 1], c[None]), pieces.duration[k], derivative)
+            for k, c in enumerate(pieces.coefficients[:-1])
+        ]
+    )
+    factorial = float(np.prod(np.arange(1, derivative + 1)))
+    begins = pieces.coefficients[1:, :, derivative] * factorial
+    return float(np.linalg.norm((ends - begins)[:, :3], axis=1).max())
+
+
+def write_pieces(path: str | Path, pieces: Pieces) -> None:
+    """Write the CSV file, whole or not at all, so that it is read back to the last bit.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    rows = np.concatenate([pieces.duration[:, None], pieces.coefficients.reshape(-1, 32)], axis=1)
+    with (
+        written_whole(Path(path)) as partial,
+        partial.open("w", encoding="utf-8", newline="") as file,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(HEADER)
+        writer.writerows([[str(value) for value in row] for row in rows.astype(np.float32)])
+
+
+def read_pieces(path: str | Path) -> Pieces:
+    """Read a CSV file of `write_pieces`, `uav_trajectories` or Crazyswarm.
+
+    Raises:
+        ValueError: another header, or a line that is not 33 finite numbers with a positive
+            duration first; the message names the file and the line.
+        OSError: the file cannot be read.
+    """
+    with Path(path).open(encoding="utf-8", newline="") as file:
+        lines = [[cell.strip() for cell in row] for row in csv.reader(file) if any(row)]
+    lines = [row[:-1] if row[-1] == "" else row for row in lines]  # Crazyswarm ends with a comma
+    head = [cell.lower().lstrip("# ") for cell in lines[0]] if lines else []
+    if head != [cell.lower() for cell in HEADER]:
+        raise ValueError(f"{path} begins with {','.join(head)!r:.60}, not with {HEADER[0]},x^0,...")
+    rows = [_row(path, number, row) for number, row in enumerate(lines[1:], start=2)]
+    if not rows:
+        raise ValueError(f"{path} holds no piece, only a header")
+    table = np.array(rows)
+    try:
+        return Pieces(table[:, 0], table[:, 1:].reshape(-1, len(AXES), DEGREE + 1))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def _row(path: str | Path, number: int, cells: list[str]) -> list[float]:
+    if len(cells) != len(HEADER):
+        raise ValueError(f"{path}, line {number}: {len(cells)} numbers, but must be {len(HEADER)}")
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError as error:
+        raise ValueError(f"{path}, line {number}: {error}") from error

@@ -1,0 +1,273 @@
+"""Flights exported whole: checked against what is known of them, and refused by name."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs import swap_v0
+from swarm_envs.agents import fly_episode, load
+from swarm_envs.baselines.rth3d import plan as plan_on_grid
+from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, smooth
+from swarm_envs.baselines.rth3d.flight.spline import on_grid, shortest_step
+from swarm_envs.cli import main
+from swarm_envs.deploy import (
+    Flight,
+    evaluate,
+    export_flight,
+    fit_flight,
+    flight_along,
+    flight_of,
+    read_pieces,
+    report,
+    settled,
+)
+from swarm_envs.deploy.report import separation
+from swarm_envs.state import FloatArray
+from swarm_envs.trajectories import rest_to_rest
+from swarm_envs.vehicles import GRAVITY, SMALL, parse_team
+from swarm_envs.viewing.record import Recorder, Recording
+from swarm_envs.viewing.trajectory import write_trajectory
+
+TIME = np.linspace(0.0, 3.0, 151)
+
+
+def crossing(gap: float = 0.5, team: str = "SS", **change: Any) -> Flight:
+    """Two drones that pass each other, one so far above the other."""
+    starts = np.array([[-0.7, 0.0, 1.0], [0.7, 0.0, 1.0 + gap]])
+    found = [rest_to_rest(starts, starts * [-1.0, 1.0, 1.0], 3.0, t) for t in TIME]
+    position, velocity = (np.array([reference[k] for reference in found]) for k in (0, 1))
+    return replace(Flight(parse_team(team), TIME, position, velocity), **change)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    """A trained policy swaps four drones, ten decisions a second."""
+    agent = load("swap-ppo")
+    env = swap_v0.parallel_env(num_drones=4, physics="batch", **dict(agent.requires))
+    recorder = Recorder("swap-ppo", 1)
+    fly_episode(env, agent, 1, watch=recorder)
+    env.close()
+    return recorder.record()
+
+
+def test_a_report_says_what_is_known_of_a_crossing() -> None:
+    flight = crossing()
+    found = report(flight, fit_flight(flight, 0.001), 0.001)
+    assert not found.problems
+    assert found.duration_s == pytest.approx(3.0, abs=1e-6)
+    # Minimum-snap motion over d in T: speed 35/16 d/T, acceleration about 7.5132 d/T^2.
+    for drone in found.drones:
+        assert drone.pieces == 1
+        assert drone.memory_bytes == 132
+        assert drone.max_deviation_m < 1e-5
+        assert drone.max_speed_m_s == pytest.approx(35.0 / 16.0 * 1.4 / 3.0, rel=1e-3)
+        acceleration = 7.5132 * 1.4 / 9.0
+        assert drone.max_acceleration_m_s2 == pytest.approx(acceleration, rel=1e-3)
+        thrust = SMALL.mass * np.hypot(GRAVITY, acceleration)
+        assert drone.max_thrust_share == pytest.approx(thrust / SMALL.max_thrust, rel=1e-3)
+        tilt = np.degrees(np.arctan2(acceleration, GRAVITY))
+        assert drone.max_tilt_deg == pytest.approx(tilt, rel=1e-3)
+    assert found.flown.distance_m == pytest.approx(0.5, abs=1e-4)
+    assert found.fitted.distance_m == pytest.approx(0.5, abs=1e-4)
+    assert found.fitted.clearance_m == pytest.approx(0.5 - SMALL.diameter, abs=1e-4)
+    assert found.fitted.time_s == pytest.approx(1.5, abs=0.01)
+
+
+def test_thrust_carries_the_downwash_too() -> None:
+    push = np.zeros((len(TIME), 2, 3))
+    push[:, 0, 2] = -0.1
+    flight = crossing(force=push)
+    alone, pushed = report(flight, fit_flight(flight), 0.01).drones[1::-1]
+    more = (pushed.max_thrust_share - alone.max_thrust_share) * SMALL.max_thrust
+    assert more == pytest.approx(0.1, rel=0.02)
+    assert pushed.max_force_g == pytest.approx(10.2, abs=0.1)
+
+
+def test_closest_pairs_are_judged_by_their_sizes() -> None:
+    """A small pair is closer, but a large one has less room between hulls."""
+    place = np.array([[0.0, 0.0, 1.0], [0.2, 0.0, 1.0], [3.0, 0.0, 1.0], [3.21, 0.0, 1.0]])
+    found = separation(place[None], np.zeros(1), parse_team("SSLL"))
+    assert found.pair == (2, 3)
+    assert found.clearance_m == pytest.approx(0.21 - 0.19)
+    assert found.distance_m == pytest.approx(0.2)
+
+
+def test_a_flown_episode_is_exported(recording: Recording, tmp_path: Path) -> None:
+    flight = settled(flight_of(recording), 1.0)
+    found = export_flight(flight, tmp_path, 0.01)
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["problems"] == []
+    inner = recording.time[recording.time <= recording.time[-1]]
+    durations = []
+    for i, drone in enumerate(found.drones):
+        pieces = read_pieces(tmp_path / f"drone_{i}.csv")
+        durations.append(pieces.total_s)
+        gap = evaluate(pieces, inner)[:, :3] - recording.position[:, i]
+        assert np.linalg.norm(gap, axis=1).max() <= 0.01 + 1e-6
+        assert drone.max_deviation_m <= 0.01
+        assert drone.pieces <= 10
+        for t in (0.0, pieces.total_s):
+            assert np.abs(evaluate(pieces, t, 1)).max() < 1e-3
+    assert np.ptp(durations) < 1e-5
+    assert abs(found.fitted.distance_m - found.flown.distance_m) <= 0.02
+    assert durations[0] == pytest.approx(recording.time[-1] + 1.0, abs=1e-5)
+
+
+def test_samples_are_those_of_the_pieces(recording: Recording, tmp_path: Path) -> None:
+    export_flight(settled(flight_of(recording, "setpoint"), 1.0), tmp_path, rate=50.0)
+    pieces = read_pieces(tmp_path / "drone_2.csv")
+    with (tmp_path / "drone_2_samples.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    time = np.array([float(row["time"]) for row in rows])
+    np.testing.assert_allclose(np.diff(time)[:-1], 0.02, atol=1e-6)
+    assert time[-1] == pytest.approx(pieces.total_s, abs=1e-4)
+    for order, names in enumerate((("x", "y", "z"), ("vx", "vy", "vz"), ("ax", "ay", "az"))):
+        told = np.array([[float(row[name]) for name in names] for row in rows])
+        np.testing.assert_allclose(told, evaluate(pieces, time, order)[:, :3], atol=2e-3)
+    speed = np.gradient([float(row["x"]) for row in rows], time)
+    np.testing.assert_allclose(speed[1:-1], [float(r["vx"]) for r in rows][1:-1], atol=0.05)
+
+
+def test_yaw_is_held_or_flown(recording: Recording) -> None:
+    half = np.pi / 4.0 + np.zeros_like(recording.quaternion[..., 0])
+    turned = np.stack([0 * half, 0 * half, np.sin(half), np.cos(half)], axis=-1)
+    spun = replace(recording, quaternion=turned)
+    assert fit_flight(flight_of(spun))[0].coefficients[0, 3, 0] == pytest.approx(
+        np.pi / 2, rel=1e-5
+    )
+    assert np.ptp(flight_of(recording).rows(2)[:, 3]) == 0.0
+    assert np.ptp(flight_of(recording, yaw="flown").rows(2)[:, 3]) > 0.0
+
+
+def test_a_plan_on_a_grid_is_exported_smoothed(tmp_path: Path) -> None:
+    starts = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0]])
+    found = plan_on_grid(starts, starts[[1, 2, 0]], (3, 3, 2), seed=0)
+    spacing = np.array([0.5, 0.5, 0.6])
+    step = shortest_step(spacing, 1.0, 1.0)
+    way = smooth(
+        on_grid(found.paths, spacing, np.array([-0.5, -0.5, 0.7]), step),
+        SmoothingConfig(distance=0.3, box=((-1.0, -1.0, 0.4), (1.0, 1.0, 1.6))),
+    )
+    told = export_flight(flight_along(way.reference, way.duration_s, "SSS"), tmp_path)
+    assert told.duration_s == pytest.approx(way.duration_s, abs=1e-5)
+    for i in range(3):
+        pieces = read_pieces(tmp_path / f"drone_{i}.csv")
+        for t in np.linspace(0.0, way.duration_s, 40):
+            gap = evaluate(pieces, t)[:3] - way.reference(float(t)).position[i]
+            assert np.linalg.norm(gap) <= 0.0101
+
+
+def test_ends_in_motion_get_ramps() -> None:
+    """A straight flight at constant speed becomes one from rest to rest, along the same line."""
+    line = np.column_stack([0.8 * TIME, 0.0 * TIME, 1.0 + 0.0 * TIME])[:, None]
+    flight = Flight(parse_team("S"), TIME, line)
+    assert any("starts at 0.80 m/s" in p for p in report(flight, fit_flight(flight), 0.01).problems)
+    longer = settled(flight, 1.0)
+    assert longer.duration_s == pytest.approx(5.0)
+    pieces = fit_flight(longer)[0]
+    assert not report(longer, (pieces,), 0.01).problems
+    np.testing.assert_allclose(evaluate(pieces, 0.0)[:3], [-0.4, 0.0, 1.0], atol=0.01)
+    np.testing.assert_allclose(evaluate(pieces, 5.0)[:3], [2.8, 0.0, 1.0], atol=0.01)
+    np.testing.assert_allclose(evaluate(pieces, 2.5)[:3], [1.2, 0.0, 1.0], atol=0.01)
+
+
+def test_a_part_of_a_flight_is_what_was_flown_then() -> None:
+    whole = crossing(yaw=np.outer(TIME, [0.1, 0.2]))
+    part = whole.part(1.0, 2.0)
+    assert part.duration_s == pytest.approx(1.0)
+    for t in np.linspace(0.0, 1.0, 9):
+        np.testing.assert_allclose(part.curve(t), whole.curve(1.0 + t), atol=1e-9)
+    assert part.rows(1)[0, 3] == pytest.approx(0.2)
+    for begin, end in ((2.0, 1.0), (5.0, 9.0), (1.0, 1.3)):
+        with pytest.raises(ValueError, match=r"must have at least 4 over 0\.5 s"):
+            whole.part(begin, end)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"time": TIME[::-1]}, "time does not increase: sample 0 is at 3 s, the next at 2.98 s"),
+        ({"time": np.where(TIME > 1.0, TIME + 0.5, TIME)}, "gap of 0.52 s after 1 s"),
+        ({"time": TIME / 10.0}, r"over 0.3 s, but must have at least 4 over 0.5 s"),
+        ({"time": np.where(TIME == 0.0, np.nan, TIME)}, "time is nan at sample 0"),
+        ({"position": np.full((len(TIME), 2, 3), np.nan)}, "position of drone_0 is .* at sample 0"),
+        ({"velocity": np.full((len(TIME), 2, 3), np.inf)}, "velocity of drone_0"),
+        ({"yaw": np.zeros(len(TIME))}, r"yaw has shape \(151,\), but must have \(151, 2\)"),
+        (
+            {"team": parse_team("SSS")},
+            r"position has shape \(151, 2, 3\), but must have \(151, 3, 3\)",
+        ),
+    ],
+)
+def test_what_is_no_flight_is_refused(change: Mapping[str, Any], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        crossing(**change)
+
+
+def sunk(flight: Flight, by: float) -> FloatArray:
+    """Positions so much lower."""
+    return flight.position - [0.0, 0.0, by]
+
+
+# The largest acceleration of 1.4 m in 0.5 s, 42 m/s^2, and gravity take 2.3 times the thrust.
+@pytest.mark.parametrize(
+    ("flight", "said"),
+    [
+        (crossing(0.1), r"drone_0 and drone_1 collide in the flight itself: .* overlap by 20 mm"),
+        (crossing(0.15, "LL"), "collide on the fitted paths"),
+        (crossing(position=sunk(crossing(), 0.97)), "drone_0 comes within 0.030 m of the floor"),
+        (
+            crossing(time=TIME / 6.0, velocity=None),
+            "drone_0 needs 230% of the thrust of 'S'",
+        ),
+    ],
+    ids=["collision", "large", "floor", "thrust"],
+)
+def test_what_must_not_be_flown_is_not_written(flight: Flight, said: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=f"this must not be flown: .*{said}"):
+        export_flight(flight, tmp_path / "out", 0.005)
+    assert not (tmp_path / "out").exists()
+
+
+def test_pieces_that_come_closer_than_the_flight_are_found() -> None:
+    flight = crossing(0.3)
+    near = crossing(0.2)
+    found = report(flight, fit_flight(near), 0.01)
+    assert any("100 mm closer than in the flight" in problem for problem in found.problems)
+
+
+def test_the_command(recording: Recording, tmp_path: Path, capsys: Any) -> None:
+    write_trajectory(tmp_path / "flight.npz", recording)
+    out, copy = tmp_path / "out", tmp_path / "copy.json"
+    call = ["export", "trajectory", str(tmp_path / "flight.npz"), "--out", str(out)]
+    assert main([*call, "--json", str(copy), "--tolerance", "0.02"]) == 0
+    shown = capsys.readouterr().out
+    assert "wrote 4 trajectories" in shown
+    assert "closest: " in shown
+    told = json.loads(copy.read_text())
+    assert told == json.loads((out / "report.json").read_text())
+    assert told["source"]["agent"] == "swap-ppo"
+    assert told["tolerance_m"] == 0.02
+    assert len(list(out.glob("drone_*.csv"))) == 8
+    assert (out / "paths.png").read_bytes()[:4] == b"\x89PNG"
+    assert main([*call, "--begin-s", "1", "--end-s", "2.5", "--tolerance", "0.02"]) == 0
+    told = json.loads((out / "report.json").read_text())  # 1.5 s and two ramps
+    assert told["duration_s"] == pytest.approx(3.5, abs=1e-4)
+    capsys.readouterr()
+    assert main([*call, "--settle-s", "0"]) == 1
+    assert "add ramps (--settle-s 1)" in capsys.readouterr().err
+    assert main([*call, "--tolerance", "0"]) == 1
+    assert "tolerance is 0.0, but must be positive" in capsys.readouterr().err
+    assert main(["export", "trajectory", str(tmp_path / "no.npz"), "--out", str(out)]) == 2
+    assert "there is no file" in capsys.readouterr().err
+    (tmp_path / "bad.npz").write_bytes(b"nothing")
+    assert main(["export", "trajectory", str(tmp_path / "bad.npz"), "--out", str(out)]) == 1
+    assert "is not an npz file" in capsys.readouterr().err

@@ -1,0 +1,251 @@
+"""The command `benchmark`: who fails is named, who is killed goes on, and results are the same."""
+
+from __future__ import annotations
+
+import json
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarm_envs.cli import main
+from swarm_envs.training.scoreboard.rows import write_rows
+
+MINE = """
+import numpy as np
+class Fine:
+    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
+    def reset(self, env, seed): self.seed, self.count = seed, 0
+    def act(self, observations, view):
+        self.count += 1
+        return {name: self.say() for name in observations}
+    def say(self): return np.zeros(3, np.float32)
+class Raises(Fine):
+    def say(self): return {}['nothing']
+class Nan(Fine):
+    def say(self): return np.full(3, np.nan if self.count > 2 else 0.0)
+class Picky(Fine):
+    def reset(self, env, seed):
+        super().reset(env, seed)
+        if len(env.agents) > 2: raise ValueError('only pairs')
+class Choosy(Fine):
+    def reset(self, env, seed):
+        super().reset(env, seed)
+        if seed % 2: raise ValueError('odd seed')
+class Five(Fine):
+    requires = {**Fine.requires, 'num_drones': 5}
+class Unmade(Fine):
+    def __init__(self): raise SystemExit('no')
+"""
+PAIR, FOUR = "swap-circle-2-v1", "swap-circle-4-v1"
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    file = tmp_path / "mine.py"
+    file.write_text(MINE, encoding="utf-8")
+    return file
+
+
+def benchmark(out: Path, *more: str, replays: str = "--no-replays") -> int:
+    return main(["benchmark", "--out", str(out), replays, *more])
+
+
+def content(out: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((out / "scores.json").read_text(encoding="utf-8"))
+    return found
+
+
+def without_times(out: Path) -> dict[str, Any]:
+    """What `scores.json` holds but for what is measured with a clock."""
+    found = content(out)
+    del found["manifest"]
+    for cell in found["cells"]:
+        for name in ("act_us_p50", "act_us_p99"):
+            cell["values"].pop(name, None)
+    return found
+
+
+def cells(out: Path) -> dict[tuple[str, str], dict[str, Any]]:
+    """By the last part of the agent's name, and task."""
+    return {(c["agent"].split(":")[-1], c["task"]): c for c in content(out)["cells"]}
+
+
+def test_who_fails_is_named_and_the_others_go_on(tmp_path, mine, capsys):
+    names = ["Fine", "Raises", "Nan", "Picky", "Choosy", "Five", "Unmade"]
+    agents = ["hover", "swap-ppo", *(f"{mine}:{name}" for name in names)]
+    out, copy = tmp_path / "out", tmp_path / "copy.json"
+    few = ["--tasks", PAIR, FOUR, "--agents", *agents, "--episodes", "4", "--json", str(copy)]
+    assert benchmark(out, *few) == 1
+    said = capsys.readouterr()
+    assert said.out.count("FAILED") == 6
+    assert "mine.py" in said.err  # where it failed, for whoever wrote it
+    assert json.loads(copy.read_text()) == content(out)
+    found = cells(out)
+    assert len(found) == 2 * len(agents)
+    assert {found[name, FOUR]["status"] for name in ("hover", "swap-ppo", "Fine")} == {"flown"}
+    assert "decision 1: KeyError: 'nothing'" in found["Raises", FOUR]["reason"]
+    assert "must be finite" in found["Nan", PAIR]["reason"]
+    assert found["Nan", PAIR]["values"] == {}
+    assert found["Picky", PAIR]["status"] == "flown"
+    assert found["Picky", FOUR] | {"reason": "only pairs"} == found["Picky", FOUR]
+    assert found["Picky", FOUR]["status"] == found["Five", PAIR]["status"] == "unsupported"
+    assert "requires num_drones=5, not 2" in found["Five", PAIR]["reason"]
+    assert "SystemExit: no" in found["Unmade", PAIR]["reason"]
+    choosy = found["Choosy", PAIR]
+    assert (choosy["status"], choosy["episodes"] + choosy["refused"]) == ("flown", 4)
+    assert "episodes: odd seed" in choosy["reason"]
+
+
+def test_one_that_fails_scores_nothing_and_one_that_refuses_is_left_out(tmp_path, mine):
+    agents = [f"{mine}:{name}" for name in ("Picky", "Raises")] + ["detour"]
+    out = tmp_path / "out"
+    assert benchmark(out, "--tasks", PAIR, FOUR, "--agents", *agents, "--episodes", "2") == 1
+    standings = content(out)["aggregates"]["swap"]
+    assert standings[agents[1]]["value"] == 0.0
+    assert (standings[agents[0]]["tasks"], standings[agents[0]]["of"]) == (1, 2)
+    scores = [cells(out)["detour", task]["values"]["score"]["value"] for task in (PAIR, FOUR)]
+    assert 0.3 < min(scores) <= standings["detour"]["value"] <= max(scores) < 1.0
+    profile = content(out)["profiles"]["swap"]
+    above = dict(zip(profile["thresholds"], profile["agents"]["detour"]["fraction"], strict=True))
+    assert (above[0.0], above[1.0]) == (1.0, 0.0)
+
+
+def test_the_table_has_every_episode_and_no_times(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    out = tmp_path / "out"
+    agents = ["swap-ppo", "detour", "formation-ppo"]
+    assert benchmark(out, "--tasks", FOUR, "ring-5*", "--agents", *agents, "--episodes", "3") == 0
+    table = parquet.read_table(out / "episodes.parquet").to_pylist()
+    timing = parquet.read_table(out / "timing.parquet").to_pylist()
+    assert not [name for name in table[0] if "act_us" in name]
+    assert [row["episode"] for row in table] == [0, 1, 2] * 6
+    assert len(timing) == 9
+    assert all(0 < row["act_us_p50"] <= row["act_us_p99"] for row in timing)
+    for cell in content(out)["cells"]:
+        mine = [r for r in table if (r["task_id"], r["agent"]) == (cell["task"], cell["agent"])]
+        assert [row["refused"] for row in mine] == [cell["status"] == "unsupported"] * 3
+        if cell["values"]:
+            rate = sum(row["success"] for row in mine) / 3
+            assert cell["values"]["success_rate"]["value"] == pytest.approx(rate)
+
+
+def test_processes_and_a_second_run_give_the_bytes_of_one(tmp_path, mine, capsys):
+    few = ["--tasks", PAIR, FOUR, "--episodes", "20", "--table", "csv", "--agents"]
+    few += ["swap-ppo", "straight-line", "swap-ppo-8", f"{mine}:Nan", f"{mine}:Choosy"]
+    outs = [tmp_path / "one", tmp_path / "two"]
+    assert benchmark(outs[0], *few) == benchmark(outs[1], *few, "--workers", "2") == 1
+    tables = [(out / "episodes.csv").read_bytes() for out in outs]
+    assert tables[0] == tables[1]
+    assert without_times(outs[0]) == without_times(outs[1])
+    capsys.readouterr()
+    assert benchmark(outs[1], *few) == 1
+    assert "160 of 200 episodes were flown before" in capsys.readouterr().err
+    assert (outs[1] / "episodes.csv").read_bytes() == tables[0]
+    assert [("wall_s" in run) for run in content(outs[1])["manifest"]["runs"]] == [True, True]
+
+
+def test_another_config_is_refused_by_what_differs(tmp_path, mine, capsys):
+    out, few = tmp_path / "out", ["--tasks", PAIR, "--episodes", "1", "--table", "csv", "--agents"]
+    assert benchmark(out, *few, f"{mine}:Fine") == 0
+    before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
+    assert benchmark(out, *few, f"{mine}:Fine", "hover") == 2
+    assert "agents: hover is only asked for now" in capsys.readouterr().err
+    assert benchmark(out, *few, f"{mine}:Fine", "--seed", "5") == 2
+    assert "seed was 2026, and is 5" in capsys.readouterr().err
+    mine.write_text(MINE + "\n# edited\n")
+    assert benchmark(out, *few, f"{mine}:Fine") == 2
+    assert "mine.py:Fine was" in capsys.readouterr().err
+    assert {file: file.read_bytes() for file in before} == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--agents", "swap-pop"], "did you mean 'swap-ppo'"),
+        (["--tasks", "swap-circle-4"], "did you mean 'swap-circle-4-v1'"),
+        (["--json", "out.txt"], "must end in .json"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_flies(tmp_path, arguments, why, capsys):
+    assert benchmark(tmp_path / "out", *arguments) == 2
+    assert why in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("more", [["--episodes", "0"], ["--quick", "--episodes", "3"]])
+def test_impossible_numbers_are_refused(tmp_path, more, capsys):
+    with pytest.raises(SystemExit) as end:
+        benchmark(tmp_path / "out", *more)
+    assert end.value.code == 2
+    assert more[0] in capsys.readouterr().err
+
+
+def test_parquet_without_pyarrow_is_refused_before_anything_flies(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    assert benchmark(tmp_path / "out", "--agents", "hover") == 1
+    assert "swarm-envs[parquet]" in capsys.readouterr().err
+    assert not list((tmp_path / "out").glob("*.json"))
+
+
+def test_a_table_is_the_same_bytes_for_the_same_rows(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    rows = [
+        {"task_id": "a", "seed": 2**32 - 1, "success": True, "energy_j": x} for x in (0.1, None)
+    ]
+    for name in ("a.parquet", "b.parquet"):
+        write_rows(tmp_path / name, rows)
+    assert (tmp_path / "a.parquet").read_bytes() == (tmp_path / "b.parquet").read_bytes()
+    assert parquet.read_table(tmp_path / "a.parquet").to_pylist() == rows
+    write_rows(tmp_path / "c.csv", rows)
+    head = "task_id,seed,success,energy_j"
+    assert (
+        tmp_path / "c.csv"
+    ).read_text() == f"{head}\na,4294967295,True,0.1\na,4294967295,True,\n"
+
+
+@pytest.mark.slow
+def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path):
+    rng = random.Random(1)
+    few = ["--tasks", FOUR, "ring-5*", "--agents", "swap-ppo", "detour", "tracking"]
+    few += ["--episodes", "40", "--table", "csv", "--workers", "2"]
+    out, whole = tmp_path / "killed", tmp_path / "whole"
+    command = [sys.executable, "-m", "swarm_envs", "benchmark", *few, "--out", str(out)]
+    for kill in range(6):
+        wanted = kept(out) + rng.randint(0, 15)
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + 300
+        while kept(out) < wanted:
+            assert time.monotonic() < deadline
+            assert process.poll() is None, f"ended before kill {kill}"
+            time.sleep(0.001)
+        time.sleep(rng.uniform(0.0, 0.3))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    assert benchmark(out, *few) == benchmark(whole, *few) == 0
+    assert (out / "episodes.csv").read_bytes() == (whole / "episodes.csv").read_bytes()
+    assert without_times(out) == without_times(whole)
+    assert [("wall_s" in run) for run in content(out)["manifest"]["runs"]] == [False] * 6 + [True]
+
+
+def kept(out: Path) -> int:
+    files = out.glob("episodes/*/*.jsonl")
+    return sum(max(0, file.read_bytes().count(b"\n") - 1) for file in files)
+
+
+@pytest.mark.slow
+def test_a_ray_cluster_gives_the_bytes_of_one_process(tmp_path, monkeypatch):
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    few = ["--tasks", PAIR, FOUR, "--episodes", "24", "--table", "csv", "--agents"]
+    few += ["swap-ppo", "detour", "straight-line+filter"]
+    outs = [tmp_path / "one", tmp_path / "ray"]
+    assert benchmark(outs[0], *few) == 0
+    assert benchmark(outs[1], *few, "--ray", "local", "--workers", "2") == 0
+    assert (outs[0] / "episodes.csv").read_bytes() == (outs[1] / "episodes.csv").read_bytes()
+    assert without_times(outs[0]) == without_times(outs[1])

@@ -1,0 +1,128 @@
+"""The table of tasks and the roster of agents: what they stand for must not change unseen."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import pytest
+
+import swarm_envs
+from swarm_envs.agents.evaluation import frozen_seeds
+from swarm_envs.agents.registry import FILTER, SHIPPED
+from swarm_envs.training.scoreboard import roster, tasks
+from swarm_envs.training.scoreboard.roster import LEAST, ROSTER, episodes_of
+from swarm_envs.training.scoreboard.tasks import SEED, TASKS, digest
+
+DIGESTS = {
+    "swap-random-2-v1": "9ff0162883c1d2cf",
+    "swap-random-4-v1": "e7c30b31763e349f",
+    "swap-random-SSLL-v1": "a5d662fd793d6c69",
+    "swap-random-8-v1": "4d7253509295a8bc",
+    "swap-random-16-v1": "9cd5e6ffd74db722",
+    "swap-circle-2-v1": "efddac6ce5b1071f",
+    "swap-circle-4-v1": "42268d0b7549f3eb",
+    "swap-circle-8-v1": "c357877194b5ea46",
+    "swap-circle-16-v1": "ec64acea1f0a897f",
+    "swap-stacked-L2S-v1": "c76aeb1310b2e328",
+    "swap-stacked-4-v1": "af2a2cdcb811a144",
+    "ring-4-v1": "9153b4591437593a",
+    "ring-5-v1": "e0f31911df666228",
+    "ring-8-v1": "d12d3129f38b7f45",
+    "ring-16-v1": "af3bc7add89e0fed",
+    "formation-tour-8-v1": "8080f4af7eb3dc31",
+    "formation-tour-16-v1": "26a820597bf48388",
+    "formation-shuffle-8-v1": "a260d7c5e1235cca",
+    "formation-shuffle-16-v1": "c1445b87194dcd64",
+}
+"""What each id has stood for since it was first used. A line here is never changed: what is flown
+otherwise gets a row with the next version, and the old id goes into `RETIRED`."""
+RETIRED: set[str] = set()
+SEEDS = [2727543821, 2207150826, 508070823]
+
+
+def test_no_id_stands_for_anything_else_than_before():
+    assert {name: digest(task) for name, task in TASKS.items()} == DIGESTS
+    assert not RETIRED & set(TASKS)
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"options": {"layout": "circle", "num_drones": 5}},
+        {"environment": "formation_v0"},
+        {"score": "shapes"},
+    ],
+)
+def test_a_digest_sees_what_was_changed(changed):
+    task = TASKS["swap-circle-4-v1"]
+    assert digest(replace(task, **changed)) != digest(task)
+    assert digest(replace(task, episodes=1, label="another", clock_s=1.0)) == digest(task)
+
+
+def test_a_digest_sees_another_seed_and_another_force_model(monkeypatch):
+    task = TASKS["swap-circle-4-v1"]
+    monkeypatch.setattr(tasks, "SEED", SEED + 1)
+    other_seed = digest(task)
+    monkeypatch.undo()
+    monkeypatch.setattr(tasks, "_force_model", lambda name: "0" * 64)
+    assert len({digest(task), other_seed, DIGESTS[task.id]}) == 3
+
+
+def test_the_frozen_seeds_are_the_same_everywhere():
+    assert frozen_seeds(SEED, 3) == SEEDS
+    assert frozen_seeds(SEED, 256)[:3] == SEEDS
+
+
+@pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
+def test_every_row_says_what_flies(task):
+    assert re.fullmatch(rf"{task.family}-([a-z]+-)?[0-9LS]+-v[1-9]\d*", task.id)
+    env = swarm_envs.make(task.environment, **task.setting)
+    env.reset(seed=0)
+    assert len(env.agents) == task.drones <= 16
+    assert env.physics_name == "batch"
+    assert env.view.horizon_s == task.clock_s
+    assert env.core.config.force_rate == 240
+    env.close()
+
+
+def test_every_agent_that_ships_is_in_the_roster():
+    assert set(SHIPPED) <= set(ROSTER)
+    assert {name.removesuffix(FILTER) for name in ROSTER} == set(SHIPPED)
+    labels = [place.label for place in ROSTER.values()]
+    assert len(set(labels)) == len(labels)
+
+
+def test_slow_agents_fly_the_first_of_the_episodes_of_fast_ones():
+    swap, tour = TASKS["swap-circle-4-v1"], TASKS["formation-tour-8-v1"]
+    assert [episodes_of(name, swap) for name in ("swap-ppo", "detour", "neural-swarm-planner")] == [
+        256,
+        64,
+        32,
+    ]
+    assert episodes_of("neural-swarm-planner", tour) == LEAST
+    assert episodes_of("some/file.py:Mine", swap) == 64
+
+
+def test_patterns_choose_in_the_table_s_order():
+    chosen = tasks.choose(["ring-*", "swap-circle-4-v1"])
+    assert [task.id for task in chosen] == [
+        "swap-circle-4-v1",
+        *(name for name in TASKS if name.startswith("ring")),
+    ]
+    assert tasks.choose(["*"]) == list(TASKS.values())
+    names = roster.choose(["a/b.py:Mine", "swap-ppo*", "hover", "a/b.py:Mine", "detour+filter"])
+    wanted = ["hover", "swap-ppo", "swap-ppo+filter", "swap-ppo-8", "swap-ppo-8+filter"]
+    assert names == [*wanted, "a/b.py:Mine", "detour+filter"]
+
+
+@pytest.mark.parametrize("choose", [tasks.choose, roster.choose])
+def test_what_is_no_name_is_refused_with_the_nearest(choose):
+    wrong, right = {
+        tasks.choose: ("swap-circle-4", "swap-circle-4-v1"),
+        roster.choose: ("swap-pop", "swap-ppo"),
+    }[choose]
+    with pytest.raises(ValueError, match=f"did you mean '{right}'"):
+        choose(["*", wrong])
+    with pytest.raises(ValueError, match="is named"):
+        choose([])

@@ -1,0 +1,53 @@
+"""Table I and Fig. 11 of RTH3D: that what is identified is what flies, and when letters stand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from swarm_envs.cli import main
+from swarm_envs.training.reproduce.identification import fit, mass_and_thrust, motor_rate
+from swarm_envs.training.reproduce.rth3d.letters import snapshots
+from swarm_envs.vehicles import GRAM_FORCE, SMALL
+
+
+def test_another_vehicle_is_recognised_by_how_it_moves():
+    vehicle = replace(SMALL, mass=0.041, max_thrust=77 * GRAM_FORCE, motor_rate=23.0)
+    mass, thrust = mass_and_thrust(vehicle)
+    assert mass == pytest.approx(41.0, rel=1e-6)
+    assert thrust == pytest.approx(77.0, rel=1e-6)
+    assert motor_rate(vehicle) == pytest.approx(23.0, rel=1e-6)
+
+
+def test_a_polynomial_is_found_with_its_errors():
+    rng = np.random.default_rng(3)
+    x, v = rng.uniform(0.3, 1.0, (2, 4000))
+    wanted = np.array([11.0, -39.0, -9.5, 20.6, 38.4])
+    exact = wanted @ [np.ones_like(x), x, v, x * x, x * v]
+    found, error = fit(exact, x, v)
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+    assert error.max() < 1e-8
+    misses = []
+    for _ in range(40):
+        found, error = fit(exact + rng.normal(0.0, 0.1, len(x)), x, v)
+        misses.append((found - wanted) / error)
+    assert 0.8 < np.std(misses) < 1.2  # standard errors are what estimates scatter by
+
+
+def test_letters_stand_before_goals_change():
+    goal = np.zeros((7, 2, 3))
+    goal[3:, 0, 0], goal[5:, 1, 2] = 1.0, 2.0
+    recording = SimpleNamespace(goal=goal, time=np.arange(7.0))
+    assert snapshots(recording) == [0, 2, 4, 6]  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_the_table_and_the_letters_are_remade(tmp_path, capsys):
+    assert main(["reproduce", "neural-swarm2", "--table", "1", "--out", str(tmp_path)]) == 0
+    assert main(["reproduce", "rth3d", "--figure", "11", "--out", str(tmp_path)]) == 0
+    assert "10 drones wrote 5 of 5 letters" in capsys.readouterr().out
+    for name in ("table_1", "figure_11"):
+        assert all((tmp_path / f"{name}.{kind}").is_file() for kind in ("json", "csv", "png"))

@@ -1,0 +1,26 @@
+"""Command line of `swarm_envs.training.belief.fit_belief`."""
+
+from __future__ import annotations
+
+import tyro
+
+from swarm_envs.training.belief.fit import BeliefConfig, fit_belief
+
+
+def main() -> None:
+    """Make the belief and say how it does."""
+    config = tyro.cli(BeliefConfig, description="Fit the compensated controller's belief.")
+    report = fit_belief(config)
+    errors = report.fit.findings.errors
+    print(f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f})")
+    for j in report.judgements:
+        print(
+            f"{j.team:5} radius {j.layout.radius_m} m, {j.layout.duration_s} s: "
+            f"{j.uncompensated_median_cm:5.1f} -> {j.compensated_median_cm:4.1f} cm, "
+            f"{j.worse} of {j.episodes} worse"
+        )
+    print(f"report in {config.out / f'{report.name}.json'}, {report.wall_time_s:.0f} s")
+
+
+if __name__ == "__main__":
+    main()

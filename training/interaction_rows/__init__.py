@@ -1,0 +1,14 @@
+"""Rows of measured interaction force: what logs become, and force models are fitted to.
+
+Order of reading: `rows` (the table and its files), `row_checks` (what is refused), `join` (several
+tables as one), `calibration` (the constant force that a vehicle seems to feel far from everything).
+"""
+
+from swarm_envs.training.interaction_rows.rows import (
+    NO_NEIGHBOR,
+    InteractionRows,
+    read_rows,
+    save_rows,
+)
+
+__all__ = ["NO_NEIGHBOR", "InteractionRows", "read_rows", "save_rows"]

@@ -1,0 +1,218 @@
+"""Table I: both quadrotors identified anew, on simulated vehicles and a simulated load cell.
+
+Mass, largest thrust and motor rate come from what `BatchPhysics` does; psi1 from noisy readings of
+force at drawn signals and voltages, as the authors took theirs (Sec. VII-A). psi2 is then fitted to
+the same readings, and held against the printed psi2: both were identified from one set of
+measurements, so that each checks the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarm_envs.files import write_json, write_table
+from swarm_envs.motors import pwm_for_force, rotor_force_g
+from swarm_envs.physics import TIME_STEP as DT
+from swarm_envs.physics.batch import BatchPhysics
+from swarm_envs.state import FloatArray
+from swarm_envs.training.reproduce.style import GREY, picture
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, Vehicle
+
+READINGS = 2000
+"""Of the load cell, for each vehicle."""
+NOISE_G = 0.1
+"""Standard deviation of a reading, grams of one rotor: a cell of 100 g full scale."""
+SIGNALS = (0.3, 0.95)
+"""Motor signals p between which readings are drawn: those of flight."""
+VOLTAGES = (3.4 / 4.2, 4.0 / 4.2)
+"""Voltages v, over 4.2 V, between which they are drawn."""
+_TERMS = ("1", "p", "v", "p²", "pv")
+
+
+class Printed(NamedTuple):
+    """A column of Table I."""
+
+    name: str
+    """Of the vehicle."""
+    mass_g: float
+    """Its weight as the table calls it, g."""
+    largest_thrust_g: float
+    """Four rotors together, g."""
+    motor_rate: float
+    """lambda, 1/s."""
+    psi1: tuple[float, ...]
+    """Factors of 1, p, v, p^2, p v."""
+
+
+PAPER: Mapping[str, Printed] = {
+    "S": Printed("small", 34.0, 65.0, 16.0, (11.09, -39.08, -9.53, 20.57, 38.43)),
+    "L": Printed("large", 67.0, 145.0, 16.0, (44.10, -122.51, -36.18, 53.11, 107.68)),
+}
+"""Table I as printed, but for psi1 of the large one, printed as 44.1.0."""
+
+
+def mass_and_thrust(vehicle: Vehicle) -> tuple[float, float]:
+    """Mass and largest thrust, g, from the accelerations under two thrusts.
+
+    Newton's law for a level drone gives two equations, m (a + g) = T, where T is the hover thrust
+    plus a known force in the one, and the unknown largest thrust in the other.
+    """
+    physics = BatchPhysics((vehicle,), interactions="none")
+    steps = round(1.0 / DT)  # sixteen time constants: thrust has settled
+
+    def accelerated(command: float) -> float:
+        state = physics.hover(np.array([[[0.0, 0.0, 50.0]]]))
+        physics.reset(state)
+        commands = np.full((1, 1, 4), command)
+        for _ in range(steps):
+            before = physics.step(commands).velocity[0, 0, 2]
+        return float((physics.step(commands).velocity[0, 0, 2] - before) / DT)
+
+    known = 0.9 * vehicle.max_rotor_thrust
+    mass = 4.0 * known / (accelerated(known) + GRAVITY)
+    largest = mass * (accelerated(10.0 * vehicle.max_rotor_thrust) + GRAVITY)
+    return 1e3 * mass, largest / GRAM_FORCE
+
+
+def motor_rate(vehicle: Vehicle) -> float:
+    """Rate of the first-order lag, 1/s: least squares on the thrust's way after a square step."""
+    physics = BatchPhysics((vehicle,), interactions="none")
+    physics.reset(physics.hover(np.array([[[0.0, 0.0, 50.0]]])))
+    low, high = vehicle.hover_rotor_thrust, 0.9 * vehicle.max_rotor_thrust
+    commands = np.full((1, 1, 4), high)
+    rest = [
+        float((high - physics.step(commands).rotor_thrust[0, 0, 0]) / (high - low))
+        for _ in range(30)
+    ]
+    time = DT * np.arange(1, 31)
+    return float(-np.polyfit(time, np.log(rest), 1)[0])
+
+
+def load_cell(vehicle: Vehicle, rng: np.random.Generator) -> tuple[FloatArray, ...]:
+    """Signals (K,), voltages (K,) and noisy forces of one rotor (K,), g."""
+    signal = rng.uniform(*SIGNALS, READINGS)
+    voltage = rng.uniform(*VOLTAGES, READINGS)
+    force = rotor_force_g(vehicle, signal, voltage) + rng.normal(0.0, NOISE_G, READINGS)
+    return signal, voltage, force
+
+
+def fit(target: FloatArray, x: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Coefficients of 1, x, v, x^2, x v, and their standard errors."""
+    terms = np.column_stack([np.ones_like(x), x, v, x * x, x * v])
+    found, *_ = np.linalg.lstsq(terms, target, rcond=None)
+    left = target - terms @ found
+    variance = left @ left / (len(x) - terms.shape[1])
+    spread = np.sqrt(variance * np.diag(np.linalg.inv(terms.T @ terms)))
+    return np.asarray(found, dtype=np.float64), np.asarray(spread, dtype=np.float64)
+
+
+def identify(vehicle: Vehicle, seed: int) -> list[dict[str, Any]]:
+    """Every entry of Table I that can be measured, the printed one beside it.
+
+    Args:
+        vehicle: `SMALL` or `LARGE`.
+        seed: of the readings.
+    """
+    printed = PAPER[vehicle.token]
+    name, (mass, thrust) = printed.name, mass_and_thrust(vehicle)
+    rows = [
+        _row(name, "mass, g", printed.mass_g, mass, 0.0, 0.01),
+        _row(name, "largest thrust, g", printed.largest_thrust_g, thrust, 0.0, 0.01),
+        _row(name, "motor rate, 1/s", printed.motor_rate, motor_rate(vehicle), 0.0, 0.01),
+    ]
+    signal, voltage, force = load_cell(vehicle, np.random.default_rng(seed))
+    found, error = fit(force, signal, voltage)
+    for term, paper, value, spread in zip(_TERMS, printed.psi1, found, error, strict=True):
+        rows.append(_row(name, f"psi1, factor of {term}", paper, value, spread, 0.05))
+    hover = 1e3 * vehicle.mass / 4.0
+    back, _ = fit(signal, force, voltage)
+    for volts in (3.5, 3.9):
+        v = volts / 4.2
+        printed_signal = round(float(pwm_for_force(vehicle, hover, v)), 4)
+        ours = float(back @ [1.0, hover, v, hover * hover, hover * v])
+        what = f"psi2, motor signal of hover at {volts:g} V"
+        rows.append(_row(name, what, printed_signal, ours, 0.0, 0.03, _ROUNDED, 0.08))
+    return rows
+
+
+_ROUNDED = (
+    "psi2 is printed with two digits, and was fitted by itself: it is not the inverse of psi1"
+)
+
+
+def _row(
+    vehicle: str,
+    what: str,
+    paper: float,
+    ours: float,
+    error: float,
+    tolerance: float,
+    reason: str = "",
+    explained_to: float = 0.0,
+) -> dict[str, Any]:
+    """An entry; `tolerance` and `explained_to` are shares of the paper's value."""
+    return {
+        "vehicle": vehicle,
+        "quantity": what,
+        "paper": paper,
+        "ours": round(float(ours), 4),
+        "error": round(float(error), 4),
+        "tolerance": tolerance,
+        "reason": reason,
+        "explained_to": explained_to,
+    }
+
+
+def reproduce_identification(out: Path, seed: int = 0) -> dict[str, Any]:
+    """Identify both vehicles, and write `table_1.json`, `.csv` and `.png`.
+
+    Args:
+        out: folder, made if missing.
+        seed: of the load cell's readings.
+
+    Returns:
+        What the JSON file holds.
+    """
+    rows = [row for vehicle in (SMALL, LARGE) for row in identify(vehicle, seed)]
+    summary = {"seed": seed, "readings": READINGS, "noise_g": NOISE_G, "rows": rows}
+    columns = ("vehicle", "quantity", "paper", "ours", "error")
+    write_table(out / "table_1.csv", [{name: row[name] for name in columns} for row in rows])
+    plot_curves(out / "table_1.png", seed)
+    write_json(out / "table_1.json", summary)
+    return summary
+
+
+def plot_curves(path: Path, seed: int) -> None:
+    """Draw the readings, the curves fitted to them, and the printed psi1, at two voltages."""
+    signal = np.linspace(*SIGNALS, 60)
+    with picture(path, 9.0, 4.0, "Table I: force of one rotor by motor signal") as figure:
+        axes = figure.subplots(1, 2)
+        for axis, vehicle in zip(axes, (SMALL, LARGE), strict=True):
+            p, v, force = load_cell(vehicle, np.random.default_rng(seed))
+            found, _ = fit(force, p, v)
+            axis.plot(p, force, ".", color="#C9CED4", markersize=2, label="readings")
+            for volts, color in ((3.5, "#0072B2"), (3.9, "#D55E00")):
+                level = np.full_like(signal, volts / 4.2)
+                terms = (np.ones_like(signal), signal, level, signal**2, signal * level)
+                axis.plot(signal, found @ np.array(terms), color=color, label=f"{volts:g} V")
+                a, b, c, d, e = PAPER[vehicle.token].psi1
+                paper = a + b * signal + c * level + d * signal**2 + e * signal * level
+                axis.plot(signal, paper, "--", color=GREY, linewidth=1)
+            kind = PAPER[vehicle.token].name
+            axis.set(title=kind, xlabel="Motor signal p", ylabel="Force of one rotor (g)")
+            axis.grid(True)
+            axis.legend(fontsize=8, title="dashed: as printed")
+
+
+def format_identification(summary: dict[str, Any]) -> str:
+    """The table as text."""
+    lines = [f"{'':52}{'paper':>10}{'ours':>10}{'±':>9}"]
+    for row in summary["rows"]:
+        error = f"{row['error']:9.3f}" if row["error"] else ""
+        name = f"{row['vehicle']}: {row['quantity']}"
+        lines.append(f"{name:52}{row['paper']:10.4g}{row['ours']:10.4g}{error}")
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""The scoreboard: every agent on every task, and the page that shows how they did."""

@@ -1,0 +1,184 @@
+"""For each cell of a scoreboard one episode to look at: chosen by a rule, flown again, recorded."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from swarm_envs import make
+from swarm_envs.agents import load, record_episode
+from swarm_envs.training.scale_out.jobs import Job, Outcome
+from swarm_envs.training.scale_out.options import ScaleOptions
+from swarm_envs.training.scoreboard.board import Board, Cell
+from swarm_envs.training.scoreboard.reading import read
+from swarm_envs.viewing.replay import check_replay_path, share_script, write_replay
+
+FOLDER = "replays"
+"""Of the pages, in a scoreboard's folder."""
+FUNCTION = f"{__name__}:record_one"
+"""What a job calls, as `module:function`."""
+MOST_SAMPLES = 6_000
+"""Drones times frames in a page: 16 drones for 8 s are shown 47 times a second."""
+
+
+def choose(task: str, agent: str, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """The episode of a cell that teaches most.
+
+    If some succeed and some fail, the first that failed, with a collision if any did; if all
+    succeed, the one in which two drones came nearest; if all fail, the first.
+
+    Args:
+        task: id of the task.
+        agent: its name.
+        episodes: of the cell in the order of the seeds, each with `seed`, `success`, `collided`
+            and `minimum_separation_m`; `refused` ones, which were not flown, are passed over.
+
+    Returns:
+        What `scores.json` says of a replay: `seed`, `episode` (its index), `success`, `file`,
+        `why`. None if nothing was flown.
+    """
+    flown = [(k, each) for k, each in enumerate(episodes) if not each.get("refused")]
+    if not flown:
+        return None
+    index, why = _choose(flown)
+    chosen = episodes[index]
+    return {
+        "seed": int(chosen["seed"]),
+        "episode": index,
+        "success": bool(chosen["success"]),
+        "file": file_of(task, agent),
+        "why": why,
+    }
+
+
+def _choose(flown: Sequence[tuple[int, Mapping[str, Any]]]) -> tuple[int, str]:
+    failed = [(k, each) for k, each in flown if not each["success"]]
+    if len(failed) == len(flown):
+        return flown[0][0], "the first; all fail"
+    if failed:
+        crashed = [k for k, each in failed if each["collided"]]
+        how = "the first failure with a collision" if crashed else "the first failure"
+        return (crashed or [failed[0][0]])[0], f"{how}, of {len(failed)} failures"
+    apart = [(each["minimum_separation_m"], k) for k, each in flown]
+    known = [(distance, k) for distance, k in apart if distance is not None]
+    if not known:
+        return flown[0][0], "the first; all succeed"
+    return min(known)[1], "where two drones come nearest; all succeed"
+
+
+def file_of(task: str, agent: str) -> str:
+    """A cell's page, from the scoreboard's folder: readable, and no two agents share one."""
+    short = re.sub(r"[^A-Za-z0-9._+-]+", "-", agent).strip("-.")[-60:]
+    if short != agent:
+        short += "-" + hashlib.sha256(agent.encode()).hexdigest()[:8]
+    return f"{FOLDER}/{task}--{short}.html"
+
+
+def record(folder: Path, workers: int = 1) -> list[str]:
+    """Record every replay that a scoreboard's folder names and lacks, with a progress bar.
+
+    Killed and called again, it goes on with those that are not there.
+
+    Args:
+        folder: holds `scores.json`.
+        workers: processes that share the work.
+
+    Returns:
+        What went wrong, a line each; the other replays are there.
+
+    Raises:
+        FileNotFoundError: there is no `scores.json`.
+        ImportError: plotly, which draws the pages, is missing; the message says how to get it.
+        OSError: a page cannot be written.
+        ValueError: `scores.json` is damaged, or there is to be less than one worker.
+    """
+    scale, board = ScaleOptions(workers=workers), read(folder)
+    check_replay_path(folder / FOLDER / "any.html")
+    jobs = deque(_jobs(folder, board))
+    if not jobs:
+        return []
+    share_script(folder / FOLDER)
+    problems = []
+    with scale.open() as crew, tqdm(total=len(jobs), desc="replays", unit="page") as bar:
+        for outcome in crew.run(jobs):
+            problem = _problem(outcome)
+            problems += [problem] if problem else []
+            bar.update()
+    return sorted(problems)
+
+
+def _jobs(folder: Path, board: Board) -> list[Job]:
+    """Those that cost most first: at the end all workers are busy."""
+    missing = [
+        cell
+        for cell in board.cells.values()
+        if cell.replay is not None and not (folder / cell.replay.file).is_file()
+    ]
+    cost = {id(cell): _cost(cell) for cell in missing}
+    missing.sort(key=lambda cell: -cost[id(cell)])
+    return [_job(folder, board, cell) for cell in missing]
+
+
+def _cost(cell: Cell) -> float:
+    """What a decision takes at most, about."""
+    slow = cell.values.get("act_us_p99")
+    return (slow.value or 0.0) if slow is not None else 0.0
+
+
+def _job(folder: Path, board: Board, cell: Cell) -> Job:
+    assert cell.replay is not None
+    task = next(task for task in board.tasks if task.id == cell.task)
+    arguments = {
+        "file": str(folder / cell.replay.file),
+        "environment": task.environment,
+        "options": dict(task.options),
+        "agent": cell.agent,
+        "seed": cell.replay.seed,
+        "success": cell.replay.success,
+    }
+    return Job(FUNCTION, arguments, f"{cell.agent} on {cell.task}")
+
+
+def _problem(outcome: Outcome) -> str | None:
+    why = outcome.error if outcome.error is not None else outcome.result
+    return None if why is None else f"{outcome.job.label}: {why}"
+
+
+def record_one(
+    file: str,
+    environment: str,
+    options: Mapping[str, Any],
+    agent: str,
+    seed: int,
+    success: bool | None,
+) -> str | None:
+    """Fly an episode, and write its page.
+
+    Args:
+        file: the page.
+        environment: first argument of `swarm_envs.make`.
+        options: the others, beside what the agent requires.
+        agent: name, as of `swarm_envs.agents.load`.
+        seed: of the episode.
+        success: whether it succeeded when it was scored, if that is known.
+
+    Returns:
+        A warning, if it now ends in another way.
+    """
+    pilot = load(agent)
+    env = make(environment, **{**options, **pilot.requires})
+    try:
+        recording = record_episode(env, pilot, seed, name=agent)
+    finally:
+        env.close()
+    write_replay(Path(file), recording, shared=True, most_samples=MOST_SAMPLES)
+    if success is None or bool(recording.about.metrics["success"]) == success:
+        return None
+    ended = "fails" if success else "succeeds"
+    return f"the episode of seed {seed} {ended} now, unlike when it was scored"

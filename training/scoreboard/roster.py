@@ -1,0 +1,125 @@
+"""Who flies in the benchmark: every agent that ships, and behind a safety filter who gains by it.
+
+How many of a task's episodes an agent flies follows from what it costs, and is frozen here: all
+agents on all tasks are to take less than an hour on two processors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from types import MappingProxyType
+
+from swarm_envs.agents.registry import FILTER, SHIPPED
+from swarm_envs.errors import unknown_name
+from swarm_envs.training.scoreboard.tasks import ScoredTask
+
+LEAST = 8
+"""Episodes that every agent flies at least."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """An agent in the roster."""
+
+    label: str
+    """For people."""
+    help: str
+    """What it is, in a sentence."""
+    share: int = 1
+    """It flies the first 1 / share of a task's episodes."""
+    cost: float = 0.001
+    """CPU seconds for each drone and second of the clock, about: what the bar reckons with."""
+
+
+_POLICY = "One network for every drone, on what each observes itself."
+_COMPENSATED = "The same, over a controller that feeds forward the force that it believes."
+_FILTERED = "The same, behind a filter of barrier functions."
+
+ROSTER: Mapping[str, Place] = MappingProxyType(
+    {
+        "hover": Place("hover", "Stays where it starts: what doing nothing is worth.", 2),
+        "random": Place("random", "Draws every action evenly: what chance is worth.", 2, 0.0005),
+        "straight-line": Place("straight line", "A PD law to the goal, whoever is in the way."),
+        "straight-line+filter": Place("straight line + filter", _FILTERED),
+        "tracking": Place("tracking", "The controller of Neural-Swarm2, uncompensated.", 2),
+        "tracking-compensated": Place("tracking, compensated", _COMPENSATED, 2),
+        "detour": Place("detour", "Straight ways with bumps around each other, planned once.", 4),
+        "detour-compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
+        "swap-ppo": Place("swap PPO", f"{_POLICY} Trained on swaps of up to four."),
+        "swap-ppo+filter": Place("swap PPO + filter", _FILTERED),
+        "swap-ppo-8": Place("swap PPO 8", f"{_POLICY} Trained on swaps of four and of eight."),
+        "swap-ppo-8+filter": Place("swap PPO 8 + filter", _FILTERED),
+        "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
+        "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
+        "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),
+        "neural-swarm-planner": Place(
+            "Neural-Swarm2 planner", "Plans within bounds on the force, then tracks.", 8, 0.1
+        ),
+        "mlr-dmpc": Place("MLR-DMPC", "Distributed MPC, again five times a second.", 4, 0.009),
+        "mlr-dmpc-compensated": Place("MLR-DMPC, compensated", _COMPENSATED, 4, 0.009),
+        "rth3d": Place("RTH3D", "Plans on a grid, and flies splines along it.", 4, 0.007),
+        "rth3d-compensated": Place("RTH3D, compensated", _COMPENSATED, 4, 0.007),
+    }
+)
+"""Agents by name, in the order in which they are shown."""
+
+_OTHERS = Place("", "Given by its file.", 4, 0.003)
+
+
+def place_of(name: str) -> Place:
+    """An agent's place; one that does not ship has that of the slow ones."""
+    if name in ROSTER:
+        return ROSTER[name]
+    if name.removesuffix(FILTER) in ROSTER:
+        inner = ROSTER[name.removesuffix(FILTER)]
+        return Place(f"{inner.label} + filter", _FILTERED, inner.share, inner.cost)
+    path, _, part = name.rpartition(":")
+    label = part if path else Path(name).name
+    return Place(label, _OTHERS.help, _OTHERS.share, _OTHERS.cost)
+
+
+def episodes_of(name: str, task: ScoredTask) -> int:
+    """How many of a task's episodes an agent flies."""
+    return min(task.episodes, max(LEAST, task.episodes // place_of(name).share))
+
+
+def seconds_of(name: str, task: ScoredTask) -> float:
+    """What an episode costs at most, about, CPU seconds."""
+    return place_of(name).cost * task.drones * task.clock_s
+
+
+def choose(patterns: Sequence[str]) -> list[str]:
+    """Names of the agents that are meant: those of the roster first, in its order.
+
+    Args:
+        patterns: names of the roster, or such as `swap-*`; and agents as `swarm_envs.agents.load`
+            takes them: path/to/file.py:Class, folders of trained policies.
+
+    Raises:
+        ValueError: nothing has this name; the message names the nearest.
+    """
+    found: dict[str, None] = {}
+    others: dict[str, None] = {}
+    for pattern in patterns:
+        matched = [name for name in ROSTER if fnmatchcase(name, pattern)]
+        if matched:
+            found |= dict.fromkeys(matched)
+        elif _may_be_loaded(pattern):
+            others[pattern] = None
+        else:
+            raise ValueError(
+                unknown_name("agent", pattern, ROSTER)
+                + "; one of your own is path/to/file.py:Class, or a folder of a trained policy"
+            )
+    if not found and not others:
+        raise ValueError("no agent is named; '*' names all that ship")
+    return [*(name for name in ROSTER if name in found), *others]
+
+
+def _may_be_loaded(name: str) -> bool:
+    """Whether a name is that of a file, or of one that ships."""
+    inner = name.removesuffix(FILTER)
+    return inner in SHIPPED or ":" in inner or Path(inner).exists()
