@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 _RIGID_BODY = ("tests/physics/test_rigid_body.py",)
-_CONTACT = ("tests/physics/test_contact.py", "-k", "not bullet")
+_CONTACT = (
+    *("tests/physics/test_contact.py", "tests/tasks/test_obstacles.py"),
+    *("-k", "not bullet and (test_contact or name_the)"),
+)
 _OBSTACLES = ("tests/tasks/test_obstacles.py", "-k", "nearest_points or many_points or name_the")
 _MOTORS = ("tests/test_motors.py",)
 _TRACKING = ("tests/control/test_tracking.py",)
 _MIXER = ("tests/control/test_mixer.py",)
 _TRACKER = ("tests/baselines/mlr_dmpc/test_tracker.py",)
-_PATHS = ("tests/baselines/rth3d/test_validation.py", "-k", "ring or broken or obstacles or bounds")
+_PATHS = ("tests/baselines/rth3d/test_validation.py", "-k", "ring or broken or follow or obstacles")
 _CHECKS = ("tests/baselines/mlr_dmpc/test_checks.py",)
 _VERIFY = ("tests/baselines/neural_swarm/planner/test_verify.py",)
 

@@ -9,6 +9,7 @@ import pytest
 
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics, bullet_available
 from swarm_envs.state import hover_state
+from swarm_envs.tasks.obstacles import Box, obstacle_rows
 from swarm_envs.vehicles import LARGE, SMALL, parse_team
 
 ARENA = [[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]]
@@ -121,3 +122,17 @@ def test_a_crowd_is_judged_pair_by_pair_too() -> None:
     expected = np.where(ratio.min(axis=1) < 1.0, ratio.argmin(axis=1), -1)
     np.testing.assert_array_equal(seen.drone[0], expected)
     assert 0 < np.count_nonzero(expected >= 0) < 28
+
+
+def test_what_just_touches_is_no_collision() -> None:
+    """Distances exactly equal to the radius of a drone, and to the sum of two."""
+    r = SMALL.radius
+    rows = obstacle_rows([Box((0.0, -0.5, 0.0), (0.4, 0.5, 1.5))])
+    team = parse_team("SSS")
+    physics = BatchPhysics(team, interactions="none", obstacles=rows)
+    state = hover_state(team, [[-r, 0.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0 + 2 * r, 1.0]])
+    physics.reset(state)
+    physics.step(state.rotor_thrust)
+    assert physics.contacts.obstacle_clearance[0, 0] == 1.0
+    assert physics.contacts.clearance[0, 1] == pytest.approx(1.0, abs=1e-15)
+    assert not physics.contact[0, 0]

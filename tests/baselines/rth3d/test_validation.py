@@ -21,6 +21,15 @@ def test_a_ring_of_four_may_turn():
     assert found and (found.makespan, found.sum_of_costs, found.moves) == (1, 4, 4)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_may_follow_another_along_each_axis(axis):
+    train = np.zeros((2, 3), dtype=int)
+    train[1, axis] = 1
+    move = np.eye(3, dtype=int)[axis]
+    assert report(train, train + move, shape=(3, 3, 3))
+    assert "swaps places" in report(train, train[::-1], shape=(3, 3, 3)).reason
+
+
 @pytest.mark.parametrize(
     ("rows", "reason"),
     [
