@@ -57,6 +57,8 @@ def test_obstacles_starts_and_goals():
     assert "end" in validate(paths, paths[0], paths[1], (2, 2, 2)).reason
     with pytest.raises(ValueError, match="paths have shape"):
         validate(paths[0], paths[0], paths[2], (2, 2, 2))
+    with pytest.raises(ValueError, match="paths have shape"):
+        validate(np.repeat(paths, 2, axis=1), paths[0], paths[2], (2, 2, 2))
 
 
 def test_damaged_plans_are_judged_as_by_the_other_checker(shared_data):
