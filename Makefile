@@ -20,13 +20,15 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test test-all test-compat matrix lint format bench docs clean
+.PHONY: help demo test test-all test-compat coverage mutation matrix lint format bench docs clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
+	@echo 'make coverage  which lines the tests run, kernels interpreted too; half an hour'
+	@echo 'make mutation  which small mistakes in physics, trackers and validators the tests notice'
 	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
 	@echo 'make lint      ruff and mypy'
 	@echo 'make format    let ruff mend what it can'
@@ -69,6 +71,31 @@ $(COMPAT)/%/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(COMPAT)/$*
 	$(subst $(BIN),$(COMPAT)/$*/bin,$(INSTALL)) -e . pytest hypothesis $(PEERS_$*)
 	@touch $@
+
+# Tests small enough for kernels that are interpreted, which is how their lines are seen.
+INTERPRETED := tests/test_interpreted.py tests/test_noise.py tests/test_motors.py \
+	$(addprefix tests/physics/,test_contact.py test_rigid_body.py) \
+	$(addprefix tests/control/,test_mixer.py test_tracking.py) \
+	$(addprefix tests/tasks/,test_motion.py test_rewards.py) \
+	tests/baselines/rth3d/test_validation.py \
+	$(addprefix tests/baselines/neural_swarm/planner/,test_kd_tree.py test_steering.py) \
+	$(addprefix tests/baselines/mlr_dmpc/,test_closest.py test_corridors.py test_reach.py)
+
+coverage: $(VENV)/.dev
+	rm -rf build/coverage && mkdir -p build/coverage
+	$(BIN)/python -m coverage run -m pytest -n auto --dist loadfile
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest $(INTERPRETED)
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage json --quiet -o build/coverage/files.json --fail-under 0
+	$(BIN)/python -m tests.helpers.coverage_table build/coverage/files.json
+	$(BIN)/python -m coverage report --format total
+
+$(VENV)/.mutation: $(VENV)/.dev
+	$(INSTALL) -e '.[mutation]'
+	@touch $@
+
+mutation: $(VENV)/.mutation
+	$(BIN)/python -m tests.mutation --json build/mutation.json
 
 # `make matrix MATRIX='--rows oldest 3.13 --python 3.13=/path/to/python'`; a few minutes a row.
 matrix: $(VENV)/.dev

@@ -9,6 +9,7 @@ import pytest
 
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics, bullet_available
 from swarm_envs.state import hover_state
+from swarm_envs.tasks.obstacles import Box, obstacle_rows
 from swarm_envs.vehicles import LARGE, SMALL, parse_team
 
 ARENA = [[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]]
@@ -99,3 +100,39 @@ def test_contacts_agree_with_brute_force(engine: type[Physics]) -> None:
         expected = np.where(gaps.min(axis=1) < 1.0, gaps.argmin(axis=1), -1)
         np.testing.assert_array_equal(physics.contacts.drone[0], expected)
         np.testing.assert_array_equal(physics.contacts.floor[0], positions[:, 2] < radius)
+
+
+def test_a_crowd_is_judged_pair_by_pair_too() -> None:
+    """More drones than are compared each with each: some touch, some nearly, some are far off."""
+    rng = np.random.default_rng(3)
+    team = parse_team("SL" * 14)
+    radius = np.array([v.radius for v in team])
+    positions = rng.uniform([-1.0, -0.4, 0.2], [1.0, 0.4, 0.8], (28, 3))
+    positions[5] = [30.0, 0.0, 1.0]
+    physics = BatchPhysics(team, interactions="none")
+    state = hover_state(team, positions)
+    physics.reset(state)
+    physics.step(state.rotor_thrust)
+    apart = np.linalg.norm(positions[:, None] - positions, axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    ratio = apart / (radius[:, None] + radius)
+    seen = physics.contacts
+    np.testing.assert_allclose(seen.separation[0], apart.min(axis=1), rtol=1e-12)
+    np.testing.assert_allclose(seen.clearance[0], ratio.min(axis=1), rtol=1e-12)
+    expected = np.where(ratio.min(axis=1) < 1.0, ratio.argmin(axis=1), -1)
+    np.testing.assert_array_equal(seen.drone[0], expected)
+    assert 0 < np.count_nonzero(expected >= 0) < 28
+
+
+def test_what_just_touches_is_no_collision() -> None:
+    """Distances exactly equal to the radius of a drone, and to the sum of two."""
+    r = SMALL.radius
+    rows = obstacle_rows([Box((0.0, -0.5, 0.0), (0.4, 0.5, 1.5))])
+    team = parse_team("SSS")
+    physics = BatchPhysics(team, interactions="none", obstacles=rows)
+    state = hover_state(team, [[-r, 0.0, 1.0], [2.0, 1.0, 1.0], [2.0, 1.0 + 2 * r, 1.0]])
+    physics.reset(state)
+    physics.step(state.rotor_thrust)
+    assert physics.contacts.obstacle_clearance[0, 0] == 1.0
+    assert physics.contacts.clearance[0, 1] == pytest.approx(1.0, abs=1e-15)
+    assert not physics.contact[0, 0]

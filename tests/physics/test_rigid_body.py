@@ -180,3 +180,16 @@ def test_numbers_stay_finite_while_tumbling_wildly() -> None:
         physics.step(commands)
     for array in physics.state:
         assert np.isfinite(array).all()
+
+
+def test_unequal_rotors_and_a_force_from_outside_add_up() -> None:
+    """Level at first, so the first step is (sum of thrusts along z + force) / m - g."""
+    physics = BatchPhysics(TEAM, interactions="none")
+    state = start()
+    state.rotor_thrust[0] = [[0.01, 0.02, 0.04, 0.08], [0.08, 0.01, 0.02, 0.04]]
+    physics.reset(state)
+    force = np.array([[[0.01, -0.02, 0.03], [-0.04, 0.05, -0.06]]])
+    physics.step(state.rotor_thrust, external_force=force)
+    mass = np.array([vehicle.mass for vehicle in TEAM])[:, None]
+    expected = (force[0] + [0.0, 0.0, 0.15]) / mass - [0.0, 0.0, 9.80665]
+    np.testing.assert_allclose(physics.state.velocity[0] * 240.0, expected, rtol=1e-10)

@@ -21,6 +21,15 @@ def test_a_ring_of_four_may_turn():
     assert found and (found.makespan, found.sum_of_costs, found.moves) == (1, 4, 4)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_one_may_follow_another_along_each_axis(axis):
+    train = np.zeros((2, 3), dtype=int)
+    train[1, axis] = 1
+    move = np.eye(3, dtype=int)[axis]
+    assert report(train, train + move, shape=(3, 3, 3))
+    assert "swaps places" in report(train, train[::-1], shape=(3, 3, 3)).reason
+
+
 @pytest.mark.parametrize(
     ("rows", "reason"),
     [
@@ -48,6 +57,8 @@ def test_obstacles_starts_and_goals():
     assert "end" in validate(paths, paths[0], paths[1], (2, 2, 2)).reason
     with pytest.raises(ValueError, match="paths have shape"):
         validate(paths[0], paths[0], paths[2], (2, 2, 2))
+    with pytest.raises(ValueError, match="paths have shape"):
+        validate(np.repeat(paths, 2, axis=1), paths[0], paths[2], (2, 2, 2))
 
 
 def test_damaged_plans_are_judged_as_by_the_other_checker(shared_data):

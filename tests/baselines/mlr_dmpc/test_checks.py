@@ -1,0 +1,88 @@
+"""What MLR-DMPC refuses at the door, and what it just lets through."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.mlr_dmpc.checks import checked_indices, checked_options, checked_points
+from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+
+CONFIG = MlrDmpcConfig()
+GAP = CONFIG.distance_m
+
+
+def test_points_may_stand_in_the_corners_and_just_apart() -> None:
+    points = np.array([*CONFIG.box, [0.0, 0.0, 1.0], [GAP, 0.0, 1.0], [0.0, 0.0, 1.0 + 6 * GAP]])
+    found = checked_points("starts", points, CONFIG, 5)
+    np.testing.assert_array_equal(found, points)
+    assert found is not points
+
+
+@pytest.mark.parametrize(
+    ("points", "reason"),
+    [
+        (np.zeros(3), r"starts have shape \(3,\)"),
+        (np.zeros((2, 2)), r"starts have shape \(2, 2\)"),
+        (np.zeros((0, 3)), r"starts have shape \(0, 3\)"),
+        ([[0.0, 0.0, 1.0]] * 3, "there are 3 starts, but 2 drones"),
+        ([[0.0, 0.0, 1.0], [np.nan, 0.0, 1.0]], "not finite"),
+        ([[0.0, 0.0, 1.0], [0.0, 2.001, 1.0]], r"starts\[1\] = \[0.0, 2.001, 1.0\] is outside"),
+        ([[0.0, 0.0, 0.299], [0.0, 9.0, 1.0]], r"starts\[0\] = .* is outside"),
+        ([[0.0, 0.0, 1.0], [GAP - 1e-3, 0.0, 1.0]], r"\[0\] and starts\[1\] are 0.249 m apart"),
+        ([[0.0, 0.0, 1.0], [0.0, 0.0, 2.494]], r"are 0.249 m .* divided by 6, .* keep 0.25 m"),
+    ],
+)
+def test_other_points_are_refused(points: Any, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        checked_points("starts", np.array(points), CONFIG, 2)
+
+
+def options(**changes: Any) -> None:
+    good = {"compute_units": 1, "num_drones": 4, "trigger": "HT", "recovery": True}
+    checked_options(**{**good, "measure": "end", "seed": 0, **changes})
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"compute_units": 4},
+        {"compute_units": 254, "num_drones": 300},
+        {"recovery": False},
+        {"recovery": "paper"},
+        {"seed": 7},
+    ],
+)
+def test_options_at_their_limits_pass(changes: dict[str, Any]) -> None:
+    options(**changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"compute_units": 5}, "compute_units is 5, but must be 1 to 4"),
+        ({"compute_units": 0}, "compute_units is 0"),
+        ({"compute_units": 255, "num_drones": 300}, "must be 1 to 254"),
+        ({"compute_units": 1.0}, r"compute_units is 1\.0"),
+        ({"seed": -1}, "seed is -1"),
+        ({"trigger": "sometimes"}, "trigger is 'sometimes', but must be one of"),
+        ({"recovery": "none"}, "recovery is 'none'"),
+        ({"measure": "guess"}, "measure is 'guess'"),
+    ],
+)
+def test_other_options_are_refused(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        options(**changes)
+
+
+def test_rounds_by_index() -> None:
+    assert checked_indices("leaves", {0: 0, 3: 9}, 4) == {0: 0, 3: 9}
+    for given, reason in (
+        ({4: 1}, "leaves names drone 4, but there are 4: 0 to 3"),
+        ({-1: 1}, "an index of leaves is -1"),
+        ({1: -1}, r"leaves\[1\] is -1"),
+    ):
+        with pytest.raises(ValueError, match=reason):
+            checked_indices("leaves", given, 4)

@@ -1,0 +1,162 @@
+"""Small jobs that go through the kernels; the arrays they end with. `python -m` writes them.
+
+Each is a matter of seconds without compilation, so that a process with `NUMBA_DISABLE_JIT=1` can
+do what a compiled one does.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+import swarm_envs
+from swarm_envs.agents import load as load_agent
+from swarm_envs.agents.features import features
+from swarm_envs.baselines import mlr_dmpc, rth3d
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.interactions import load
+from swarm_envs.motors import BatteryModel
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.obstacles import Box, Column
+from swarm_envs.training.collection.potentials import Potential, push_apart
+from swarm_envs.vehicles import parse_team
+
+Arrays = dict[str, FloatArray]
+
+
+def fly(task: str, decisions: int = 4, **options: Any) -> Arrays:
+    """A short flight with actions drawn from a seed, on the compiled engine."""
+    env = swarm_envs.make(task, physics="batch", **options)
+    observations, _ = env.reset(seed=1)
+    rng, rows, rewards = np.random.default_rng(2), [], []
+    for _ in range(decisions):
+        actions = {}
+        for name in observations:
+            width = env.action_space(name).shape[0]
+            actions[name] = rng.uniform(-0.5, 0.5, width).astype(np.float32)
+        observations, reward, *_ = env.step(actions)
+        rows.append([np.ravel(observations[name]) for name in observations])
+        rewards.append([reward[name] for name in reward])
+    state = env.core.physics.state
+    found = {name: getattr(state, name).copy() for name in state._fields}
+    env.close()
+    return {**found, "observations": np.array(rows), "rewards": np.array(rewards)}
+
+
+def swap_of_a_mixed_team() -> Arrays:
+    """Wakes, batteries, gusts, noise, obstacles."""
+    return fly(
+        "swap_v0",
+        team="SLS*",
+        interactions="wake",
+        battery=BatteryModel(),
+        randomization=Randomization(
+            mass=(0.9, 1.1), gust_acceleration=0.5, position_noise_m=0.01, attitude_noise_rad=0.01
+        ),
+        obstacles=(Box((-0.2, -0.2, 0.0), (0.2, 0.2, 0.6)), Column((0.6, 0.6), 0.1, 2.0)),
+    )
+
+
+def swap_of_a_stack() -> Arrays:
+    """One above the other, in the learned force."""
+    return fly("swap_v0", 2, team="LS", layout="stacked", force_rate=48)
+
+
+def ring() -> Arrays:
+    """Reference orbits, velocities as actions."""
+    return fly("ring_v0", interactions="none", action="velocity")
+
+
+def formation() -> Arrays:
+    """Collective thrust and body rates as actions."""
+    return fly("formation_v0", num_drones=4, interactions="none", action="ctbr")
+
+
+def rotors() -> Arrays:
+    """Thrusts as actions."""
+    return fly("swap_v0", num_drones=2, interactions="none", action="rotors", decision_rate=240)
+
+
+def crowd() -> Arrays:
+    """Forces on more drones than are compared each with each."""
+    rng = np.random.default_rng(0)
+    position = rng.uniform([-1.0, -1.0, 0.3], [1.0, 1.0, 2.0], (1, 26, 3))
+    velocity, team = rng.normal(0.0, 0.3, position.shape), parse_team("SL" * 13)
+    return {name: load(name).forces(position, velocity, team) for name in ("wake", "learned")}
+
+
+def filtered() -> Arrays:
+    """An agent behind the safety filter, and what a policy would see of it."""
+    agent = load_agent("straight-line+filter")
+    options = {**agent.requires, "physics": "batch", "interactions": "none"}
+    env = swarm_envs.make("swap_v0", num_drones=3, layout="circle", **options)
+    observations, _ = env.reset(seed=0)
+    agent.reset(env, 0)
+    acts = []
+    for _ in range(12):
+        actions = agent.act(observations, env.view if agent.privileged else None)
+        acts.append([actions[name] for name in actions])
+        observations, *_ = env.step(actions)
+    rows = np.stack([observations[name] for name in observations])
+    neighbors = env.core.config.num_neighbors
+    env.close()
+    return {"actions": np.array(acts), "features": features(rows, neighbors)}
+
+
+def grid_plans() -> Arrays:
+    """Every method on a full grid, and one with walls."""
+    found: Arrays = {}
+    dense = rth3d.make_instance("uniform", (6, 6, 3), seed=0)
+    walled = rth3d.make_instance("buildings", (9, 9, 4), 20, seed=0)
+    for name, instance in (("dense", dense), ("walled", walled)):
+        for method in ("rth3d", "rth3d-lba", "pibt"):
+            facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
+            found[f"{name}-{method}"] = rth3d.plan(*facts, method=method).paths.astype(np.float64)
+    return found
+
+
+def tree_search() -> Arrays:
+    """Stage 1 for two robots that change places."""
+    starts = np.array([[0.0, -0.5, 1.0], [0.0, 0.5, 1.0]])
+    model = load("none")
+    problem = PlanningProblem(starts, starts[::-1].copy(), parse_team("SS"), model, plane="yz")
+    found = search(problem, SearchConfig(iterations=400, iterations_per_tree=200), seed=0)
+    plan = found.trajectories
+    return {"cost": np.array([found.cost])} | ({"states": plan.states} if plan else {})
+
+
+def rounds() -> Arrays:
+    """MLR-DMPC for three drones, with losses."""
+    starts = np.array([[-0.6, 0.0, 1.0], [0.6, 0.0, 1.0], [0.0, 0.8, 1.0]])
+    done = mlr_dmpc.simulate(
+        starts, starts[[1, 0, 2]], compute_units=2, loss=0.1, seed=0, duration_s=1.6
+    )
+    return {"positions": done.reference_positions}
+
+
+def repulsion() -> Arrays:
+    """The potentials that keep collecting drones apart."""
+    rng, out = np.random.default_rng(0), np.zeros((2, 5, 3))
+    position = rng.uniform([-0.4, -0.4, 0.1], [0.4, 0.4, 0.9], out.shape)
+    near, floor = Potential(0.3, 0.02, 4.0), Potential(0.4, 0.02, 3.0)
+    push_apart(position, np.full(5, 0.06), near, floor, out)
+    return {"push": out}
+
+
+SCENARIOS: dict[str, Callable[[], Arrays]] = {
+    job.__name__: job
+    for job in (
+        *(swap_of_a_mixed_team, swap_of_a_stack, ring, formation, rotors, crowd, filtered),
+        *(grid_plans, tree_search, rounds, repulsion),
+    )
+}
+"""Every job by its name."""
+
+
+if __name__ == "__main__":
+    np.savez(sys.argv[2], **SCENARIOS[sys.argv[1]]())  # type: ignore[arg-type]

@@ -1,0 +1,137 @@
+"""Mutation testing of the code whose numbers everything else stands on, kernels interpreted.
+
+python -m tests.mutation                           a sample of every group; minutes
+python -m tests.mutation --group physics --sample 0     all mutants of one; hours
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+os.environ["NUMBA_DISABLE_JIT"] = "1"  # before numba is imported: no kernel sees a mutant compiled
+
+from tqdm import tqdm
+
+from swarm_envs.files import write_json
+from tests.mutation.mutants import mutants, sample
+from tests.mutation.runner import run_tests, warm_up
+from tests.mutation.targets import GROUPS, Group
+
+Row = dict[str, Any]
+Key = tuple[Any, ...]
+Note = Callable[[Row], None]
+
+
+def judge(group: Group, size: int, seed: int, killed: dict[Key, Row], note: Note) -> None:
+    """Run the group's tests on a sample of its mutants.
+
+    Args:
+        group: whose mutants.
+        size: of the sample; 0 for all.
+        seed: of the sample.
+        killed: rows of an earlier run, which need no other.
+        note: told what became of each mutant.
+
+    Raises:
+        RuntimeError: the tests fail on the files as they are.
+    """
+    limits: dict[tuple[str, ...], int] = {}
+    chosen = sample(group.modules, size, seed)
+    for mutant, source in tqdm(chosen, desc=group.name, unit="mutant", total=size or None):
+        row: Row = {**asdict(mutant), "difference": mutant.difference(source)}
+        if _key(row) in killed:
+            note(killed[_key(row)])
+            continue
+        tests = group.modules[mutant.path]
+        if tests not in limits:
+            limits[tests] = 5 + int(4 * warm_up(tests))
+        verdict = run_tests(tests, limits[tests], (mutant.path, source))
+        status = "survived" if verdict.status == "passed" else verdict.status
+        cpu_s = round(verdict.cpu_s, 2)
+        note({**row, "group": group.name, "verdict": status, "cpu_s": cpu_s})
+
+
+def _key(row: Row) -> Key:
+    return tuple(row[name] for name in ("path", "operator", "occurrence", "difference"))
+
+
+def _killed_before(out: Path | None) -> dict[Key, Row]:
+    """Rows of an interrupted or earlier run; what survived is tried again, on tests of today."""
+    if out is None or not out.exists():
+        return {}
+    rows = json.loads(out.read_text(encoding="utf-8"))
+    return {_key(row): row for row in rows if row["verdict"] != "survived"}
+
+
+def table(rows: list[Row]) -> str:
+    """Kills by group and file, as a table of Markdown."""
+    lines = [
+        "| group | file | mutants | drawn | killed | by time | % |",
+        "|---|---|--:|--:|--:|--:|--:|",
+    ]
+    for name in dict.fromkeys(row["group"] for row in rows):
+        of_group = [row for row in rows if row["group"] == name]
+        for path in dict.fromkeys(row["path"] for row in of_group):
+            drawn = [row for row in of_group if row["path"] == path]
+            lines.append(_line(name, f"`{path}`", len(mutants(path)), drawn))
+        lines.append(_line(f"**{name}**", "", _count(name), of_group))
+    return "\n".join(lines)
+
+
+def _count(name: str) -> int:
+    return sum(
+        len(mutants(path)) for group in GROUPS if group.name == name for path in group.modules
+    )
+
+
+def _line(name: str, file: str, count: int, drawn: list[Row]) -> str:
+    killed = sum(row["verdict"] != "survived" for row in drawn)
+    slow = sum(row["verdict"] == "timeout" for row in drawn)
+    share = f"{100 * killed / len(drawn):.0f}"
+    return f"| {name} | {file} | {count} | {len(drawn)} | {killed} | {slow} | {share} |"
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Judge a sample of every group, print the table and the survivors.
+
+    Returns:
+        0 if every group has 80 % of its mutants killed, else 1.
+    """
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--group", choices=[g.name for g in GROUPS], action="append")
+    parser.add_argument("--sample", type=int, default=100, help="mutants of each group; 0: all")
+    parser.add_argument("--seed", type=int, default=0, help="of the sample")
+    parser.add_argument("--json", type=Path, help="write what became of each; kills are kept")
+    options = parser.parse_args(arguments)
+    rows: list[Row] = []
+    killed = _killed_before(options.json)
+
+    def note(row: Row) -> None:
+        rows.append(row)
+        killed.pop(_key(row), None)
+        if options.json is not None:
+            write_json(options.json, [*rows, *killed.values()])
+
+    for group in GROUPS:
+        if not options.group or group.name in options.group:
+            judge(group, options.sample, options.seed, killed, note)
+    print(table(rows))
+    for row in rows:
+        if row["verdict"] == "survived":
+            print(f"\n{row['path']}:{row['line']} {row['operator']}\n{row['difference']}")
+    return int(not all(_passes(rows, name) for name in {row["group"] for row in rows}))
+
+
+def _passes(rows: list[Row], name: str) -> bool:
+    verdicts = [row["verdict"] for row in rows if row["group"] == name]
+    return sum(v != "survived" for v in verdicts) >= 0.8 * len(verdicts)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,58 @@
+"""What is mutated, and the tests that should notice: quick ones, kernels interpreted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+_RIGID_BODY = ("tests/physics/test_rigid_body.py",)
+_CONTACT = (
+    *("tests/physics/test_contact.py", "tests/tasks/test_obstacles.py"),
+    *("-k", "not bullet and (test_contact or name_the)"),
+)
+_OBSTACLES = ("tests/tasks/test_obstacles.py", "-k", "nearest_points or many_points or name_the")
+_MOTORS = ("tests/test_motors.py",)
+_TRACKING = ("tests/control/test_tracking.py",)
+_MIXER = ("tests/control/test_mixer.py",)
+_TRACKER = ("tests/baselines/mlr_dmpc/test_tracker.py",)
+_PATHS = ("tests/baselines/rth3d/test_validation.py", "-k", "ring or broken or follow or obstacles")
+_CHECKS = ("tests/baselines/mlr_dmpc/test_checks.py",)
+_VERIFY = ("tests/baselines/neural_swarm/planner/test_verify.py",)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Files that belong together."""
+
+    name: str
+    modules: dict[str, tuple[str, ...]]
+    """By path of a file: arguments of pytest that run its tests."""
+
+
+GROUPS = (
+    Group(
+        "physics",
+        {
+            "swarm_envs/physics/rigid_body.py": _RIGID_BODY,
+            "swarm_envs/physics/contact.py": _CONTACT,
+            "swarm_envs/physics/obstacles.py": _OBSTACLES,
+            "swarm_envs/motors.py": _MOTORS,
+        },
+    ),
+    Group(
+        "trackers",
+        {
+            "swarm_envs/control/tracking.py": _TRACKING,
+            "swarm_envs/control/attitude.py": _TRACKING,
+            "swarm_envs/control/mixer.py": _MIXER,
+            "baselines/mlr_dmpc/tracker.py": _TRACKER,
+        },
+    ),
+    Group(
+        "validators",
+        {
+            "baselines/rth3d/validation.py": _PATHS,
+            "baselines/mlr_dmpc/checks.py": _CHECKS,
+            "baselines/neural_swarm/planner/verify.py": _VERIFY,
+        },
+    ),
+)

@@ -1,0 +1,31 @@
+"""Kernels mean the same compiled and interpreted: Python is the second implementation."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.helpers.scenarios import SCENARIOS
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_interpreted_kernels_give_what_compiled_ones_give(name: str, tmp_path: Path) -> None:
+    out = tmp_path / "arrays.npz"
+    command = [sys.executable, "-m", "tests.helpers.scenarios", name, str(out)]
+    plain = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, cwd=ROOT, env=plain, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    compiled = SCENARIOS[name]()
+    with np.load(out) as interpreted:
+        assert set(interpreted) == set(compiled)
+        for field, expected in compiled.items():
+            np.testing.assert_allclose(
+                interpreted[field], expected, rtol=1e-6, atol=1e-9, err_msg=field
+            )
