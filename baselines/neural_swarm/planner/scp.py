@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -66,6 +66,17 @@ class RefinementOptions:
     """Of goals and bounds."""
     solver: SolverSettings = SolverSettings()
     """Of each program."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that no search can have.
+
+        Raises:
+            ValueError: naming the option and its value.
+        """
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int | float) and not 0.0 <= value < np.inf:
+                raise ValueError(f"{field.name} is {value!r:.80}, but must be finite and 0 or more")
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
 from swarm_envs.baselines.rth3d.flight.planes import joined, planes_between, planes_to_boxes
 from swarm_envs.baselines.rth3d.flight.program import FIXED, improve, smoothness
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
+from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
 _ROUNDING = 1e-5
@@ -59,8 +60,9 @@ class SmoothingConfig:
         for name in ("distance", "obstacle_distance", "travel", "speed", "acceleration"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, but must be positive")
-        if self.rounds < 1 or self.jerk_weight < 0.0:
-            raise ValueError("rounds must be at least 1, and jerk_weight not negative")
+        check_integer("rounds", self.rounds, 1)
+        if not 0.0 <= self.jerk_weight < np.inf:
+            raise ValueError(f"jerk_weight is {self.jerk_weight!r}, but must be 0 or more")
 
 
 @typed
