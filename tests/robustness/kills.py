@@ -56,7 +56,7 @@ def run(*arguments: str) -> Run:
 
 
 def _fit(out: Path) -> int:
-    from swarm_envs.training.force_model.rows import save_rows
+    from swarm_envs.training.interaction_rows import save_rows
     from tests.helpers.tiny_fits import rows_of
 
     data = out.parent / "rows.npz"
