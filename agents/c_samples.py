@@ -54,14 +54,16 @@ def draw_state(policy: Policy, others: int, rng: np.random.Generator) -> KnownSt
     if note.features == REFERENCE:
         near = position[0] + rng.normal(0.0, 0.1, 3)
         task = np.concatenate([near, rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.8, 3)])
-    parts = (position, velocity, rng.uniform([-1.5, -1.5, 0.5], [1.5, 1.5, 2.0], (count, 3)))
+    goal = rng.uniform([-1.5, -1.5, 0.5], [1.5, 1.5, 2.0], (count, 3))
     return KnownState(
-        *(np.float32(part) for part in parts),
+        position.astype(np.float32),
+        velocity.astype(np.float32),
+        goal.astype(np.float32),
         np.asarray(rng.choice(known, count)),
-        np.float32(up / np.linalg.norm(up)),
+        (up / np.linalg.norm(up)).astype(np.float32),
         np.float32(rng.uniform(0.3, 0.8)),
-        np.float32(position[0] + rng.normal(0.0, 0.05, 3)),
-        np.float32(task),
+        (position[0] + rng.normal(0.0, 0.05, 3)).astype(np.float32),
+        task.astype(np.float32),
     )
 
 
@@ -70,7 +72,7 @@ def observation_row(policy: Policy, state: KnownState) -> Float32Array:
     note = policy.note
     layout = {f.name: f.where for f in observation_layout(note.num_neighbors)}
     row = np.zeros(observation_width(note.num_neighbors))
-    position, velocity, goal = (np.float64(part) for part in state[:3])
+    position, velocity, goal = (np.asarray(part, np.float64) for part in state[:3])
     codes = np.eye(len(VEHICLES))[state.types]
     row[layout["self.position"]] = position[0]
     row[layout["self.velocity"]] = velocity[0] / SPEED_LIMIT
@@ -87,13 +89,17 @@ def observation_row(policy: Policy, state: KnownState) -> Float32Array:
             row[layout[f"neighbor_{k}.{name}"]] = values
     if note.features == REFERENCE:
         scales = (1.0, SPEED_LIMIT, ACCELERATION_LIMIT)
-        wanted = np.float64(state.task).reshape(3, 3) - [position[0], np.zeros(3), np.zeros(3)]
+        wanted = np.asarray(state.task, np.float64).reshape(3, 3) - [
+            position[0],
+            np.zeros(3),
+            np.zeros(3),
+        ]
         for name, values, scale in zip(_MOTIONS, wanted, scales, strict=True):
             row[layout[f"task.reference_{name}"]] = values / scale
     else:
         row[layout["task.goal"]] = goal[0] - position[0]
         row[layout["task.time_left"]] = state.task
-    return np.float32(row)
+    return row.astype(np.float32)
 
 
 _MOTIONS = ("position", "velocity", "acceleration")

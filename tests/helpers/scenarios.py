@@ -105,7 +105,7 @@ def filtered() -> Arrays:
     rows = np.stack([observations[name] for name in observations])
     neighbors = env.core.config.num_neighbors
     env.close()
-    return {"actions": np.array(acts), "features": features(rows, neighbors)}
+    return {"actions": np.array(acts), "features": features(rows, neighbors).astype(np.float64)}
 
 
 def grid_plans() -> Arrays:

@@ -50,7 +50,7 @@ class Installation:
 
     def install(self, *requirements: str) -> None:
         """Install by pip, with the user's settings of it, or by uv, under the row's constraints."""
-        pip = [self.bin / "python", "-m", "pip", "install"]
+        pip: list[str | Path] = [self.bin / "python", "-m", "pip", "install"]
         if self.uv is not None:
             pip = [self.uv, "pip", "install", "--python", self.bin / "python"]
         self._run([*pip, "--quiet", "-c", self._constraints, *requirements], own=True)

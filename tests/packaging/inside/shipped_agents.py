@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from swarm_envs import make
@@ -9,18 +11,19 @@ from swarm_envs.agents import load
 from swarm_envs.agents.registry import SHIPPED
 
 TASKS = {"formation-ppo": "formation_v0", "ring-ppo": "ring_v0"}
-TEAMS = {"ring-ppo": {"num_drones": 5}, "swap-ppo-8": {"num_drones": 8}}
+TEAMS: dict[str, dict[str, int]] = {"ring-ppo": {"num_drones": 5}, "swap-ppo-8": {"num_drones": 8}}
 DECISIONS = 3
 
 for name in SHIPPED:
     agent = load(name)
-    options = {"num_drones": 2} | TEAMS.get(name, {}) | dict(agent.requires)
+    options: dict[str, Any] = {"num_drones": 2}
+    options |= TEAMS.get(name, {}) | dict(agent.requires)
     env = make(TASKS.get(name, "swap_v0"), physics="batch", **options)
     observations, _ = env.reset(seed=0)
     agent.reset(env, seed=0)
-    for _ in range(DECISIONS):
+    for _step in range(DECISIONS):
         actions = agent.act(observations, env.view if agent.privileged else None)
         assert all(np.isfinite(action).all() for action in actions.values()), name
-        observations, *_ = env.step(actions)
+        observations = env.step(actions)[0]
     print(f"{name} flies")
     env.close()
