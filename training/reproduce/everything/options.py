@@ -157,7 +157,7 @@ def _about(options: ReproduceOptions) -> tuple[str, ...]:
     return (
         f"Every table and figure of three papers, remade by `swarm-envs reproduce all{quick}` "
         f"(swarm-envs {__version__}). {how}",
-        "Each number has a range that counts as the paper's, set before the run. What lies "
+        "Each number has a range that counts as the paper's. What lies "
         "outside is explained only if a known reason covers it, in its direction and so far; else "
         "it stands as unexplained.",
     )
