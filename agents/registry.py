@@ -60,6 +60,8 @@ def load(name: str) -> Agent:
         FileNotFoundError: there is no such file.
         ImportError: the file cannot be imported.
     """
+    if not name:
+        raise ValueError(f"name is '', but must be one of {', '.join(SHIPPED)}, or a file's")
     if name.endswith(FILTER):
         from swarm_envs.agents.safety import SafetyFilter
 

@@ -101,10 +101,15 @@ class SafetyFilter:
         safety: how much of it.
 
     Raises:
+        TypeError: it is no agent.
         ValueError: the agent acts otherwise.
     """
 
     def __init__(self, agent: Agent, safety: Safety | None = None) -> None:
+        if not hasattr(agent, "requires"):
+            raise TypeError(
+                f"agent is {agent!r:.80}, but must be an Agent, which says what it requires"
+            )
         self.agent, self.safety = agent, safety or Safety()
         needed = {"action": "acceleration", "observation": "flat"}
         for name, wanted in needed.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import os
 import sys
 import types
 import typing
@@ -113,6 +114,8 @@ def kind_of(annotation: Any) -> Kind:
         return _one_of(inner)
     if origin is np.ndarray:
         return Kind("an array of numbers", _is_numbers)
+    if origin is os.PathLike:
+        return Kind("a path", lambda value: isinstance(value, os.PathLike))
     if origin is tuple:
         return _tuple_of(inner)
     if origin in (list, Sequence):

@@ -64,7 +64,7 @@ def rest_to_rest(
             positive and finite.
     """
     time = _positive("duration", duration)
-    u = np.clip(np.asarray(t, dtype=np.float64) / time, 0.0, 1.0)
+    u = np.clip(_times(t) / time, 0.0, 1.0)
     value = u**4 * (35.0 - 84.0 * u + 70.0 * u**2 - 20.0 * u**3)
     first = 140.0 * u**3 * (1.0 - u) ** 3
     second = 420.0 * u**2 * (1.0 - u) ** 2 * (1.0 - 2.0 * u)
@@ -97,7 +97,7 @@ def ramped_line(
     time = _positive("duration", duration)
     if not 0.0 < ramp <= 0.5:
         raise ValueError(f"ramp is {ramp!r}, but must be a share of the duration in (0, 0.5]")
-    u = np.clip(np.asarray(t, dtype=np.float64) / time, 0.0, 1.0)
+    u = np.clip(_times(t) / time, 0.0, 1.0)
     up = _ramped_time(u, ramp)
     down = _ramped_time(1.0 - u, ramp)
     late = u > 0.5
@@ -207,16 +207,24 @@ def _ramped_time(t: FloatArray, ramp_time: float) -> _Profile:
 
 def _scale_time(profile: _Profile, duration: FloatArray) -> _Profile:
     """The derivatives by time of a profile given over the share of a duration."""
-    return _Profile(
-        profile.value,
-        profile.first / duration,
-        profile.second / duration**2,
-        profile.third / duration**3,
-    )
+    with np.errstate(over="ignore"):  # what takes for ever has no derivatives
+        return _Profile(
+            profile.value,
+            profile.first / duration,
+            profile.second / duration**2,
+            profile.third / duration**3,
+        )
 
 
 def _along_line(start: npt.ArrayLike, goal: npt.ArrayLike, profile: _Profile) -> Reference:
     origin, end = _points("start", start), _points("goal", goal)
+    try:
+        np.broadcast_shapes(origin.shape[:-1], end.shape[:-1], profile.value.shape)
+    except ValueError:
+        raise ValueError(
+            f"start {origin.shape}, goal {end.shape}, duration and t {profile.value.shape} do not "
+            "fit together: each leads with as many, or with one"
+        ) from None
     way = end - origin
     value = profile.value[..., None]
     # Weighted so that the end is met to the last bit.
@@ -235,6 +243,13 @@ def _points(name: str, value: npt.ArrayLike) -> FloatArray:
         raise ValueError(f"{name} has shape {array.shape}, but must end in 3: x, y, z")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} is {array.tolist()}, but must be finite")
+    return array
+
+
+def _times(t: npt.ArrayLike) -> FloatArray:
+    array = np.asarray(t, dtype=np.float64)
+    if np.isnan(array).any():
+        raise ValueError(f"t is {t!r}, but must hold no NaN")
     return array
 
 

@@ -150,12 +150,15 @@ def read_table(path: str | os.PathLike[str]) -> FlightTable:
     ending = file.suffix.lower()
     if ending not in SUFFIXES:
         raise ValueError(
-            f"{file.name} ends in {file.suffix!r}, but must in .csv or .parquet (logs), or .npz "
-            "(rows)"
+            f"path {file.name!r} ends in {file.suffix!r}, but must in .csv or .parquet (logs), or "
+            ".npz (rows)"
         )
     if not file.is_file():
         raise FileNotFoundError(f"no flight log at {os.fspath(path)!r}; give its path")
-    return from_columns(_read_csv(file) if ending == ".csv" else _read_parquet(file))
+    try:
+        return from_columns(_read_csv(file) if ending == ".csv" else _read_parquet(file))
+    except UnicodeDecodeError as error:
+        raise ValueError(f"path {file.name!r} is no text in UTF-8: {error}") from error
 
 
 def _read_csv(path: Path) -> Columns:

@@ -43,7 +43,7 @@ COMMANDS: dict[str, tuple[list[str], str]] = {
         ["evaluate", "--agent", "hover", "--episodes", "3", "--horizon-s", "1"],
         "report.json",
     ),
-    "export --out": (["export"], "learned.h"),
+    "export force --out": (["export", "force"], "learned.h"),
     "collect --out": (COLLECT, ""),
 }
 """Commands, small, whose name ends in the option that says where to write, and what: a file of this
@@ -73,7 +73,7 @@ def run(
         ready, tell = os.pipe()
         child = os.fork()
         if child == 0:
-            _become([*words, name.split()[1], str(target)], prepare, error.fileno(), tell)
+            _become([*words, name.split()[-1], str(target)], prepare, error.fileno(), tell)
         os.close(tell)
         os.read(ready, 1)
         os.close(ready)
@@ -275,7 +275,7 @@ def main() -> int:
 def run_here(name: str, folder: Path) -> int:
     """Run a command in this process, so that those to come find all loaded and compiled."""
     words, file = COMMANDS[name]
-    return command_line([*words, name.split()[1], str(folder / file if file else folder)])
+    return command_line([*words, name.split()[-1], str(folder / file if file else folder)])
 
 
 if __name__ == "__main__":

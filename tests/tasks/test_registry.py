@@ -87,7 +87,7 @@ def test_unknown_options_are_refused(task):
     ):
         with pytest.raises(TypeError, match=f"unknown option '{wrong}'; did you mean '{near}"):
             module.parallel_env(**{wrong: 3})
-    with pytest.raises(TypeError, match="reward_weights is 3, but must be a Mapping"):
+    with pytest.raises(TypeError, match="reward_weights is 3, but must be a mapping"):
         module.parallel_env(reward_weights=3)
 
 
