@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import glob
+import importlib
 import json
 import os
 import platform
@@ -123,3 +124,22 @@ def write_table(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
+
+
+def pyarrow(what: str, otherwise: str) -> tuple[Any, Any]:
+    """Give the packages pyarrow and pyarrow.parquet, which read and write Parquet.
+
+    Args:
+        what: needs them, for the message.
+        otherwise: how to do without, likewise.
+
+    Raises:
+        ImportError: they are not installed; the message says how to get them.
+    """
+    try:
+        return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
+    except ImportError as error:
+        raise ImportError(
+            f"{what} needs pyarrow; install it by: pip install 'swarm-envs[parquet]', or "
+            f"{otherwise}"
+        ) from error

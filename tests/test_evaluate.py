@@ -19,27 +19,20 @@ from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, 
 from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean, rate_interval, score
 from swarm_envs.cli import main
 from swarm_envs.files import LOCK
+from tests.helpers.users_agents import FAILING, FINE
 
 QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "4", "--seed", "7"]
 
-MINE = """
-import numpy as np
-class Fine:
-    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
-    def reset(self, env, seed): self.count = 0
-    def act(self, observations, view):
-        self.count += 1
-        return {name: self.say() for name in observations}
-    def say(self): return np.zeros(3, np.float32)
-class Raises(Fine):
-    def say(self): return {}['nothing']
-class Nan(Fine):
-    def say(self): return np.full(3, np.nan if self.count > 2 else 0.0)
+MINE = (
+    FINE
+    + FAILING
+    + """
 class Unmade(Fine):
     def __init__(self): raise SystemExit('no')
 class Picky(Fine):
     requires = {'action': 'acceleration', 'num_drones': 5}
 """
+)
 
 BATCH = """
 import numpy as np

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.files import written_whole
+from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.state import FloatArray
 
 TEXT = ("drone", "type")
@@ -43,10 +43,8 @@ SUFFIXES = (".csv", ".parquet")
 """How names of logs end."""
 
 _LONGEST_NAME = 31
-_NEED_PYARROW = (
-    "Parquet files need pyarrow; install it by: pip install 'swarm-envs[parquet]', or write the "
-    "table as CSV"
-)
+_OTHERWISE = "write the table as CSV"
+"""What to do without pyarrow."""
 _EMPTY = "the file is empty; copy it again or delete it"
 _BAD_CELL = re.compile(r"could not convert string (?P<value>'.*') to .* row (\d+), column (\d+)")
 
@@ -223,10 +221,7 @@ def _parse(
 
 
 def _read_parquet(path: Path) -> Columns:
-    try:
-        import pyarrow.parquet as parquet
-    except ImportError as error:
-        raise ImportError(f"{path.name}: {_NEED_PYARROW}") from error
+    _, parquet = pyarrow(path.name, _OTHERWISE)
     if path.stat().st_size == 0:
         raise ValueError(_EMPTY)
     try:
@@ -283,9 +278,5 @@ def _write_columns(target: Path, columns: dict[str, npt.NDArray[Any]]) -> None:
             writer.writerow(columns)
             writer.writerows(zip(*(values.tolist() for values in columns.values()), strict=True))
     else:
-        try:
-            import pyarrow
-            import pyarrow.parquet as parquet
-        except ImportError as error:
-            raise ImportError(f"{target.name}: {_NEED_PYARROW}") from error
-        parquet.write_table(pyarrow.table({n: v.tolist() for n, v in columns.items()}), target)
+        arrow, parquet = pyarrow(target.name, _OTHERWISE)
+        parquet.write_table(arrow.table({n: v.tolist() for n, v in columns.items()}), target)

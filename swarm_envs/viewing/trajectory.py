@@ -9,7 +9,6 @@ An npz file holds the fields of `Recording` as arrays (T, N, ...) and the same J
 
 from __future__ import annotations
 
-import importlib
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -21,7 +20,7 @@ import numpy.typing as npt
 
 from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
-from swarm_envs.files import written_whole
+from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.vehicles import Vehicle
 from swarm_envs.viewing.record import About, Recording
 from swarm_envs.viewing.solids import Solid
@@ -213,10 +212,4 @@ def _check_names(path: Path, wanted: Any, found: Any) -> None:
 
 
 def _arrow() -> tuple[Any, Any]:
-    try:
-        return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise ImportError(
-            "Parquet files need pyarrow; install it by: pip install 'swarm-envs[parquet]', or name "
-            "the file .npz"
-        ) from error
+    return pyarrow("a Parquet file", "name the file .npz")

@@ -15,6 +15,7 @@ from swarm_envs.agents.scores import (
     interquartile_mean,
     rate_interval,
 )
+from swarm_envs.training.scoreboard.board import Metric
 from swarm_envs.training.scoreboard.normalised import score_of
 from swarm_envs.training.scoreboard.tasks import ScoredTask
 
@@ -25,19 +26,9 @@ Value = dict[str, Any]
 
 
 @dataclass(frozen=True)
-class Metric:
-    """A column of the scoreboard."""
+class Measured(Metric):
+    """A metric, and how it is made of the table of episodes."""
 
-    name: str
-    """In files, with its unit."""
-    label: str
-    """For people."""
-    unit: str
-    """`%` for shares, which are in [0, 1] in files."""
-    better: Literal["higher", "lower", "neither"]
-    """Which values are."""
-    help: str
-    """What it means, in a sentence."""
     column: str
     """Of the table of episodes; empty for the times of decisions, which are not in it."""
     statistic: Literal["rate", "mean", "iqm", "percentile"] = "iqm"
@@ -47,7 +38,7 @@ class Metric:
 
 
 METRICS = (
-    Metric(
+    Measured(
         "success_rate",
         "success",
         "%",
@@ -56,7 +47,7 @@ METRICS = (
         "success",
         "rate",
     ),
-    Metric(
+    Measured(
         "score",
         "score",
         "",
@@ -65,7 +56,7 @@ METRICS = (
         "ring, margin to the tracking limit.",
         "score",
     ),
-    Metric(
+    Measured(
         "collision_rate",
         "collided",
         "%",
@@ -74,7 +65,7 @@ METRICS = (
         "collided",
         "rate",
     ),
-    Metric(
+    Measured(
         "near_miss_rate",
         "near miss",
         "%",
@@ -84,7 +75,7 @@ METRICS = (
         "near_miss",
         "rate",
     ),
-    Metric(
+    Measured(
         "minimum_separation_m",
         "separation",
         "m",
@@ -92,7 +83,7 @@ METRICS = (
         "Smallest distance between two drones.",
         "minimum_separation_m",
     ),
-    Metric(
+    Measured(
         "makespan_s",
         "makespan",
         "s",
@@ -102,7 +93,7 @@ METRICS = (
         "makespan_s",
         of="successes",
     ),
-    Metric(
+    Measured(
         "worst_tracking_error_m",
         "worst error",
         "m",
@@ -110,7 +101,7 @@ METRICS = (
         "Largest distance of any drone to its reference, where the task gives a moving one.",
         "worst_tracking_error_m",
     ),
-    Metric(
+    Measured(
         "rms_tracking_error_m",
         "RMS error",
         "m",
@@ -118,7 +109,7 @@ METRICS = (
         "Root mean square distance to the reference, where the task gives a moving one.",
         "rms_tracking_error_m",
     ),
-    Metric(
+    Measured(
         "worst_height_error_m",
         "height error",
         "m",
@@ -126,7 +117,7 @@ METRICS = (
         "Largest vertical distance of any drone to its reference: what downwash does.",
         "worst_height_error_m",
     ),
-    Metric(
+    Measured(
         "worst_force_g",
         "worst force",
         "g",
@@ -134,7 +125,7 @@ METRICS = (
         "Largest force of the air on any drone.",
         "worst_force_g",
     ),
-    Metric(
+    Measured(
         "fraction_over_force_bound",
         "over force bound",
         "%",
@@ -143,7 +134,7 @@ METRICS = (
         "fraction_over_force_bound",
         "mean",
     ),
-    Metric(
+    Measured(
         "energy_j",
         "energy",
         "J",
@@ -152,7 +143,7 @@ METRICS = (
         "energy_j",
         of="successes",
     ),
-    Metric(
+    Measured(
         "fraction_outside_measured_range",
         "extrapolated",
         "%",
@@ -161,7 +152,7 @@ METRICS = (
         "fraction_outside_measured_range",
         "mean",
     ),
-    Metric(
+    Measured(
         "act_us_p50",
         "decision p50",
         "µs",
@@ -170,7 +161,7 @@ METRICS = (
         "",
         "percentile",
     ),
-    Metric(
+    Measured(
         "act_us_p99",
         "decision p99",
         "µs",
@@ -240,7 +231,7 @@ def values_of(rows: Sequence[Row], act_us: Sequence[int]) -> dict[str, Value]:
     return {metric.name: _value(metric, rows, act_us) for metric in METRICS}
 
 
-def _value(metric: Metric, rows: Sequence[Row], act_us: Sequence[int]) -> Value:
+def _value(metric: Measured, rows: Sequence[Row], act_us: Sequence[int]) -> Value:
     if metric.statistic == "percentile":
         share = float(metric.name.rpartition("_p")[2])
         spent = np.asarray(act_us, np.float64)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import importlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from swarm_envs.files import written_whole
+from swarm_envs.files import pyarrow, written_whole
 
 Form = Literal["parquet", "csv"]
 
@@ -61,10 +60,4 @@ def _type(arrow: Any, name: str) -> Any:
 
 
 def _arrow() -> tuple[Any, Any]:
-    try:
-        return importlib.import_module("pyarrow"), importlib.import_module("pyarrow.parquet")
-    except ImportError as error:
-        raise ImportError(
-            "a table of episodes in Parquet needs pyarrow; install it by: pip install "
-            "'swarm-envs[parquet]', or write CSV by --table csv"
-        ) from error
+    return pyarrow("a table of episodes in Parquet", "write CSV by --table csv")

@@ -19,24 +19,20 @@ from swarm_envs.cli import main
 from swarm_envs.training.scale_out import episodes
 from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart, fly_chunk
 from swarm_envs.training.scale_out.jobs import Serial
+from tests.helpers.users_agents import FINE
 
 QUICK = ["--drones", "2", "--horizon-s", "0.5", "--episodes", "20", "--seed", "7"]
 
-MINE = """
-import numpy as np
+MINE = (
+    FINE
+    + """
 from pathlib import Path
-class Fine:
-    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
-    def reset(self, env, seed): self.seed, self.count = seed, 0
-    def act(self, observations, view):
-        self.count += 1
-        return {name: self.say() for name in observations}
-    def say(self): return np.zeros(3, np.float32)
 class Some(Fine):
     def say(self): return np.full(3, np.nan if self.seed % 3 == 0 and self.count > 2 else 0.0)
 class Killed(Fine):
     def say(self): __import__('os').kill(__import__('os').getpid(), 9)
 """
+)
 
 
 @pytest.fixture

@@ -15,20 +15,12 @@ import pytest
 
 from swarm_envs.cli import main
 from swarm_envs.training.scoreboard.rows import write_rows
+from tests.helpers.users_agents import FAILING, FINE
 
-MINE = """
-import numpy as np
-class Fine:
-    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
-    def reset(self, env, seed): self.seed, self.count = seed, 0
-    def act(self, observations, view):
-        self.count += 1
-        return {name: self.say() for name in observations}
-    def say(self): return np.zeros(3, np.float32)
-class Raises(Fine):
-    def say(self): return {}['nothing']
-class Nan(Fine):
-    def say(self): return np.full(3, np.nan if self.count > 2 else 0.0)
+MINE = (
+    FINE
+    + FAILING
+    + """
 class Picky(Fine):
     def reset(self, env, seed):
         super().reset(env, seed)
@@ -42,6 +34,7 @@ class Five(Fine):
 class Unmade(Fine):
     def __init__(self): raise SystemExit('no')
 """
+)
 PAIR, FOUR = "swap-circle-2-v1", "swap-circle-4-v1"
 
 
