@@ -110,7 +110,7 @@ def _texts(policy: Policy) -> list[str]:
 
 def _provenance(policy: Policy) -> list[str]:
     note = policy.note
-    told = f"{note.encoder}, features {note.features}, up to {note.drones} drones"
+    told = f"{note.encoder}, features {note.features}, teams of {note.teams} drones"
     lines = [
         f"policy for {note.task}: {told}",
         f"weights: SHA-256 {policy.digest}",

@@ -56,8 +56,8 @@ class PolicyAgent:
         """Check that this is what the policy was trained for; it draws nothing at random.
 
         Raises:
-            ValueError: another task, action or observation, more drones, types that it was not
-                trained with, or obstacles.
+            ValueError: another task, action or observation, more or fewer drones, types that it
+                was not trained with, or obstacles.
         """
         check_requirements(env, self)
         note, task = self.policy.note, env.core.task
@@ -66,11 +66,11 @@ class PolicyAgent:
                 f"this policy was trained for task {note.task!r}, but the environment's is "
                 f"{task.name!r}; train one for it by `swarm-envs train`"
             )
-        if env.core.num_drones > note.drones:
+        if not note.fewest <= env.core.num_drones <= note.drones:
             raise ValueError(
-                f"this policy was trained with {note.drones} drones and flies as many or fewer, "
-                f"but the environment has {env.core.num_drones}; train one with more by "
-                f"`swarm-envs train --drones {env.core.num_drones}`"
+                f"this policy was trained for teams of {note.teams} drones, but the environment "
+                f"has {env.core.num_drones}; train one with such teams too by "
+                f"`swarm-envs train --drones {note.drones} {env.core.num_drones}`"
             )
         others = {vehicle.token for vehicle in task.team} - set(note.types)
         if note.types and others:
@@ -105,20 +105,20 @@ def _shipped(name: str) -> PolicyAgent:
 
 
 def swap_ppo() -> PolicyAgent:
-    """The policy that ships for swaps of up to four drones; see `weights/MODEL_CARD.md`."""
+    """The policy that ships for swaps of four drones; see `weights/MODEL_CARD.md`."""
     return _shipped("swap-ppo")
 
 
 def swap_ppo_8() -> PolicyAgent:
-    """The policy that ships for swaps of up to eight drones; see `weights/MODEL_CARD.md`."""
+    """The policy that ships for swaps of two to eight drones; see `weights/MODEL_CARD.md`."""
     return _shipped("swap-ppo-8")
 
 
 def formation_ppo() -> PolicyAgent:
-    """The policy that ships for formations of up to eight drones; see `weights/MODEL_CARD.md`."""
+    """The policy that ships for formations of six to eight drones; see `weights/MODEL_CARD.md`."""
     return _shipped("formation-ppo")
 
 
 def ring_ppo() -> PolicyAgent:
-    """The policy that ships for rings of five drones; see `weights/MODEL_CARD.md`."""
+    """The policy that ships for rings of up to five drones; see `weights/MODEL_CARD.md`."""
     return _shipped("ring-ppo")

@@ -29,10 +29,13 @@ from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import written_whole
 from swarm_envs.vehicles import VEHICLES
 
-FORMAT = "swarm-envs-policy-2"
+FORMAT = "swarm-envs-policy-3"
 """What a file of a policy says it is."""
-_BEFORE = ("swarm-envs-policy-1",)
-"""Formats that are read, though no longer written."""
+_BEFORE = {
+    "swarm-envs-policy-1": {"fewest", "encoder", "pooling", "types", "per_type"},
+    "swarm-envs-policy-2": {"fewest"},
+}
+"""Formats that are read, though no longer written: what their notes do not say."""
 LARGEST = 1e4
 """No weight of a policy that was trained comes near it; one beyond it was damaged."""
 
@@ -44,7 +47,7 @@ class PolicyNote:
     task: str
     """versioned name, such as `swap_v0`"""
     drones: int
-    """largest team it may fly in: that of its training; smaller ones are easier"""
+    """largest team it may fly in: that of its training"""
     action: str
     """what its numbers mean"""
     decision_rate: int
@@ -61,11 +64,19 @@ class PolicyNote:
     """types of vehicles it was trained with and alone flies; none if it makes no difference"""
     per_type: bool = False
     """whether each of these types has a network of its own"""
+    fewest: int = 1
+    """smallest team it may fly in: places of neighbours that were never empty in its training can
+    mislead it when they are"""
 
     @property
     def sizes(self) -> FeatureSizes:
         """How many numbers its features are."""
         return FEATURE_SETS[self.features].sizes(self.num_neighbors)
+
+    @property
+    def teams(self) -> str:
+        """Team sizes in which it flies, for people."""
+        return f"{self.fewest} to {self.drones}" if self.fewest < self.drones else f"{self.drones}"
 
     @property
     def plan(self) -> Plan:
@@ -98,7 +109,8 @@ class PolicyNote:
                 f"types are {self.types}, per_type is {self.per_type} and features "
                 f"{self.features!r}, but types are named only where they are told"
             )
-        check_integer("drones", self.drones, 1)
+        check_integer("fewest", self.fewest, 1)
+        check_integer("drones", self.drones, self.fewest)
         check_integer("decision_rate", self.decision_rate, 1)
         check_integer("num_neighbors", self.num_neighbors, 0)
 
@@ -208,7 +220,7 @@ def _check_numbers(tensors: Mapping[str, Float32Array]) -> None:
 
 def _about(note: Mapping[str, Any]) -> PolicyNote:
     """The note, checked; what older files do not say is as it was then."""
-    later = {"encoder", "pooling", "types", "per_type"} if note["format"] in _BEFORE else set()
+    later = _BEFORE.get(note["format"], set())
     said = {field.name: note[field.name] for field in fields(PolicyNote) if field.name not in later}
     if "types" in said:
         said["types"] = tuple(said["types"])

@@ -183,7 +183,7 @@ def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
 @pytest.mark.parametrize("name", ["straight-line", "swap-ppo", "swap-ppo-8"])
 def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     agent, seeds = load(name), frozen_seeds(3, TIMED + 5)
-    options = {**agent.requires, "num_drones": 3, "horizon_s": 2.0, "physics": "batch"}
+    options = {**agent.requires, "num_drones": 4, "horizon_s": 2.0, "physics": "batch"}
     env = swap_v0.parallel_env(**options)
     kept = {seeds[-3]: {"seed": seeds[-3], "metrics": {"flown": "before"}, "act_us": []}}
     calls: list[tuple[Episode, ...]] = []

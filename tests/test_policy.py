@@ -25,7 +25,7 @@ from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import observation_layout
 
-NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2)
+NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2, fewest=2)
 
 
 def policy(note: PolicyNote = NOTE, seed: int = 0) -> Policy:
@@ -132,7 +132,8 @@ def test_actions_stay_within_their_bounds():
 @pytest.mark.parametrize(
     ("task", "options", "why"),
     [
-        ("swap_v0", {"num_drones": 4}, r"3 drones .* has 4; .*--drones 4"),
+        ("swap_v0", {"num_drones": 4}, r"teams of 2 to 3 drones, .* has 4; .*--drones 3 4"),
+        ("swap_v0", {"num_drones": 1}, r"teams of 2 to 3 drones, .* has 1; .*--drones 3 1"),
         ("formation_v0", {"num_drones": 3}, "trained for task 'swap_v0', but .* 'formation_v0'"),
         ("swap_v0", {"num_drones": 3, "decision_rate": 48}, "requires decision_rate=10"),
         ("swap_v0", {"num_drones": 3, "action": "velocity"}, "requires action='acceleration'"),

@@ -89,7 +89,8 @@ class RllibConfig:
 
     def note(self) -> PolicyNote:
         """What the policy is trained for."""
-        return PolicyNote(TASK, self.drones, "acceleration", 10, self.num_neighbors)
+        count = self.drones
+        return PolicyNote(TASK, count, "acceleration", 10, self.num_neighbors, fewest=count)
 
 
 class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has no types

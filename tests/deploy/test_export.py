@@ -14,6 +14,9 @@ import pytest
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode, load
+from swarm_envs.baselines.neural_swarm import plan_swarm
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
 from swarm_envs.baselines.rth3d import plan as plan_on_grid
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, smooth
 from swarm_envs.baselines.rth3d.flight.spline import on_grid, shortest_step
@@ -30,6 +33,7 @@ from swarm_envs.deploy import (
     settled,
 )
 from swarm_envs.deploy.report import separation
+from swarm_envs.interactions import load as load_model
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import GRAVITY, SMALL, parse_team
@@ -271,3 +275,24 @@ def test_the_command(recording: Recording, tmp_path: Path, capsys: Any) -> None:
     (tmp_path / "bad.npz").write_bytes(b"nothing")
     assert main(["export", "trajectory", str(tmp_path / "bad.npz"), "--out", str(out)]) == 1
     assert "is not an npz file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["plan.npz", "plan.json"])
+def test_a_saved_plan_is_exported(name: str, tmp_path: Path) -> None:
+    """The pieces pass through the plan's own positions at its own times."""
+    starts = np.array([[0.0, -0.6, 1.0], [0.0, 0.6, 1.0]])
+    goals, air = starts[::-1], load_model("none")
+    problem = PlanningProblem(starts, goals, parse_team("SS"), air, max_duration=3.0, plane="yz")
+    guess = straight_lines(problem, bend=[[0.0, 0.0, 0.3], [0.0, 0.0, -0.3]])
+    given = {"plane": "yz", "max_duration": 3.0, "initial": guess}
+    plan = plan_swarm(starts, goals, "SS", air, **given)  # type: ignore[arg-type]
+    plan.save(tmp_path / name)
+    call = ["export", "trajectory", str(tmp_path / name), "--out", str(tmp_path / "out")]
+    assert main(call) == 0
+    told = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert told["source"] == {"file": name, "plan": "converged", "seed": plan.seed}
+    times = np.linspace(0.0, plan.duration, len(plan.states))
+    for drone in range(2):
+        pieces = read_pieces(tmp_path / "out" / f"drone_{drone}.csv")
+        gap = evaluate(pieces, times)[:, :3] - plan.states[:, drone, :3]
+        assert np.linalg.norm(gap, axis=1).max() < 0.011

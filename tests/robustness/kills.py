@@ -44,7 +44,9 @@ SWEEP = ["drones=2", "environments=8", "rollout=8", "batch_size=64", "hidden=8,8
 SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "passes=1"]
 SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]
 FIT = ["--steps", "200", "--batch-size", "64", "--checkpoint-every", "10", "--no-progress"]
-QUIET = re.compile(r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s)$")
+QUIET = re.compile(
+    r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s|p50|p99)$"
+)
 """Keys of JSON, and columns, whose values say how long a run took, or what it was called with."""
 TRACES = re.compile(r"\.lock$|events\.out|\.png$|\.html$|\.mp4$")
 """Files that are not compared: locks, logs of events, and pictures of what is compared."""
@@ -84,6 +86,10 @@ COMMANDS: Mapping[str, Run] = {
     "evaluate": run(
         *("evaluate", "--drones", "2", "--horizon-s", "1", "--agent", "hover", "tracking"),
         *("--episodes", "60", "--workers", "2"),
+    ),
+    "benchmark": run(
+        *("benchmark", "--agents", "hover", "straight-line", "--tasks", "swap-*-2-v1"),
+        *("--episodes", "24", "--table", "csv", "--no-replays"),
     ),
     "plan": run("plan", "--grid", "24x24x12", "--density", "0.3"),
     "reproduce": run("reproduce", "rth3d", "--figure", "5", "--runs", "2", "--largest", "2000"),

@@ -62,8 +62,10 @@ def test_a_run_is_written_and_its_policy_flies(whole, capsys):
     assert agent.policy.provenance["config"] == report["config"]
     arguments = ["--drones", "2", "--episodes", "2", "--horizon-s", "0.5", "--interactions", "none"]
     assert main(["evaluate", "--agent", str(whole), *arguments]) == 0
-    assert main(["evaluate", "--agent", str(whole), *arguments[2:], "--drones", "3"]) == 1
-    assert "trained with 2 drones" in capsys.readouterr().out
+    for count in ("3", "1"):
+        assert main(["evaluate", "--agent", str(whole), *arguments[2:], "--drones", count]) == 1
+        said = capsys.readouterr().out
+        assert f"trained for teams of 2 drones, but the environment has {count}" in said
 
 
 def test_killed_it_goes_on_and_ends_with_the_same_policy(whole, tmp_path, capsys):
@@ -153,6 +155,7 @@ def test_what_cannot_be_trained_is_refused(options, why, tmp_path, capsys):
     [
         *[("--steps", "0"), ("--batch-size", "1000"), ("--discount", "1.5"), ("--seed", "-1")],
         *[("--decision-rate", "7"), ("--second-stage", "1"), ("--horizon-s", "nan")],
+        ("--fewest", "5"),
     ],
 )
 def test_impossible_numbers_are_refused(option, value, capsys):

@@ -33,7 +33,9 @@ class TrainConfig:
     that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
     drones: int | tuple[int, ...] = 4
     """number of drones; of several numbers, such as `4 8`, each has an equal share of the
-    environments; the policy will fly as many as the largest, or fewer"""
+    environments; the policy will fly in teams from the smallest to the largest"""
+    fewest: int | None = None
+    """smallest team in which the policy will fly; that of its training if not given"""
     team: tuple[str, ...] = ()
     """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
     steps: int = 3_000_000
@@ -159,6 +161,11 @@ class TrainConfig:
                 raise ValueError(f"--{option} is {widths}, but must be one or more widths")
         if min(self.proximity) < 0:
             raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
+        if self.fewest is not None and not 1 <= self.fewest <= min(self.team_sizes):
+            raise ValueError(
+                f"--fewest is {self.fewest}, but must be from 1 to {min(self.team_sizes)}, the "
+                "smallest team that is trained"
+            )
         self._check_belongs()
         if self.environments % len(self.team_sizes):
             raise ValueError(

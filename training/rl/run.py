@@ -195,6 +195,7 @@ def policy_note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
         pooling=config.pooling,
         types=env.types,
         per_type=config.per_type,
+        fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
     )
 
 

@@ -48,7 +48,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "tracking-compensated": Place("tracking, compensated", _COMPENSATED, 2),
         "detour": Place("detour", "Straight ways with bumps around each other, planned once.", 4),
         "detour-compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
-        "swap-ppo": Place("swap PPO", f"{_POLICY} Trained on swaps of up to four."),
+        "swap-ppo": Place("swap PPO", f"{_POLICY} Trained on swaps of four."),
         "swap-ppo+filter": Place("swap PPO + filter", _FILTERED),
         "swap-ppo-8": Place("swap PPO 8", f"{_POLICY} Trained on swaps of four and of eight."),
         "swap-ppo-8+filter": Place("swap PPO 8 + filter", _FILTERED),

@@ -22,8 +22,10 @@ from swarm_envs.cli import main
 from swarm_envs.training.scale_out.cluster import RayWorkers
 from swarm_envs.training.scale_out.jobs import Job, Serial
 from tests.helpers import small_jobs
+from tests.training.scale_out.test_sweep import SWEEP
 
-os.environ["RAY_USAGE_STATS_ENABLED"] = "0"  # nothing is told to anybody
+# Nothing is told to anybody; and nodes have time to begin where others use the processors.
+os.environ.update({"RAY_USAGE_STATS_ENABLED": "0", "RAY_raylet_start_wait_time_s": "120"})
 HERE = small_jobs.__name__
 NODE = {"num_cpus": 1, "object_store_memory": 80 * 2**20}
 
@@ -114,6 +116,41 @@ def test_evaluate_on_a_cluster_that_loses_a_node(cluster, tmp_path, capsys):
     assert many == one
     kept = kept_seeds(out)
     assert len(kept) == len(set(kept)) == 96 * 3
+
+
+@pytest.mark.slow
+def test_a_sweep_on_a_cluster_that_loses_a_node(cluster, tmp_path):
+    """The policies and what they add up to are those of one process, though half the nodes die."""
+    longer = ["steps=6000", "checkpoint-rollouts=2"]
+    sweep = [*SWEEP[: SWEEP.index("--episodes")], *longer, "--episodes", "6"]
+    assert main([*sweep, "--out", str(tmp_path / "one")]) == 0
+    victim, out = cluster.add_node(**NODE), tmp_path / "many"
+
+    def kill_in_the_middle() -> None:
+        while len(list(out.glob("runs/*/checkpoint.safetensors"))) < 2:
+            time.sleep(0.05)
+        cluster.remove_node(victim, allow_graceful=False)
+
+    with ThreadPoolExecutor(1) as other:
+        killed = other.submit(kill_in_the_middle)
+        assert main([*sweep, "--out", str(out), "--ray", cluster.address]) == 0
+        killed.result()
+    for policy in (tmp_path / "one").glob("runs/*/policy.safetensors"):
+        assert (out / policy.relative_to(tmp_path / "one")).read_bytes() == policy.read_bytes()
+    one, many = (json.loads((tmp_path / n / "sweep.json").read_text()) for n in ("one", "many"))
+    assert many["variants"][0]["measured"] == one["variants"][0]["measured"]
+
+
+@pytest.mark.slow
+def test_a_benchmark_on_a_cluster_of_its_own(tmp_path):
+    """`--ray local` begins one, and the episodes are those of one process, to the byte."""
+    given = ["benchmark", "--agents", "straight-line", "detour", "--tasks", "swap-*-2-v1"]
+    given += ["--episodes", "12", "--table", "csv", "--no-replays"]
+    assert main([*given, "--out", str(tmp_path / "one")]) == 0
+    scale = ["--ray", "local", "--workers", "2"]
+    assert main([*given, *scale, "--out", str(tmp_path / "many")]) == 0
+    one, many = ((tmp_path / name / "episodes.csv").read_bytes() for name in ("one", "many"))
+    assert many == one
 
 
 def kept_seeds(out: Path) -> list[tuple[str, int]]:
