@@ -65,8 +65,8 @@ def measured(result: Result, name: str) -> Iterator[None]:
     cpu, wall = cpu_seconds(), time.perf_counter()
     try:
         yield
-    except (Failed, AssertionError, OSError) as error:
-        result["failed"][name] = str(error)
+    except Exception as error:
+        result["failed"][name] = str(error) or repr(error)
     result["cpu_s"][name] = round(cpu_seconds() - cpu, 1)
     result["wall_s"][name] = round(time.perf_counter() - wall, 1)
 
