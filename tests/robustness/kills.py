@@ -45,11 +45,11 @@ SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "passes=1"
 SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]
 FIT = ["--steps", "200", "--batch-size", "64", "--checkpoint-every", "10", "--no-progress"]
 QUIET = re.compile(
-    r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s|p50|p99)$"
+    r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s|p50|p99|manifest)$"
 )
 """Keys of JSON, and columns, whose values say how long a run took, or what it was called with."""
-TRACES = re.compile(r"\.lock$|events\.out|\.png$|\.html$|\.mp4$")
-"""Files that are not compared: locks, logs of events, and pictures of what is compared."""
+TRACES = re.compile(r"^manifest\.json$|\.lock$|events\.out|\.png$|\.html$|\.mp4$")
+"""Files that are not compared: locks, logs of events, a benchmark's record of its runs, pictures."""
 
 
 def run(*arguments: str) -> Run:
