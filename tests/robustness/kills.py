@@ -49,7 +49,7 @@ QUIET = re.compile(
 )
 """Keys of JSON, and columns, whose values say how long a run took, or what it was called with."""
 TRACES = re.compile(r"^manifest\.json$|\.lock$|events\.out|\.png$|\.html$|\.mp4$")
-"""Files that are not compared: locks, logs of events, a benchmark's record of its runs, pictures."""
+"""Files that are not compared: locks, event logs, a record of the runs, and pictures."""
 
 
 def run(*arguments: str) -> Run:
