@@ -123,7 +123,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
     def close_extras(self, **_: object) -> None:
         """Free what physics holds."""
-        self.core.close()
+        if "core" in vars(self):  # Gymnasium 1.1 closes even what was refused
+            self.core.close()
 
     def _begin_again(self, ended: BoolArray, infos: Infos) -> Infos:
         for e in np.flatnonzero(ended).tolist():

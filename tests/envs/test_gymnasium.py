@@ -12,6 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from swarm_envs import TASKS, ring_v0, swap_v0
 from swarm_envs.envs.named import make_joint, make_solo, make_vector
+from swarm_envs.envs.vector import SwarmVectorEnv
 from swarm_envs.registration import gymnasium_name, register
 
 QUICK: dict[str, Any] = {"num_drones": 2, "physics": "batch", "horizon_s": 0.5}
@@ -144,6 +145,12 @@ def test_vector_seeds():
 def test_vector_refuses(call, message):
     with pytest.raises((RuntimeError, ValueError), match=message):
         call(make_vector("swap_v0", num_envs=2, **QUICK))
+
+
+def test_what_was_refused_can_be_closed():
+    """As Gymnasium 1.1 does when it is deleted."""
+    half_made = object.__new__(SwarmVectorEnv)
+    half_made.close_extras()
 
 
 def test_bad_actions_of_teams():
