@@ -15,9 +15,9 @@ class SacOptions:
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: int = 32
     """of a round; each takes a batch from all that is remembered"""
-    batch_size: int = 1024
+    batch_size: int = 512
     """decisions per gradient step"""
-    learning_rate: float = 1e-3
+    learning_rate: float = 3e-3
     """of Adam at the start, for actor, critics and temperature; it falls linearly"""
     last_rate: float = 0.1
     """what is left of it at the end, as a share"""
