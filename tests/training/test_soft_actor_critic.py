@@ -95,9 +95,11 @@ def test_the_actor_finds_the_best_action_of_each_place():
     np.testing.assert_allclose(acted, 0.7 * seen, atol=0.12)
 
 
-@pytest.mark.parametrize(("deviation", "rises"), [(0.01, True), (0.08, True), (0.1, False), (0.5, False)])
+@pytest.mark.parametrize(
+    ("deviation", "rises"), [(0.01, True), (0.08, True), (0.1, False), (0.5, False)]
+)
 def test_the_temperature_seeks_its_entropy(deviation, rises):
-    """-1 for one number, that of a normal distribution with a deviation of exp(-1) / 4.13 = 0.089."""
+    """-1 for one number: that of a normal deviation of exp(-1) / sqrt(2 pi e) = 0.089."""
     model = learner(temperature=0.1)
     with torch.no_grad():
         for layer in (model.actor.mu, model.actor.log_std):
