@@ -18,9 +18,7 @@ class SacOptions:
     batch_size: int = 512
     """decisions per gradient step"""
     learning_rate: float = 3e-3
-    """of Adam at the start, for actor, critics and temperature; it falls linearly"""
-    last_rate: float = 0.1
-    """what is left of it at the end, as a share"""
+    """of Adam, the same throughout, for actor, critics and temperature"""
     lookahead: int = 5
     """rewards that are counted before a critic's word on what follows them (n-step returns)"""
     learning_starts: int = 8192
@@ -42,7 +40,7 @@ class SacOptions:
         for name in _COUNTS:
             check_integer(f"--sac.{name.replace('_', '-')}", getattr(self, name), 1)
         check_integer("--sac.learning-starts", self.learning_starts, 0)
-        for name in ("learning_rate", "last_rate", "smoothing", "temperature"):
+        for name in ("learning_rate", "smoothing", "temperature"):
             value = getattr(self, name)
             if not 1e-7 <= value <= 1.0:
                 raise ValueError(
