@@ -22,7 +22,7 @@ MARGIN = 0.5
 def success_before_and_after(config: TrainConfig) -> tuple[float, float]:
     """Of two drones on the layout, by the untrained policy and by that which was trained."""
     learner = make_learner(config, "swap_v0")
-    layout = completed(config, "swap_v0").layout
+    layout = str(completed(config, "swap_v0").layout)
     seeds = [int(word) for word in np.random.SeedSequence(1).generate_state(64)]
     judges = Judges("swap_v0", (layout,), seeds, {"num_drones": 2, "force_rate": 48})
     note = PolicyNote("swap_v0", 2, "acceleration", 10, 1)

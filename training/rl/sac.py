@@ -36,6 +36,7 @@ class SacLearner:
 
     def __init__(self, config: TrainConfig, task: str) -> None:
         torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+        assert config.discount is not None  # the recipe has one
         self.config = config
         self.rollouts = 0
         self.env = Practice(config, task)

@@ -114,7 +114,8 @@ class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types her
             actions, log_probability = self._drawn(after)
             left = self.critic_target(after, actions).amin(0) - self._temperature * log_probability
             wanted = rewards[:, 0] + discounts[:, 0] * left
-        loss = functional.mse_loss(*torch.broadcast_tensors(self.critic(seen, done), wanted))
+        expected = self.critic(seen, done)
+        loss = functional.mse_loss(expected, wanted.expand_as(expected))
         _descend(self.critic.optimizer, loss, self.critic)
         with torch.no_grad():
             pairs = zip(self.critic_target.parameters(), self.critic.parameters(), strict=True)
@@ -154,5 +155,5 @@ _HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 def _descend(optimiser: torch.optim.Optimizer, loss: Tensor, network: nn.Module) -> None:
     """One step of the network's own parameters, and no gradient of any other."""
     optimiser.zero_grad()
-    loss.backward(inputs=list(network.parameters()))
+    loss.backward(inputs=list(network.parameters()))  # type: ignore[no-untyped-call]
     optimiser.step()
