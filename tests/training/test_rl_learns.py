@@ -25,15 +25,15 @@ def success_before_and_after(config: TrainConfig) -> tuple[float, float]:
     layout = str(completed(config, "swap_v0").layout)
     seeds = [int(word) for word in np.random.SeedSequence(1).generate_state(64)]
     judges = Judges("swap_v0", (layout,), seeds, {"num_drones": 2, "force_rate": 48})
-    note = PolicyNote("swap_v0", 2, "acceleration", 10, 1)
+    note = PolicyNote("swap_v0", 2, "acceleration", 10, config.num_neighbors)
 
     def success() -> float:
         return judges.judge(Policy(note, learner.actor(), {}))[f"{layout}_success"]
 
     before = success()
-    (segment,) = config.segments()
-    entry = learner.fly(segment)
-    assert entry["step"] == len(segment) * config.rollout_steps >= config.steps
+    for segment in config.segments():
+        entry = learner.fly(segment)
+    assert entry["step"] == config.rollouts * config.rollout_steps >= config.steps
     after = success()
     judges.close()
     learner.close()
@@ -61,15 +61,8 @@ def test_200_000_steps_teach_two_drones_to_swap():
 
 @pytest.mark.slow
 def test_sac_teaches_two_drones_to_swap_on_a_circle():
-    config = TrainConfig(
-        out=Path("never"),
-        algo="sac",
-        layout="circle",
-        drones=2,
-        steps=400_000,
-        num_neighbors=1,
-        checkpoint_rollouts=1000,
-    )
+    """What docs/rl.md says of seed 0; a few minutes."""
+    config = TrainConfig(out=Path("never"), algo="sac", layout="circle", drones=2, steps=800_000)
     before, after = success_before_and_after(config)
     assert before < 0.1
     assert after > before + MARGIN

@@ -18,7 +18,7 @@ from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.rollouts import Rollouts
-from swarm_envs.training.rl.schedules import proximity_weight, segment_seed
+from swarm_envs.training.rl.schedules import falling_rate, proximity_weight, segment_seed
 from swarm_envs.training.rl.soft_actor_critic import SoftActorCritic
 from swarm_envs.training.rl.tensors import load_optimiser, optimiser_tensors, without_prefix
 
@@ -45,7 +45,7 @@ class SacLearner:
             self.env,
             lookahead=options.lookahead,
             gamma=config.discount,
-            learning_rate=options.learning_rate,
+            learning_rate=lambda _: falling_rate(config, self.rollouts),
             buffer_size=options.buffer_size,
             learning_starts=options.learning_starts,
             batch_size=options.batch_size,

@@ -15,10 +15,12 @@ class SacOptions:
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: int = 32
     """of a round; each takes a batch from all that is remembered"""
-    batch_size: int = 512
+    batch_size: int = 1024
     """decisions per gradient step"""
-    learning_rate: float = 3e-3
-    """of Adam, the same throughout, for actor, critics and temperature"""
+    learning_rate: float = 1e-3
+    """of Adam at the start, for actor, critics and temperature; it falls linearly"""
+    last_rate: float = 0.1
+    """what is left of it at the end, as a share"""
     lookahead: int = 5
     """rewards that are counted before a critic's word on what follows them (n-step returns)"""
     learning_starts: int = 8192
@@ -40,7 +42,7 @@ class SacOptions:
         for name in _COUNTS:
             check_integer(f"--sac.{name.replace('_', '-')}", getattr(self, name), 1)
         check_integer("--sac.learning-starts", self.learning_starts, 0)
-        for name in ("learning_rate", "smoothing", "temperature"):
+        for name in ("learning_rate", "last_rate", "smoothing", "temperature"):
             value = getattr(self, name)
             if not 1e-7 <= value <= 1.0:
                 raise ValueError(
