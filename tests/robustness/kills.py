@@ -39,7 +39,7 @@ ON_POLICY = [*RL, "--rollout", "8", "--batch-size", "64", "--passes", "2", "--st
 ON_POLICY += ["--checkpoint-rollouts", "3"]
 OFF_POLICY = [*RL, "--steps", "3000", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"]
 OFF_POLICY += ["--sac.learning-starts", "200", "--sac.buffer-size", "1000"]
-OFF_POLICY += ["--sac.batch-size", "32"]
+OFF_POLICY += ["--sac.batch-size", "32", "--sac.rollout", "4"]
 SWEEP = ["drones=2", "environments=8", "rollout=8", "batch_size=64", "hidden=8,8", "steps=2000"]
 SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "passes=1"]
 SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]

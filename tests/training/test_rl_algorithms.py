@@ -40,6 +40,7 @@ TINY = {
     "sac": [
         *("--steps", "1536", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"),
         *("--sac.learning-starts", "200", "--sac.buffer-size", "1000", "--sac.batch-size", "32"),
+        *("--sac.rollout", "4"),
     ],
 }
 STEPS = {"mappo": 1280, "sac": 1536}
@@ -177,6 +178,8 @@ def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none(whol
     assert memory.shape == (15, 8, 3)  # 120 decisions, 8 at a time
     assert torch.equal(memory[5:10], first[5:])  # the others were written over
     assert not torch.equal(memory[:5], first[:5])
+    cut = learner.tensors()["memory.timeouts"]
+    assert cut[9].all() and not cut[5:9].any()  # no return reaches into the next segment
     learner.fly(range(4, 5))
     assert not any(name.startswith("memory") for name in learner.tensors())
     learner.close()

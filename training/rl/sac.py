@@ -10,7 +10,6 @@ from collections.abc import Mapping
 
 import numpy as np
 import torch
-from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import ReplayBuffer
 from torch import Tensor, nn
 
@@ -19,7 +18,8 @@ from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.learner import Entry, Watch
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.rollouts import Rollouts
-from swarm_envs.training.rl.schedules import proximity_weight, segment_seed
+from swarm_envs.training.rl.schedules import falling_rate, proximity_weight, segment_seed
+from swarm_envs.training.rl.soft_actor_critic import SoftActorCritic
 from swarm_envs.training.rl.tensors import load_optimiser, optimiser_tensors, without_prefix
 
 _POLICY, _MEMORY, _TEMPERATURE, _PLACE = "policy.", "memory.", "log_temperature", "memory_place"
@@ -36,27 +36,29 @@ class SacLearner:
 
     def __init__(self, config: TrainConfig, task: str) -> None:
         torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+        assert config.discount is not None  # the recipe has one
         self.config = config
         self.rollouts = 0
         self.env = Practice(config, task)
         widths, options = list(config.hidden), config.sac
-        self.model = SAC(
-            "MlpPolicy",
+        self.model = SoftActorCritic(
             self.env,
-            learning_rate=options.learning_rate,
+            lookahead=options.lookahead,
+            gamma=config.discount,
+            learning_rate=lambda _: falling_rate(config, self.rollouts),
             buffer_size=options.buffer_size,
             learning_starts=options.learning_starts,
             batch_size=options.batch_size,
             tau=options.smoothing,
-            gamma=config.discount,
             train_freq=options.rollout,
             gradient_steps=options.gradient_steps,
             ent_coef=f"auto_{options.temperature}",
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "net_arch": {"pi": widths, "qf": widths},
+                "net_arch": widths,
                 "activation_fn": nn.Tanh,
+                "optimizer_kwargs": {"fused": True},
             },
         )
 
@@ -66,6 +68,7 @@ class SacLearner:
         model.set_random_seed(segment_seed(config, segment))  # SB3's draws are global
         model._last_obs = None  # begin new episodes
         self.env.clear()
+        _cut(self._memory())
         model.num_timesteps = segment.start * config.rollout_steps
         steps, rollouts = len(segment) * config.rollout_steps, Rollouts(self.begin_rollout, watch)
         model.learn(steps, callback=rollouts, log_interval=None, reset_num_timesteps=False)
@@ -140,6 +143,12 @@ class SacLearner:
             "critic_loss": float(told.get("train/critic_loss", 0.0)),
             "actor_loss": float(told.get("train/actor_loss", 0.0)),
         }
+
+
+def _cut(memory: ReplayBuffer) -> None:
+    """Let no return reach from the last decision into the episode that begins after it."""
+    last = memory.pos - 1  # where nothing is remembered yet, a place that will be written over
+    memory.timeouts[last] = np.maximum(memory.timeouts[last], 1.0 - memory.dones[last])
 
 
 def _remembered(memory: ReplayBuffer) -> dict[str, Tensor]:

@@ -22,6 +22,12 @@ def learning_rate(config: TrainConfig, rollouts: int) -> float:
     return _falling(config.second_rate, done, config.last_rate)
 
 
+def falling_rate(config: TrainConfig, rollouts: int) -> float:
+    """Adam's rate of SAC: it falls linearly over the run."""
+    options = config.sac
+    return _falling(options.learning_rate, rollouts / config.rollouts, options.last_rate)
+
+
 def proximity_weight(config: TrainConfig, rollouts: int) -> float:
     """Weight of the term `proximity`, a cost: it changes in the middle of the first stage."""
     first, last = config.proximity

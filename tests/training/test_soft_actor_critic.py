@@ -1,0 +1,134 @@
+"""SAC's gradient steps against closed forms: densities, values of known chains, a known optimum."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3")
+
+import gymnasium
+import torch
+from gymnasium import spaces
+from torch import nn
+from torch.distributions import Normal, TanhTransform, TransformedDistribution
+
+from swarm_envs.training.rl.soft_actor_critic import SoftActorCritic, TwinCritic
+
+DISCOUNT = 0.6
+
+
+class Rooms(gymnasium.Env):
+    """Spaces for one number seen and one done; nobody steps here."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (1,), np.float32)
+    action_space = spaces.Box(-1.0, 1.0, (1,), np.float32)
+
+
+def learner(lookahead: int = 1, memory: int = 600, temperature: float = 1e-7) -> SoftActorCritic:
+    return SoftActorCritic(
+        Rooms(),
+        lookahead,
+        DISCOUNT,
+        learning_rate=1e-2,
+        buffer_size=memory,
+        tau=0.2,
+        ent_coef=f"auto_{temperature}",
+        seed=1,
+        device="cpu",
+        policy_kwargs={"net_arch": [16, 16], "optimizer_kwargs": {"fused": True}},
+    )
+
+
+def remember(model: SoftActorCritic, seen: float, done: float, after: float, reward: float, **end):
+    """One decision; with `ended`, or `cut` by the clock."""
+    over = end.get("ended", False) or end.get("cut", False)
+    info = {"TimeLimit.truncated": end.get("cut", False)}
+    row = (np.array([[value]], np.float32) for value in (seen, after, done))
+    model.replay_buffer.add(*row, np.array([reward]), np.array([over]), [info])
+
+
+def taught(model: SoftActorCritic, rounds: int) -> SoftActorCritic:
+    model.set_logger(_Silent())
+    for _ in range(rounds):
+        model._current_progress_remaining = 1.0
+        model.train(10, 64)
+    return model
+
+
+class _Silent:
+    def record(self, *_, **__):
+        """Nothing."""
+
+
+def values(model: SoftActorCritic, *rooms: float) -> np.ndarray:
+    seen = torch.tensor(rooms)[:, None]
+    with torch.no_grad():
+        return model.critic(seen, torch.zeros_like(seen)).numpy()
+
+
+@pytest.mark.parametrize("lookahead", [1, 2, 5])
+def test_values_are_discounted_returns_and_only_the_clock_is_bootstrapped(lookahead):
+    """Three rooms in a row, a reward of 1 a step: an end stops it, a time-out goes on."""
+    model, draws = learner(lookahead), np.random.default_rng(0)
+    for _ in range(100):
+        for room in (0.0, 1.0, 2.0):
+            after = (room + 1.0) if room < 2.0 else 0.0
+            remember(model, room, draws.uniform(-1, 1), after, 1.0, cut=room == 2.0)
+        for room in (-3.0, -2.0, -1.0):
+            remember(model, room, draws.uniform(-1, 1), room + 1.0, 1.0, ended=room == -1.0)
+    found = values(taught(model, 20), 0.0, 1.0, 2.0, -3.0, -2.0, -1.0)
+    forever = 1.0 / (1.0 - DISCOUNT)
+    ending = [1.0 + DISCOUNT + DISCOUNT**2, 1.0 + DISCOUNT, 1.0]
+    np.testing.assert_allclose(found, [[forever] * 3 + ending] * 2, atol=0.1)
+
+
+def test_the_actor_finds_the_best_action_of_each_place():
+    model, draws = learner(memory=3000), np.random.default_rng(0)
+    for seen, done in draws.uniform(-1.0, 1.0, (3000, 2)):
+        remember(model, seen, done, 0.0, -((done - 0.7 * seen) ** 2), ended=True)
+    taught(model, 30)
+    seen = np.linspace(-0.9, 0.9, 7, dtype=np.float32)[:, None]
+    acted, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_allclose(acted, 0.7 * seen, atol=0.12)
+
+
+@pytest.mark.parametrize(
+    ("deviation", "rises"), [(0.01, True), (0.08, True), (0.1, False), (0.5, False)]
+)
+def test_the_temperature_seeks_its_entropy(deviation, rises):
+    """-1 for one number: that of a normal deviation of exp(-1) / sqrt(2 pi e) = 0.089."""
+    model = learner(temperature=0.1)
+    with torch.no_grad():
+        for layer in (model.actor.mu, model.actor.log_std):
+            layer.weight.zero_()
+            layer.bias.zero_()
+        model.actor.log_std.bias.fill_(float(np.log(deviation)))
+    model._teach_actor(torch.zeros(20_000, 1))
+    assert (float(model.log_ent_coef.detach().exp()) > 0.1) is rises
+
+
+def test_densities_are_those_of_a_squashed_normal():
+    model = learner()
+    seen = torch.linspace(-2.0, 2.0, 64)[:, None]
+    actions, found = model._drawn(seen)
+    mean, log_deviation, _ = model.actor.get_action_dist_params(seen)
+    squashed = TransformedDistribution(Normal(mean, log_deviation.exp()), TanhTransform())
+    torch.testing.assert_close(found, squashed.log_prob(actions).sum(1), atol=1e-4, rtol=1e-4)
+
+
+def test_twin_critics_are_two_networks():
+    twins, rows = TwinCritic(5, (16, 8)), torch.randn(32, 5)
+    both = twins(rows[:, :3], rows[:, 3:])
+    for number in (0, 1):
+        layers: list[nn.Module] = []
+        for place, (into, out) in enumerate(pairwise((5, 16, 8, 1))):
+            linear = nn.Linear(into, out)
+            linear.weight.data = twins.weights[place][number].T
+            linear.bias.data = twins.biases[place][number, 0]
+            layers += [linear, nn.LayerNorm(out, elementwise_affine=False), nn.ReLU()]
+        alone = nn.Sequential(*layers[:-2])
+        torch.testing.assert_close(both[number], alone(rows)[:, 0])
+    assert not torch.equal(both[0], both[1])
