@@ -73,11 +73,12 @@ $(COMPAT)/%/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 # Tests small enough for kernels that are interpreted, which is how their lines are seen.
-INTERPRETED := tests/test_interpreted.py tests/test_noise.py tests/test_motors.py \
+INTERPRETED := $(addprefix tests/,test_interpreted.py test_barrier.py test_motors.py test_noise.py) \
+	tests/interactions/test_pairwise.py \
 	$(addprefix tests/physics/,test_contact.py test_rigid_body.py) \
 	$(addprefix tests/control/,test_mixer.py test_tracking.py) \
 	$(addprefix tests/tasks/,test_motion.py test_rewards.py) \
-	tests/baselines/rth3d/test_validation.py \
+	$(addprefix tests/baselines/rth3d/,test_planes.py test_validation.py) \
 	$(addprefix tests/baselines/neural_swarm/planner/,test_kd_tree.py test_steering.py) \
 	$(addprefix tests/baselines/mlr_dmpc/,test_closest.py test_corridors.py test_reach.py)
 
