@@ -78,7 +78,11 @@ def ring() -> Arrays:
 
 def formation() -> Arrays:
     """Collective thrust and body rates as actions; goals change on the way."""
-    mission = {"shapes": ("plane", "sphere", "plane"), "shape_s": 0.06, "travel_s": 0.03}
+    mission: dict[str, Any] = {
+        "shapes": ("plane", "sphere", "plane"),
+        "shape_s": 0.06,
+        "travel_s": 0.03,
+    }
     return fly("formation_v0", num_drones=4, interactions="none", action="ctbr", **mission)
 
 

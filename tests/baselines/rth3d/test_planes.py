@@ -44,11 +44,11 @@ def test_planes_stand_where_two_robots_are_nearest(seed, scaling):
     for k in range(half):
         step, a, b = planes.step[k], planes.robot[k], planes.robot[half + k]
         way = nearest_to_zero(points[step, a] - points[step, b])
-        apart = np.linalg.norm(way)
+        apart = float(np.linalg.norm(way))
         np.testing.assert_allclose(planes.normal[k] * theta, way / apart, atol=1e-4)
         between = planes.offset[k] + planes.offset[half + k]
         np.testing.assert_allclose(between, min(distance, apart), atol=1e-6)
-        kept += apart < distance
+        kept += int(apart < distance)
     assert 0 < kept < half  # some are nearer than the distance, and keep what they have
 
 
