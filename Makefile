@@ -27,7 +27,7 @@ help:
 	@echo 'make test      the tests, without those marked slow'
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
-	@echo 'make coverage  which lines the tests run, kernels interpreted too; half an hour'
+	@echo 'make coverage  which lines the tests run, kernels interpreted too; some 20 minutes'
 	@echo 'make mutation  which small mistakes in physics, trackers and validators the tests notice'
 	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
 	@echo 'make lint      ruff and mypy'
@@ -73,18 +73,19 @@ $(COMPAT)/%/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 # Tests small enough for kernels that are interpreted, which is how their lines are seen.
-INTERPRETED := tests/test_interpreted.py tests/test_noise.py tests/test_motors.py \
+INTERPRETED := $(addprefix tests/,test_barrier.py test_motors.py test_noise.py) \
+	tests/interactions/test_pairwise.py \
 	$(addprefix tests/physics/,test_contact.py test_rigid_body.py) \
 	$(addprefix tests/control/,test_mixer.py test_tracking.py) \
 	$(addprefix tests/tasks/,test_motion.py test_rewards.py) \
-	tests/baselines/rth3d/test_validation.py \
+	$(addprefix tests/baselines/rth3d/,test_planes.py test_validation.py) \
 	$(addprefix tests/baselines/neural_swarm/planner/,test_kd_tree.py test_steering.py) \
 	$(addprefix tests/baselines/mlr_dmpc/,test_closest.py test_corridors.py test_reach.py)
 
 coverage: $(VENV)/.dev
 	rm -rf build/coverage && mkdir -p build/coverage
 	$(BIN)/python -m coverage run -m pytest -n auto --dist loadfile
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest $(INTERPRETED)
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -n auto --dist loadfile $(INTERPRETED)
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage json --quiet -o build/coverage/files.json --fail-under 0
 	$(BIN)/python -m tests.helpers.coverage_table build/coverage/files.json

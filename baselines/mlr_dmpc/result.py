@@ -80,11 +80,3 @@ class MlrDmpcResult:
     def rounds(self) -> int:
         """How many rounds were simulated."""
         return len(self.reports)
-
-    def counts(self) -> dict[str, int]:
-        """How many times units planned, or why they did not."""
-        out: dict[str, int] = {}
-        for report in self.reports:
-            for unit in report.units:
-                out[unit.doing] = out.get(unit.doing, 0) + 1
-        return out

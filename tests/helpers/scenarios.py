@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from swarm_envs.agents.features import features
 from swarm_envs.baselines import mlr_dmpc, rth3d
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
+from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel
@@ -29,9 +31,9 @@ from swarm_envs.vehicles import parse_team
 Arrays = dict[str, FloatArray]
 
 
-def fly(task: str, decisions: int = 4, **options: Any) -> Arrays:
-    """A short flight with actions drawn from a seed, on the compiled engine."""
-    env = swarm_envs.make(task, physics="batch", **options)
+def fly(task: str, decisions: int = 4, physics: str = "batch", **options: Any) -> Arrays:
+    """A short flight with actions drawn from a seed, and what is told of it."""
+    env = swarm_envs.make(task, physics=physics, **options)
     observations, _ = env.reset(seed=1)
     rng, rows, rewards = np.random.default_rng(2), [], []
     for _ in range(decisions):
@@ -44,6 +46,8 @@ def fly(task: str, decisions: int = 4, **options: Any) -> Arrays:
         rewards.append([reward[name] for name in reward])
     state = env.core.physics.state
     found = {name: getattr(state, name).copy() for name in state._fields}
+    told = env.core.metrics().values()
+    found["metrics"] = np.array([x for x in told if isinstance(x, int | float)], np.float64)
     env.close()
     return {**found, "observations": np.array(rows), "rewards": np.array(rewards)}
 
@@ -73,13 +77,29 @@ def ring() -> Arrays:
 
 
 def formation() -> Arrays:
-    """Collective thrust and body rates as actions."""
-    return fly("formation_v0", num_drones=4, interactions="none", action="ctbr")
+    """Collective thrust and body rates as actions; goals change on the way."""
+    mission: dict[str, Any] = {
+        "shapes": ("plane", "sphere", "plane"),
+        "shape_s": 0.06,
+        "travel_s": 0.03,
+    }
+    return fly("formation_v0", num_drones=4, interactions="none", action="ctbr", **mission)
 
 
 def rotors() -> Arrays:
     """Thrusts as actions."""
     return fly("swap_v0", num_drones=2, interactions="none", action="rotors", decision_rate=240)
+
+
+def bullet() -> Arrays:
+    """Bullet moves what was decided in our kernels; the controller compensates the wake."""
+    belief = ControllerConfig(feedforward=load("wake"))
+    return fly("swap_v0", 2, "bullet", num_drones=2, interactions="wake", controller=belief)
+
+
+def crowded_flight() -> Arrays:
+    """Neighbours and contacts of more drones than are compared each with each."""
+    return fly("swap_v0", 1, num_drones=26, interactions="none")
 
 
 def crowd() -> Arrays:
@@ -151,8 +171,9 @@ def repulsion() -> Arrays:
 SCENARIOS: dict[str, Callable[[], Arrays]] = {
     job.__name__: job
     for job in (
-        *(swap_of_a_mixed_team, swap_of_a_stack, ring, formation, rotors, crowd, filtered),
-        *(grid_plans, tree_search, rounds, repulsion),
+        *(swap_of_a_mixed_team, swap_of_a_stack, ring, formation, rotors, crowded_flight),
+        *([bullet] if find_spec("pybullet") else []),  # there are no wheels after Python 3.11
+        *(crowd, filtered, grid_plans, tree_search, rounds, repulsion),
     )
 }
 """Every job by its name."""

@@ -14,8 +14,11 @@ from swarm_envs.baselines.rth3d import (
     make_instance,
     max_density,
     plan,
+    search,
+    solvers,
     validate,
 )
+from swarm_envs.baselines.rth3d.grid import points
 from swarm_envs.baselines.rth3d.records import Clock
 from swarm_envs.baselines.rth3d.search import Search
 from tests.baselines.rth3d.cases import load_checker, random_instance
@@ -124,6 +127,34 @@ def test_what_is_known_hides_no_shorter_plan_from_pibt():
         informed = Search(instance, seed, Clock(), makespan)
         informed.run()
         assert informed.best is None or len(informed.best) - 1 < makespan
+
+
+def test_where_pibt_has_stalled_rth3d_goes_on():
+    instance = make_instance("mirror", (12, 6, 3), seed=0)
+    stalled = Search(instance, 0, Clock())
+    stalled._begin(0)
+    stalled._advance(10, stalled.cap)
+    assert stalled.reached == 10
+    assert stalled.left > 0
+    whole = solvers._finish_stalled(instance, stalled, Clock())
+    judged = validate(
+        points(whole.paths, instance.shape), instance.starts, instance.goals, instance.shape
+    )
+    assert judged.ok, judged
+    assert whole.bound is not None
+    assert instance.lower_bound <= whole.makespan <= whole.bound
+
+
+def test_pibt_alone_may_find_no_plan(monkeypatch):
+    """Its attempts must end before all can have arrived; `auto` then has RTH3D's."""
+    monkeypatch.setattr(search, "_PATIENCE", 0.6)
+    monkeypatch.setattr(search, "_MARGIN", 0)
+    instance = make_instance("mirror", (12, 6, 3), seed=0)
+    with pytest.raises(PlanNotFound, match=r"no plan of at most 10 steps \(lower bound 18\)"):
+        plan_instance(instance, method="pibt")
+    best, sure = (plan_instance(instance, method=name) for name in ("auto", "rth3d-lba"))
+    assert best.valid
+    assert best.makespan <= sure.makespan
 
 
 def test_a_flat_grid_and_one_on_its_side():
