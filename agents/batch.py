@@ -53,6 +53,9 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
         act: who acts; by observations alone, without memory. It is asked for the environments
             whose episode goes on.
         seeds: of the episodes.
+
+    Raises:
+        ValueError: actions of a wrong shape, or with a number that cannot be.
     """
     metrics: list[dict[str, Any]] = []
     for first in range(0, len(seeds), core.num_envs):
@@ -61,7 +64,18 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
         rows = core.reset([*chunk, *[None] * idle], np.arange(core.num_envs) < len(chunk))
         while core.running.any():
             actions = np.zeros((core.num_envs, core.num_drones, core.mode.width))
-            actions[core.running] = act(rows[core.running])
+            actions[core.running] = _asked(act, rows[core.running], core.mode.width)
             rows = core.step(actions).observations
         metrics += [core.metrics(e) for e in range(len(chunk))]
     return metrics
+
+
+def _asked(act: ActBatch, rows: Float32Array, width: int) -> Float32Array:
+    """What an agent answers, refused if its shape is another: numpy would spread it over teams."""
+    given, wanted = act(rows), (*rows.shape[:-1], width)
+    if np.shape(given) != wanted:
+        raise ValueError(
+            f"act_batch gave actions of shape {np.shape(given)} for rows of shape {rows.shape}, "
+            f"but must give {wanted}: {width} numbers for every drone of every team"
+        )
+    return given

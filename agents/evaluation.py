@@ -91,7 +91,7 @@ def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int) -> Episode:
     timed = _Timed(agent)
     try:
         metrics = fly_episode(env, timed, seed)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         kind = AgentRefused if timed.refused else AgentFailed
         raise kind(
             f"in the episode of seed {seed}, decision {timed.begun}: "
@@ -188,7 +188,7 @@ def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> Swa
     try:
         env.reset(seed=seed)
         agent.reset(env, seed)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         kind = AgentRefused if isinstance(error, ValueError) else AgentFailed
         raise kind(f"before its first decision: {type(error).__name__}: {error}") from error
     return SwarmCore(env.core.task, env.core.config, count)
@@ -201,7 +201,7 @@ def _fly_seeds(
     assert isinstance(agent, BatchAgent)
     try:
         flown = fly_batch(core, agent.act_batch, seeds)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         for seed in seeds:
             fly_seed(env, agent, seed)
         raise AgentFailed(

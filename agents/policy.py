@@ -19,6 +19,7 @@ from swarm_envs.envs.view import View
 
 FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
+_CHECKPOINT = "checkpoint.safetensors"
 
 
 class PolicyAgent:
@@ -50,6 +51,11 @@ class PolicyAgent:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, a pickle, or of another version; the message says which.
         """
+        if (path / _CHECKPOINT).is_file() and not (path / FILE).exists():
+            raise FileNotFoundError(
+                f"the training run in {str(path)!r} has kept no policy yet; the same `swarm-envs "
+                "train` goes on with it"
+            )
         return cls(read_policy(path / FILE if path.is_dir() else path))
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:

@@ -220,8 +220,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (OSError, ImportError, ValueError) as error:  # a traceback would not say more
         forget_output()
         return _complain(where, " ".join(str(error).splitlines()), FAILED)
-    except KeyboardInterrupt:
-        return _complain(where, "interrupted", INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        return _complain(where, str(interrupt) or "interrupted", INTERRUPTED)
 
 
 def _overview() -> str:

@@ -158,7 +158,6 @@ def announce_compilation(entry: Any) -> None:
     global _announced
     if _announced or numba.config.DISABLE_JIT or entry.signatures:
         return
-    _announced = True
     if not isinstance(entry._cache, _KernelCache):
         _say(
             "compiling kernels (5 to 40 s), in every process, because no folder to keep them in "
@@ -166,3 +165,6 @@ def announce_compilation(entry: Any) -> None:
         )
     elif not entry._cache.holds_anything():
         _say("compiling kernels, once after installation (5 to 40 s) ...")
+    else:
+        return
+    _announced = True

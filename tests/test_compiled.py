@@ -73,6 +73,18 @@ def test_the_second_process_finds_the_kernel_and_says_nothing(package):
     assert run(package) == ("8 8 1", "")
 
 
+def test_a_kernel_that_is_compiled_after_one_that_was_kept_is_told(package):
+    """As when an engine flies for the first time, and all else has flown before."""
+    run(package)
+    step = package / "physics" / "step.py"
+    other = step.with_name("other.py")
+    other.write_text(step.read_text(encoding="utf-8").replace("2 *", "3 *"), encoding="utf-8")
+    both = "from swarm_envs.physics import step, other\nprint(step.step(3), other.step(3))"
+    result, said = run(package, script=both)
+    assert result == "8 12"
+    assert said.count(MESSAGE) == 1
+
+
 @pytest.mark.parametrize("edited", ["motors.py", "physics/step.py"])
 def test_an_edit_to_either_file_recompiles(package, edited):
     run(package)

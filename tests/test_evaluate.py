@@ -48,6 +48,11 @@ class Late:
 class Batch(Late):
     def act_batch(self, rows):
         return np.zeros((*rows.shape[:-1], 3), np.float32) / (1 // (rows.ndim == 2))
+class Spread(Late):
+    def act_batch(self, rows):
+        return np.zeros((*rows.shape[:-1], 3) if rows.ndim == 2 else 3, np.float32)
+class Leaves(Late):
+    def act(self, observations, view): raise SystemExit('bye')
 """
 
 
@@ -203,6 +208,10 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     [
         ("Late", r"seed \d+, decision \d+: ZeroDivisionError"),
         ("Batch", r"act_batch fails in the episodes of seeds \d+ to \d+, though act does not: Ze"),
+        (
+            "Spread",
+            r"though act does not: .* shape \(3,\) for rows of shape .* must give \(4, 2, 3\)",
+        ),
     ],
 )
 def test_who_fails_among_many_at_once_is_named(tmp_path, capsys, name, why):
@@ -215,6 +224,25 @@ def test_who_fails_among_many_at_once_is_named(tmp_path, capsys, name, why):
     kept = report.with_suffix(".episodes")
     (kept,) = (file for file in kept.iterdir() if file.name != LOCK)
     assert kept.read_text().count("\n") == 1 + TIMED  # what was flown before it failed
+
+
+def test_who_leaves_in_the_middle_is_named_and_the_others_fly(tmp_path):
+    file = tmp_path / "batch.py"
+    file.write_text(BATCH, encoding="utf-8")
+    report = tmp_path / "out.json"
+    arguments = ["evaluate", *QUICK, "--episodes", "2", "--json", str(report)]
+    assert main([*arguments, "--agent", f"{file}:Leaves", "hover"]) == 1
+    left, stayed = json.loads(report.read_text())["agents"]
+    assert re.search(r"seed \d+, decision 1: SystemExit: bye", left["error"])
+    assert stayed["success_rate"] == 0.0
+
+
+def test_a_run_without_a_policy_and_a_folder_that_is_not_there_are_named(tmp_path):
+    (tmp_path / "checkpoint.safetensors").touch()
+    with pytest.raises(FileNotFoundError, match="has kept no policy yet; the same `swarm-envs tra"):
+        load(str(tmp_path))
+    with pytest.raises(FileNotFoundError, match=r"there is no '.*none' to take an agent from"):
+        load(str(tmp_path / "none"))
 
 
 def test_seeds_are_frozen_and_fewer_are_the_first_of_more():

@@ -68,6 +68,10 @@ def export_trajectory(options: TrajectoryOptions) -> None:
     flight, source = _read(options)
     if options.begin_s > 0.0 or options.end_s is not None:
         end_s = flight.duration_s if options.end_s is None else options.end_s
+        if not options.begin_s < end_s:
+            raise Misuse(
+                f"--begin-s is {options.begin_s:g}, but must lie before the end, {end_s:g}"
+            )
         flight = flight.part(options.begin_s, end_s)
     if options.settle_s > 0.0:
         flight = settled(flight, options.settle_s)

@@ -47,19 +47,30 @@ def run(config: TrainConfig) -> None:
             "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
         )
     from swarm_envs.files import write_json
-    from swarm_envs.training.rl.run import finished_report, train
+    from swarm_envs.training.rl.run import finished_report
 
     task = check(config)
     report = finished_report(config, task)
     if report is not None:
         print(f"the run in {config.out} was finished before, and stays as it is")
     else:
-        report = train(config, task)
+        report = _trained(config, task)
     if config.json is not None:
         write_json(config.json, report)
     print(_summary(report))
     about = f"--task {config.task} --drones {max(config.team_sizes)}"
     print(f"fly it by: swarm-envs evaluate {about} --agent {config.out}")
+
+
+def _trained(config: TrainConfig, task: str) -> dict[str, Any]:
+    from swarm_envs.training.rl.run import train
+
+    try:
+        return train(config, task)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"interrupted; the same command goes on from the last checkpoint in {config.out}"
+        ) from None
 
 
 def _summary(report: dict[str, Any]) -> str:

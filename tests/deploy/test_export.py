@@ -266,6 +266,8 @@ def test_the_command(recording: Recording, tmp_path: Path, capsys: Any) -> None:
     told = json.loads((out / "report.json").read_text())  # 1.5 s and two ramps
     assert told["duration_s"] == pytest.approx(3.5, abs=1e-4)
     capsys.readouterr()
+    assert main([*call, "--begin-s", "3", "--end-s", "1"]) == 2
+    assert "--begin-s is 3, but must lie before the end, 1" in capsys.readouterr().err
     assert main([*call, "--settle-s", "0"]) == 1
     assert "add ramps (--settle-s 1)" in capsys.readouterr().err
     assert main([*call, "--tolerance", "0"]) == 1

@@ -181,7 +181,7 @@ class TrainConfig:
         if self.algo != "sac" and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
-                "rollout: drones of all environments x rollout"
+                f"rollout: drones of all environments x rollout, such as {size}"
             )
 
     def _check_belongs(self) -> None:
