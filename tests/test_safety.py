@@ -54,7 +54,7 @@ def test_a_filtered_policy_flies_in_batches_as_it_flies_alone():
     assert isinstance(agent, SafetyFilter)
     assert isinstance(agent, BatchAgent)
     env = swap_v0.parallel_env(
-        num_drones=3, horizon_s=1.5, **{**agent.requires, "physics": "batch"}
+        num_drones=4, horizon_s=1.5, **{**agent.requires, "physics": "batch"}
     )
     assert env.core.config.num_neighbors == 7  # though the policy observes three
     for episode in list(evaluate(env, agent, seeds))[TIMED:]:

@@ -183,7 +183,7 @@ def test_a_policy_each_needs_types():
 def test_vehicles_that_it_has_not_flown_are_refused():
     config, learner = make(team=("SSLL",), per_type=True)
     agent = PolicyAgent(policy_of(config, learner))
-    options = {"team": "SS*", "physics": "batch", "interactions": "none", **agent.requires}
+    options = {"team": "SSSS*", "physics": "batch", "interactions": "none", **agent.requires}
     env = swap_v0.parallel_env(**options)
     with pytest.raises(ValueError, match=r"trained for vehicles S, L, but the team has S\*"):
         fly_episode(env, agent, seed=0)
