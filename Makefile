@@ -27,7 +27,7 @@ help:
 	@echo 'make test      the tests, without those marked slow'
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
-	@echo 'make coverage  which lines the tests run, kernels interpreted too; some 20 minutes'
+	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
 	@echo 'make mutation  which small mistakes in physics, trackers and validators the tests notice'
 	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
 	@echo 'make lint      ruff and mypy'
