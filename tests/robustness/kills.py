@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import tyro
 from tqdm import tqdm
 
@@ -45,11 +46,11 @@ SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "passes=1"
 SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]
 FIT = ["--steps", "200", "--batch-size", "64", "--checkpoint-every", "10", "--no-progress"]
 QUIET = re.compile(
-    r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s|p50|p99|manifest)$"
+    r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s|p50|p99|manifest)(_least|_most)?$"
 )
 """Keys of JSON, and columns, whose values say how long a run took, or what it was called with."""
-TRACES = re.compile(r"^manifest\.json$|\.lock$|events\.out|\.png$|\.html$|\.mp4$")
-"""Files that are not compared: locks, event logs, a record of the runs, and pictures."""
+TRACES = re.compile(r"^manifest\.json$|\.lock$|events\.out|\.(png|html|md|mp4)$")
+"""Files that are not compared: locks, event logs, a record of the runs; what shows the others."""
 
 
 def run(*arguments: str) -> Run:
@@ -179,12 +180,16 @@ def _content(file: Path, folder: Path) -> Any:
         return [[row[k] for k in kept if k < len(row)] for row in rows]
     if file.suffix == ".npz":
         with np.load(file) as arrays:
-            return {
-                name: array.tobytes() for name, array in arrays.items() if not QUIET.search(name)
-            }
-    if file.suffix == ".md":
-        return re.sub(rb"\d[\d.,]* ?(s|ms|min|minutes)\b", b"TIME", raw)
+            return {name: _array(array) for name, array in arrays.items() if not QUIET.search(name)}
     return raw
+
+
+def _array(array: npt.NDArray[Any]) -> Any:
+    """An array's bytes; of JSON in one, what it says."""
+    if array.dtype.kind == "U" and array.ndim == 0:
+        with contextlib.suppress(ValueError):
+            return _without_times(json.loads(str(array)))
+    return array.tobytes()
 
 
 def _tensors(raw: bytes) -> Any:
