@@ -19,7 +19,8 @@ from swarm_envs.envs.view import View
 
 FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
-_CHECKPOINT = "checkpoint.safetensors"
+CHECKPOINT = "checkpoint.safetensors"
+"""Name of what a killed run goes on from, beside it."""
 
 
 class PolicyAgent:
@@ -51,7 +52,7 @@ class PolicyAgent:
             FileNotFoundError: there is no such file.
             ValueError: it is damaged, a pickle, or of another version; the message says which.
         """
-        if (path / _CHECKPOINT).is_file() and not (path / FILE).exists():
+        if (path / CHECKPOINT).is_file() and not (path / FILE).exists():
             raise FileNotFoundError(
                 f"the training run in {str(path)!r} has kept no policy yet; the same `swarm-envs "
                 "train` goes on with it"

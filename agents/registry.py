@@ -74,11 +74,12 @@ def load(name: str) -> Agent:
         from swarm_envs.agents.policy import PolicyAgent
 
         return PolicyAgent.load(Path(name))
-    if not colon and "/" in name and not Path(name).exists():
-        raise FileNotFoundError(
-            f"there is no {name!r} to take an agent from; a trained policy is the folder of its run"
-        )
     if not colon:
+        if "/" in name and not Path(name).exists():
+            raise FileNotFoundError(
+                f"there is no {name!r} to take an agent from; a trained policy is the folder of "
+                "its run"
+            )
         hint = f"{name}:Class" if name.endswith(".py") else "path/to/file.py:Class"
         known = unknown_name("agent", name, SHIPPED)
         raise ValueError(f"{known}; for one of your own write {hint!r}")

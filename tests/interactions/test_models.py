@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from safetensors.numpy import save_file
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import active_pairs
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle, parse_team
+from tests.helpers.drawn_networks import drawn
 
 MODELS = ("wake", "learned")
 
@@ -182,10 +182,7 @@ def deep_set_file(
     networks: dict[str, tuple[int, ...]] = {f"phi.{t}": (6, 9, 7, 5) for t in types}
     networks["phi.environment"] = (4, 9, 7, 5)
     networks |= {f"rho.{t}": (5, 8, 1) for t in types}
-    for name, widths in networks.items():
-        for k, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
-            tensors[f"{name}.{k}.weight"] = rng.normal(size=(outputs, inputs))
-            tensors[f"{name}.{k}.bias"] = rng.normal(size=outputs)
+    tensors |= drawn(networks, rng)
     notes = {"format": "deep-set-1", "types": types, "anchor_height_m": anchor, "window": None}
     save_file(tensors, path, metadata={"swarm_envs": json.dumps(notes)})
     return tensors

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from safetensors.numpy import save_file
 from swarm_envs.interactions import load
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle
+from tests.helpers.drawn_networks import drawn
 
 TYPES = ("A", "B")
 WINDOW = {"lateral_m": [0.25, 0.35], "vertical_m": [0.8, 1.1]}
@@ -25,10 +25,7 @@ def written(path: Path, anchor: float | None) -> Tensors:
     rng, tensors = np.random.default_rng(3), {f"drag.{t}": np.full(3, DRAG) for t in TYPES}
     networks = {f"pair.{other}.{own}": (6, 7, 5, 1) for other in TYPES for own in TYPES}
     networks |= {f"environment.{t}": (4, 7, 5, 1) for t in TYPES}
-    for name, widths in networks.items():
-        for k, (inputs, outputs) in enumerate(itertools.pairwise(widths)):
-            tensors[f"{name}.{k}.weight"] = rng.normal(size=(outputs, inputs))
-            tensors[f"{name}.{k}.bias"] = rng.normal(size=outputs)
+    tensors |= drawn(networks, rng)
     note = {"format": "pairwise-1", "types": TYPES, "anchor_height_m": anchor, "window": WINDOW}
     save_file(tensors, path, metadata={"swarm_envs": json.dumps(note)})
     return tensors

@@ -11,7 +11,7 @@ from typing import Any
 from tqdm import tqdm
 
 from swarm_envs import __version__
-from swarm_envs.agents.policy import FILE
+from swarm_envs.agents.policy import CHECKPOINT, FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
 from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.tensorboard import scalar_writer
@@ -23,7 +23,7 @@ from swarm_envs.training.rl.learner import Learner, make_learner
 from swarm_envs.training.rl.practice import Practice
 from swarm_envs.training.rl.recipes import RECIPES, completed
 
-REPORT, CHECKPOINT, CURVE = "report.json", "checkpoint.safetensors", "curve.csv"
+REPORT, CURVE = "report.json", "curve.csv"
 """Files of a run: its report, where it goes on, and its curve."""
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
