@@ -66,9 +66,10 @@ def _demo(arguments: Sequence[str]) -> int:
     if options.json is not None:
         _check_file("--json", options.json)
     from swarm_envs.baselines.neural_swarm.demo import crashed_flights, format_table, run_demo
-    from swarm_envs.files import write_json
+    from swarm_envs.files import claimed, write_json
 
-    summary = run_demo(options.out, options.seed, options.swaps, options.video)
+    with claimed(options.out):
+        summary = run_demo(options.out, options.seed, options.swaps, options.video)
     if options.json is not None:
         write_json(options.json, summary)
     print(format_table(summary))
@@ -92,21 +93,25 @@ def _fit(arguments: Sequence[str]) -> int:
     if config.json is not None:
         _check_file("--json", config.json)
     _need_torch()
+    from swarm_envs.files import claimed
     from swarm_envs.training.force_model.pipeline import fit
 
-    report = fit(config)
+    with claimed(config.out):
+        report = fit(config)
     print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
     return DONE
 
 
 def _collect(arguments: Sequence[str]) -> int:
+    from swarm_envs.files import claimed
     from swarm_envs.training.collection.__main__ import CollectOptions, run
 
     options = _read("collect", CollectOptions, arguments)
     _check_folder("--out", options.out)
     if options.json is not None:
         _check_file("--json", options.json)
-    run(options)
+    with claimed(options.out):
+        run(options)
     return DONE
 
 
@@ -118,9 +123,11 @@ def _curriculum(arguments: Sequence[str]) -> int:
     if config.json is not None:
         _check_file("--json", config.json)
     _need_torch()
+    from swarm_envs.files import claimed
     from swarm_envs.training.curriculum.run import run_curriculum
 
-    report = run_curriculum(config)
+    with claimed(config.out):
+        report = run_curriculum(config)
     print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
     return DONE
 

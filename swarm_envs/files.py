@@ -10,7 +10,7 @@ import os
 import platform
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 from zlib import crc32
@@ -78,12 +78,14 @@ def claimed(folder: Path) -> Iterator[None]:
     """Write into a folder alone: a second process that claims it is refused.
 
     The claim ends with its process, however that ends. Once it holds, what killed processes left
-    half written is removed. Where the system has no `flock`, nothing is claimed.
+    half written is removed. A folder that it made, and nobody wrote into, is removed at its end.
+    Where the system has no `flock`, nothing is claimed.
 
     Raises:
         BlockingIOError: another process writes into the folder; the message names it.
         OSError: the folder cannot be made or written.
     """
+    made = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     with (folder / LOCK).open("a+", encoding="utf-8") as lock:
         if fcntl is not None:
@@ -91,7 +93,18 @@ def claimed(folder: Path) -> Iterator[None]:
             for path in folder.iterdir():
                 if _PARTIAL.fullmatch(path.name):
                     path.unlink()
-        yield
+        try:
+            yield
+        finally:
+            if made:
+                _remove_unused(folder)
+
+
+def _remove_unused(folder: Path) -> None:
+    with suppress(OSError):  # Windows keeps a lock that is open
+        if [path.name for path in folder.iterdir()] == [LOCK]:
+            (folder / LOCK).unlink()
+            folder.rmdir()
 
 
 def _lock(folder: Path, lock: TextIO) -> None:

@@ -81,6 +81,18 @@ def test_a_claim_dies_with_its_process_and_what_it_left_half_written_is_removed(
         assert kept.exists()
 
 
+def test_a_folder_that_was_made_for_nothing_is_removed(tmp_path):
+    (tmp_path / "there").mkdir()
+    for name in ("made", "there", "used"):
+        with pytest.raises(ValueError, match="no model"), claimed(tmp_path / name):
+            if name == "used":
+                (tmp_path / name / "report.json").touch()
+            raise ValueError("no model")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["there", "used"]
+    with claimed(tmp_path / "made"):
+        assert (tmp_path / "made").is_dir()
+
+
 def test_a_folder_that_cannot_be_made_is_no_claim(tmp_path):
     file = tmp_path / "file"
     file.write_text("here", encoding="utf-8")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from swarm_envs.cli import main
-from swarm_envs.files import write_json
+from swarm_envs.files import LOCK, claimed, write_json
 
 
 @pytest.mark.parametrize("command", ["plan", "fly", "evaluate"])
@@ -30,6 +32,33 @@ def test_refused_before_the_work(command, path, said, tmp_path, monkeypatch, cap
     shown = capsys.readouterr()
     assert said in shown.err and f"--json is {path!r}" in shown.err
     assert not shown.out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["benchmark", "--agents", "hover", "--tasks", "swap-random-2-v1"],
+        ["collect", "--teams", "S"],
+        ["curriculum"],
+        ["demo"],
+        ["evaluate", "--agent", "hover"],
+        ["fit", "--data", "rows.npz"],
+        ["plan", "--grid", "6x6x6"],
+        ["reproduce", "all"],
+        ["reproduce", "dmpc-swarm", "--figure", "4"],
+        ["reproduce", "neural-swarm2", "--figure", "5"],
+        ["reproduce", "rth3d", "--figure", "5"],
+        ["train", "--drones", "2", "--steps", "1000"],
+        ["train-sweep", "--seeds", "0", "1"],
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_a_folder_into_which_another_process_writes_is_refused(words, tmp_path, capsys):
+    with claimed(tmp_path):
+        assert main([*words, "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"process {os.getpid()} writes into {str(tmp_path)!r}; wait for its end" in said
+    assert [file.name for file in tmp_path.iterdir()] == [LOCK]
 
 
 def test_the_longest_name_can_be_written(tmp_path):

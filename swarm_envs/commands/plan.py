@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -88,18 +90,26 @@ def run(options: PlanOptions) -> None:
     """Draw the instance, plan, print and write.
 
     Raises:
+        BlockingIOError: another process writes into `--out`.
         Misuse: there is no such family, method, shape or place to write; nothing was planned.
         ValueError: no plan was found, or not in time.
     """
+    from swarm_envs.files import claimed
+
     files = options.files()
     if options.out is not None:
         check_folder("--out", options.out)
     for option, path in files.items():
         check_file(f"--{option}", path, _SUFFIXES[option])
     instance = _instance(options)
-    found = _plan(instance, options)
-    for line in summary_lines(found):
-        print(line)
+    with nullcontext() if options.out is None else claimed(options.out):
+        found = _plan(instance, options)
+        for line in summary_lines(found):
+            print(line)
+        _write(files, found)
+
+
+def _write(files: Mapping[str, Path], found: GridPlan) -> None:
     writers = {"save": _save, "json": _write_json, "picture": _draw}
     for option, path in files.items():
         writers[option](path, found)

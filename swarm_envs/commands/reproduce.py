@@ -27,10 +27,12 @@ def run(
         The exit code.
 
     Raises:
+        BlockingIOError: another process writes into the folder.
         Misuse: there is no such paper.
         ValueError: a model, a table or an older run is not what it should be.
     """
     from swarm_envs.errors import unknown_name
+    from swarm_envs.files import claimed
     from swarm_envs.training.reproduce import papers
 
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -45,7 +47,8 @@ def run(
     options = read(f"reproduce {paper}", works.ReproduceOptions, arguments[1:])
     if options.needs_torch:
         need_torch()
-    print(works.run(options))
+    with claimed(options.out):
+        print(works.run(options))
     return 0
 
 

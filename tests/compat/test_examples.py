@@ -10,18 +10,20 @@ from typing import Any
 import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
+pytestmark = pytest.mark.filterwarnings("default")
 
 
 def main_of(name: str) -> Any:
     return runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"]
 
 
+@pytest.mark.slow
 def test_stable_baselines3():
     pytest.importorskip("stable_baselines3")
     assert math.isfinite(main_of("sb3_ppo")(["--steps", "4096", "--envs", "8"]))
 
 
+@pytest.mark.slow
 def test_torchrl():
     pytest.importorskip("torchrl", reason="run by `make test-compat`")
     rewards = main_of("torchrl_mappo")(["--steps", "240", "--batch", "120"])
@@ -29,6 +31,7 @@ def test_torchrl():
     assert all(math.isfinite(reward) for reward in rewards)
 
 
+@pytest.mark.slow
 def test_skrl(tmp_path):
     pytest.importorskip("skrl", reason="run by `make test-compat`")
     agent = main_of("skrl_ppo")(["--steps", "64", "--envs", "4", "--out", str(tmp_path)])
@@ -39,4 +42,5 @@ def test_skrl(tmp_path):
 
 def test_every_example_is_run():
     names = {file.stem for file in EXAMPLES.glob("*.py")}
-    assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"}
+    elsewhere = {"fly_crazyflie"}  # tests/deploy/test_fly_script.py
+    assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"} | elsewhere

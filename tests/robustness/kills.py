@@ -130,9 +130,11 @@ def killed(job: Run, folder: Path, times: int, seed: int = 0) -> dict[str, Any]:
     Raises:
         AssertionError: it did not end, left something behind, or wrote something else.
     """
-    whole, out, draws = folder / "whole", folder / "killed", np.random.default_rng(seed)
+    draws = np.random.default_rng(seed)
+    # The name of a folder may stand in what is written into it.
+    warm, whole, out = (folder / part / "run" for part in ("warm", "whole", "killed"))
     with contextlib.redirect_stdout(io.StringIO()):
-        assert job(folder / "warm") == 0  # loads and compiles what the processes inherit
+        assert job(warm) == 0  # loads and compiles what the processes inherit
     begin = time.monotonic()
     ended = begun(job, whole)
     ended.join()
