@@ -35,7 +35,7 @@ def test_figure_4_shows_that_recovery_keeps_drones_apart(tmp_path, capsys, monke
         assert found[name]["least_scaled_distance_m"][0] > 0.24
     shown = capsys.readouterr().out
     assert all(name in shown for name in found)
-    assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png"}
+    assert {path.suffix for path in out.glob("[!.]*")} == {".json", ".csv", ".png"}
 
     def fly_again(setting: Setting) -> None:
         raise RuntimeError("flown again")

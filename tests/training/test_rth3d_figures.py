@@ -113,7 +113,7 @@ def test_every_figure_is_made(figure, tmp_path, capsys, monkeypatch):
     out, numbers = tmp_path / "figures", tmp_path / "numbers.json"
     command = [*COMMAND, "--figure", figure, *sizes, *methods, "--out", str(out)]
     assert main([*command, "--json", str(numbers)]) == 0
-    assert {path.suffix for path in out.iterdir()} == {".json", ".csv", ".png", ".md"}
+    assert {path.suffix for path in out.glob("[!.]*")} == {".json", ".csv", ".png", ".md"}
     kept = json.loads((out / f"figure_{figure}.json").read_text())["cells"]
     assert all(cell["valid"] for cell in kept.values() if cell["solved"])
     with (out / f"figure_{figure}.csv").open(newline="") as file:
