@@ -17,7 +17,7 @@ from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 STARTERS = Path(__file__).parent.parent / "docs" / "assignments"
 
 WORK = """
-import time
+import os, time
 import numpy as np
 class Fine:
     requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
@@ -27,6 +27,8 @@ class Fine:
     def say(self): return np.zeros(3, np.float32)
 class Nan(Fine):
     def say(self): return np.full(3, np.nan)
+class Dies(Fine):
+    def say(self): os._exit(3)
 class Hangs(Fine):
     def say(self): time.sleep(1000)
 class Sums:
@@ -81,18 +83,19 @@ def test_points_rise_from_nothing_to_a_hundred():
 
 def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys):
     table = tmp_path / "grades.csv"
-    names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing")]
+    names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing", "Dies")]
     names.append(str(tmp_path / "none.py:Agent"))
     arguments = ["--episodes", "1", "--out", str(table)]
     assert main(["grade", "--assignment", "swap", *arguments, "--work", *names]) == 1
     with table.open(newline="") as file:
         found = {line["work"].split(":")[-1]: line for line in csv.DictReader(file)}
-    assert [line["points"] for line in found.values()] == ["0.0"] * 4  # who hovers never arrives
+    assert [line["points"] for line in found.values()] == ["0.0"] * 5  # who hovers never arrives
     assert (found["Fine"]["success_rate"], found["Fine"]["error"]) == ("0.0", "")
     assert "must be finite" in found["Nan"]["error"]
     assert "unknown class 'Missing'" in found["Missing"]["error"]
     assert "there is no file" in found["Agent"]["error"]
-    assert capsys.readouterr().out.count("FAILED") == 3
+    assert "exit code 3" in found["Dies"]["error"] and "%|" not in found["Dies"]["error"]
+    assert capsys.readouterr().out.count("FAILED") == 4
 
 
 def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, tmp_path, capsys):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -142,6 +143,7 @@ def _report(work: str, options: GradeOptions, assignment: Assignment) -> dict[st
         try:
             done = subprocess.run(
                 command,
+                env={**os.environ, "TQDM_DISABLE": "1"},  # its last line shall say what went wrong
                 capture_output=True,
                 text=True,
                 errors="replace",
