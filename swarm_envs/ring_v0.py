@@ -37,6 +37,7 @@ from typing import Unpack
 from swarm_envs.arguments import typed
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.options import (
+    MOST_DRONES,
     Blueprint,
     EnvOptions,
     aec_view,
@@ -84,7 +85,7 @@ def blueprint(
     if rings is not None:
         check_kind("rings", rings, RingLayout, "RingLayout((0.6, 0.6), 0.6, speed_m_s=0.5)")
     if team is None:
-        team = ring_team(check_integer("num_drones", num_drones, 1))
+        team = ring_team(check_integer("num_drones", num_drones, 1, MOST_DRONES))
     task = RingTask(
         team=team_of(team, num_drones),
         rings=rings,

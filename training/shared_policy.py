@@ -13,6 +13,7 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from swarm_envs.envs.blueprints import batch_of
+from swarm_envs.envs.checks import check_num_envs
 from swarm_envs.envs.core import StepResult, SwarmCore
 from swarm_envs.envs.forms import observation_space, shaper
 from swarm_envs.envs.joint import split_teams
@@ -56,7 +57,10 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def __init__(
         self, task: str | Blueprint, num_envs: int = 1, seed: int | None = None, **options: Any
     ) -> None:
-        count = check_integer("num_envs", num_envs, 1)
+        count = check_num_envs(num_envs)
+        if not isinstance(task, str | Blueprint):
+            rule = "must be a task's name, such as 'swap_v0', or a blueprint"
+            raise TypeError(f"task is {task!r:.80}, but {rule}")
         if not isinstance(task, str) and options:
             raise TypeError(f"{', '.join(options)}: give options to the blueprint, not beside it")
         blueprint = batch_of(task, **options) if isinstance(task, str) else task

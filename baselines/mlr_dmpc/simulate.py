@@ -23,6 +23,7 @@ Targets = FloatArray | Callable[[float], FloatArray]
 
 REFERENCE_RATE = 100.0
 """Samples of the reference positions per second."""
+_DAY_S = 86_400
 _TOLERANCE = 1e-6
 _SETTLED_ROUNDS = 35
 """After so many rounds at rest a drone is taken to stay."""
@@ -77,14 +78,14 @@ def simulate(
         References, statistics and all messages.
 
     Raises:
-        ValueError: see `MlrDmpcSwarm`; also a duration that is not positive, or moving targets
-            that are at some round outside the box or too close to each other.
+        ValueError: see `MlrDmpcSwarm`; also a duration that is not positive or longer than a day,
+            or moving targets that are at some round outside the box or too close to each other.
     """
     config = config or MlrDmpcConfig()
-    if not (np.isfinite(duration_s) and duration_s > 0.0):
-        raise ValueError(f"duration_s is {duration_s!r}, but must be positive")
+    if not 0.0 < duration_s <= _DAY_S:
+        raise ValueError(f"duration_s is {duration_s!r}, but must be above 0 and at most {_DAY_S}")
     rounds = max(round(duration_s / config.round_s), 1)
-    course = _course(targets, rounds, config, len(np.asarray(starts)))
+    course = _course(targets, rounds, config, len(checked_points("starts", starts, config)))
     swarm = MlrDmpcSwarm(
         starts,
         course[0],

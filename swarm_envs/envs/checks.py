@@ -7,12 +7,23 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.errors import check_array, check_kind, check_name
+from swarm_envs.errors import check_array, check_integer, check_kind, check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
 
 _RESET_OPTIONS = ("start", "goal", "team")
 _API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
+
+_MOST_ENVS = 1_000_000
+
+
+def check_num_envs(num_envs: object) -> int:
+    """How many environments fly at once.
+
+    Raises:
+        ValueError: it is no integer of at least 1, or more than any memory holds.
+    """
+    return check_integer("num_envs", num_envs, 1, _MOST_ENVS)
 
 
 def check_mask(mask: BoolArray | None, num_envs: int) -> BoolArray:

@@ -166,7 +166,8 @@ class SwarmCore:
         """
         where = check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
-        team, given = check_reset_options(options or {}, self.num_drones)
+        told = {} if options is None else options
+        team, given = check_reset_options(told, self.num_drones)
         task, environments = task_for(self, team), np.flatnonzero(where).tolist()
         for e, placement in draw_placements(self, task, environments, seeds, given).items():
             fly_task(self, e, task)

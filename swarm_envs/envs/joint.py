@@ -120,7 +120,11 @@ def split_teams(
     Raises:
         ValueError: the shape is another, or the entries are no numbers.
     """
-    array = np.asarray(actions)
+    try:
+        array = np.asarray(actions)
+    except ValueError as error:
+        said = f"action is {actions!r:.80}, but must be numbers of shape {shape}"
+        raise ValueError(said) from error
     if array.shape != shape or array.dtype.kind not in "fiu":
         raise ValueError(
             f"action is {array.dtype} of shape {array.shape}, but must be numbers of shape {shape}"

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from swarm_envs.envs.checks import check_num_envs
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, split_teams
@@ -45,7 +46,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        check_integer("num_envs", num_envs, 1)
+        check_num_envs(num_envs)
         modes = {mode.value: mode for mode in AutoresetMode}
         if not isinstance(autoreset_mode, AutoresetMode):
             check_name("autoreset_mode", autoreset_mode, modes)
@@ -82,8 +83,9 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         """
         if self.closed:
             raise RuntimeError("reset() was called on a closed environment; make a new one")
-        check_kind("options", options or {}, Mapping, "{'reset_mask': np.array([True, False])}")
-        given = dict(options or {})
+        given = {} if options is None else options
+        check_kind("options", given, Mapping, "{'reset_mask': np.array([True, False])}")
+        given = dict(given)
         mask = given.pop("reset_mask", None)
         self.core.reset(self._seeds(seed), mask, given)
         where = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)

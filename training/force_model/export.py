@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
 from swarm_envs.arguments import typed
@@ -77,13 +77,18 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ValueError: the file is not of this format.
+        ValueError: the file is damaged or not of this format.
     """
     if not Path(path).is_file():
         raise FileNotFoundError(f"no weights file at {os.fspath(path)!r}; give its path")
-    with safe_open(path, framework="pt") as file:
-        tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-        description = json.loads((file.metadata() or {}).get(METADATA_KEY, "{}"))
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors: dict[str, Tensor] = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            description = json.loads((file.metadata() or {}).get(METADATA_KEY, "{}"))
+    except (SafetensorError, ValueError) as error:
+        raise ValueError(
+            f"weights file {os.fspath(path)!r} is damaged ({error}); fit it again"
+        ) from error
     if description.get("format") not in FORMATS:
         raise ValueError(
             f"{os.fspath(path)!r} has format {description.get('format')!r}, but must have "

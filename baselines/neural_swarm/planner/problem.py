@@ -19,6 +19,7 @@ Plane = Literal["xyz", "yz"]
 """`"xyz"`: motion in space. `"yz"`: each robot keeps the x of its start (Fig. 6 and 7)."""
 
 _NEXT_TO_NOTHING = 1e-9
+_MOST_STEPS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +65,11 @@ class PlanningProblem:
             object.__setattr__(self, name, value)
         check_positive("dt", self.dt)
         check_positive("max_duration", self.max_duration)
+        if not 1 <= self.steps <= _MOST_STEPS:
+            raise ValueError(
+                f"max_duration is {self.max_duration:g} s and dt {self.dt:g} s, which makes "
+                f"{self.steps:.3g} steps, but must make 1 to {_MOST_STEPS:,}"
+            )
         check_name("plane", self.plane, ("xyz", "yz"))
         self.model.type_indices(team)  # refuses a type that the model lacks
         self._check_plane()
