@@ -149,7 +149,11 @@ def check_states(
     Raises:
         ValueError: the shapes are others, or an entry is not finite.
     """
-    shape = (*np.shape(position)[:1], drones, 3)
+    try:
+        environments = np.shape(position)[:1]
+    except ValueError:
+        environments = (1,)  # ragged: no array at all, which is said below
+    shape = (*environments, drones, 3)
     return (
         check_array("position", position, shape, "(E, N, 3), N drones in the team"),
         check_array("velocity", velocity, shape, "the shape of position"),

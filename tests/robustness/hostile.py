@@ -20,7 +20,7 @@ from tests.helpers.imports import ROOT
 REFUSALS = (ValueError, TypeError, OSError, ImportError)
 """What may be raised for a bad argument, if the message names it."""
 PATIENCE_S = 60
-"""A call that takes longer hangs; it may have to compile first."""
+"""A call that takes more CPU time hangs; it may have to compile first."""
 
 
 class Strange:
@@ -104,18 +104,18 @@ def hostile_paths(folder: Path) -> dict[str, Path]:
 
 @contextmanager
 def patience(seconds: int) -> Iterator[None]:
-    """Raise `Hang` after so long; from within compiled code, once that returns."""
+    """Raise `Hang` after so much CPU time; from within compiled code, once that returns."""
 
     def give_up(number: int, frame: FrameType | None) -> None:
         raise Hang
 
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.alarm(seconds)
+    before = signal.signal(signal.SIGPROF, give_up)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
     try:
         yield
     finally:
-        signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.signal(signal.SIGPROF, before)
 
 
 def judge(call: Callable[[], object], words: tuple[str, ...], value: Any) -> str | None:
@@ -130,7 +130,7 @@ def judge(call: Callable[[], object], words: tuple[str, ...], value: Any) -> str
         with patience(PATIENCE_S):
             result = call()
     except Hang:
-        return f"took longer than {PATIENCE_S} s"
+        return f"took more than {PATIENCE_S} s of CPU time"
     except MemoryError as error:
         return None if isinstance(value, int | float) else f"MemoryError: {error}"
     except Exception as error:

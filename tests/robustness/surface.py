@@ -190,7 +190,7 @@ def _physics_step(**given: Any) -> object:
 def _recorded(path: Path) -> object:
     from swarm_envs.viewing.trajectory import write_trajectory
 
-    env = _env(horizon_s=0.2, action="setpoint")
+    env = _env(horizon_s=0.2, **HoverAgent.requires)
     return write_trajectory(path, record_episode(env, HoverAgent(), 0))
 
 
