@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from swarm_envs.agents.protocol import Agent
+from swarm_envs.agents.protocol import Agent, Observations
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -29,6 +29,26 @@ class BatchAgent(Agent, Protocol):
 
     def act_batch(self, rows: Float32Array) -> Float32Array:
         """Actions (..., N, width) of teams, for their observation rows (..., N, row width)."""
+
+
+def disagreement(agent: BatchAgent, observations: Observations) -> str | None:
+    """How an agent's two ways to act differ in a decision; None if they do not.
+
+    None also where one raises, or gives what is no action: a flight says more of that.
+    """
+    rows = np.stack([np.asarray(row) for row in observations.values()])
+    try:
+        alone = np.stack(list(agent.act(observations, None).values()))
+        together = np.asarray(agent.act_batch(rows[None]))[0]
+        if alone.shape != together.shape or np.allclose(alone, together, rtol=0.0, atol=1e-3):
+            return None
+    except (Exception, SystemExit):
+        return None
+    i = int(np.abs(alone - together).max(axis=1).argmax())
+    return (
+        f"act gives {list(observations)[i]} {alone[i].tolist()}, but act_batch "
+        f"{together[i].tolist()} for the same rows; both must give the same"
+    )
 
 
 def flies_batches(env: SwarmParallelEnv, agent: Agent) -> bool:

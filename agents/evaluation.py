@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.batch import AT_ONCE, BatchAgent, flies_batches, fly_batch
+from swarm_envs.agents.batch import AT_ONCE, BatchAgent, disagreement, flies_batches, fly_batch
 from swarm_envs.agents.protocol import (
     Actions,
     Agent,
@@ -186,11 +186,14 @@ def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> Swa
     """So many environments like one, for which the agent is prepared."""
     check_requirements(env, agent)
     try:
-        env.reset(seed=seed)
+        observations, _ = env.reset(seed=seed)
         agent.reset(env, seed)
     except (Exception, SystemExit) as error:
         kind = AgentRefused if isinstance(error, ValueError) else AgentFailed
         raise kind(f"before its first decision: {type(error).__name__}: {error}") from error
+    differ = disagreement(agent, observations) if isinstance(agent, BatchAgent) else None
+    if differ is not None:
+        raise AgentFailed(differ)
     return SwarmCore(env.core.task, env.core.config, count)
 
 

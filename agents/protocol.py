@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import fields
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy.typing as npt
 from swarm_envs.arguments import typed
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.errors import unknown_name
 from swarm_envs.viewing.record import Recorder, Recording
 
 Observations = Mapping[str, npt.NDArray[np.float32]]
@@ -46,9 +48,19 @@ def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
     """Refuse an environment in which an agent would fly as something else.
 
     Raises:
-        ValueError: an option that the agent requires has another value; the message names it.
+        TypeError: it is no agent, but perhaps an agent's class.
+        ValueError: an option that the agent requires has another value, or does not exist; the
+            message names it.
     """
+    if isinstance(agent, type) or not isinstance(agent, Agent):
+        raise TypeError(
+            f"agent is {agent!r:.80}, but must be an object with `requires`, `privileged`, "
+            "`reset(env, seed)` and `act(observations, view)`; of a class, make one"
+        )
     for name, wanted in agent.requires.items():
+        if not hasattr(env.core.config, name):
+            valid = [field.name for field in fields(env.core.config)]
+            raise ValueError(unknown_name("option", name, valid, f"required by {agent!r:.60}"))
         have = getattr(env.core.config, name)
         if have is not wanted and have != wanted:
             raise ValueError(

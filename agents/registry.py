@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -46,7 +47,7 @@ _USERS_MODULE = "swarm_envs_users_agent_"
 
 
 @typed
-def load(name: str) -> Agent:
+def load(name: str | os.PathLike[str]) -> Agent:
     """Make an agent.
 
     Args:
@@ -60,12 +61,16 @@ def load(name: str) -> Agent:
         FileNotFoundError: there is no such file.
         ImportError: the file cannot be imported.
     """
+    name = os.fspath(name)
     if not name:
         raise ValueError(f"name is '', but must be one of {', '.join(SHIPPED)}, or a file's")
     if name.endswith(FILTER):
         from swarm_envs.agents.safety import SafetyFilter
 
-        return SafetyFilter(load(name.removesuffix(FILTER)))
+        inner = name.removesuffix(FILTER)
+        if inner.endswith(FILTER):
+            raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
+        return SafetyFilter(load(inner))
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path)

@@ -12,6 +12,7 @@ from swarm_envs import make, swap_v0
 from swarm_envs.agents import Agent, fly_episode, load
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import SHIPPED
+from swarm_envs.agents.simple import HoverAgent
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.physics import BatchPhysics
 
@@ -132,3 +133,21 @@ def test_files_that_give_no_agent(tmp_path) -> None:
         load(f"{tmp_path / 'a.txt'}:Agent")
     with pytest.raises(ValueError, match=re.escape("for one of your own write 'mine.py:Class'")):
         load("mine.py")
+
+
+def test_what_cannot_be_flown_is_told_before_the_flight() -> None:
+    env = swap_v0.parallel_env(num_drones=2, physics="batch", interactions="none")
+    odd = HoverAgent()
+    odd.requires = {"actions": "acceleration"}
+    with pytest.raises(ValueError, match=r"unknown option 'actions'.*'action'"):
+        fly_episode(env, odd, seed=0)
+    with pytest.raises(TypeError, match=r"HoverAgent.*of a class, make one"):
+        fly_episode(env, HoverAgent, seed=0)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="must be an object with `requires`"):
+        fly_episode(env, object(), seed=0)  # type: ignore[arg-type]
+    env.close()
+
+
+def test_one_filter_is_enough() -> None:
+    with pytest.raises(ValueError, match="one \\+filter at its end is enough"):
+        load("straight-line+filter+filter")

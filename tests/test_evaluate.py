@@ -51,6 +51,9 @@ class Batch(Late):
 class Spread(Late):
     def act_batch(self, rows):
         return np.zeros((*rows.shape[:-1], 3) if rows.ndim == 2 else 3, np.float32)
+class Differs(Late):
+    def act(self, observations, view): return {n: np.full(3, 0.5) for n in observations}
+    def act_batch(self, rows): return np.zeros((*rows.shape[:-1], 3), np.float32)
 class Leaves(Late):
     def act(self, observations, view): raise SystemExit('bye')
 """
@@ -208,6 +211,7 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     [
         ("Late", r"seed \d+, decision \d+: ZeroDivisionError"),
         ("Batch", r"act_batch fails in the episodes of seeds \d+ to \d+, though act does not: Ze"),
+        ("Differs", r"act gives drone_0 \[0.5, .* but act_batch \[0.0, .* both must give the same"),
         (
             "Spread",
             r"though act does not: .* shape \(3,\) for rows of shape .* must give \(4, 2, 3\)",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
+import os
 import re
 from pathlib import Path
 
@@ -14,10 +16,11 @@ from swarm_envs.commands.grade import ASSIGNMENTS
 from swarm_envs.commands.grade_force import grade, score
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 
+needs_groups = pytest.mark.skipif(not hasattr(os, "killpg"), reason="no groups of processes")
 STARTERS = Path(__file__).parent.parent / "docs" / "assignments"
 
 WORK = """
-import os, time
+import os, pathlib, signal, subprocess, time
 import numpy as np
 class Fine:
     requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
@@ -30,7 +33,14 @@ class Nan(Fine):
 class Dies(Fine):
     def say(self): os._exit(3)
 class Hangs(Fine):
+    def reset(self, env, seed):
+        child = subprocess.Popen(['sleep', '1000'])
+        pathlib.Path(__file__).with_suffix('.child').write_text(str(child.pid))
     def say(self): time.sleep(1000)
+class Interrupts(Fine):
+    def say(self): os.kill(os.getppid(), signal.SIGINT); time.sleep(1000)
+class Sees(Fine):
+    privileged = True
 class Sums:
     def fit(self, rows): self.mean = rows.force_g[:, 2].mean()
     def predict(self, rows): return np.full(len(rows.force_g), self.mean) + rows.force_g[:, 2]
@@ -104,6 +114,38 @@ def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, tmp_path, capsys)
     said = capsys.readouterr().out
     assert re.search(r"work.py:Hangs +0.0 +FAILED: took longer than 12 s", said)
     assert said.count("FAILED") == 2
+    child = work.with_suffix(".child")
+    if child.exists():  # it got so far in its time
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(child.read_text()), 0)
+
+
+@needs_groups
+def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
+    table = tmp_path / "grades.csv"
+    names = [f"{work}:Sees", f"{work}:Interrupts", f"{work}:Fine"]
+    arguments = ["--episodes", "1", "--out", str(table), "--work", *names]
+    assert main(["grade", "--assignment", "swap", *arguments]) == 130
+    shown = capsys.readouterr()
+    assert "interrupted: 1 of 3 are graded" in shown.err
+    assert "* sees the true state" in shown.out
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["work"], row["privileged"]) for row in rows] == [(names[0], "True")]
+
+
+@needs_groups
+def test_a_pattern_names_the_whole_class(tmp_path, capsys):
+    for student in ("ann", "bob"):
+        (tmp_path / student).mkdir()
+        (tmp_path / student / "swap.py").write_text("", encoding="utf-8")
+    pattern = f"{tmp_path}/*/swap.py:Agent"
+    assert main(["grade", "--assignment", "swap", "--work", pattern]) == 1
+    said = capsys.readouterr().out
+    assert said.count("unknown class 'Agent'") == 2
+    assert "ann/swap.py:Agent" in said and "bob/swap.py:Agent" in said
+    assert main(["grade", "--assignment", "swap", "--work", f"{tmp_path}/x*/swap.py:Agent"]) == 2
+    assert "no file's name matches" in capsys.readouterr().err
 
 
 def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
@@ -157,3 +199,19 @@ def test_what_cannot_be_graded_is_refused(arguments, why, capsys):
         main(["grade", *arguments])
     assert end.value.code == 2
     assert why in " ".join(capsys.readouterr().err.replace("│", " ").split())
+
+
+def test_data_that_cannot_grade_is_the_teachers_mistake(tmp_path, capsys):
+    rows = rows_of(40)
+    damaged, unheld = tmp_path / "damaged.npz", tmp_path / "unheld.npz"
+    damaged.write_text("hi", encoding="utf-8")
+    save_rows(unheld, dataclasses.replace(rows, validation=np.zeros(40, dtype=np.bool_)))
+    for path, why in (
+        (tmp_path, "is the folder"),
+        (tmp_path / "none.npz", "there is no such file"),
+        (damaged, "cannot be read"),
+        (unheld, "0 of 40 rows are for validation"),
+    ):
+        words = ["--assignment", "force-model", "--data", str(path), "--work", "a.py:A"]
+        assert main(["grade", *words]) == 2
+        assert why in capsys.readouterr().err

@@ -11,6 +11,7 @@ has a recipe, and flies all teams in one batch.
 from __future__ import annotations
 
 import re
+import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -239,7 +240,10 @@ def main() -> None:
     import tyro
 
     config = tyro.cli(RllibConfig, prog="python -m swarm_envs.training.rllib_ppo")
-    report = train(config)
+    try:
+        report = train(config)
+    except (ImportError, OSError) as error:
+        sys.exit(f"error: {error}")
     tqdm.write(f"{report['steps']:,} steps in {report['wall_s']:.0f} s")
     for name, rate in report["chosen"].items():
         tqdm.write(f"  {name}: {rate:.1%}")

@@ -7,16 +7,19 @@ model; points rise linearly from one value of it to another. See `docs/assignmen
 from __future__ import annotations
 
 import csv
+import glob
 import json
 import os
+import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 from swarm_envs.commands.checks import Misuse, check_file
 
@@ -78,9 +81,10 @@ class GradeOptions:
     assignment: Name
     """which one: `controller`, `force-model` or `swap`"""
     work: list[str] = field(default_factory=list)
-    """what was handed in: path/to/file.py:Class each; also folders of trained policies"""
+    """what was handed in: path/to/file.py:Class each, or a pattern such as 'class/*/swap.py:Class';
+    also folders of trained policies"""
     out: Path | None = None
-    """write the table to this file, .csv"""
+    """write the table to this file, .csv, after each work"""
     episodes: int = 64
     """episodes that each flies"""
     seed: int = 0
@@ -111,28 +115,76 @@ def run(options: GradeOptions) -> int:
     """Grade, print and write; return how many failed.
 
     Raises:
-        Misuse: there is no data, or the table cannot be written; nothing was graded.
+        Misuse: there is no such work or data, or the table cannot be written; nothing was graded.
+        KeyboardInterrupt: with what was graded until then; the table has it.
     """
     from tqdm import tqdm
 
     if options.out is not None:
         check_file("--out", options.out, (".csv",))
-    if options.data is not None and not options.data.is_file():
-        raise Misuse(f"--data is {str(options.data)!r}, but there is no such file")
-    assignment = ASSIGNMENTS[options.assignment]
-    grades = []
-    for work in tqdm(options.work, desc="grading", unit="file"):
-        report = _report(work, options, assignment)
-        points = 0.0 if "error" in report else assignment.points(report)
-        grades.append((work, points, report.get(assignment.metric), report.get("error", "")))
+    if options.data is not None:
+        _check_rows(options.data)
+    assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.work)
+    grades: list[_Grade] = []
+    try:
+        for work in tqdm(works, desc="grading", unit="file"):
+            grades.append(_grade(work, options, assignment))
+            if options.out is not None:
+                _write(options.out, assignment, grades)
+    except KeyboardInterrupt:
+        print(_table(assignment, grades))
+        raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None
     print(_table(assignment, grades))
     if options.out is not None:
-        _write(options.out, assignment, grades)
         print(f"wrote {options.out}")
-    return sum(bool(error) for *_, error in grades)
+    return sum(bool(grade.error) for grade in grades)
 
 
-_Grade = tuple[str, float, float | None, str]
+class _Grade(NamedTuple):
+    work: str
+    points: float
+    value: float | None
+    error: str
+    privileged: bool
+
+
+def _grade(work: str, options: GradeOptions, assignment: Assignment) -> _Grade:
+    report = _report(work, options, assignment)
+    error, value = report.get("error", ""), report.get(assignment.metric)
+    points = 0.0 if error else assignment.points(report)
+    return _Grade(work, points, value, error, bool(report.get("privileged", False)))
+
+
+def _expanded(works: list[str]) -> list[str]:
+    """Works by name; shells leave a pattern alone that a class follows."""
+    found = []
+    for work in works:
+        path, colon, name = work.rpartition(":") if ".py:" in work else (work, "", "")
+        files = sorted(glob.glob(path)) if glob.has_magic(path) else [path]  # noqa: PTH207
+        if not files:
+            raise Misuse(f"--work is {work!r}, but no file's name matches that pattern")
+        found += [f"{file}{colon}{name}" for file in files]
+    return found
+
+
+def _check_rows(path: Path) -> None:
+    """A teacher's mistake is nobody's failure."""
+    from swarm_envs.training.interaction_rows import read_rows
+
+    if path.is_dir():
+        raise Misuse(f"--data is the folder {str(path)!r}; name its table, {path / 'rows.npz'}")
+    if not path.is_file():
+        raise Misuse(f"--data is {str(path)!r}, but there is no such file")
+    try:
+        rows = read_rows(path)
+    except (ValueError, OSError) as error:
+        raise Misuse(f"--data is {str(path)!r}: {error}") from error
+    held = int(rows.validation.sum())
+    if not 0 < held < len(rows):
+        raise Misuse(
+            f"--data is {str(path)!r}, where {held} of {len(rows)} rows are for validation; "
+            "some must be, and others not"
+        )
 
 
 def _report(work: str, options: GradeOptions, assignment: Assignment) -> dict[str, Any]:
@@ -141,23 +193,43 @@ def _report(work: str, options: GradeOptions, assignment: Assignment) -> dict[st
         out = Path(folder) / "report.json"
         command = [sys.executable, "-m", *_arguments(work, options, assignment, out)]
         try:
-            done = subprocess.run(
-                command,
-                env={**os.environ, "TQDM_DISABLE": "1"},  # its last line shall say what went wrong
-                capture_output=True,
-                text=True,
-                errors="replace",
-                timeout=options.limit_s,
-                stdin=subprocess.DEVNULL,
-            )
+            code, said = _ended(command, options.limit_s)
         except subprocess.TimeoutExpired:
             return {"error": f"took longer than {options.limit_s:g} s"}
         if not out.is_file():
-            last = (done.stderr.strip() or "no message").splitlines()[-1]
-            return {"error": f"ended with exit code {done.returncode}: {last}"}
+            last = (said.strip() or "no message").splitlines()[-1]
+            return {"error": f"ended with exit code {code}: {last}"}
         report: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
     agent = report.get("agents", [{}])[0]
     return {**report, **agent}
+
+
+def _ended(command: list[str], limit_s: float) -> tuple[int, str]:
+    """Run a command; its exit code and what it said. What it has begun ends with it."""
+    with subprocess.Popen(
+        command,
+        env={**os.environ, "TQDM_DISABLE": "1"},  # its last line shall say what went wrong
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        start_new_session=True,
+    ) as process:
+        try:
+            said = process.communicate(timeout=limit_s)[1]
+        finally:
+            _kill_group(process)
+            process.wait()
+    return process.returncode, said
+
+
+def _kill_group(process: subprocess.Popen[str]) -> None:
+    if not hasattr(os, "killpg"):  # Windows: the process alone
+        process.kill()
+        return
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def _arguments(
@@ -173,11 +245,13 @@ def _arguments(
 
 
 def _table(assignment: Assignment, grades: list[_Grade]) -> str:
-    width = max(len("work"), *(len(work) for work, *_ in grades))
+    width = max(map(len, ["work", *(grade.work for grade in grades)]))
     lines = [f"{'work'.ljust(width)}  points  {assignment.metric}"]
-    for work, points, value, error in grades:
+    for work, points, value, error, privileged in grades:
         said = f"FAILED: {error}" if error else ("-" if value is None else f"{value:.4g}")
-        lines.append(f"{work.ljust(width)}  {points:6.1f}  {said}")
+        lines.append(f"{work.ljust(width)}  {points:6.1f}  {said}{' *' if privileged else ''}")
+    if any(grade.privileged for grade in grades):
+        lines.append("* sees the true state")
     return "\n" + "\n".join(lines)
 
 
@@ -186,5 +260,5 @@ def _write(path: Path, assignment: Assignment, grades: list[_Grade]) -> None:
 
     with written_whole(path) as whole, whole.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["work", "points", assignment.metric, "error"])
+        writer.writerow(["work", "points", assignment.metric, "error", "privileged"])
         writer.writerows(grades)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import shlex
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
@@ -58,8 +59,21 @@ def run(config: TrainConfig) -> None:
     if config.json is not None:
         write_json(config.json, report)
     print(_summary(report))
-    about = f"--task {config.task} --drones {max(config.team_sizes)}"
-    print(f"fly it by: swarm-envs evaluate {about} --agent {config.out}")
+    words = ["swarm-envs", "evaluate", *setting(config), "--agent", str(config.out)]
+    print("fly it by:", shlex.join(words))
+
+
+def setting(config: TrainConfig) -> list[str]:
+    """The largest team and the layout that the run was trained with, as `evaluate` takes them."""
+    words = ["--task", config.task]
+    if config.layout is not None:
+        words += ["--layout", config.layout]
+    largest = max(config.team_sizes)
+    if config.team:
+        words += ["--team", config.team[config.team_sizes.index(largest)]]
+    else:
+        words += ["--drones", str(largest)]
+    return words
 
 
 def _trained(config: TrainConfig, task: str) -> dict[str, Any]:

@@ -84,7 +84,8 @@ def train_arguments(settings: Sequence[str]) -> list[str]:
         if not equals or not value:
             raise Misuse(f"{setting!r} is no setting; write NAME=VALUE, such as hidden=128,128")
         if name in _OURS:
-            raise Misuse(f"{setting!r} is not for --set: each run of a sweep has its own {name}")
+            rule = f"each run of a sweep has its own {name}"
+            raise Misuse(f"{setting!r} is not for --set or --compare: {rule}")
         option = name.replace("_", "-")
         if value in ("true", "false"):
             found.append(f"--{option}" if value == "true" else f"--no-{option}")
@@ -101,8 +102,7 @@ def parse(arguments: Sequence[str]) -> TrainConfig:
     """
     import tyro
 
-    prog = "swarm-envs train-sweep: a run's own options"
-    return tyro.cli(TrainConfig, args=list(arguments), prog=prog)
+    return tyro.cli(TrainConfig, args=list(arguments), prog="swarm-envs train")
 
 
 def train_one(

@@ -24,6 +24,7 @@ from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.agents.policy_file import Policy, PolicyNote
 from swarm_envs.cli import main
+from swarm_envs.commands.train import setting
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.judging import choosing_seeds
 from swarm_envs.training.rl.ppo import PpoLearner
@@ -57,7 +58,7 @@ def test_a_run_is_written_and_its_policy_flies(whole, capsys):
     assert [float(row["step"]) for row in curve(whole)][-1] == STEPS
     assert all(row["random_success"] != "" for row in curve(whole)[-1:])
     assert report["config"]["seed"] == 5
-    agent = load(str(whole))
+    agent = load(whole)
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.provenance["config"] == report["config"]
     arguments = ["--drones", "2", "--episodes", "2", "--horizon-s", "0.5", "--interactions", "none"]
@@ -84,6 +85,18 @@ def test_killed_it_goes_on_and_ends_with_the_same_policy(whole, tmp_path, capsys
     assert "going on from the checkpoint at" in capsys.readouterr().out
     assert (out / FILE).read_bytes() == (whole / FILE).read_bytes()
     assert curve(out) == curve(whole)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({}, "--task swap --drones 4"),
+        ({"layout": "circle", "drones": (2, 4)}, "--task swap --layout circle --drones 4"),
+        ({"team": ("SL", "SSLL"), "environments": 64}, "--task swap --team SSLL"),
+    ],
+)
+def test_a_run_says_how_it_is_flown_as_it_was_trained(options, words):
+    assert setting(TrainConfig(out=Path("a"), **options)) == words.split()
 
 
 def test_a_finished_run_stays_as_it_is(whole, capsys):

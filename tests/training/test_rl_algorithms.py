@@ -132,7 +132,8 @@ def test_a_folder_that_another_run_writes_into_is_refused(tmp_path, capsys):
     ("options", "why"),
     [
         (["--algo", "sac", "--clip", "0.1"], "--clip was given (0.1), but --algo sac has no such"),
-        (["--sac.rollout", "2"], "--sac.* was given"),
+        (["--sac.rollout", "2"], "--sac.rollout was given (2), but --algo ppo has no such"),
+        (["--pooling", "max"], "--pooling was given, but only --encoder deep-set has sets"),
         (["--algo", "sac", "--sac.batch-size", "0"], "--sac.batch-size"),
         (["--algo", "sac", "--sac.smoothing", "2"], "--sac.smoothing is 2.0"),
     ],

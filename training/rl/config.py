@@ -189,9 +189,21 @@ class TrainConfig:
         for field in fields(self):
             value = getattr(self, field.name)
             if not self.uses(field.name) and value != field.default:
-                name = "sac.*" if field.name == "sac" else field.name.replace("_", "-")
+                name, given = field.name.replace("_", "-"), value
+                if field.name == "sac":
+                    name, given = next(
+                        (f"sac.{f.name.replace('_', '-')}", getattr(value, f.name))
+                        for f in fields(value)
+                        if getattr(value, f.name) != getattr(field.default, f.name)
+                    )
                 raise ValueError(
-                    f"--{name} was given ({value}), but --algo {self.algo} has no such option"
+                    f"--{name} was given ({given}), but --algo {self.algo} has no such option"
+                )
+        for name in ("pooling", "set_hidden"):
+            default = type(self).__dataclass_fields__[name].default
+            if self.encoder != "deep-set" and getattr(self, name) != default:
+                raise ValueError(
+                    f"--{name.replace('_', '-')} was given, but only --encoder deep-set has sets"
                 )
 
     def uses(self, option: str) -> bool:
