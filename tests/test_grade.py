@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import os
 import re
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -124,8 +125,12 @@ def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, tmp_path, capsys)
 def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
     table = tmp_path / "grades.csv"
     names = [f"{work}:Sees", f"{work}:Interrupts", f"{work}:Fine"]
-    arguments = ["--episodes", "1", "--out", str(table), "--work", *names]
-    assert main(["grade", "--assignment", "swap", *arguments]) == 130
+    arguments = ["--episodes", "1", "--limit-s", "60", "--out", str(table), "--work", *names]
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which xdist has put aside
+    try:
+        assert main(["grade", "--assignment", "swap", *arguments]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
     shown = capsys.readouterr()
     assert "interrupted: 1 of 3 are graded" in shown.err
     assert "* sees the true state" in shown.out

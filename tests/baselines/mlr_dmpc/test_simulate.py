@@ -176,7 +176,7 @@ FAR = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
         ({"recovery": "none"}, "recovery is 'none'"),
         ({"seed": -1}, "seed is -1"),
         ({"solver": "cplex"}, "cplex"),
-        ({"duration_s": 0.0}, "duration_s is 0.0, but must be positive"),
+        ({"duration_s": 0.0}, "duration_s is 0.0, but must be above 0"),
         ({"recovery": "paper", "joins": {1: 5}}, "only recovery=True"),
         ({"targets": lambda t: FAR * [1 - 0.5 * t, 1, 1]}, "targets at 1.6 s"),
     ],
