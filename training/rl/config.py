@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -185,26 +185,17 @@ class TrainConfig:
             )
 
     def _check_belongs(self) -> None:
-        """Refuse options of an algorithm other than the run's."""
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not self.uses(field.name) and value != field.default:
-                name, given = field.name.replace("_", "-"), value
-                if field.name == "sac":
-                    name, given = next(
-                        (f"sac.{f.name.replace('_', '-')}", getattr(value, f.name))
-                        for f in fields(value)
-                        if getattr(value, f.name) != getattr(field.default, f.name)
-                    )
+        """Refuse options of another algorithm or encoder than the run's."""
+        for name, value in _changed(self):
+            option = name.replace("_", "-")
+            if not self.uses(name):
+                nested = [(f"{option}.{n.replace('_', '-')}", v) for n, v in _changed(value)]
+                named, given = (nested or [(option, value)])[0]
                 raise ValueError(
-                    f"--{name} was given ({given}), but --algo {self.algo} has no such option"
+                    f"--{named} was given ({given}), but --algo {self.algo} has no such option"
                 )
-        for name in ("pooling", "set_hidden"):
-            default = type(self).__dataclass_fields__[name].default
-            if self.encoder != "deep-set" and getattr(self, name) != default:
-                raise ValueError(
-                    f"--{name.replace('_', '-')} was given, but only --encoder deep-set has sets"
-                )
+            if name in ("pooling", "set_hidden") and self.encoder != "deep-set":
+                raise ValueError(f"--{option} was given, but only --encoder deep-set has sets")
 
     def uses(self, option: str) -> bool:
         """Whether the run's algorithm depends on an option."""
@@ -256,6 +247,16 @@ _ON_POLICY = (
     *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
     *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
 )
+
+
+def _changed(settings: object) -> list[tuple[str, Any]]:
+    """Fields of settings that are not their defaults; none of what is no dataclass."""
+    if not is_dataclass(settings):
+        return []
+    given = ((field, getattr(settings, field.name)) for field in fields(settings))
+    return [(field.name, value) for field, value in given if value != field.default]
+
+
 _NETWORKS = ("encoder", "pooling", "set_hidden", "per_type")
 _FOREIGN = {
     "ppo": ("sac",),
