@@ -1,31 +1,40 @@
 """Speed of other packages, each in a process of its own, pinned to one core.
 
-    python -m tests.benchmarks.peers gym-pybullet-drones PYB 4 3
-    python -m tests.benchmarks.peers crazyflow 48 240 1024 4 3
+    PYTHON tests/benchmarks/peers.py gym-pybullet-drones PYB 4 3
+    PYTHON tests/benchmarks/peers.py crazyflow 48 240 1024 4 3
 
 prints agent-steps per second of CPU time, one number a repetition, as JSON. Their requirements
 exclude each other's and ours now and then, so `--peers PYTHON` of the benchmarks names the
-interpreter of an environment that has them.
+interpreter of an environment that has them. This file runs there as it is, so at its top it
+imports nothing of ours and nothing that we require.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
+import inspect
 import io
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
+import tempfile
 import time
+import traceback
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-from tests.benchmarks.rows import Row, spread
+Row = dict[str, Any]
+"""As in `tests.benchmarks.rows`."""
 
 DRONES_PEER, BATCH_PEER = "gym-pybullet-drones", "crazyflow"
+MODULES = {DRONES_PEER: "gym_pybullet_drones", BATCH_PEER: "crazyflow"}
+"""What is imported of each; where this is what is missing, the peer is not installed."""
 EFFECTS = {"no effects": "PYB", "ground effect, drag, downwash": "PYB_GND_DRAG_DW"}
 RATES = {"50/500 Hz": (50, 500), "48/240 Hz": (48, 240)}
 ONE_THREAD = {
@@ -48,17 +57,26 @@ def batch_peer_row(python: str, rates: str, envs: int, drones: int, repetitions:
 
 
 def _measured(python: str, peer: str, *arguments: object) -> Row:
-    """Value and spread as a peer's process measured them, or a note that it is not installed."""
-    command = [python, "-m", "tests.benchmarks.peers", peer, *map(str, arguments)]
-    done = subprocess.run(
-        command, env=os.environ | ONE_THREAD, capture_output=True, text=True, check=False
-    )
+    """Value and spread as a peer's process measured them, or a note why there are none."""
+    from tests.benchmarks.rows import spread  # ours: the peer's interpreter never comes here
+
     row: Row = {"unit": "agent-steps/s"}
-    if done.returncode == 0:
-        return row | spread(json.loads(done.stdout.splitlines()[-1]))
-    missing = "ModuleNotFoundError" in done.stderr or "No module named" in done.stderr
-    reason = "not installed" if missing else done.stderr.strip().splitlines()[-1]
-    return row | {"value": None, "note": reason}
+    found = Path(shutil.which(python) or python).absolute()
+    command = [str(found), "-I", str(Path(__file__).absolute()), peer, *map(str, arguments)]
+    told = os.environ | ONE_THREAD
+    try:
+        with tempfile.TemporaryDirectory() as folder:  # for the logs that peers write
+            done = subprocess.run(
+                command, env=told, cwd=folder, capture_output=True, text=True, check=False
+            )
+    except OSError as error:
+        return row | {"value": None, "note": str(error)}
+    answer = json.loads(done.stdout.splitlines()[-1]) if done.returncode == 0 else {}
+    if "rates" in answer:
+        return row | spread(answer["rates"])
+    ended = f"the process ended with status {done.returncode}"
+    last = (done.stderr.strip().splitlines() or [ended])[-1]
+    return row | {"value": None, "note": answer.get("note", last)}
 
 
 def _rates(step: Callable[[], object], agents: int, steps: int, repetitions: int) -> list[float]:
@@ -102,10 +120,11 @@ def fly_batch_peer(
     """Fly crazyflow's simulator by attitude commands, physics from first principles."""
     simulator = importlib.import_module("crazyflow.sim").Sim
     jax = importlib.import_module("jax")
+    taken = inspect.signature(simulator).parameters
     sim = simulator(
         n_worlds=envs,
         n_drones=drones,
-        physics="first_principles",
+        **{"dynamics" if "dynamics" in taken else "physics": "first_principles"},  # since 0.4
         control="attitude",
         freq=physics_rate,
         attitude_freq=physics_rate,
@@ -124,12 +143,21 @@ def fly_batch_peer(
 
 
 def main(arguments: list[str]) -> None:
-    """Measure the peer that the arguments name and print its rates."""
+    """Measure the peer that the arguments name; print its rates, or why there are none."""
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     fly: dict[str, Callable[..., Any]] = {DRONES_PEER: fly_drones_peer, BATCH_PEER: fly_batch_peer}
+    peer = arguments[0]
     values = [int(text) if text.isdigit() else text for text in arguments[1:]]
-    print(json.dumps(fly[arguments[0]](*values)))
+    answer: dict[str, Any]
+    try:
+        answer = {"rates": fly[peer](*values)}
+    except Exception as error:  # a peer fails in ways of its own, which the table shows
+        traceback.print_exc()
+        missing = isinstance(error, ModuleNotFoundError) and error.name == MODULES[peer]
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        answer = {"note": "not installed" if missing else text}
+    print(json.dumps(answer))
 
 
 if __name__ == "__main__":

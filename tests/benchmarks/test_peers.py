@@ -1,0 +1,66 @@
+"""Peers are measured where nothing of ours is, and what goes wrong there is shown."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.benchmarks import peers
+
+BATCH = ("48/240 Hz", 1, 4, 1)
+
+
+def interpreter(path: Path, script: str) -> str:
+    """A program that takes an interpreter's place."""
+    path.write_text(f"#!/bin/sh\n{script}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+def test_measuring_needs_no_package_but_the_peer():
+    """Without site-packages there is neither ours nor anything that we require."""
+    bare = [
+        sys.executable,
+        "-I",
+        "-S",
+        peers.__file__,
+        peers.BATCH_PEER,
+        "48",
+        "240",
+        "1",
+        "4",
+        "1",
+    ]
+    output = subprocess.check_output(bare, text=True, stderr=subprocess.DEVNULL)
+    assert json.loads(output.splitlines()[-1]) == {"note": "not installed"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the programs are shell scripts")
+@pytest.mark.parametrize(
+    ("script", "note"),
+    [
+        ("echo 'a warning'; echo '{\"note\": \"not installed\"}'", "not installed"),
+        ('echo \'{"note": "TypeError: no such option"}\'', "TypeError: no such option"),
+        ("echo 'Killed by something' >&2; exit 9", "Killed by something"),
+        ("exit 3", "the process ended with status 3"),
+    ],
+)
+def test_a_row_says_why_it_has_no_number(script, note, tmp_path):
+    row = peers.batch_peer_row(interpreter(tmp_path / "python", script), *BATCH)
+    assert (row["value"], row["note"]) == (None, note)
+
+
+def test_an_interpreter_that_is_not_there_is_named(tmp_path):
+    row = peers.batch_peer_row(str(tmp_path / "python"), *BATCH)
+    assert str(tmp_path / "python") in row["note"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the program is a shell script")
+def test_rates_become_a_median_and_a_range(tmp_path):
+    python = interpreter(tmp_path / "python", "echo '{\"rates\": [1.0, 4.0, 2.0]}'")
+    row = peers.batch_peer_row(python, *BATCH)
+    assert (row["low"], row["value"], row["high"]) == (1.0, 2.0, 4.0)
