@@ -20,7 +20,8 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test test-all test-compat coverage mutation matrix lint format bench docs clean
+.PHONY: help demo test test-all test-compat coverage mutation matrix lint format bench \
+	bench-against docs clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
@@ -33,6 +34,7 @@ help:
 	@echo 'make lint      ruff and mypy'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
+	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
 	@echo 'make docs      this documentation as a site, in build/docs'
 	@echo 'make clean     remove everything that these made'
 
@@ -73,7 +75,7 @@ $(COMPAT)/%/.installed: pyproject.toml constraints.txt
 	@touch $@
 
 # Tests small enough for kernels that are interpreted, which is how their lines are seen.
-INTERPRETED := $(addprefix tests/,test_barrier.py test_motors.py test_noise.py) \
+INTERPRETED := $(addprefix tests/test_,barrier.py motors.py neighbors.py noise.py tables.py) \
 	tests/interactions/test_pairwise.py \
 	$(addprefix tests/physics/,test_contact.py test_rigid_body.py) \
 	$(addprefix tests/control/,test_mixer.py test_tracking.py) \
@@ -117,6 +119,12 @@ bench: $(VENV)/.dev
 	$(BIN)/python -m tests.benchmarks.forces
 	$(BIN)/python -m tests.benchmarks.throughput --peers $(PEERS)
 	$(BIN)/python -m tests.benchmarks.batched --peers $(PEERS)
+
+# `make bench-against REF=d9123f6`; the other tree and cached kernels are kept in build/against.
+REF ?= HEAD
+bench-against: $(VENV)/.dev
+	$(BIN)/python -m tests.benchmarks.against --ref $(REF) \
+		$(if $(filter-out $(BIN)/python,$(PEERS)),--peers $(PEERS)) $(AGAINST)
 
 # Without a network, and any warning is an error.
 docs: $(VENV)/.dev

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.agents.nearest import Workspace, least_broken
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
@@ -90,7 +90,7 @@ class Scratch(NamedTuple):
     """Memory of the solver."""
 
 
-@borrowing_kernel
+@kernel
 def velocity_barrier(
     x: tuple[float, float, float],
     v: tuple[float, float, float],
@@ -132,7 +132,7 @@ def velocity_barrier(
     return w0 / size, w1 / size, w2 / size, size - radius
 
 
-@borrowing_kernel
+@kernel
 def step_aside(
     x: tuple[float, float, float], v: tuple[float, float, float], aside: float
 ) -> tuple[float, float, float]:
@@ -148,7 +148,7 @@ def step_aside(
     return x[0] - aside * s0 / size, x[1] - aside * s1 / size, x[2]
 
 
-@borrowing_kernel
+@kernel
 def filter_accelerations(
     observed: Float32Array,
     asked: Float32Array,
@@ -190,7 +190,7 @@ def filter_accelerations(
             out[r, k] = min(max(given, -1.0), 1.0)
 
 
-@borrowing_kernel
+@kernel
 def _write_limits(rows: FloatArray, bound: FloatArray) -> int:
     for k in range(LIMITS):
         for axis in range(3):
@@ -200,7 +200,7 @@ def _write_limits(rows: FloatArray, bound: FloatArray) -> int:
     return LIMITS
 
 
-@borrowing_kernel
+@kernel
 def _type_of(row: Float32Array, first: int) -> int:
     """Index of the type whose code, one-hot, begins there."""
     found = 0
@@ -210,14 +210,14 @@ def _type_of(row: Float32Array, first: int) -> int:
     return found
 
 
-@borrowing_kernel
+@kernel
 def _acceleration(row: Float32Array, places: Places, ratio: float) -> tuple[float, float, float]:
     """What a drone's thrust and weight give it now, m/s^2."""
     lift, attitude = GRAVITY * ratio * row[places.thrust], places.attitude
     return lift * row[attitude + 2], lift * row[attitude + 5], lift * row[attitude + 8] - GRAVITY
 
 
-@borrowing_kernel
+@kernel
 def _write_walls(
     row: Float32Array,
     barrier: Barrier,
@@ -246,7 +246,7 @@ def _write_walls(
     return count
 
 
-@borrowing_kernel
+@kernel
 def _write_neighbors(
     row: Float32Array,
     barrier: Barrier,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
 from swarm_envs.tasks.base import SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
@@ -110,7 +110,7 @@ _NEARNESS, _MASK = (3, 11), 16
 """Where a neighbour's features have nearness, now and at the closest approach, and its mask."""
 
 
-@borrowing_kernel
+@kernel
 def _write(
     rows: Float32Array, at: _Places, typed: bool, made: Float32Array, nearness: Float32Array
 ) -> None:
@@ -135,7 +135,7 @@ def _write(
             _write_neighbor(rows[r, start : start + seen], types, made[r, end:], near)
 
 
-@borrowing_kernel
+@kernel
 def _write_own(row: Float32Array, at: _Places, types: int, made: Float32Array) -> None:
     """Write what a row tells of the drone itself."""
     square = _ZERO
@@ -153,7 +153,7 @@ def _write_own(row: Float32Array, at: _Places, types: int, made: Float32Array) -
         made[OWN_WIDTH + k] = row[at.type + k]
 
 
-@borrowing_kernel
+@kernel
 def _write_neighbor(
     row: Float32Array, types: int, made: Float32Array, nearness: Float32Array
 ) -> None:

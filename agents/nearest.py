@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray
 
 TOLERANCE = 1e-9
@@ -41,7 +41,7 @@ def new_workspace(rows: int) -> Workspace:
     return Workspace(np.zeros((rows, 2)), *(np.zeros(rows) for _ in range(4)))
 
 
-@borrowing_kernel
+@kernel
 def nearest_point(
     target: FloatArray,
     rows: FloatArray,
@@ -87,7 +87,7 @@ def nearest_point(
     return True
 
 
-@borrowing_kernel
+@kernel
 def _nearest_in_plane(count: int, work: Workspace) -> tuple[float, float, bool]:
     """The point nearest to the plane's origin that satisfies its rows, if there is one."""
     x, y = 0.0, 0.0
@@ -109,7 +109,7 @@ def _nearest_in_plane(count: int, work: Workspace) -> tuple[float, float, bool]:
     return x, y, True
 
 
-@borrowing_kernel
+@kernel
 def _nearest_on_line(count: int, work: Workspace) -> tuple[float, bool]:
     """The point nearest to the line's origin that satisfies its rows, if there is one."""
     low, high = -np.inf, np.inf
@@ -126,7 +126,7 @@ def _nearest_on_line(count: int, work: Workspace) -> tuple[float, bool]:
     return min(max(0.0, low), high), True
 
 
-@borrowing_kernel
+@kernel
 def least_broken(
     target: FloatArray,
     rows: FloatArray,

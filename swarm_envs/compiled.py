@@ -1,170 +1,314 @@
-"""Compilation of the inner loops with numba: one decorator, one cache, one message.
+"""Compilation of the inner loops with numba: decorators, a cache on disk and one message.
 
-The cache lies beside the modules, or in the user's cache directory when the installation is
-read-only. Numba ties a cached kernel to the one file that defines it; ours call each other across
-files and freeze each other's constants, so `kernel` ties them to every file that a kernel may come
-from, and an edit to any recompiles.
+Numba ties a cached kernel to the one file that defines it. Our kernels call each other across
+files and freeze each other's constants, so each module's kernels are cached in a folder whose name
+carries a hash of every file that the module imports, directly or not, from this package. An edit to
+any of them leads to another folder, hence to a compilation.
 """
 
 from __future__ import annotations
 
+import atexit
+import gc
 import hashlib
+import json
+import os
+import re
+import shutil
 import sys
+import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, overload
 
 import numba
 import numpy as np
-from numba.core.caching import FunctionCache, IndexDataCacheFile
-
-from swarm_envs import borrowed
-from swarm_envs.lowering import whole_and_part
+from numba.extending import register_jitable
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
-_CORE_FOLDERS = ("physics", "interactions", "control", "envs", "tasks")
-_COMMANDS = ("cli.py", "__main__.py")
-_USES_KERNELS = b"from swarm_envs.compiled import"
+_VERSIONS = f"{numba.__version__} {np.__version__} {sys.version}"
+_IMPORT = re.compile(
+    rb"^(?:from (swarm_envs[\w.]*) import (\([^)]*\)|[^\n]*)|import (swarm_envs[\w.]*))", re.M
+)
+_COMMENT = re.compile(rb"#.*")
+_UNSAFE = re.compile(r"[^\w.]")  # in the name of a file
+_NO_BRACKETS = re.compile("[<>]")
+_KERNELS = "*/*.nb[ci]"  # numba's files of machine code, and their indexes
+_DIGESTS = "digests.json"
+_EMPTY = hashlib.sha256().hexdigest()
+_DAY = 86400.0  # s
 
 
-def _kernel_sources() -> list[Path]:
-    """Files that hold kernels, or constants that kernels have taken in."""
-    files = sorted(file for file in _PACKAGE.glob("*.py") if file.name not in _COMMANDS)
-    for folder in _CORE_FOLDERS:
-        files += sorted((_PACKAGE / folder).rglob("*.py"))
-    others = sorted(f for name in ("agents", "baselines") for f in (_PACKAGE / name).rglob("*.py"))
-    return files + [file for file in others if _USES_KERNELS in file.read_bytes()]
-
-
-@cache
-def _sources_stamp() -> str:
-    digest = hashlib.sha256(numba.__version__.encode())
-    for file in _kernel_sources():
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
-
-
-class _CacheFile(IndexDataCacheFile):  # type: ignore[misc]  # numba is untyped
-    """The files of one kernel's cache: an index that cannot be read counts as empty."""
-
-    def _load_index(self) -> dict[Any, str]:
-        try:
-            index: dict[Any, str] = super()._load_index()
-        except Exception:  # cut short or overwritten, a pickle fails in any way
-            return {}
-        return index
-
-
-class _KernelCache(FunctionCache):  # type: ignore[misc]  # numba is untyped
-    """Numba's on-disk cache, stale as soon as any file with kernels has changed.
-
-    That is any of this package, and the file of the kernel itself where it lies elsewhere.
-    A file of it that a full disk or a killed process has cut short is compiled anew.
-    """
-
-    def __init__(self, py_func: Callable[..., Any]) -> None:
-        super().__init__(py_func)
-        stamp: Any = _sources_stamp()
-        if not Path(py_func.__code__.co_filename).is_relative_to(_PACKAGE):
-            stamp = stamp, self._impl.locator.get_source_stamp()
-        self._cache_file = _CacheFile(self._cache_path, self._impl.filename_base, stamp)
-
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled version for a signature, or None if there is none that can be read."""
-        try:
-            return super().load_overload(sig, target_context)
-        except Exception as error:
-            _report_damage(repr(error))
-            return None
-
-    def holds_anything(self) -> bool:
-        """Whether a compiled version of the function, of the current sources, is on disk."""
-        return bool(self._cache_file._load_index())
-
-
-@cache
-def _report_damage(cause: str) -> None:
-    _say(f"a cached kernel cannot be read ({cause}); compiling it again ...")
-
-
-def _say(message: str) -> None:
-    sys.stderr.write(f"swarm_envs: {message}\n")
-    sys.stderr.flush()
-
-
-def kernel(function: F) -> F:
+@overload
+def kernel(function: F) -> F: ...
+@overload
+def kernel(*, fastmath: bool | set[str] = False) -> Callable[[F], F]: ...
+def kernel(function: Any = None, *, fastmath: bool | set[str] = False) -> Any:
     """Compile a function to machine code at its first call and keep the result on disk.
 
-    Division by zero follows IEEE arithmetic; sums are never reordered, so the same input gives the
-    same bytes on the same machine.
+    Division by zero follows IEEE arithmetic. Sums are not reordered, so the same input gives the
+    same bytes on the same machine. Called from Python, a kernel lets other threads run meanwhile.
+
+    Args:
+        function: what to compile; leave it out to pass an option, as `@kernel(fastmath=...)`.
+        fastmath: the freedoms of LLVM's floating-point arithmetic, such as `{"contract"}`.
     """
-    return _cached(function)
+    if function is None:
+        return lambda decorated: _compiled(decorated, fastmath)
+    return _compiled(function, fastmath)
 
 
-def borrowing_kernel(function: F) -> F:
-    """A kernel that makes no array and returns none: it does not count references.
-
-    Elsewhere a call counts a reference to every array that its arguments hold, in and out, each an
-    atomic operation: a third of a microsecond where they are sixty. Whatever makes an array is
-    refused when it is compiled. To return one would free it twice. Called from Python, it lets
-    other threads run meanwhile.
-    """
-    return _cached(function, _nrt=False, nogil=True)
-
-
-def _cached(function: F, **options: Any) -> F:
+def _compiled(function: F, fastmath: bool | set[str]) -> F:
     if numba.config.DISABLE_JIT:
         silent: F = np.errstate(all="ignore")(function)  # as in machine code: integers wrap around
         return silent
-    options |= {"no_cfunc_wrapper": True}
-    options |= {"error_model": "numpy"}
-    if borrowed.SUPPORTED:
-        dispatcher = whole_and_part(function, **options)
-    else:
-        dispatcher = numba.njit(**options)(function)
-    with suppress(RuntimeError):  # no writable folder for a cache: compile in each process
-        dispatcher._cache = _KernelCache(function)
-    compiled: F = dispatcher
+    options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
+    decorate = partial(numba.njit, **options, fastmath=fastmath)
+    folder = _folder(function)
+    settings = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
+    before = {name: getattr(numba.config, name, "") for name in settings}
+    try:
+        for name, value in settings.items():  # numba reads them while it decorates
+            setattr(numba.config, name, value)
+        compiled: F = decorate(cache=folder is not None)(function)
+    except RuntimeError:  # numba cannot write there: it compiles in each process
+        compiled = decorate()(function)
+    finally:
+        for name, value in before.items():
+            setattr(numba.config, name, value)
     return compiled
 
 
-def entry_point(compiled: F, *arguments: object) -> F:
-    """Compile a kernel for the types of these arguments, and return what to call directly.
+def part(function: F) -> F:
+    """A function that kernels call; from Python it stays as it is, and is interpreted.
 
-    A kernel looks up the types of its arguments at every call, which takes 20 us where there are
-    sixty arrays. What is returned here does not: it must only be called with arguments of the very
-    same types. Named tuples that stay are better lent (`swarm_envs.borrowed.lend`), once for all.
+    It is compiled with the kernel that calls it, and kept on disk as a piece of that. A kernel that
+    only other kernels call costs more to compile: an entry point for Python, and a file of its own.
     """
-    announce_compilation(compiled)
+    return _within_kernels(function)
+
+
+def equation(function: F) -> F:
+    """A function of numbers that kernels call in their loops; from Python it stays as it is.
+
+    It becomes part of the loop that calls it before LLVM looks for operations that several lanes
+    can do at once. A call that remained would prevent that.
+    """
+    return _within_kernels(function, forceinline=True)
+
+
+def _within_kernels(function: F, **options: bool) -> F:
     if numba.config.DISABLE_JIT:
-        return compiled
-    dispatcher: Any = compiled
-    entry: F = dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
-    return entry
+        return function
+    # Only kernels call the compiled version: entry points for C and Python would be left unused.
+    options |= {"no_cfunc_wrapper": True, "no_cpython_wrapper": True}
+    compiled: F = register_jitable(error_model="numpy", **options)(function)
+    return compiled
 
 
 _announced = False
 
 
-def announce_compilation(entry: Any) -> None:
+def announce_compilation(entry: Callable[..., Any]) -> None:
     """Say on stderr, once a process, that the first call of an uncached kernel takes a while.
 
     Without a folder for the cache it is so in every process, and the message says how to end that.
+
+    Args:
+        entry: the kernel that is about to be called.
     """
     global _announced
-    if _announced or numba.config.DISABLE_JIT or entry.signatures:
+    dispatcher: Any = entry
+    if _announced or numba.config.DISABLE_JIT or dispatcher.signatures:
         return
-    if not isinstance(entry._cache, _KernelCache):
-        _say(
-            "compiling kernels (5 to 40 s), in every process, because no folder to keep them in "
-            "can be written; set NUMBA_CACHE_DIR to one that can ..."
+    function = dispatcher.py_func
+    folder = _folder(function)
+    if folder is None:
+        when = (
+            ", in every process, because no folder to keep them in can be written; "
+            "set NUMBA_CACHE_DIR to one that can"
         )
-    elif not entry._cache.holds_anything():
-        _say("compiling kernels, once after installation (5 to 40 s) ...")
+    elif not any(folder.glob(f"*/*.{_NO_BRACKETS.sub('', function.__qualname__)}-*.nbi")):
+        when = ", once after an installation or an edit"
     else:
         return
     _announced = True
+    sys.stderr.write(f"swarm_envs: compiling kernels (10 to 30 s){when} ...\n")
+    sys.stderr.flush()
+
+
+# ---- The folder of a module's kernels
+
+
+def _folder(function: Callable[..., Any]) -> Path | None:
+    """Folder for the cached kernels of the module that defines a function, if there can be one."""
+    base = _base(str(numba.config.CACHE_DIR or ""))
+    file = Path(function.__code__.co_filename)
+    if base is None or not file.is_file():  # such as a function that was typed at a prompt
+        return None
+    return _prepared(base, function.__module__, file.absolute())
+
+
+@cache
+def _base(chosen: str) -> Path | None:
+    """Folder for all kernels: the chosen one, else one in the package, else one of the user's."""
+    places = [Path(chosen).absolute()] if chosen else []
+    places.append(_PACKAGE / "__pycache__" / "kernels")
+    with suppress(RuntimeError):  # the user may have no home
+        home = os.environ.get("LOCALAPPDATA" if os.name == "nt" else "XDG_CACHE_HOME")
+        places.append((Path(home) if home else Path.home() / ".cache") / "swarm_envs")
+    return next((place for place in places if _can_write(place)), None)
+
+
+def _can_write(folder: Path) -> bool:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        return False
+    return True
+
+
+@cache
+def _prepared(base: Path, module: str, file: Path) -> Path | None:
+    """Make the folder and empty those of older sources, or check what the folder holds."""
+    content = hashlib.sha256()
+    try:
+        for source in sorted(_sources(file)):
+            content.update(_read(source)[0])
+    except OSError:  # without the sources nobody knows whether they have changed
+        return None
+    place = hashlib.sha256(f"{_VERSIONS} {file}".encode()).hexdigest()[:8]
+    name = f"{_UNSAFE.sub('_', module)}-{place}"
+    folder = base / f"{name}-{content.hexdigest()[:16]}"
+    new = not folder.exists()
+    if not _can_write(folder):
+        return None
+    if new:
+        for other in set(base.glob(f"{name}-*")) - {folder}:
+            _empty(other)
+    else:
+        _check(folder)
+    atexit.register(_record, folder)
+    return folder
+
+
+def _empty(folder: Path) -> None:
+    """Remove the kernels of older sources.
+
+    The folder itself stays for a day: a process that began before an edit may be writing into it.
+    """
+    with suppress(OSError):
+        if time.time() - folder.stat().st_mtime > _DAY:
+            shutil.rmtree(folder)
+    for file in folder.glob(_KERNELS):
+        with suppress(OSError):
+            file.unlink()
+
+
+def _sources(file: Path) -> set[Path]:
+    """The file and every file of the package that its imports reach."""
+    found, ahead = {file}, {file}
+    while ahead:
+        ahead = set().union(*(_read(source)[1] for source in ahead)) - found
+        found |= ahead
+    return found
+
+
+@cache
+def _read(file: Path) -> tuple[bytes, frozenset[Path]]:
+    """Digest of a source file, and the files that its imports at module level name.
+
+    Imports in functions or under `if TYPE_CHECKING` are indented: they bring in no constants.
+    """
+    text = file.read_bytes()
+    imported: set[Path | None] = set()
+    for module, names, plain in _IMPORT.findall(_COMMENT.sub(b"", text)):
+        listed = re.findall(r"\w+", re.sub(r" as \w+", "", names.decode()))
+        parts = {_module(f"{module.decode()}.{name}") for name in listed}
+        if not parts or None in parts:  # else only modules are imported from a package
+            parts.add(_module((module or plain).decode()))
+        imported |= parts
+    return hashlib.sha256(text).digest(), frozenset(filter(None, imported))
+
+
+@cache
+def _module(name: str) -> Path | None:
+    """File of a module of the package by its full name."""
+    stem = _PACKAGE.joinpath(*name.split(".")[1:])
+    files = (stem.with_name(f"{stem.name}.py"), stem / "__init__.py")
+    return next((file for file in files if file.is_file()), None)
+
+
+# ---- Damage: numba would run a cached kernel of which a byte has changed
+
+
+def _check(folder: Path) -> None:
+    """Remove the kernels that are not as they were recorded, so that numba compiles them anew.
+
+    What is not recorded is trusted unless it is empty: a running process has just written it, or
+    has been killed since. What another process has just written once more is removed as well; that
+    costs a compilation.
+    """
+    recorded: dict[str, str] = {}
+    with suppress(OSError, ValueError):
+        recorded = dict(json.loads((folder / _DIGESTS).read_text(encoding="utf-8")))
+    for file in folder.glob(_KERNELS):
+        with suppress(OSError):
+            digest = _digest(file)
+            if digest == _EMPTY or recorded.get(file.name, digest) != digest:
+                index = file.with_suffix("").with_suffix(".nbi") if file.suffix == ".nbc" else file
+                index.unlink(missing_ok=True)  # so that the compilation is announced
+                file.unlink(missing_ok=True)
+    _record(folder)
+
+
+def _record(folder: Path) -> None:
+    """Write the digests of a folder's kernels, whichever process has compiled them."""
+    digests = {}
+    for file in folder.glob(_KERNELS):
+        with suppress(OSError):
+            digests[file.name] = _digest(file)
+    text = json.dumps(digests, indent=1, sort_keys=True)
+    target = folder / _DIGESTS
+    with suppress(OSError):
+        if digests and not (target.exists() and target.read_text(encoding="utf-8") == text):
+            written = folder / f"{_DIGESTS}.{os.getpid()}"
+            written.write_text(text, encoding="utf-8")
+            written.replace(target)
+
+
+def _digest(file: Path) -> str:
+    status = file.stat()
+    return _digest_of(file, status.st_size, status.st_mtime_ns)
+
+
+@cache
+def _digest_of(file: Path, size: int, written_ns: int) -> str:  # read again once it has changed
+    return hashlib.sha256(file.read_bytes()).hexdigest()
+
+
+def entry_point(compiled: F, *arguments: object) -> F:
+    """Compile a kernel for the types of these arguments, and return what to call directly.
+
+    A kernel looks up the types of its arguments at every call, which takes microseconds where they
+    are many. What is returned here does not: it must only be called with arguments of the same
+    types.
+    """
+    announce_compilation(compiled)
+    if numba.config.DISABLE_JIT:
+        return compiled
+    dispatcher: Any = compiled
+    collects = gc.isenabled()
+    gc.disable()  # compilation makes little garbage, and to look for it takes an eighth of the time
+    try:
+        entry: F = dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
+    finally:
+        if collects:
+            gc.enable()
+    return entry

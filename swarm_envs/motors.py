@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray
+from swarm_envs.tables import Record
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
 
 FULL_VOLTAGE = 4.2
@@ -89,29 +89,6 @@ def max_rotor_force_g(
     return a + b * np.asarray(pwm, dtype=np.float64) + c * np.asarray(voltage, dtype=np.float64)
 
 
-class BatteryArrays(NamedTuple):
-    """The batteries of drones as compiled kernels take them; one row a drone."""
-
-    open_circuit: FloatArray
-    """(K,) voltage without load over 4.2 V, at K evenly spaced charges from 0 to 1."""
-    idle_current: float
-    """Current with the rotors at rest, A."""
-    current_per_newton: float
-    """Current for a newton of total thrust, A/N."""
-    capacity: FloatArray
-    """(N,) charge of a full battery, A s."""
-    resistance: FloatArray
-    """(N,) fall of the voltage with the current, over 4.2 V, 1/A."""
-    force_to_pwm: FloatArray
-    """(N, 5) psi2."""
-    pwm_to_max_force: FloatArray
-    """(N, 3) psi3."""
-
-
-BATTERY_ROWS = ("capacity", "resistance", "force_to_pwm", "pwm_to_max_force")
-"""Fields of `BatteryArrays` that have a row for each drone."""
-
-
 @dataclass(frozen=True)
 class BatteryModel:
     """How batteries empty. The defaults are a Crazyflie's: six minutes of hover at 34 g."""
@@ -149,101 +126,94 @@ class BatteryModel:
                 "that rise from empty to full, such as (3.3, 3.8, 4.2)"
             )
 
-    def compile(self, team: Sequence[Vehicle]) -> BatteryArrays:
-        """Arrays of a team's batteries for the kernels."""
+    def of_team(self, team: Sequence[Vehicle]) -> dict[str, FloatArray]:
+        """What the table of drones holds of the batteries of a team: fields by name, (N, ...)."""
         sag = np.array([v.pwm_to_max_force[1] / v.pwm_to_max_force[2] for v in team])
         full_load = self.current_per_newton * np.array([v.max_thrust for v in team])
-        return BatteryArrays(
-            open_circuit=np.array(self.open_circuit_v, dtype=np.float64) / FULL_VOLTAGE,
-            idle_current=float(self.idle_current_a),
-            current_per_newton=float(self.current_per_newton),
-            capacity=3600.0 * self.capacity_ah * np.array([v.mass / SMALL.mass for v in team]),
-            resistance=np.divide(sag, full_load, out=np.zeros_like(sag), where=full_load > 0.0),
-            force_to_pwm=np.array([v.force_to_pwm for v in team], dtype=np.float64),
-            pwm_to_max_force=np.array([v.pwm_to_max_force for v in team], dtype=np.float64),
-        )
+        capacity = 3600.0 * self.capacity_ah * np.array([v.mass / SMALL.mass for v in team])
+        resistance = np.divide(sag, full_load, out=np.zeros_like(sag), where=full_load > 0.0)
+        return {
+            "battery_capacity": capacity,
+            "battery_resistance": resistance,
+            "force_to_pwm": np.array([v.force_to_pwm for v in team], dtype=np.float64),
+            "pwm_to_max_force": np.array([v.pwm_to_max_force for v in team], dtype=np.float64),
+        }
+
+    @property
+    def open_circuit(self) -> FloatArray:
+        """(K,) voltage without load over 4.2 V, at K evenly spaced charges from 0 to 1."""
+        return np.array(self.open_circuit_v, dtype=np.float64) / FULL_VOLTAGE
 
 
-@borrowing_kernel
-def current(rotor_thrust_total_n: float, model: BatteryArrays) -> float:
+@part
+def current(rotor_thrust_total_n: float, settings: Record) -> float:
     """Current that a vehicle draws, A, while its rotors give a total thrust, N."""
-    return model.idle_current + model.current_per_newton * rotor_thrust_total_n
+    return settings.idle_current + settings.current_per_newton * rotor_thrust_total_n
 
 
-@borrowing_kernel
+@part
 def voltage(
-    charge: float, rotor_thrust_total_n: float, model: BatteryArrays, vehicle_index: int
+    charge: float,
+    rotor_thrust_total_n: float,
+    drone: Record,
+    settings: Record,
+    open_circuit: FloatArray,
 ) -> float:
     """Voltage of a battery under load, over 4.2 V.
 
     Args:
         charge: from 0 (empty) to 1 (full).
         rotor_thrust_total_n: thrust of the four rotors together, N.
-        model: the team's batteries.
-        vehicle_index: which drone of the team.
+        drone: its record.
+        settings: the record of the settings.
+        open_circuit: (K,) voltage without load over 4.2 V, at evenly spaced charges.
     """
-    last = model.open_circuit.shape[0] - 1
+    last = open_circuit.shape[0] - 1
     place = charge * last
     k = min(int(place), last - 1)
-    low, high = model.open_circuit[k], model.open_circuit[k + 1]
-    load = current(rotor_thrust_total_n, model)
-    return low + (place - k) * (high - low) - model.resistance[vehicle_index] * load
+    low, high = open_circuit[k], open_circuit[k + 1]
+    load = current(rotor_thrust_total_n, settings)
+    return low + (place - k) * (high - low) - drone.battery_resistance * load
 
 
-@borrowing_kernel
-def rotor_limit(
+@part
+def limit_rotors(
     charge: float,
     rotor_thrust_total_n: float,
-    max_thrust_n: float,
-    model: BatteryArrays,
-    vehicle_index: int,
+    drone: Record,
+    settings: Record,
+    open_circuit: FloatArray,
 ) -> float:
     """Largest force of one rotor at a charge and under a load, N: psi3, within the vehicle's own.
 
     The signal that psi3 asks for is psi2 of the mean force, within [0, 1] as PWM is. An empty
-    battery turns no rotor.
-
-    Args:
-        charge: from 0 (empty) to 1 (full).
-        rotor_thrust_total_n: thrust of the four rotors together, N.
-        max_thrust_n: the vehicle's own largest thrust, four rotors together, N.
-        model: the team's batteries.
-        vehicle_index: which drone of the team.
+    battery turns no rotor. Arguments are those of `voltage`.
     """
     if charge <= 0.0:
         return 0.0
-    v = voltage(charge, rotor_thrust_total_n, model, vehicle_index)
+    v = voltage(charge, rotor_thrust_total_n, drone, settings, open_circuit)
     f = rotor_thrust_total_n / (4.0 * GRAM_FORCE)
-    a = model.force_to_pwm[vehicle_index]
+    a = drone.force_to_pwm
     p = a[0] + a[1] * f + a[2] * v + a[3] * f * f + a[4] * f * v
-    b = model.pwm_to_max_force[vehicle_index]
+    b = drone.pwm_to_max_force
     limit_g = b[0] + b[1] * min(max(p, 0.0), 1.0) + b[2] * v
-    return max(min(limit_g * GRAM_FORCE, max_thrust_n / 4.0), 0.0)
+    return max(min(limit_g * GRAM_FORCE, drone.max_rotor_thrust), 0.0)
 
 
-@borrowing_kernel
-def battery_step(
+@part
+def drain(
     charge: float,
     rotor_thrust_total_n: float,
-    max_thrust_n: float,
-    model: BatteryArrays,
-    vehicle_index: int,
+    drone: Record,
+    settings: Record,
+    open_circuit: FloatArray,
     dt: float,
 ) -> tuple[float, float]:
-    """Advance one battery by a time step.
-
-    Args:
-        charge: before the step, from 0 (empty) to 1 (full).
-        rotor_thrust_total_n: thrust of the four rotors together during the step, N.
-        max_thrust_n: the vehicle's own largest thrust, four rotors together, N.
-        model: the team's batteries.
-        vehicle_index: which drone of the team.
-        dt: the step, s.
+    """Advance one battery by a time step dt, s. The other arguments are those of `voltage`.
 
     Returns:
         The charge after the step, and the largest force of one rotor there, N.
     """
-    used = current(rotor_thrust_total_n, model) * dt / model.capacity[vehicle_index]
+    used = current(rotor_thrust_total_n, settings) * dt / drone.battery_capacity
     left = max(charge - used, 0.0)
-    limit = rotor_limit(left, rotor_thrust_total_n, max_thrust_n, model, vehicle_index)
-    return left, limit
+    return left, limit_rotors(left, rotor_thrust_total_n, drone, settings, open_circuit)

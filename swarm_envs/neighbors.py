@@ -7,15 +7,18 @@ give them in the same order, so that results have the same bits whichever way wa
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from swarm_envs.compiled import borrowing_kernel
+import numpy as np
+
+from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray, IntArray
 
 FEW = 24
 """Up to so many drones, every pair is looked at."""
 
 
-@borrowing_kernel
+@part
 def sort_along_x(position: FloatArray, order: IntArray) -> None:
     """Sort drones by x, equal ones by their index.
 
@@ -37,7 +40,7 @@ def sort_along_x(position: FloatArray, order: IntArray) -> None:
         order[b] = i
 
 
-@borrowing_kernel
+@part
 def insert_sorted(value: int, count: int, values: IntArray, first: int) -> None:
     """Insert a value among `count` ascending ones in `values`, which begin at `first`."""
     place = first + count
@@ -47,7 +50,7 @@ def insert_sorted(value: int, count: int, values: IntArray, first: int) -> None:
     values[place] = value
 
 
-@borrowing_kernel
+@part
 def within_box(
     position: FloatArray,
     order: IntArray,
@@ -87,8 +90,34 @@ def within_box(
     return count
 
 
-@borrowing_kernel
-def nearest(
+@part
+def nearest(i: int, position: FloatArray, found: IntArray, square: FloatArray) -> int:
+    """List the nearest other drones of drone `i`, nearest first, equal ones by their index.
+
+    Args:
+        i: the drone.
+        position: (N, 3) m.
+        found: (K,) their indices, written.
+        square: (K,) their squared distances, m^2, written.
+
+    Returns:
+        How many there are, at most K.
+    """
+    count: Any = np.int64(0)  # a literal 0 would compile `_offer` twice
+    places, bound = found.shape[0], math.inf if found.shape[0] > 0 else -1.0
+    for j in range(position.shape[0]):
+        dx = position[j, 0] - position[i, 0]
+        dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+        d = dx * dx + dy * dy + dz * dz
+        if j != i and d <= bound:
+            count = _offer(j, d, count, found, square)
+            if count == places:
+                bound = square[count - 1]
+    return count
+
+
+@part
+def nearest_sorted(
     i: int,
     place: int,
     position: FloatArray,
@@ -96,25 +125,20 @@ def nearest(
     found: IntArray,
     square: FloatArray,
 ) -> int:
-    """List the nearest other drones of drone `i`, nearest first, equal ones by their index.
+    """Do what `nearest` does among drones sorted along x: look only as far as it matters.
 
     Args:
         i: the drone.
-        place: where it stands in the order; -1 to look at every drone.
+        place: where it stands in the order.
         position: (N, 3) m.
-        order: (N,) drones sorted along x, if a place is given.
+        order: (N,) drones sorted along x.
         found: (K,) their indices, written.
         square: (K,) their squared distances, m^2, written.
 
     Returns:
         How many there are, at most K.
     """
-    count = 0
-    if place < 0:
-        for j in range(position.shape[0]):
-            if j != i:
-                count = _offer(j, squared_distance(position, i, j), count, found, square)
-        return count
+    count: Any = np.int64(0)  # see `nearest`
     places, bound = found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for step in (-1, 1):
         b = place + step
@@ -131,7 +155,7 @@ def nearest(
     return count
 
 
-@borrowing_kernel
+@part
 def _offer(j: int, d: float, count: int, found: IntArray, square: FloatArray) -> int:
     """Put drone `j`, at squared distance `d`, among the `count` nearest; return their number."""
     place = count
@@ -148,7 +172,7 @@ def _offer(j: int, d: float, count: int, found: IntArray, square: FloatArray) ->
     return count
 
 
-@borrowing_kernel
+@part
 def squared_distance(position: FloatArray, i: int, j: int) -> float:
     """Squared distance of two drones' centres, m^2."""
     dx = position[j, 0] - position[i, 0]
@@ -157,7 +181,7 @@ def squared_distance(position: FloatArray, i: int, j: int) -> float:
     return dx * dx + dy * dy + dz * dz
 
 
-@borrowing_kernel
+@part
 def distance_between(position: FloatArray, i: int, j: int) -> float:
     """Distance of two drones' centres, m."""
     return math.sqrt(squared_distance(position, i, j))

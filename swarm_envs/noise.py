@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import part
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
@@ -21,21 +21,21 @@ _ONE = np.uint64(1)
 _UNIT = 2.0**-53
 
 
-@borrowing_kernel
+@part
 def _mixed(z: np.uint64) -> np.uint64:
     z = (z ^ (z >> _S30)) * _FIRST
     z = (z ^ (z >> _S27)) * _SECOND
     return z ^ (z >> _S31)
 
 
-@borrowing_kernel
+@part
 def uniform(key: np.uint64, counter: np.uint64) -> float:
     """Number `counter` of the uniform stream `key`, in (0, 1): SplitMix64 (Steele 2014)."""
     z = _mixed(key + (counter + _ONE) * _GOLDEN)
     return (np.float64(z >> _S11) + 0.5) * _UNIT
 
 
-@borrowing_kernel
+@part
 def normal(key: np.uint64, counter: np.uint64) -> float:
     """Number `counter` of the standard normal stream `key` (Box and Muller 1958)."""
     radius = math.sqrt(-2.0 * math.log(uniform(key, _TWO * counter)))

@@ -34,16 +34,15 @@ def register() -> None:
 
 
 def _register_with_gymnasium(task: str) -> None:
-    makers = "swarm_envs.envs.named"
     gymnasium.register(
         id=gymnasium_name(task),
-        entry_point=f"{makers}:make_joint",
-        vector_entry_point=f"{makers}:make_vector",
+        entry_point="swarm_envs.envs.joint:make_joint",
+        vector_entry_point="swarm_envs.envs.vector:make_vector",
         kwargs={"task": task},
     )
     gymnasium.register(
         id=gymnasium_name(task, "Solo"),
-        entry_point=f"{makers}:make_solo",
+        entry_point="swarm_envs.envs.solo:make_solo",
         kwargs={"task": task},
     )
 

@@ -1,7 +1,6 @@
 """What changes over time, and what each drone is made of: named arrays that lead with (E, N).
 
-E counts environments, N drones. Both classes are named tuples, so that compiled kernels take them
-as they are; the arrays inside are the storage, written in place by physics.
+E counts environments, N drones. These are what users see of the records of `swarm_envs.tables`.
 """
 
 from __future__ import annotations
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.tables import Records
 from swarm_envs.vehicles import Team, Vehicle
 
 FloatArray = npt.NDArray[np.float64]
@@ -57,18 +56,9 @@ class SwarmState(NamedTuple):
             mine[where] = theirs[where]
 
 
-@borrowing_kernel
-def take_state(e: int, new: SwarmState, state: SwarmState) -> None:
-    """Copy what `new` holds of environment `e` into a state."""
-    for i in range(state.battery.shape[1]):
-        state.battery[e, i] = new.battery[e, i]
-        for k in range(3):
-            state.position[e, i, k] = new.position[e, i, k]
-            state.velocity[e, i, k] = new.velocity[e, i, k]
-            state.angular_velocity[e, i, k] = new.angular_velocity[e, i, k]
-        for k in range(4):
-            state.quaternion[e, i, k] = new.quaternion[e, i, k]
-            state.rotor_thrust[e, i, k] = new.rotor_thrust[e, i, k]
+def state_of(drones: Records) -> SwarmState:
+    """The state of drones (E, N) as read-only views of their records."""
+    return SwarmState(*(drones[name] for name in SwarmState._fields)).read_only()
 
 
 class Parameters(NamedTuple):
@@ -110,12 +100,6 @@ def parameters(team: Sequence[Vehicle], num_envs: int = 1) -> Parameters:
         thrust_to_torque=table([v.thrust_to_torque for v in team]),
         radius=table([v.radius for v in team]),
     )
-
-
-def replace_rows(arrays: NamedTuple, e: int, single: NamedTuple) -> None:
-    """Write the only environment of `single` over environment `e` of arrays of the same class."""
-    for mine, other in zip(arrays, single, strict=True):
-        mine[e] = other[0]
 
 
 def hover_state(team: Team, position: npt.ArrayLike) -> SwarmState:

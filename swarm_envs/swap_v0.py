@@ -84,8 +84,8 @@ def blueprint(
         reward_weights: weight of each reward term; terms left out keep their default.
         render_mode: `rgb_array` (pictures), `human` (a window) or None.
         **options: those of every task: physics, interactions, action, decision_rate, force_rate,
-            controller, observation, num_neighbors, num_obstacles, horizon_s, end_on_success,
-            battery, randomization, deterministic, force_bounds_g; see
+            precision, controller, observation, num_neighbors, num_obstacles, horizon_s,
+            end_on_success, battery, randomization, deterministic, force_bounds_g; see
             `swarm_envs.envs.config.EnvConfig`.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The cache of compiled kernels: an edit to any file with kernels makes it stale."""
+"""The cache of compiled kernels: an edit to any file that they come from makes it stale."""
 
 from __future__ import annotations
 
@@ -12,24 +12,28 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
-from numba.core.caching import NullCache
 
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import equation, kernel, part
 
 PACKAGE = Path(__file__).parent.parent / "swarm_envs"
+compiled_only = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 MESSAGE = "swarm_envs: compiling kernels"
+IMPORT = "from swarm_envs.compiled import announce_compilation, kernel\n"
 
-# `outer` lies in one file and calls `inner` in another; the package is told before its first call.
+# `outer` lies in one file, calls `inner` in another, and takes in a constant of a third, which a
+# fourth passes on; `unused.py` is imported by no module with kernels.
 FILES = {
     "__init__.py": "",
-    "state.py": "",
+    "unused.py": "FIELDS = 3\n",
+    "shape.py": "STEP = 1\n",
+    "table.py": "from swarm_envs.shape import (  # a few (of many)\n    STEP as STEP,\n)\n",
     "motors.py": (
-        "from swarm_envs.compiled import kernel\n\n@kernel\ndef inner(x):\n    return x + 1\n"
+        f"{IMPORT}from swarm_envs import table\nSTEP = table.STEP\n\n"
+        "@kernel\ndef inner(x):\n    return x + STEP\n"
     ),
     "physics/__init__.py": "",
     "physics/step.py": (
-        "from swarm_envs.compiled import announce_compilation, kernel\n"
-        "from swarm_envs.motors import inner\n\n"
+        f"{IMPORT}from swarm_envs.motors import inner\n\n"
         "@kernel\ndef outer(x):\n    return 2 * inner(x)\n\n"
         "def step(x):\n    announce_compilation(outer)\n    return outer(x)\n"
     ),
@@ -41,39 +45,65 @@ print(step(3), step(3), sum(outer.stats.cache_hits.values()))
 
 
 @pytest.fixture
-def package(tmp_path):
-    """A small package of the same name, with the real modules of compilation."""
+def package(tmp_path: Path) -> Path:
+    """A small package of the same name, with the real module of compilation."""
     home = tmp_path / "swarm_envs"
     (home / "physics").mkdir(parents=True)
     for name, text in FILES.items():
         (home / name).write_text(text, encoding="utf-8")
-    for name in ("borrowed.py", "compiled.py", "lowering.py"):
-        shutil.copy(PACKAGE / name, home)
+    shutil.copy(PACKAGE / "compiled.py", home)
     return home
+
+
+def start(package: Path, script: str = SCRIPT, **environment: str) -> subprocess.Popen[str]:
+    inherited = {name: text for name, text in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    return subprocess.Popen(
+        [sys.executable, "-c", script],
+        cwd=package.parent,
+        env=inherited | {"PYTHONPATH": str(package.parent)} | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> tuple[str, str]:
+    printed, said = process.communicate()
+    assert process.returncode == 0, said
+    return printed.strip(), said
 
 
 def run(package: Path, script: str = SCRIPT, **environment: str) -> tuple[str, str]:
     """What a script prints (two results and the number of cache hits), and its stderr."""
-    inherited = {name: text for name, text in os.environ.items() if name != "NUMBA_CACHE_DIR"}
-    done = subprocess.run(
-        [sys.executable, "-c", script],
-        cwd=package.parent,
-        env=inherited | {"PYTHONPATH": str(package.parent)} | environment,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip(), done.stderr
+    return finish(start(package, script, **environment))
 
 
-def test_the_second_process_finds_the_kernel_and_says_nothing(package):
+def kernels(package: Path, suffix: str = "nb[ci]") -> list[Path]:
+    return sorted(package.rglob(f"*.{suffix}"))
+
+
+def flip(file: Path) -> None:
+    """Change one byte in the middle."""
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 1
+    file.write_bytes(data)
+
+
+def obstruct(*folders: Path) -> None:
+    """Put files where folders would be made."""
+    for folder in folders:
+        folder.write_text("no folder can be made here", encoding="utf-8")
+
+
+def test_the_second_process_finds_the_kernel_and_says_nothing(package: Path) -> None:
     first, said = run(package)
     assert first == "8 8 0"
     assert said.count(MESSAGE) == 1
+    assert said.count("\n") == 1
     assert run(package) == ("8 8 1", "")
 
 
-def test_a_kernel_that_is_compiled_after_one_that_was_kept_is_told(package):
+def test_a_kernel_that_is_compiled_after_one_that_was_kept_is_told(package: Path) -> None:
     """As when an engine flies for the first time, and all else has flown before."""
     run(package)
     step = package / "physics" / "step.py"
@@ -85,98 +115,212 @@ def test_a_kernel_that_is_compiled_after_one_that_was_kept_is_told(package):
     assert said.count(MESSAGE) == 1
 
 
-@pytest.mark.parametrize("edited", ["motors.py", "physics/step.py"])
-def test_an_edit_to_either_file_recompiles(package, edited):
+@pytest.mark.parametrize(
+    ("edited", "old", "new", "expected"),
+    [
+        ("physics/step.py", "2 *", "20 *", 80),
+        ("motors.py", "x + STEP", "x + 10 * STEP", 26),
+        ("shape.py", "STEP = 1", "STEP = 10", 26),
+    ],
+)
+def test_an_edit_to_a_file_that_a_kernel_comes_from_recompiles(
+    package: Path, edited: str, old: str, new: str, expected: int
+) -> None:
     run(package)
+    before = kernels(package)
     source = package / edited
-    text = source.read_text(encoding="utf-8").replace("x + 1", "x + 10").replace("2 *", "20 *")
-    source.write_text(text, encoding="utf-8")  # of another size, or Python keeps its own bytecode
-    expected = 2 * (3 + 10) if edited == "motors.py" else 20 * (3 + 1)
+    source.write_text(source.read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
     result, said = run(package)
     assert result == f"{expected} {expected} 0"
     assert said.count(MESSAGE) == 1
+    assert run(package) == (f"{expected} {expected} 1", "")
+    outer = [file for file in before if file.name.startswith("step.outer")]
+    assert outer
+    assert not any(file.exists() for file in outer)  # the stale ones do not pile up
 
 
-def test_an_edit_to_another_module_of_the_base_recompiles(package):
+def test_an_edit_to_a_file_that_no_kernel_comes_from_recompiles_nothing(package: Path) -> None:
     run(package)
-    (package / "state.py").write_text("FIELDS = 3\n", encoding="utf-8")
-    assert run(package)[0] == "8 8 0"
-
-
-def test_a_read_only_installation_caches_with_the_user(package, tmp_path):
-    home = tmp_path / "home"
-    home.mkdir()
-    user = {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")}
-    for folder in (package, package / "physics"):
-        (folder / "__pycache__").write_text("no folder can be made here", encoding="utf-8")
-    assert run(package, **user)[0] == "8 8 0"
-    assert list(home.rglob("*.nbi"))
-    assert run(package, **user) == ("8 8 1", "")
-
-
-@pytest.mark.parametrize("suffix", ["nbc", "nbi"])
-@pytest.mark.parametrize("size", [0, 100])
-def test_a_damaged_cache_is_compiled_again_and_overwritten(package, suffix, size):
-    run(package)
-    files = list(package.rglob(f"*.{suffix}"))
-    assert files
-    for file in files:
-        file.write_bytes(file.read_bytes()[:size])
-    result, said = run(package)
-    assert result == "8 8 0"
-    assert said.count("\n") == 1
-    assert ("cached kernel cannot be read" if suffix == "nbc" else MESSAGE) in said
+    (package / "unused.py").write_text("FIELDS = 4\n", encoding="utf-8")
     assert run(package) == ("8 8 1", "")
 
 
-def test_without_any_folder_for_a_cache_the_message_says_what_to_set(package, tmp_path):
+def test_a_touched_file_recompiles_nothing(package: Path) -> None:
+    run(package)
+    for name in FILES:
+        os.utime(package / name, (1, 1))
+    assert run(package) == ("8 8 1", "")
+
+
+def test_a_task_outside_the_package_is_known_by_its_own_file_and_its_imports(
+    package: Path, tmp_path: Path
+) -> None:
+    task = tmp_path / "task.py"
+    task.write_text(
+        f"{IMPORT}from swarm_envs.motors import inner\n"
+        "@kernel\ndef reward(x):\n    return 5 * inner(x)\n",
+        encoding="utf-8",
+    )
+    script = "from task import reward\nprint(reward(1), sum(reward.stats.cache_hits.values()))"
+    assert run(package, script)[0] == "10 0"
+    assert run(package, script)[0] == "10 1"
+    (package / "shape.py").write_text("STEP = 10\n", encoding="utf-8")
+    assert run(package, script)[0] == "55 0"
+
+
+def test_the_settings_and_the_caches_of_others_are_left_alone(
+    package: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other.py"
+    other.write_text(
+        "import numba\n@numba.njit(cache=True)\ndef half(x):\n    return x / 2\n", encoding="utf-8"
+    )
+    script = "import numba, swarm_envs.physics.step, other\nprint(other.half(2.0))\n"
+    script += "print([numba.config.CACHE_DIR, numba.config.CACHE_LOCATOR_CLASSES])"
+    assert run(package, script)[0] == "1.0\n['', '']"
+    cached = kernels(tmp_path / "__pycache__")
+    assert len(cached) == 2
+    (package / "motors.py").write_text(FILES["motors.py"] + "\n# edited\n", encoding="utf-8")
+    run(package)
+    assert kernels(tmp_path / "__pycache__") == cached
+
+
+def test_a_chosen_folder_is_used(package: Path, tmp_path: Path) -> None:
+    chosen = tmp_path / "chosen"
+    (chosen / "of_another").mkdir(parents=True)
+    assert run(package, NUMBA_CACHE_DIR=str(chosen))[0] == "8 8 0"
+    assert kernels(chosen)
+    assert not kernels(package)
+    assert run(package, NUMBA_CACHE_DIR=str(chosen)) == ("8 8 1", "")
+    assert (chosen / "of_another").is_dir()
+
+
+def test_a_read_only_installation_caches_with_the_user(package: Path, tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    user = {"HOME": str(home), "XDG_CACHE_HOME": str(home / "cache")}
+    obstruct(package / "__pycache__")
+    assert run(package, **user)[0] == "8 8 0"
+    assert kernels(home)
+    assert run(package, **user) == ("8 8 1", "")
+
+
+def test_without_any_folder_for_a_cache_the_message_says_what_to_set(
+    package: Path, tmp_path: Path
+) -> None:
     nowhere = tmp_path / "file"
-    for file in (package / "__pycache__", package / "physics" / "__pycache__", nowhere):
-        file.write_text("no folder can be made here", encoding="utf-8")
+    obstruct(package / "__pycache__", nowhere)
     user = {"HOME": str(nowhere), "XDG_CACHE_HOME": str(nowhere)}
-    for _ in range(2):
-        result, said = run(package, **user)
-        assert result == "8 8 0"
-        assert "in every process" in said
-        assert "NUMBA_CACHE_DIR" in said
+    result, said = run(package, **user)
+    assert result == "8 8 0"
+    assert "in every process" in said
+    assert "NUMBA_CACHE_DIR" in said
+    assert "in every process" in run(package, **user)[1]
     user["NUMBA_CACHE_DIR"] = str(tmp_path / "cache")
     run(package, **user)
     assert run(package, **user) == ("8 8 1", "")
 
 
-def test_without_compilation_the_kernel_is_plain_python(package):
+@pytest.mark.parametrize("suffix", ["nbc", "nbi"])
+@pytest.mark.parametrize("kept", [0, 100, None])
+def test_a_damaged_cache_is_compiled_again_and_overwritten(
+    package: Path, suffix: str, kept: int | None
+) -> None:
+    """A flipped byte (None), or a file that is cut short."""
+    run(package)
+    files = kernels(package, suffix)
+    assert files
+    for file in files:
+        if kept is None:
+            flip(file)
+        else:
+            file.write_bytes(file.read_bytes()[:kept])
+    result, said = run(package)
+    assert result == "8 8 0"
+    assert said.count(MESSAGE) == 1
+    assert said.count("\n") == 1
+    assert run(package) == ("8 8 1", "")
+
+
+def test_kernels_of_a_process_that_was_killed_are_kept(package: Path) -> None:
+    """It leaves no digests; the next process trusts the files and writes them."""
+    ended = "from swarm_envs.physics.step import step\nimport os\nstep(3)\nos._exit(0)"
+    run(package, ended)
+    assert not list(package.rglob("digests.json"))
+    assert run(package) == ("8 8 1", "")
+    flip(next(file for file in kernels(package, "nbc") if file.name.startswith("step.outer")))
+    assert run(package)[0] == "8 8 0"
+
+
+def test_damaged_digests_are_written_again(package: Path) -> None:
+    run(package)
+    digests = sorted(package.rglob("digests.json"))
+    assert digests
+    for file in digests:
+        file.write_text("[1", encoding="utf-8")
+    assert run(package) == ("8 8 1", "")
+    assert all(file.read_text(encoding="utf-8").startswith("{") for file in digests)
+
+
+def test_processes_that_start_at_once_do_not_disturb_each_other(package: Path) -> None:
+    """Neither while they fill an empty cache nor while they mend a damaged one."""
+    for _ in range(2):
+        together = [start(package) for _ in range(3)]
+        assert {finish(process)[0][:3] for process in together} == {"8 8"}
+        assert run(package)[0][:3] == "8 8"
+        assert run(package) == ("8 8 1", "")
+        for file in kernels(package):
+            flip(file)
+
+
+def test_without_compilation_the_kernel_is_plain_python(package: Path) -> None:
     script = "from swarm_envs.physics.step import step; print(step(3))"
     assert run(package, script, NUMBA_DISABLE_JIT="1") == ("8", "")
+    assert not kernels(package)
 
 
-def test_division_by_zero_follows_ieee():
-    @kernel
-    def divide(a: float, b: float) -> float:
+@compiled_only
+def test_division_by_zero_follows_ieee() -> None:
+    @equation
+    def ratio(a: float, b: float) -> float:
         return a / b
 
+    @part
+    def inverse(b: float) -> float:
+        return 1.0 / b
+
+    @kernel
+    def divide(a: float, b: float) -> float:
+        return ratio(a, b) + inverse(b) + a / b
+
     assert divide(1.0, 0.0) == float("inf")
+    assert ratio(3.0, 2.0) == 1.5
+    assert inverse(2.0) == 0.5
 
 
-def test_a_borrowing_kernel_that_makes_an_array_is_refused():
-    @borrowing_kernel
-    def total(x: np.ndarray) -> float:
-        return (2.0 * x).sum()
+@compiled_only
+def test_an_equation_becomes_part_of_the_loop_that_calls_it() -> None:
+    @equation
+    def norm(x: float, y: float) -> tuple[float, float]:
+        return np.sqrt(x * x + y * y), x / y
 
-    with pytest.raises(numba.core.errors.NumbaError, match="NRT"):
-        total(np.ones(3))
+    @kernel
+    def norms(x: np.ndarray, y: np.ndarray) -> None:
+        for k in range(x.shape[0]):
+            x[k], y[k] = norm(x[k], y[k])
+
+    x, y = np.full(9, 3.0), np.full(9, 4.0)
+    norms(x, y)
+    assert (x.tolist(), y.tolist()) == ([5.0] * 9, [0.75] * 9)
+    inspected: Any = norms
+    code = "".join(inspected.inspect_asm().values())
+    if "vsqrtsd" in code:  # this processor works on lanes, and so does the loop
+        assert "vsqrtpd" in code
 
 
-def test_a_borrowing_kernel_counts_no_references():
-    @borrowing_kernel
-    def fill(x: np.ndarray) -> None:
-        row = x[1]
-        for k in range(row.shape[0]):
-            row[k] = k
+def test_a_kernel_takes_the_freedoms_of_arithmetic_that_it_is_given() -> None:
+    @kernel(fastmath={"contract"})
+    def combine(a: float, b: float, c: float) -> float:
+        return a * b + c
 
-    dispatcher: Any = fill
-    dispatcher._cache = NullCache()  # code that was read from the disk cannot be looked at
-    array = np.zeros((2, 3))
-    fill(array)
-    assert array.tolist() == [[0, 0, 0], [0, 1, 2]]
-    code = dispatcher.inspect_llvm(dispatcher.signatures[0])
-    assert "NRT_incref" not in code.split("define", 2)[1]
+    assert combine(2.0, 3.0, 4.0) == 10.0

@@ -11,14 +11,16 @@ import pytest
 from swarm_envs.motors import (
     FULL_VOLTAGE,
     BatteryModel,
-    battery_step,
     current,
+    drain,
+    limit_rotors,
     max_rotor_force_g,
     pwm_for_force,
     rotor_force_g,
-    rotor_limit,
     voltage,
 )
+from swarm_envs.physics import BatchPhysics
+from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL, SMALL_STRONG, VEHICLES
 
 VEHICLE_TYPES = list(VEHICLES.values())
@@ -30,19 +32,38 @@ MEASURED_THRUST_G = np.array([0.0, 4.8, 10.9, 17.3, 24.4, 32.8, 37.3])
 MEASURED_CURRENT_A = np.array([0.24, 0.56, 0.94, 1.37, 1.83, 2.39, 2.71])
 
 
+Battery = tuple[np.void, np.void, FloatArray]
+"""A vehicle's record, the settings, and the voltages without load."""
+
+
+def batteries(team, model=None, max_thrust=None) -> list[Battery]:
+    """What the equations take of each vehicle's battery, as the engine keeps it.
+
+    `max_thrust` stands in place of the vehicle's own, N.
+    """
+    model = model or BatteryModel()
+    physics = BatchPhysics(team, interactions="none", battery=model)
+    if max_thrust is not None:
+        physics.world.drones["max_rotor_thrust"] = max_thrust / 4
+    drones, settings = physics.world.drones[0], physics.settings[0]
+    return [(drones[i], settings, model.open_circuit) for i in range(len(team))]
+
+
+def battery_of(vehicle, model=None, max_thrust=None) -> Battery:
+    return batteries((vehicle,), model, max_thrust)[0]
+
+
 def limit_g(vehicle, charge, thrust_g, max_thrust_g=np.inf):
     """Largest thrust of four rotors, grams."""
-    model = BatteryModel().compile((vehicle,))
-    arguments = (thrust_g * GRAM_FORCE, max_thrust_g * GRAM_FORCE)
-    return 4 * rotor_limit(charge, *arguments, model, 0) / GRAM_FORCE
+    battery = battery_of(vehicle, max_thrust=max_thrust_g * GRAM_FORCE)
+    return 4 * limit_rotors(charge, thrust_g * GRAM_FORCE, *battery) / GRAM_FORCE
 
 
 def discharge(vehicle, thrust_n, steps, dt, model=None):
     """Charges and rotor limits while the rotors give a constant thrust from a full battery."""
-    arrays = (model or BatteryModel()).compile((vehicle,))
-    charge, rows = 1.0, []
+    battery, charge, rows = battery_of(vehicle, model), 1.0, []
     for _ in range(steps):
-        charge, limit = battery_step(charge, thrust_n, vehicle.max_thrust, arrays, 0, dt)
+        charge, limit = drain(charge, thrust_n, *battery, dt)
         rows.append((charge, limit))
     return np.array(rows)
 
@@ -95,25 +116,25 @@ def test_psi3_foresees_the_same_maximum_from_every_load():
 
 
 def test_the_maximum_of_a_loaded_rotor_is_psi3_itself():
-    model = BatteryModel().compile((LARGE,))
+    battery = battery_of(LARGE, max_thrust=np.inf)
     thrust = LARGE.mass * 9.80665
-    v = voltage(0.6, thrust, model, 0)
+    v = voltage(0.6, thrust, *battery)
     p = pwm_for_force(LARGE, thrust / 4 / GRAM_FORCE, v)
     expected = max_rotor_force_g(LARGE, p, v) * GRAM_FORCE
-    assert rotor_limit(0.6, thrust, np.inf, model, 0) == pytest.approx(expected, rel=1e-12)
+    assert limit_rotors(0.6, thrust, *battery) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_current_follows_the_measured_one():
-    model = BatteryModel().compile((SMALL,))
-    drawn = [current(thrust * GRAM_FORCE, model) for thrust in MEASURED_THRUST_G]
+    _, settings, _ = battery_of(SMALL)
+    drawn = [current(thrust * GRAM_FORCE, settings) for thrust in MEASURED_THRUST_G]
     np.testing.assert_allclose(drawn, MEASURED_CURRENT_A, atol=0.15)
 
 
 @each_vehicle
 def test_voltage_falls_with_use_and_with_load(vehicle):
-    model = BatteryModel().compile((vehicle,))
+    battery = battery_of(vehicle)
     loads = np.linspace(0.0, vehicle.max_thrust, 30)
-    table = np.array([[voltage(q, load, model, 0) for q in CHARGES] for load in loads])
+    table = np.array([[voltage(q, load, *battery) for q in CHARGES] for load in loads])
     assert (np.diff(table, axis=1) > 0).all()
     assert (np.diff(table, axis=0) < 0).all()
     assert table.max() < 1.0
@@ -121,14 +142,14 @@ def test_voltage_falls_with_use_and_with_load(vehicle):
 
 def test_open_circuit_voltage_meets_its_table():
     volts = (3.0, 3.7, 4.2)
-    model = BatteryModel(idle_current_a=0.0, open_circuit_v=volts).compile((SMALL,))
-    found = [FULL_VOLTAGE * voltage(q, 0.0, model, 0) for q in (0.0, 0.25, 0.5, 1.0)]
+    battery = battery_of(SMALL, BatteryModel(idle_current_a=0.0, open_circuit_v=volts))
+    found = [FULL_VOLTAGE * voltage(q, 0.0, *battery) for q in (0.0, 0.25, 0.5, 1.0)]
     np.testing.assert_allclose(found, [3.0, 3.35, 3.7, 4.2], rtol=1e-12)
 
 
 def test_the_sag_of_full_throttle_is_the_one_in_psi3():
-    model = BatteryModel(idle_current_a=0.0).compile((SMALL,))
-    sag = voltage(1.0, 0.0, model, 0) - voltage(1.0, SMALL.max_thrust, model, 0)
+    battery = battery_of(SMALL, BatteryModel(idle_current_a=0.0))
+    sag = voltage(1.0, 0.0, *battery) - voltage(1.0, SMALL.max_thrust, *battery)
     assert sag == pytest.approx(3.02 / 26.72, rel=1e-12)
 
 
@@ -149,10 +170,8 @@ def test_a_crazyflie_hovers_for_about_seven_minutes():
     model = BatteryModel()
     seconds = model.capacity_ah * 3600 / (0.24 + model.current_per_newton * 0.027 * 9.80665)
     assert 6.5 * 60 < seconds < 7.5 * 60
-    arrays = replace(model, capacity_ah=0.25 * SMALL.mass / light.mass).compile((light,))
-    charge = 1.0
-    for _ in range(int(seconds) - 2):
-        charge, _ = battery_step(charge, light.mass * 9.80665, light.max_thrust, arrays, 0, 1.0)
+    as_sold = replace(model, capacity_ah=0.25 * SMALL.mass / light.mass)
+    charge = discharge(light, light.mass * 9.80665, int(seconds) - 2, 1.0, as_sold)[-1, 0]
     assert 0.0 < charge < 0.01
 
 
@@ -175,17 +194,14 @@ def test_an_empty_battery_turns_no_rotor_and_stays_empty():
 @each_vehicle
 def test_the_limit_is_never_above_the_vehicles_own(vehicle):
     own = 0.5 * vehicle.max_thrust
-    model = BatteryModel().compile((vehicle,))
-    assert rotor_limit(1.0, own, own, model, 0) == own / 4
+    assert limit_rotors(1.0, own, *battery_of(vehicle, max_thrust=own)) == own / 4
 
 
 def test_each_drone_has_its_own_row():
     team = (SMALL, LARGE)
-    together = BatteryModel().compile(team)
-    for i, vehicle in enumerate(team):
-        alone = BatteryModel().compile((vehicle,))
-        arguments = (0.7, 0.3, vehicle.max_thrust)
-        assert battery_step(*arguments, together, i, 0.1) == battery_step(*arguments, alone, 0, 0.1)
+    for vehicle, together in zip(team, batteries(team), strict=True):
+        alone = battery_of(vehicle)
+        assert drain(0.7, 0.3, *together, 0.1) == drain(0.7, 0.3, *alone, 0.1)
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarm_envs.interactions import load
-from swarm_envs.interactions.field import default_window
-from swarm_envs.interactions.window import find_pairs, pair_weight
-from swarm_envs.neighbors import FEW, nearest, sort_along_x
+from swarm_envs.interactions.field import default_window, empty_field
+from swarm_envs.interactions.forces import find_pairs, pair_weight
+from swarm_envs.interactions.packed import packed
+from swarm_envs.interactions.scratch import scratch_for
+from swarm_envs.neighbors import FEW, nearest, nearest_sorted, sort_along_x
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.state import IntArray, hover_state
 from swarm_envs.vehicles import parse_team
@@ -34,14 +36,14 @@ swarms = st.builds(
 
 
 def pairs_of(position: Array, drones: int) -> tuple[IntArray, Array]:
-    total = len(position)
-    order = np.random.default_rng(1).permuted(
-        np.tile(np.arange(drones), (total // drones, 1)), axis=1
-    )
-    pairs = np.zeros((2, total * (drones - 1)), np.int64)
-    weight = np.zeros(total * (drones - 1))
-    count = find_pairs(default_window(), drones, position, order.ravel(), pairs, weight)
-    return pairs[:, :count], weight[:count]
+    field, places = packed(empty_field(1)), len(position) // drones
+    scratch = scratch_for(field, places, drones)
+    order = np.tile(np.arange(drones), (places, 1))
+    scratch.order[0] = np.random.default_rng(1).permuted(order, axis=1).ravel()
+    scratch.drones["position"] = position
+    find_pairs(field, places, drones, scratch)
+    found = scratch.pairs[: scratch.desk["pairs"][0]]
+    return np.stack([found["i"], found["j"]]), found["weight"]
 
 
 @given(swarms, st.integers(0, 2**31))
@@ -52,7 +54,7 @@ def test_order_is_that_of_x_whatever_it_was(position: Array, seed: int) -> None:
 
 
 @given(swarms)
-def test_pairs_are_all_with_a_weight_and_grouped(position: Array) -> None:
+def test_pairs_are_all_with_a_weight_and_neighbours_ascend(position: Array) -> None:
     n, window = len(position), default_window()
     expected = {
         (i, j): left
@@ -64,9 +66,8 @@ def test_pairs_are_all_with_a_weight_and_grouped(position: Array) -> None:
     found = list(zip(*pairs.tolist(), strict=True))
     assert dict(zip(found, weight.tolist(), strict=True)) == expected
     assert len(found) == len(expected)
-    firsts = pairs[0]
-    assert len(set(firsts.tolist())) == 1 + np.count_nonzero(np.diff(firsts)) or not len(firsts)
-    assert all(b > a for i, a, k, b in zip(*pairs[:, :-1], *pairs[:, 1:], strict=True) if i == k)
+    for i in range(n):
+        assert (np.diff(pairs[1, pairs[0] == i]) > 0).all()
 
 
 def test_pairs_of_several_environments_stay_apart() -> None:
@@ -87,9 +88,13 @@ def test_nearest_are_those_of_a_full_sort(position: Array, wanted: int) -> None:
         apart = position - position[i]
         square = apart[:, 0] ** 2 + apart[:, 1] ** 2 + apart[:, 2] ** 2
         expected = [j for j in np.lexsort((np.arange(n), square)).tolist() if j != i][:wanted]
-        for where in (-1, place):
+        for swept in (False, True):
             found, squares = np.full(wanted, -9), np.zeros(wanted)
-            assert nearest(i, where, position, order, found, squares) == len(expected)
+            if swept:
+                count = nearest_sorted(i, place, position, order, found, squares)
+            else:
+                count = nearest(i, position, found, squares)
+            assert count == len(expected)
             assert found[: len(expected)].tolist() == expected
             np.testing.assert_array_equal(squares[: len(expected)], square[expected])
 

@@ -21,9 +21,9 @@ from swarm_envs.agents.features import features
 from swarm_envs.agents.networks import ANY, plain
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.agents.policy_file import Policy, PolicyNote, read_policy, write_policy
-from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import observation_layout
+from swarm_envs.envs.options import batch_of
 
 NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2, fewest=2)
 

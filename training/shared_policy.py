@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from swarm_envs.envs.blueprints import batch_of
-from swarm_envs.envs.checks import check_num_envs
+from swarm_envs.envs.config import check_num_envs
 from swarm_envs.envs.core import StepResult, SwarmCore
-from swarm_envs.envs.forms import observation_space, shaper
 from swarm_envs.envs.joint import split_teams
-from swarm_envs.envs.options import Blueprint
+from swarm_envs.envs.observation import observation_space, shaper
+from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 

@@ -94,7 +94,7 @@ class MlrDmpcAgent:
                 f"MlrDmpcAgent flies to goals at rest, but those of {task.name} circle; use swap, "
                 "formation, or the agent 'tracking-compensated'"
             )
-        goals = env.core.mission.goals[0]
+        goals = env.core.world.goals[0]
         self._agents = list(env.agents)
         self.config = replace(
             self._given,

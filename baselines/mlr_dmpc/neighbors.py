@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 SPARE_M = 2e-6
@@ -111,7 +111,7 @@ def _voronoi_planes(
     return normals, offsets
 
 
-@borrowing_kernel
+@kernel
 def _turn(normal: FloatArray, least_gap: float, turn: float, share: float) -> None:
     """Turn a unit normal (3,) about the vertical; `least_gap` of the gap must be left along it."""
     level = normal[0] ** 2 + normal[1] ** 2

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray
 
 NOBODY = 255
@@ -86,7 +86,7 @@ def _states(state: FloatArray, jerk: FloatArray, step: float, times: FloatArray)
     return out
 
 
-@borrowing_kernel
+@kernel
 def _advance(state: FloatArray, jerk: FloatArray, time: float, out: FloatArray) -> None:
     """Write the state (3, 3) that a constant jerk (3,) leads to."""
     for i in range(3):

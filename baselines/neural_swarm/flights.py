@@ -33,6 +33,7 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.motion import reference_of
 from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.vehicles import Team, parse_team
 from swarm_envs.viewing.record import FlightRecord
@@ -106,7 +107,7 @@ class Flights:
     crashed: BoolArray
     """(E,) ended by a collision or a tumble: its errors are not its worst."""
     metrics: tuple[dict[str, Any], ...]
-    """(E,) see `swarm_envs.envs.report.episode_metrics`."""
+    """(E,) see `swarm_envs.envs.judge.metrics`."""
 
     def record(self, e: int) -> FlightRecord:
         """Flight `e` as plots and films take it."""
@@ -172,7 +173,7 @@ def follow(core: SwarmCore) -> Iterator[SwarmCore]:
     """
     yaw = np.zeros((core.num_envs, core.num_drones, 2))
     while core.running.any():
-        reference = core.task.reference(core.mission, core.time)
+        reference = reference_of(core.world.drones)
         core.step(np.concatenate([*reference, yaw], axis=-1))
         yield core
 
@@ -234,11 +235,12 @@ def _fly_part(
             trace.take(k, running)
             tick(int(running.sum()))
             running = core.running.copy()
+        drones = core.world.drones
         return trace.arrays | {
-            "worst_height_error": core.record.worst_height_error.copy(),
-            "worst_error": core.record.worst_error.copy(),
-            "crashed": core.verdict.crashed.any(axis=1),
-            _METRICS: [core.metrics(e) for e in range(len(seeds))],
+            "worst_height_error": drones["worst_height_error"].copy(),
+            "worst_error": drones["worst_error"].copy(),
+            "crashed": (drones["crashed"] > 0.0).any(axis=1),
+            _METRICS: core.metrics_of(range(len(seeds))),
         }
     finally:
         core.close()
@@ -257,15 +259,15 @@ class _Trace:
 
     def _sources(self) -> dict[str, FloatArray]:
         """(E, N, width) what is sampled."""
-        core = self._core
-        state = core.physics.state
+        physics, drones = self._core.physics, self._core.world.drones
+        state = physics.state
         return {
             "position": state.position,
             "velocity": state.velocity,
             "quaternion": state.quaternion,
-            "reference": core.task.reference(core.mission, core.time).position,
-            "force": core.physics.force,
-            "believed": core.flight.pilot.belief_force,
+            "reference": drones["reference_position"],
+            "force": physics.force,
+            "believed": drones["believed_force"],
         }
 
     def take(self, k: int, running: BoolArray) -> None:

@@ -2,7 +2,7 @@
 
 Written from the equations of the paper (numbers of version 1) in the order in which it derives
 them, with rotation matrices and no compiled code. The loop that environments run,
-`swarm_envs.control.tracking`, agrees with it to rounding; a test holds them together.
+`swarm_envs.control.loop`, agrees with it to rounding; a test holds them together.
 """
 
 from __future__ import annotations

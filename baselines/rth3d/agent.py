@@ -21,8 +21,7 @@ from swarm_envs.baselines.rth3d.plan import plan
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.view import View
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
-from swarm_envs.tasks.metrics import NEAR_MISS
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, NEAR_MISS, SPEED_LIMIT, Task
 from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 
 MOST_SMOOTHED = 1000

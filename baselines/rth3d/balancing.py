@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array, Shape, Vertices
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
 Neighbors = npt.NDArray[np.int32]
@@ -44,7 +44,7 @@ def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
     return found.reshape(-1, 7)
 
 
-@borrowing_kernel
+@kernel
 def _label(
     table: Array,
     used_out: Array,
@@ -82,7 +82,7 @@ def _label(
                 tail += 1
 
 
-@borrowing_kernel
+@kernel
 def _arc_back(
     table: Array, used_out: Array, used_in: Array, total: int, side: int, t: int, v: int, arc: int
 ) -> int:
@@ -103,7 +103,7 @@ def _arc_back(
     return -1
 
 
-@borrowing_kernel
+@kernel
 def _arc(
     table: Array,
     used_out: Array,
@@ -133,7 +133,7 @@ def _arc(
     return -1 if t == steps else 2 * place + 1
 
 
-@borrowing_kernel
+@kernel
 def _augment(
     table: Array,
     used_out: Array,
@@ -180,7 +180,7 @@ def _augment(
     return sent
 
 
-@borrowing_kernel
+@kernel
 def _send(used_out: Array, used_in: Array, stack: Array, arcs: Array, depth: int) -> None:
     """Change the flow along a path."""
     for k in range(depth + 1):
@@ -194,7 +194,7 @@ def _send(used_out: Array, used_in: Array, stack: Array, arcs: Array, depth: int
                 used_in[stack[k + 1] >> 1] = arcs[k]
 
 
-@borrowing_kernel
+@kernel
 def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) -> None:
     """Let two units that would swap stay: nobody knows the difference."""
     total = table.shape[0]
@@ -210,7 +210,7 @@ def _without_swaps(table: Array, used_out: Array, used_in: Array, steps: int) ->
                 used_in[here + total] = used_in[there + total] = 6
 
 
-@borrowing_kernel
+@kernel
 def _follow(table: Array, used_out: Array, starts: Array, paths: Array) -> None:
     """Write where the unit that leaves each start is after each step."""
     total = table.shape[0]

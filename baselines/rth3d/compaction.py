@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array, Vertices
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 
 Paths = npt.NDArray[np.int32]
 """(T + 1, n) the number of each robot's vertex after each step."""
 
 
-@borrowing_kernel
+@kernel
 def _resolve(
     i: int,
     aim: Array,
@@ -57,7 +57,7 @@ def _resolve(
         time[i] = max(arrived[i] + 1, free)
 
 
-@borrowing_kernel
+@kernel
 def advance(
     paths: Array,
     at: Array,

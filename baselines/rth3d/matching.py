@@ -19,13 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import kernel
 
 Items = npt.NDArray[np.int32]
 """Whole numbers that stand for items or places."""
 
 
-@borrowing_kernel
+@kernel
 def _flexible(shift: Array, middle: int, item: int, low: bool, reach: int) -> bool:
     """Whether an item may change sides: by at most `reach` levels beyond the middle."""
     level = shift[item]
@@ -34,7 +34,7 @@ def _flexible(shift: Array, middle: int, item: int, low: bool, reach: int) -> bo
     return (middle - level if low else level - middle + 1) <= reach
 
 
-@borrowing_kernel
+@kernel
 def _levels(
     aims: Array,
     shift: Array,
@@ -81,7 +81,7 @@ def _levels(
     return found
 
 
-@borrowing_kernel
+@kernel
 def _across(
     aims: Array,
     shift: Array,
@@ -106,7 +106,7 @@ def _across(
     return -1
 
 
-@borrowing_kernel
+@kernel
 def _exchange(
     aims: Array,
     shift: Array,
@@ -159,7 +159,7 @@ def _exchange(
     return done
 
 
-@borrowing_kernel
+@kernel
 def _halve(
     aims: Array,
     shift: Array,
@@ -206,7 +206,7 @@ def _halve(
         _low_first(by_aim[c], low, begin, size, queue)
 
 
-@borrowing_kernel
+@kernel
 def _low_first(items: Array, low: Array, begin: int, size: int, buffer: Array) -> None:
     """Sort the low items before the others, the order otherwise kept."""
     kept, end = 0, begin

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, follows_pattern, numbers
 from swarm_envs.baselines.rth3d.terrain import Terrain, ways_to_goals
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 
 _Ints = npt.NDArray[np.int32]
 
@@ -55,14 +55,14 @@ _MULTIPLIER = 6364136223846793005
 _INCREMENT = 1442695040888963407
 
 
-@borrowing_kernel
+@kernel
 def _draw(random: Array) -> int:
     """30 random bits."""
     random[0] = random[0] * _MULTIPLIER + _INCREMENT
     return (random[0] >> 33) & 0x3FFFFFFF
 
 
-@borrowing_kernel
+@kernel
 def _distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
     """Length of a shortest path; two more than the Manhattan distance where a column is between."""
     if terrain.ways.shape[0] > 0:
@@ -78,7 +78,7 @@ def _distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
     return found
 
 
-@borrowing_kernel
+@kernel
 def _ask(
     terrain: Terrain, crowd: Crowd, at: Array, robot: int, first: int, entry: Array, lost: bool
 ) -> None:
@@ -134,7 +134,7 @@ def _ask(
     entry[2] = kept
 
 
-@borrowing_kernel
+@kernel
 def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, lost: bool) -> None:
     """Settle the next vertex of a robot and of all whom it pushes away."""
     depth = 0
@@ -169,7 +169,7 @@ def _decide(terrain: Terrain, crowd: Crowd, at: Array, robot: int, lost: bool) -
             return
 
 
-@borrowing_kernel
+@kernel
 def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
     """Queue the robots by urgency; return the longest way that is left."""
     count = at.shape[0]
@@ -196,7 +196,7 @@ def _sort(terrain: Terrain, crowd: Crowd, at: Array) -> int:
     return longest
 
 
-@borrowing_kernel
+@kernel
 def run_pibt(
     terrain: Terrain,
     crowd: Crowd,

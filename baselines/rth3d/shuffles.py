@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.grid import Array
 from swarm_envs.baselines.rth3d.patterns import STEPS
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import kernel
 
 Steps = npt.NDArray[np.int32]
 """A whole number for each robot, such as how far it goes."""
@@ -56,7 +56,7 @@ class LongShift(NamedTuple):
         return STEPS + int(np.abs(self.run).max(initial=0)) + 1 + 2
 
 
-@borrowing_kernel
+@kernel
 def write_shift(
     paths: Array, begin: int, duration: int, distance: Array, side: int, stride: int
 ) -> None:
@@ -73,7 +73,7 @@ def write_shift(
             paths[begin + t, i] = vertex
 
 
-@borrowing_kernel
+@kernel
 def write_long_shift(
     paths: Array,
     begin: int,
@@ -105,7 +105,7 @@ def write_long_shift(
             paths[begin + t, i] = vertex
 
 
-@borrowing_kernel
+@kernel
 def _park(items: Array, source: Array, goal: Array, place: Array, spot: Array, last: int) -> None:
     """Give everyone of a cell a vertex of the row between the lanes: the far ones the near end."""
     taken = 0 if items.shape[0] == 3 else 2

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.rth3d.grid import Array, check_instance
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 
 _REASONS = (
     "",
@@ -47,7 +47,7 @@ class ValidationReport:
         return self.ok
 
 
-@borrowing_kernel
+@kernel
 def follow_paths(
     paths: Array, starts: Array, goals: Array, blocked: Array, holder: Array, last: Array
 ) -> tuple[int, int, int, int]:
@@ -77,7 +77,7 @@ def follow_paths(
     return 0, 0, 0, moves
 
 
-@borrowing_kernel
+@kernel
 def _enter(now: Array, blocked: Array, holder: Array) -> tuple[int, int]:
     """Put everyone on the grid; return (broken rule or 0, robot)."""
     for i in range(now.shape[0]):
@@ -93,7 +93,7 @@ def _enter(now: Array, blocked: Array, holder: Array) -> tuple[int, int]:
     return 0, 0
 
 
-@borrowing_kernel
+@kernel
 def _step(before: Array, now: Array, holder: Array, i: int) -> int:
     """0 if robot i waits, -1 if it moves along an edge, else the rule that it breaks."""
     length = 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from swarm_envs.arguments import typed
 
@@ -119,45 +119,6 @@ class ControllerConfig:
             )
 
 
-class ControlGains(NamedTuple):
-    """A configuration as compiled kernels take it: numbers only, filters made discrete."""
-
-    step: float
-    """Length of a controller step, s."""
-    position: float
-    """Lambda of eq. (18), 1/s."""
-    velocity: float
-    """K_v / m of eq. (19), 1/s."""
-    integral: float
-    """Gamma_v of eq. (19), 1/s."""
-    attitude_tilt: float
-    """Lambda_q of eq. (20) for roll and pitch, 1/s."""
-    attitude_yaw: float
-    """Lambda_q of eq. (20) for yaw, 1/s."""
-    rate_tilt: float
-    """K_omega / J of eq. (21) for roll and pitch, 1/s."""
-    rate_yaw: float
-    """K_omega / J of eq. (21) for yaw, 1/s."""
-    rate_integral_tilt: float
-    """Gamma_omega / J of eq. (21) for roll and pitch, 1/s^2."""
-    rate_integral_yaw: float
-    """Gamma_omega / J of eq. (21) for yaw, 1/s^2."""
-    velocity_integral_limit: float
-    """Largest integral of the velocity error by axis, m."""
-    rate_integral_limit: float
-    """Largest integral of the body-rate error by axis, rad."""
-    min_vertical_thrust_fraction: float
-    """Least vertical part of the desired force, over the weight."""
-    thrust_rate_blend: float
-    """Share of the new value in the low-pass on the derivative of the desired thrust."""
-    rate_error_blend: float
-    """Share of the new value in the low-pass on the derivative of the body-rate error."""
-    desired_rate_blend: float
-    """Share of the new value in the low-pass on the desired body rate."""
-    lead: float
-    """1 with lag compensation, 0 without."""
-
-
 def low_pass_blend(cutoff_hz: float, step: float) -> float:
     """Share of the new sample in a first-order low-pass, exact for an input held over the step.
 
@@ -168,30 +129,36 @@ def low_pass_blend(cutoff_hz: float, step: float) -> float:
     return -math.expm1(-2.0 * math.pi * cutoff_hz * step)
 
 
-def compile_gains(config: ControllerConfig, dt: float = STEP) -> ControlGains:
-    """Turn a configuration into the numbers that kernels take, for a controller step of dt.
+_SAME = (
+    "attitude_tilt",
+    "attitude_yaw",
+    "rate_tilt",
+    "rate_yaw",
+    "rate_integral_tilt",
+    "rate_integral_yaw",
+    "velocity_integral_limit",
+    "rate_integral_limit",
+    "min_vertical_thrust_fraction",
+)
+"""Fields that go into the settings as they are."""
+
+
+def gains(config: ControllerConfig, dt: float = STEP) -> dict[str, float]:
+    """The fields of `swarm_envs.tables.SETTINGS` that a configuration gives, for a step of dt.
 
     Raises:
         ValueError: dt, in s, is not positive and finite.
     """
     if not (math.isfinite(dt) and dt > 0.0):
         raise ValueError(f"dt is {dt!r} s, but must be positive and finite")
-    return ControlGains(
-        step=float(dt),
-        position=float(config.gains.position),
-        velocity=float(config.gains.velocity),
-        integral=float(config.gains.integral),
-        attitude_tilt=float(config.attitude_tilt),
-        attitude_yaw=float(config.attitude_yaw),
-        rate_tilt=float(config.rate_tilt),
-        rate_yaw=float(config.rate_yaw),
-        rate_integral_tilt=float(config.rate_integral_tilt),
-        rate_integral_yaw=float(config.rate_integral_yaw),
-        velocity_integral_limit=float(config.velocity_integral_limit),
-        rate_integral_limit=float(config.rate_integral_limit),
-        min_vertical_thrust_fraction=float(config.min_vertical_thrust_fraction),
-        thrust_rate_blend=low_pass_blend(config.thrust_rate_cutoff_hz, dt),
-        rate_error_blend=low_pass_blend(config.rate_error_cutoff_hz, dt),
-        desired_rate_blend=low_pass_blend(config.desired_rate_cutoff_hz, dt),
-        lead=1.0 if config.lag_compensation else 0.0,
-    )
+    return {
+        **{name: float(getattr(config, name)) for name in _SAME},
+        "step": float(dt),
+        "position_gain": float(config.gains.position),
+        "velocity_gain": float(config.gains.velocity),
+        "integral_gain": float(config.gains.integral),
+        "thrust_rate_blend": low_pass_blend(config.thrust_rate_cutoff_hz, dt),
+        "rate_error_blend": low_pass_blend(config.rate_error_cutoff_hz, dt),
+        "desired_rate_blend": low_pass_blend(config.desired_rate_cutoff_hz, dt),
+        "lead": 1.0 if config.lag_compensation else 0.0,
+    }

@@ -11,17 +11,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.borrowed import lend
-from swarm_envs.compiled import borrowing_kernel, entry_point, kernel
-from swarm_envs.control.state import Setpoint
-from swarm_envs.envs.pilot import RATES, ROTORS, SETPOINTS, Pilot
+from swarm_envs.compiled import kernel, part
+from swarm_envs.physics.step import RATES, ROTORS, SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tables import Record, Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 ACCELERATION_LAG = 0.1
@@ -33,11 +31,7 @@ TILT_RATE_LIMIT, YAW_RATE_LIMIT = 8.0, 4.0
 _ROUNDING = 1e-6
 _LARGEST = 1e30
 """Of numbers in an unbounded Box: further, float32 observations could not hold what follows."""
-
-Apply = Callable[[FloatArray, BoolArray], None]
-"""Writes actions (E, N, width) into set-points or commands of a pilot, where running (E,)."""
-Write = Callable[[FloatArray, Pilot, BoolArray, float], None]
-"""The same, told the pilot and the time until the next decision, s."""
+_ACCELERATION, _VELOCITY, _CTBR, _ROTORS, _SETPOINT = range(5)
 
 
 @dataclass(frozen=True)
@@ -46,168 +40,147 @@ class ActionMode:
 
     name: str
     """As the option `action` names it."""
+    code: int
+    """As kernels tell modes apart."""
     width: int
     """Numbers per drone."""
-    bounded: bool
-    """Whether numbers must lie in [-1, 1]."""
     level: int
-    """Where in the loop it enters: SETPOINTS, RATES or ROTORS of `swarm_envs.envs.flight`."""
-    bind: Callable[[Pilot, float], Apply]
-    """What applies actions to this pilot, whose decisions last so many seconds."""
+    """Where in the loop it enters: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`."""
+    limit: float = 1.0 + _ROUNDING
+    """Largest size of a number."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether numbers must lie in [-1, 1]."""
+        return self.limit < _LARGEST
 
 
-@borrowing_kernel
-def accelerate(
-    actions: FloatArray, setpoint: Setpoint, running: BoolArray, decision_s: float
-) -> None:
-    """Let the set-points' accelerations approach what is asked for, within the speed limit.
+ACTIONS: dict[str, ActionMode] = {
+    mode.name: mode
+    for mode in (
+        ActionMode("acceleration", _ACCELERATION, 3, SETPOINTS),
+        ActionMode("velocity", _VELOCITY, 3, SETPOINTS),
+        ActionMode("ctbr", _CTBR, 4, RATES),
+        ActionMode("rotors", _ROTORS, 4, ROTORS),
+        ActionMode("setpoint", _SETPOINT, 14, SETPOINTS, _LARGEST),
+    )
+}
+"""Every action mode by name."""
+
+
+@part
+def accelerate(drone: Record, x: float, y: float, z: float, decision_s: float) -> None:
+    """Let a set-point's acceleration approach what is asked for, within the speed limit.
 
     With time constant tau the velocity that a set-point coasts to, u = v + tau a, moves at the
     acceleration asked for; u is kept within the speed limit, and so v is. Over the decision the
     acceleration is a straight ramp (the trapezoidal rule), so the attitude can follow.
 
     Args:
-        actions: (E, N, 3) in [-1, 1], times 5 m/s^2.
-        setpoint: changed in place: its jerk, constant until the next decision.
-        running: (E,) environments to change.
+        drone: its record; the set-point's jerk is set, constant until the next decision.
+        x: action, in [-1, 1], times 5 m/s^2.
+        y: the same.
+        z: the same.
         decision_s: time until the next decision, s.
     """
-    velocity, acceleration, jerk = setpoint.velocity, setpoint.acceleration, setpoint.jerk
+    v, a, coast = drone.setpoint_velocity, drone.setpoint_acceleration, drone.setpoint_jerk
     tau = max(ACCELERATION_LAG, 0.5 * decision_s)
-    for e in range(actions.shape[0]):
-        if not running[e]:
-            continue
-        for i in range(actions.shape[1]):
-            square, coast = 0.0, jerk[e, i]
-            for k in range(3):
-                asked = ACCELERATION_LIMIT * actions[e, i, k]
-                coast[k] = velocity[e, i, k] + tau * acceleration[e, i, k] + asked * decision_s
-                square += coast[k] * coast[k]
-            scale = min(1.0, SPEED_LIMIT / np.sqrt(square)) if square > 0.0 else 1.0
-            for k in range(3):
-                now = acceleration[e, i, k]
-                gained = scale * coast[k] - velocity[e, i, k] - 0.5 * decision_s * now
-                jerk[e, i, k] = (gained / (tau + 0.5 * decision_s) - now) / decision_s
+    coast[0] = v[0] + tau * a[0] + ACCELERATION_LIMIT * x * decision_s
+    coast[1] = v[1] + tau * a[1] + ACCELERATION_LIMIT * y * decision_s
+    coast[2] = v[2] + tau * a[2] + ACCELERATION_LIMIT * z * decision_s
+    square = coast[0] * coast[0] + coast[1] * coast[1] + coast[2] * coast[2]
+    scale = min(1.0, SPEED_LIMIT / np.sqrt(square)) if square > 0.0 else 1.0
+    for k in range(3):
+        gained = scale * coast[k] - v[k] - 0.5 * decision_s * a[k]
+        coast[k] = (gained / (tau + 0.5 * decision_s) - a[k]) / decision_s
+
+
+@part
+def approach_velocity(
+    drone: Record, x: float, y: float, z: float, decision_s: float
+) -> tuple[float, float, float]:
+    """Acceleration, over 5 m/s^2, that brings a set-point to the velocity asked for.
+
+    By the next decision if 5 m/s^2 suffice, else as fast as these do. The velocity asked for is
+    kept within the speed limit. Arguments as of `accelerate`, but times 2 m/s.
+    """
+    v, a = drone.setpoint_velocity, drone.setpoint_acceleration
+    tau = max(ACCELERATION_LAG, 0.5 * decision_s)
+    scale = SPEED_LIMIT / max(np.sqrt(x * x + y * y + z * z), 1.0)
+    most = ACCELERATION_LIMIT * decision_s
+    gx = (scale * x - (v[0] + tau * a[0])) / most
+    gy = (scale * y - (v[1] + tau * a[1])) / most
+    gz = (scale * z - (v[2] + tau * a[2])) / most
+    shrink = 1.0 / max(np.sqrt(gx * gx + gy * gy + gz * gz), 1.0)
+    return shrink * gx, shrink * gy, shrink * gz
 
 
 @kernel
-def approach_velocity(
-    actions: FloatArray, setpoint: Setpoint, running: BoolArray, decision_s: float
-) -> FloatArray:
-    """Accelerations, over 5 m/s^2, that bring the set-points to the velocities asked for.
-
-    By the next decision if 5 m/s^2 suffice, else as fast as these do. The velocity asked for is
-    kept within the speed limit.
+def apply_actions(
+    code: int,
+    actions: FloatArray,
+    limit: float,
+    drones: Records,
+    environments: Records,
+    settings: Records,
+    flown: BoolArray,
+) -> bool:
+    """Write actions into the set-points or commands of the environments that run, and tell time.
 
     Args:
-        actions: (E, N, 3) in [-1, 1], times 2 m/s.
-        setpoint: as it is now.
-        running: (E,) environments to look at.
-        decision_s: time until the next decision, s.
+        code: of the action mode.
+        actions: (E, N, width).
+        limit: largest size of a number.
+        drones: (E, N) records.
+        environments: (E,) records, whose time is that after the decision.
+        settings: (1,) record.
+        flown: (E,) which environments run, written.
 
     Returns:
-        (E, N, 3) as `accelerate` takes them.
+        Whether every number is finite and within the limit; if not, nothing was changed.
     """
-    out, gap = np.zeros(actions.shape), np.empty(3)
-    tau = max(ACCELERATION_LAG, 0.5 * decision_s)
-    for e in range(actions.shape[0]):
-        if not running[e]:
-            continue
-        for i in range(actions.shape[1]):
-            size = 0.0
-            for k in range(3):
-                size += actions[e, i, k] * actions[e, i, k]
-            scale = SPEED_LIMIT / max(np.sqrt(size), 1.0)
-            square = 0.0
-            for k in range(3):
-                coast = setpoint.velocity[e, i, k] + tau * setpoint.acceleration[e, i, k]
-                gap[k] = (scale * actions[e, i, k] - coast) / (ACCELERATION_LIMIT * decision_s)
-                square += gap[k] * gap[k]
-            shrink = 1.0 / max(np.sqrt(square), 1.0)
-            for k in range(3):
-                out[e, i, k] = shrink * gap[k]
-    return out
-
-
-def _accelerator(pilot: Pilot, decision_s: float) -> Apply:
-    """The usual action, called without a look at its arguments' types: that would take longer."""
-    setpoint, entry = lend(pilot.setpoint), None
-
-    def apply(actions: FloatArray, running: BoolArray) -> None:
-        nonlocal entry
-        entry = entry or entry_point(accelerate, actions, setpoint, running, decision_s)
-        entry(actions, setpoint, running, decision_s)
-
-    return apply
-
-
-def _velocity_keeper(pilot: Pilot, decision_s: float) -> Apply:
-    apply = _accelerator(pilot, decision_s)
-    return lambda actions, running: apply(
-        approach_velocity(actions, pilot.setpoint, running, decision_s), running
-    )
-
-
-def _by_writing(write: Write) -> Callable[[Pilot, float], Apply]:
-    return lambda pilot, decision_s: (
-        lambda actions, running: write(actions, pilot, running, decision_s)
-    )
-
-
-def _write_ctbr(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
-    given, most = actions[running], 4.0 * pilot.nominal.max_rotor_thrust[running]
-    limits = np.array([TILT_RATE_LIMIT, TILT_RATE_LIMIT, YAW_RATE_LIMIT])
-    pilot.asked[running, :, 0] = 0.5 * (given[..., 0] + 1.0) * most
-    pilot.asked[running, :, 1:] = limits * given[..., 1:]
-
-
-def _write_rotors(actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float) -> None:
-    share = 0.5 * (actions[running] + 1.0)
-    pilot.commands[running] = share * pilot.nominal.max_rotor_thrust[running][..., None]
-
-
-def _write_setpoint(
-    actions: FloatArray, pilot: Pilot, running: BoolArray, decision_s: float
-) -> None:
-    given = actions[running]
-    for k, array in enumerate(pilot.setpoint[:4]):
-        array[running] = given[..., 3 * k : 3 * k + 3]
-    pilot.setpoint.yaw[running] = given[..., 12]
-    pilot.setpoint.yaw_rate[running] = given[..., 13]
-
-
-ACTIONS: dict[str, ActionMode] = {
-    mode.name: mode
-    for mode in (
-        ActionMode("acceleration", 3, True, SETPOINTS, _accelerator),
-        ActionMode("velocity", 3, True, SETPOINTS, _velocity_keeper),
-        ActionMode("ctbr", 4, True, RATES, _by_writing(_write_ctbr)),
-        ActionMode("rotors", 4, True, ROTORS, _by_writing(_write_rotors)),
-        ActionMode("setpoint", 14, False, SETPOINTS, _by_writing(_write_setpoint)),
-    )
-}
-"""Every action mode by name."""
-
-
-@borrowing_kernel
-def all_within(actions: FloatArray, limit: float) -> bool:
-    """Whether every number of (E, N, width) is finite and at most `limit` in size."""
     within = True
     for e in range(actions.shape[0]):
         for i in range(actions.shape[1]):
             for k in range(actions.shape[2]):
                 within &= abs(actions[e, i, k]) <= limit
-    return within
+    if not within:
+        return False
+    rate, decision_s = settings[0].decision_rate, settings[0].decision_s
+    for e in range(actions.shape[0]):
+        flown[e] = environments[e].running
+        if not flown[e]:
+            continue
+        environments[e].decisions += 1
+        environments[e].time = environments[e].decisions / rate
+        for i in range(actions.shape[1]):
+            u, d = actions[e, i], drones[e, i]
+            if code == _ACCELERATION:
+                accelerate(d, u[0], u[1], u[2], decision_s)
+            elif code == _VELOCITY:
+                x, y, z = approach_velocity(d, u[0], u[1], u[2], decision_s)
+                accelerate(d, x, y, z, decision_s)
+            elif code == _CTBR:
+                most = 4.0 * d.nominal_max_rotor_thrust
+                d.asked[0] = 0.5 * (u[0] + 1.0) * most
+                d.asked[1], d.asked[2] = TILT_RATE_LIMIT * u[1], TILT_RATE_LIMIT * u[2]
+                d.asked[3] = YAW_RATE_LIMIT * u[3]
+            elif code == _ROTORS:
+                for k in range(4):
+                    d.commands[k] = 0.5 * (u[k] + 1.0) * d.nominal_max_rotor_thrust
+            else:
+                for k in range(3):
+                    d.setpoint_position[k], d.setpoint_velocity[k] = u[k], u[3 + k]
+                    d.setpoint_acceleration[k], d.setpoint_jerk[k] = u[6 + k], u[9 + k]
+                d.setpoint_yaw, d.setpoint_yaw_rate = u[12], u[13]
+    return True
 
 
-def check_actions(
-    mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int]
-) -> FloatArray:
-    """Return actions (E, N, width) as contiguous float64, refusing what the mode's Box excludes.
+def as_actions(mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int]) -> FloatArray:
+    """Actions (E, N, width) as contiguous float64.
 
     Raises:
-        ValueError: a wrong shape, or an entry that is not finite or outside the bounds; the
-            message names the drone, the value, the rule and the fix.
+        ValueError: a wrong shape, or no numbers.
     """
     try:
         array: FloatArray = np.ascontiguousarray(actions, dtype=np.float64)
@@ -218,19 +191,29 @@ def check_actions(
             f"actions have shape {array.shape}, but must have shape {shape}: environments, drones, "
             f"numbers of action {mode.name!r}"
         )
-    limit = 1.0 + _ROUNDING if mode.bounded else _LARGEST
-    if all_within(array, limit):
-        return array
-    wrong = ~np.isfinite(array)
+    return array
+
+
+def check_actions(mode: ActionMode, actions: FloatArray) -> None:
+    """Refuse actions (E, N, width) that the mode's Box excludes.
+
+    Raises:
+        ValueError: an entry is not finite or outside the bounds; the message names the drone, the
+            value, the rule and the fix.
+    """
+    limit = mode.limit
+    wrong = ~np.isfinite(actions)
     rule, fix = "every number must be finite", "look for what made it so"
     if not wrong.any():
-        wrong = np.abs(array) > limit
+        wrong = np.abs(actions) > limit
         edge = 1 if mode.bounded else f"{_LARGEST:g}"
         rule = f"must lie in [-{edge}, {edge}]"
         fix = f"clip it, as with np.clip(action, -{edge}, {edge})"
+    if not wrong.any():
+        return
     e, i, k = (int(n) for n in np.argwhere(wrong)[0])
-    where = f" in environment {e}" if shape[0] > 1 else ""
+    where = f" in environment {e}" if len(actions) > 1 else ""
     raise ValueError(
-        f"action {mode.name!r} of drone_{i}{where} has {array[e, i, k]:.8g} at index {k}, but "
+        f"action {mode.name!r} of drone_{i}{where} has {actions[e, i, k]:.8g} at index {k}, but "
         f"{rule}; {fix}"
     )

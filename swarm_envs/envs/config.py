@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
-from swarm_envs.envs.forms import FORMS
+from swarm_envs.envs.observation import FORMS
 from swarm_envs.envs.randomization import SAME, Randomization
-from swarm_envs.envs.tally import FORCE_BOUNDS_G
-from swarm_envs.errors import check_integer, check_kind, check_name
+from swarm_envs.errors import check_array, check_integer, check_kind, check_name
 from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions.base import PRECISIONS
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import bullet_available
+from swarm_envs.physics.base import FORCE_BOUNDS_G, MOST_ENVIRONMENTS
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.vehicles import Team, parse_team
 
 ENGINES = ("bullet", "batch")
 """Names of the physics engines."""
@@ -55,6 +61,9 @@ class EnvConfig:
     """Actions per second: 240 over an integer."""
     force_rate: int = 240
     """Evaluations of the interaction force per second: 240 over an integer."""
+    precision: str = "float64"
+    """Arithmetic of the force model's networks: `float64`, or `float32` for training, where 1e-4 g
+    are nothing. All else is float64; an engine is the twin of the other in one precision."""
     controller: ControllerConfig | None = None
     """The tracking loop between actions and rotors; None for its default."""
     num_neighbors: int = 3
@@ -88,6 +97,7 @@ class EnvConfig:
         """Check every option."""
         check_name("action", self.action, ACTIONS)
         check_name("observation", self.observation, FORMS)
+        check_name("precision", self.precision, PRECISIONS)
         if self.physics is not None:
             check_name("physics", self.physics, ENGINES)
         for name in ("decision_rate", "force_rate"):
@@ -137,7 +147,11 @@ class EnvConfig:
         """Number of threads for so many drones of all environments together."""
         if self.threads is not None:
             return self.threads
-        return len(os.sched_getaffinity(0)) if drones >= MANY_DRONES else 1
+        if drones < MANY_DRONES:
+            return 1
+        if hasattr(os, "sched_getaffinity"):  # the cores that this process may use; Linux alone
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
 
     def obstacles_observed(self, present: int) -> int:
         """M, for a task that has so many obstacles."""
@@ -149,3 +163,70 @@ class EnvConfig:
     def decision_s(self) -> float:
         """Time between actions, s."""
         return 1.0 / self.decision_rate
+
+
+_RESET_OPTIONS = ("start", "goal", "team")
+_API_TEST_OPTION = "options"  # PettingZoo's parallel_api_test passes it to every environment
+
+
+def check_num_envs(num_envs: object) -> int:
+    """How many environments fly at once.
+
+    Raises:
+        ValueError: it is no integer of at least 1, or more than any memory holds.
+    """
+    return check_integer("num_envs", num_envs, 1, MOST_ENVIRONMENTS)
+
+
+def check_mask(mask: BoolArray | None, num_envs: int) -> BoolArray:
+    """The (E,) mask of environments, all of them for None.
+
+    Raises:
+        ValueError: it is not one boolean an environment.
+    """
+    if mask is None:
+        return np.ones(num_envs, dtype=np.bool_)
+    array = np.array(mask)
+    if array.dtype != np.bool_ or array.shape != (num_envs,):
+        raise ValueError(
+            f"mask has type {array.dtype} and shape {array.shape}, but must be {num_envs} "
+            "booleans, one an environment"
+        )
+    return array
+
+
+def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
+    """Refuse seeds that are not one an environment.
+
+    Raises:
+        ValueError: their number is another.
+    """
+    if seeds is not None and len(seeds) != num_envs:
+        raise ValueError(f"seeds has {len(seeds)} entries, but must have {num_envs}")
+
+
+class ResetOptions(NamedTuple):
+    """What a reset was told, checked."""
+
+    team: Team | None
+    """Who flies; None for the constructor's team."""
+    placement: dict[str, FloatArray]
+    """What of `start` and `goal`, (N, 3) m, was given."""
+
+
+def check_reset_options(options: Mapping[str, Any], num_drones: int) -> ResetOptions:
+    """Reset options in the form that environments take.
+
+    Raises:
+        TypeError: the options are no mapping.
+        ValueError: an option is unknown, an array of wrong shape or not finite, or a team unknown.
+    """
+    check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
+    given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
+    for name in given:
+        check_name("reset option", name, _RESET_OPTIONS)
+    team = given.pop("team", None)
+    return ResetOptions(
+        None if team is None else parse_team(team),
+        {name: check_array(name, value, (num_drones, 3)) for name, value in given.items()},
+    )

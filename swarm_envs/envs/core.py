@@ -1,38 +1,42 @@
 """The one implementation of the environments: E of them at once, of one task and team.
 
 Every interface (PettingZoo, Gymnasium, Stable-Baselines3) is a thin view of this class.
+docs/architecture.md follows a step through it.
 """
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.borrowed import lend
 from swarm_envs.compiled import entry_point
-from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.actions import ACTIONS, check_actions
-from swarm_envs.envs.checks import check_mask, check_reset_options, check_seeds
-from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.engine import make_physics
-from swarm_envs.envs.episodes import draw_placements, randomize
-from swarm_envs.envs.flight import Flight
-from swarm_envs.envs.judge import Rules, begin, judge, new_verdict, success_rules, tick
-from swarm_envs.envs.observation import Float32Array
-from swarm_envs.envs.observer import Aims, Observer
-from swarm_envs.envs.report import Reporter
-from swarm_envs.envs.snapshot import Snapshot, rebuild, restore_snapshot, take_snapshot
-from swarm_envs.envs.teams import fly_task, task_for
+from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_actions
+from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
+from swarm_envs.envs.judge import begin_mission, judge, metrics, success_rules
+from swarm_envs.envs.observation import (
+    Float32Array,
+    observation_width,
+    sense,
+    write_observations,
+)
+from swarm_envs.envs.randomization import draw_vehicles
+from swarm_envs.errors import check_integer
+from swarm_envs.interactions import load
+from swarm_envs.neighbors import FEW
+from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tables import World
 from swarm_envs.tasks.base import Task
-from swarm_envs.tasks.metrics import new_record
-from swarm_envs.tasks.mission import new_mission
-from swarm_envs.tasks.motion import Motion, new_reference
+from swarm_envs.tasks.mission import Placement, place
 from swarm_envs.tasks.rewards import check_reward_weights, weigh
+from swarm_envs.vehicles import Team
 
 
 class StepResult(NamedTuple):
@@ -50,6 +54,43 @@ class StepResult(NamedTuple):
     """(E,) ended by the clock."""
 
 
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The whole state of E environments at one instant; picklable, independent of where it is from.
+
+    Get one from `get_state()`. An environment with the same options that it is given to continues
+    byte for byte as the first one did.
+    """
+
+    kind: dict[str, object]
+    """What it fits: task, team, engine, action, number of environments."""
+    world: World
+    """The tables of drones and environments, and the goals."""
+    observations: Float32Array
+    """(E, N, width) the last rows."""
+    generators: tuple[Any, ...]
+    """State of each environment's random generator."""
+    teams: tuple[Team, ...]
+    """Who flies in each environment: the team, or another that its reset named."""
+
+
+class _Kernels(NamedTuple):
+    """The kernels of a decision, compiled for the types of one core's arrays."""
+
+    apply: Callable[..., bool]
+    """`apply_actions`"""
+    refer: Callable[..., None]
+    """The task's `write_reference`."""
+    judge: Callable[..., None]
+    """`judge`"""
+    write_terms: Callable[..., None]
+    """The task's `write_reward_terms`."""
+    weigh: Callable[..., None]
+    """`weigh`"""
+    observe: Callable[..., None]
+    """`write_observations`"""
+
+
 class SwarmCore:
     """E environments of one task.
 
@@ -61,66 +102,71 @@ class SwarmCore:
 
     def __init__(self, task: Task, config: EnvConfig, num_envs: int = 1) -> None:
         self.task, self.config, self.num_envs = task, config, num_envs
+        self.num_drones = len(task.team)
         self.tasks = [task] * num_envs
         self.mode = ACTIONS[config.action]
-        self.physics = make_physics(task, config, num_envs)
-        controller = config.controller or ControllerConfig()
-        bounds, threads = config.force_bounds_g, config.threads_for(num_envs * len(task.team))
-        self.flight = Flight(self.physics, controller, self.mode.level, bounds, threads)
-        drones = len(task.team)
-        self.motion: Motion = task.motion
-        self.mission = new_mission(num_envs, drones, task.num_stages)
-        self.record = new_record(num_envs, drones)
-        self.decisions: IntArray = np.zeros(num_envs, dtype=np.int64)
-        self.time: FloatArray = np.zeros(num_envs)
-        self.running: BoolArray = np.zeros(num_envs, dtype=np.bool_)
-        self.verdict = new_verdict(num_envs, drones)
+        self.physics = _make_physics(task, config, num_envs)
+        self.world, self.settings = self.physics.world, self.physics.settings
+        self.num_obstacles = config.obstacles_observed(len(self.physics.obstacles))
         self.generators = [np.random.default_rng() for _ in range(num_envs)]
-        self._substeps = PHYSICS_RATE // config.decision_rate
-        clock = task.episode_s if config.horizon_s is None else config.horizon_s
-        self._rules = Rules(
-            *success_rules(task.success),
-            stage_s=self.motion.stage_s,
-            decision_s=config.decision_s,
-            horizon_s=float(clock),
-            end_on_success=bool(config.end_on_success),
-            bounded=self.mode.bounded,
-        )
+        self._set_rules()
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
-        self._reference = new_reference(num_envs, drones)
-        aims = Aims(self.mission.goal, self._reference, self.time, self._rules.horizon_s)
-        self.observer = Observer(self.flight, config, aims)
-        self.rows = self.observer.rows
-        self._apply = self.mode.bind(self.flight.pilot, config.decision_s)
-        self._flown = self.running.copy()
-        self._reporter = Reporter(self)
-        self._lend()
-        self._begin: Callable[..., None] | None = None
-        self._tick: Callable[..., None] | None = None
-        self._refer: Callable[..., None] | None = None
-        self._judge: Callable[..., None] | None = None
-        self._write_terms: Callable[..., None] | None = None
-        self._weigh: Callable[..., None] = weigh
+        self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+        ranges = config.randomization
+        self._noisy = ranges is not None and ranges.noisy
+        self._seen = self.world.copy() if self._noisy else self.world
+        self._columns = self._seen.columns
+        k = config.num_neighbors
+        threads = range(self.physics.workers.threads)
+        self._scratch = [(np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
+        many, seen = self.num_drones > FEW, self.num_obstacles > 0
+        order, obstacles = self.physics.order, self.physics.obstacles
+        self._around = (order if many else None, obstacles if seen else None)
+        width = observation_width(k, self.num_obstacles)
+        self.rows: Float32Array = np.zeros((num_envs, self.num_drones, width), np.float32)
 
-    def _lend(self) -> None:
-        """Put together what kernels take at every decision, all of which stays."""
-        contacts, rules, mission = self.physics.contacts, self._rules, lend(self.mission)
-        situation = self.verdict.situation(self.mission, contacts)
-        self._clock = (int(self.config.decision_rate), self.decisions, self.time)
-        self._referred = (mission, lend(self.motion), self.time, lend(self._reference))
-        kept = (mission, lend(self.record), lend(self.verdict))
-        self._begun = (rules.radius, self.decisions, self.time, self.running, *kept)
-        self._judged: tuple[Any, ...] = (
-            self.time,
-            self.physics.state.position,
-            self._reference.position,
-            lend(contacts),
-            lend(rules),
-            *kept,
-            self.running,
+    def _set_rules(self) -> None:
+        """Complete the settings by what the task and the options say of episodes."""
+        task, config = self.task, self.config
+        clock = task.episode_s if config.horizon_s is None else config.horizon_s
+        ranges = config.randomization
+        rules = {
+            **success_rules(task.success),
+            "bounded": self.mode.bounded,
+            "end_on_success": bool(config.end_on_success),
+            "decision_rate": config.decision_rate,
+            "decision_s": config.decision_s,
+            "horizon_s": float(clock),
+            **task.motion.settings(),
+            "noise": (0.0,) * 4 if ranges is None else ranges.noise,
+        }
+        for name, value in rules.items():
+            self.settings[name] = value
+
+    @cached_property
+    def _kernels(self) -> _Kernels:
+        """What a decision calls.
+
+        Kernels look up the types of their arguments at each call; these do not, which saves a
+        fifth of a single environment's step.
+        """
+        task, settings, (drones, environments, goals) = self.task, self.settings, self.world
+        actions = np.zeros((*drones.shape, self.mode.width))
+        rewards = np.zeros(drones.shape)
+        terms = np.zeros((2, 2, drones.shape[1]))[:, :1]  # of any strides, as the parts of a batch
+        flown, columns = self._flown, self.world.columns
+        seen = (flown, self.rows, 0, drones, columns, drones, environments, settings)
+        around = (*self._around, *self._scratch[0])
+        state = (drones, environments, goals, settings)
+        return _Kernels(
+            entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
+            entry_point(task.write_reference, *state),
+            entry_point(judge, actions, *state),
+            entry_point(task.write_reward_terms, drones, environments, settings, terms),
+            entry_point(weigh, terms, self._weights, flown, rewards),
+            entry_point(write_observations, 0, 0, *seen, *around),
         )
-        self._rewarded = (lend(situation), rules.decision_s, rules.horizon_s)
 
     @property
     def form(self) -> tuple[str, int, int]:
@@ -128,18 +174,17 @@ class SwarmCore:
         return self.config.observation, self.config.num_neighbors, self.num_obstacles
 
     @property
-    def num_obstacles(self) -> int:
-        """M, how many obstacles a drone observes."""
-        return self.observer.num_obstacles
+    def time(self) -> FloatArray:
+        """(E,) seconds since each episode began."""
+        return self.world.environments["time"]
 
     @property
-    def num_drones(self) -> int:
-        """N."""
-        return len(self.task.team)
+    def running(self) -> BoolArray:
+        """(E,) which episodes go on."""
+        return self.world.environments["running"]
 
     def close(self) -> None:
         """Free what physics holds. May be called more than once."""
-        self.flight.close()
         self.physics.close()
 
     def reset(
@@ -166,20 +211,18 @@ class SwarmCore:
         """
         where = check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
-        told = {} if options is None else options
-        team, given = check_reset_options(told, self.num_drones)
-        task, environments = task_for(self, team), np.flatnonzero(where).tolist()
-        for e, placement in draw_placements(self, task, environments, seeds, given).items():
-            fly_task(self, e, task)
-            self.mission.place(e, placement)
-        self.flight.start.position[...] = self.mission.start
+        team, given = check_reset_options(options or {}, self.num_drones)
+        task, begun = self._task_for(team), np.flatnonzero(where)
+        for e, placement in self._draw(task, begun.tolist(), seeds, given).items():
+            self._fly_task(e, task)
+            place(self.world, e, placement)
         if self.config.randomization is not None:
-            randomize(self, self.config.randomization, environments)
-        self.flight.reset(where)
-        self._begin = self._begin or entry_point(begin, where, *self._begun)
-        self._begin(where, *self._begun)
-        self._look_up_reference()
-        return self.observer.observe(where, self.decisions)
+            for e in begun.tolist():
+                draw_vehicles(self.generators[e], self.config.randomization, e, self.world)
+        self.physics.begin(begun)
+        begin_mission(self.world, begun, float(self.settings["success_radius"][0]))
+        self._kernels.refer(*self.world, self.settings)
+        return self._observe(where)
 
     def step(self, actions: npt.ArrayLike) -> StepResult:
         """Fly every running environment from this decision to the next.
@@ -191,21 +234,34 @@ class SwarmCore:
             ValueError: actions of a wrong shape, not finite, or outside their bounds; nothing
                 has changed then.
         """
-        shape = (self.num_envs, self.num_drones, self.mode.width)
-        checked = check_actions(self.mode, actions, shape)
-        flown = self._flown
-        flown[:] = self.running
-        self._apply(checked, flown)
-        self.flight.fly(self._substeps, flown)
-        self._decide(checked, flown)
-        rewards, terms = self._reward(flown)
-        return StepResult(
-            self.observer.observe(flown, self.decisions),
-            rewards,
-            terms,
-            self.verdict.terminated.copy(),
-            self.verdict.truncated.copy(),
-        )
+        mode, kernels, flown, settings = self.mode, self._kernels, self._flown, self.settings
+        drones, environments, goals = self.world
+        asked = as_actions(mode, actions, (self.num_envs, self.num_drones, mode.width))
+        facts = (mode.limit, drones, environments, settings, flown)
+        if not kernels.apply(mode.code, asked, *facts):
+            check_actions(mode, asked)
+        rewards: FloatArray = np.empty(drones.shape)
+        terms: FloatArray = np.empty((len(self._weights), *drones.shape))
+
+        def finish(first: int, last: int, thread: int) -> None:
+            """Judge, weigh and observe what has been flown."""
+            if last - first < self.num_envs:
+                here = slice(first, last)
+                state = (drones[here], environments[here], goals[here], settings)
+                scored = (terms[:, here], self._weights, flown[here], rewards[here])
+                decided = asked[here]
+            else:
+                state, decided = (drones, environments, goals, settings), asked
+                scored = (terms, self._weights, flown, rewards)
+            kernels.refer(*state)
+            kernels.judge(decided, *state)
+            kernels.write_terms(state[0], state[1], settings, scored[0])
+            kernels.weigh(*scored)
+            self._observe_part(first, last, flown, thread)
+
+        self.physics.fly(PHYSICS_RATE // self.config.decision_rate, flown, finish)
+        terminated, truncated = environments["terminated"], environments["truncated"]
+        return StepResult(self.rows, rewards, terms, terminated.copy(), truncated.copy())
 
     def set_reward_weights(self, weights: Mapping[str, float]) -> None:
         """Weigh reward terms otherwise from the next step on: for curricula of trainers.
@@ -216,54 +272,100 @@ class SwarmCore:
         Raises:
             ValueError: there is no such term, or a weight is not finite.
         """
-        check_reward_weights(weights)
+        check_reward_weights(weights, self.task.reward_names)
         for name, weight in weights.items():
             self._weights[self.task.reward_names.index(name)] = weight
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
-        """What environment `e`'s episode is judged by, so far; see `Reporter.metrics`."""
-        return self._reporter.metrics([e])[0]
+        """What environment `e`'s episode is judged by, so far; see `swarm_envs.envs.judge`."""
+        return metrics(self.world, self.task, [e])[0]
 
     def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:
         """The same of several environments, in their order."""
-        return self._reporter.metrics(environments)
-
-    def _look_up_reference(self) -> None:
-        self._refer = self._refer or entry_point(self.task.write_reference, *self._referred)
-        self._refer(*self._referred)
-
-    def _decide(self, actions: FloatArray, flown: BoolArray) -> None:
-        """Tell the time, and judge what was flown."""
-        if self._tick is None or self._judge is None:
-            self._tick = entry_point(tick, flown, *self._clock)
-            self._judge = entry_point(judge, actions, *self._judged)
-        self._tick(flown, *self._clock)
-        self._look_up_reference()
-        self._judge(actions, *self._judged)
-
-    def _reward(self, flown: BoolArray) -> tuple[FloatArray, FloatArray]:
-        shape = (self.num_envs, self.num_drones)
-        rewards: FloatArray = np.empty(shape)
-        terms: FloatArray = np.empty((len(self._weights), *shape))
-        if self._write_terms is None:
-            write = self.task.write_reward_terms
-            self._write_terms = entry_point(write, *self._rewarded, terms)
-            self._weigh = entry_point(weigh, terms, self._weights, flown, rewards)
-        self._write_terms(*self._rewarded, terms)
-        self._weigh(terms, self._weights, flown, rewards)
-        return rewards, terms
+        return metrics(self.world, self.task, environments)
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
-        return self.observer.team_state()
+        rows = np.zeros((*self.world.drones.shape, observation_width(0)), np.float32)
+        drones, environments, _ = self.world
+        everywhere, nobody = np.ones(self.num_envs, dtype=np.bool_), np.zeros(0, np.int64)
+        given = (everywhere, rows, 0, drones, self.world.columns, drones, environments)
+        order, _ = self._around
+        settings, square = self.settings, np.zeros(0)
+        write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
+        return rows
+
+    def _observe(self, where: BoolArray) -> Float32Array:
+        """Write the rows of these environments (E,); the others' stay."""
+        self._observe_part(0, self.num_envs, where, 0)
+        return self.rows
+
+    def _observe_part(self, first: int, last: int, where: BoolArray, thread: int) -> None:
+        """Write the rows of those of the environments first to last - 1 that are in the mask."""
+        drones, environments, _ = self.world
+        if self._noisy:
+            sense(first, last, drones, environments, self.settings, where, self._seen.drones)
+        given = (where, self.rows, self.num_obstacles, self._seen.drones, self._columns, drones)
+        around, scratch = self._around, self._scratch[thread]
+        self._kernels.observe(first, last, *given, environments, self.settings, *around, *scratch)
+
+    def _task_for(self, team: Team | None) -> Task:
+        """The task of episodes that begin now, flown by a team; None for the constructor's."""
+        if team is None or team == self.task.team:
+            return self.task
+        if len(team) != self.num_drones:
+            raise ValueError(
+                f"reset option 'team' has {len(team)} vehicles, but this environment has "
+                f"{self.num_drones} drones; make another environment for another number"
+            )
+        self.physics.interactions.type_indices(team)
+        self.physics.belief.type_indices(team)
+        if self.config.randomization is not None:
+            self.config.randomization.check_team(team)
+        return self.task.with_team(team)
+
+    def _fly_task(self, e: int, task: Task) -> None:
+        """Let environment `e` fly a task of `_task_for`, with its team, from the next reset on."""
+        if self.tasks[e].team != task.team:
+            self.physics.set_team(e, task.team)
+        self.tasks[e] = task
+
+    def _draw(
+        self,
+        task: Task,
+        environments: Sequence[int],
+        seeds: Sequence[int | None] | None,
+        given: Mapping[str, FloatArray],
+    ) -> dict[int, Placement]:
+        """Draw placements; if one is refused, every generator goes back to where it was."""
+        generators, placements = list(self.generators), {}
+        before = {e: generators[e].bit_generator.state for e in environments}
+        try:
+            for e in environments:
+                seed = None if seeds is None else seeds[e]
+                if seed is not None:
+                    generators[e] = np.random.default_rng(check_integer("seed", seed, 0))
+                placements[e] = task.place(generators[e], **given)
+        except Exception:
+            for e, state in before.items():
+                self.generators[e].bit_generator.state = state
+            raise
+        self.generators = generators
+        return placements
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
-        return rebuild, (type(self), self.task, self.config, self.num_envs, self.get_state())
+        return _rebuilt, (type(self), self.task, self.config, self.num_envs, self.get_state())
 
     def get_state(self) -> Snapshot:
         """Everything that changes, copied: see `Snapshot`."""
-        return take_snapshot(self)
+        return Snapshot(
+            kind=self._kind(),
+            world=self.world.copy(),
+            observations=self.rows.copy(),
+            generators=tuple(copy.deepcopy(g.bit_generator.state) for g in self.generators),
+            teams=tuple(task.team for task in self.tasks),
+        )
 
     def set_state(self, snapshot: Snapshot) -> None:
         """Go to where a snapshot was taken, in this core or in another with the same options.
@@ -272,5 +374,72 @@ class SwarmCore:
             TypeError: it is no snapshot.
             ValueError: it does not fit these options.
         """
-        restore_snapshot(self, snapshot)
-        self._look_up_reference()
+        if not isinstance(snapshot, Snapshot):
+            raise TypeError(
+                f"state is a {type(snapshot).__name__}, but must be what get_state() returned"
+            )
+        for name, value in self._kind().items():
+            if snapshot.kind[name] != value:
+                raise ValueError(
+                    f"the state was taken of an environment whose {name} is "
+                    f"{snapshot.kind[name]!r}, but here it is {value!r}; make an environment with "
+                    "the same options"
+                )
+        tasks = {team: self._task_for(team) for team in set(snapshot.teams)}
+        for e, team in enumerate(snapshot.teams):
+            self._fly_task(e, tasks[team])
+        for mine, theirs in zip(self.world, snapshot.world, strict=True):
+            mine[...] = theirs
+        self.rows[...] = snapshot.observations
+        for e, state in enumerate(snapshot.generators):
+            self.generators[e] = np.random.default_rng(0)
+            self.generators[e].bit_generator.state = copy.deepcopy(state)
+        self.physics.place_bodies(np.arange(self.num_envs))
+
+    def _kind(self) -> dict[str, object]:
+        return {
+            "task": self.task.name,
+            "team": tuple(vehicle.token for vehicle in self.task.team),
+            "physics": self.physics.name,
+            "action": self.config.action,
+            "num_neighbors": self.config.num_neighbors,
+            "num_obstacles": self.num_obstacles,
+            "number of environments": self.num_envs,
+        }
+
+
+def _rebuilt(
+    kind: type[SwarmCore], task: Task, config: EnvConfig, num_envs: int, snapshot: Snapshot
+) -> SwarmCore:
+    """Make a core anew where another stood; what `pickle` and `copy` call."""
+    core = kind(task, config, num_envs)
+    core.set_state(snapshot)
+    return core
+
+
+def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
+    """Build the engine that a task and its options ask for.
+
+    Raises:
+        ValueError: randomised vehicles could not fly.
+        ImportError: Bullet is asked for, and not there.
+    """
+    gusts, ranges = None, config.randomization
+    if ranges is not None:
+        ranges.check_team(task.team)
+        gusts = (ranges.gust_acceleration, ranges.gust_time_s)
+    return (BulletPhysics if config.engine == "bullet" else BatchPhysics)(
+        task.team,
+        num_envs,
+        load(config.interactions).with_precision(config.precision),
+        arena=task.arena,
+        battery=config.battery,
+        force_rate=config.force_rate,
+        gusts=gusts,
+        obstacles=task.obstacle_rows,
+        level=ACTIONS[config.action].level,
+        controller=config.controller,
+        threads=config.threads_for(num_envs * len(task.team)),
+        num_stages=task.num_stages,
+        force_bounds_g=config.force_bounds_g,
+    )

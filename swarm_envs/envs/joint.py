@@ -14,6 +14,7 @@ from gymnasium import spaces
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.options import blueprint_of
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
@@ -131,3 +132,8 @@ def split_teams(
             f": {core.num_drones} drones with {core.mode.width} numbers each"
         )
     return array.reshape(core.num_envs, core.num_drones, core.mode.width).astype(np.float64)
+
+
+def make_joint(task: str, render_mode: str | None = None, **options: Any) -> SwarmJointEnv:
+    """A team as one agent; options as of the task's `parallel_env()`."""
+    return SwarmJointEnv(*blueprint_of(task, render_mode=render_mode, **options))

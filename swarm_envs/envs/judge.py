@@ -1,4 +1,4 @@
-"""Judging a decision that has been flown: errors, crashes, success, and whether it is over.
+"""Judging a decision that has been flown, and the metrics of episodes.
 
 One compiled pass, since a dozen numpy calls on arrays of four numbers would take as long as the
 flight itself.
@@ -6,263 +6,213 @@ flight itself.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
-from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE, Contacts
-from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.tasks.base import Situation, Success, TrackingSuccess
-from swarm_envs.tasks.metrics import Record, clear_record, measure
-from swarm_envs.tasks.mission import Mission, begin_mission
-from swarm_envs.tasks.motion import stage_at
+from swarm_envs.compiled import kernel, part
+from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.tables import Records, World
+from swarm_envs.tasks.base import NEAR_MISS, Success, Task, TrackingSuccess
+from swarm_envs.tasks.motion import REST, stage_at
+from swarm_envs.vehicles import GRAM_FORCE
 
 _ROUNDING = 1e-9
 
 
-class Rules(NamedTuple):
-    """When an episode is won, and when it ends."""
-
-    tracks: bool
-    """Whether the goals are wherever the reference is, to be kept to until the clock ends."""
-    radius: float
-    """How near a drone must be to its goal, or always to its reference, m."""
-    hold_s: float
-    """For how long all must stay there, s."""
-    settle_s: float
-    """Errors count from this time on, s."""
-    stage_s: float
-    """Seconds that each stage lasts."""
-    decision_s: float
-    """Time between decisions, s."""
-    horizon_s: float
-    """The clock, s."""
-    end_on_success: bool
-    """Whether success ends the episode."""
-    bounded: bool
-    """Whether actions lie in [-1, 1], so that their size is an effort."""
-
-
-def success_rules(success: Success | TrackingSuccess) -> tuple[bool, float, float, float]:
-    """The first four of the `Rules`, of a task's success."""
+def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]:
+    """The fields of `swarm_envs.tables.SETTINGS` that a task's success gives."""
     if isinstance(success, TrackingSuccess):
-        return True, float(success.worst_error), 0.0, float(success.settle_s)
-    return False, float(success.radius), float(success.hold_s), 0.0
-
-
-class Verdict(NamedTuple):
-    """What the judge says of the last decision: arrays that lead with E."""
-
-    crashed: BoolArray
-    """(E, N) has collided, left the arena or tumbled in this episode."""
-    succeeded: BoolArray
-    """(E,) the task is done."""
-    achieved: FloatArray
-    """(E,) the share of it that was done in this decision."""
-    terminated: BoolArray
-    """(E,) ended by a crash or by success."""
-    truncated: BoolArray
-    """(E,) ended by the clock."""
-    last_distance: FloatArray
-    """(E, N) distance to the goal one decision earlier, m."""
-    error: FloatArray
-    """(E, N) distance to the reference, m."""
-    effort: FloatArray
-    """(E, N) mean square of the action; 0 where actions are unbounded."""
-
-    def situation(self, mission: Mission, contacts: Contacts) -> Situation:
-        """What rewards are computed from."""
-        return Situation(
-            distance=mission.distance,
-            last_distance=self.last_distance,
-            tracking_error=self.error,
-            effort=self.effort,
-            clearance=contacts.clearance,
-            crashed=self.crashed,
-            obstacle_clearance=contacts.obstacle_clearance,
-            achieved=self.achieved,
-        )
-
-
-def new_verdict(num_envs: int, num_drones: int) -> Verdict:
-    """The verdict on environments that have not begun."""
-    shape = (num_envs, num_drones)
-    return Verdict(
-        crashed=np.zeros(shape, dtype=np.bool_),
-        succeeded=np.zeros(num_envs, dtype=np.bool_),
-        achieved=np.zeros(num_envs),
-        terminated=np.zeros(num_envs, dtype=np.bool_),
-        truncated=np.zeros(num_envs, dtype=np.bool_),
-        last_distance=np.zeros(shape),
-        error=np.zeros(shape),
-        effort=np.zeros(shape),
-    )
-
-
-@borrowing_kernel
-def begin(
-    mask: BoolArray,
-    radius: float,
-    decisions: IntArray,
-    time: FloatArray,
-    running: BoolArray,
-    mission: Mission,
-    record: Record,
-    verdict: Verdict,
-) -> None:
-    """Begin to judge the environments of the mask, whose missions have just been placed.
-
-    Args:
-        mask: (E,) which begin.
-        radius: how near a drone must be to its goal to be there, m.
-        decisions: (E,) of this episode, set to 0.
-        time: (E,) s, set to 0.
-        running: (E,) set.
-        mission: enters its first stage.
-        record: begins anew; who starts at the goal has arrived.
-        verdict: begins anew.
-    """
-    for e in range(mask.shape[0]):
-        if not mask[e]:
-            continue
-        decisions[e], time[e], running[e] = 0, 0.0, True
-        begin_mission(e, mission)
-        clear_record(e, record)
-        verdict.succeeded[e] = verdict.terminated[e] = verdict.truncated[e] = False
-        verdict.achieved[e] = 0.0
-        for i in range(mission.distance.shape[1]):
-            if mission.distance[e, i] < radius:
-                record.arrival[e, i] = 0.0
-            verdict.crashed[e, i] = False
-            verdict.last_distance[e, i] = verdict.error[e, i] = verdict.effort[e, i] = 0.0
-
-
-@borrowing_kernel
-def tick(flown: BoolArray, rate: int, decisions: IntArray, time: FloatArray) -> None:
-    """Count the decision of every environment that flew, and tell the time.
-
-    Args:
-        flown: (E,) which did.
-        rate: decisions a second.
-        decisions: (E,) of this episode, changed in place.
-        time: (E,) s, written.
-    """
-    for e in range(flown.shape[0]):
-        if flown[e]:
-            decisions[e] += 1
-        time[e] = decisions[e] / rate
-
-
-@borrowing_kernel
-def achieve(
-    e: int, time: float, rules: Rules, mission: Mission, record: Record, verdict: Verdict
-) -> None:
-    """Decide what environment `e`, which has not crashed, has achieved in this decision."""
-    if rules.tracks:
-        worst = 0.0
-        for i in range(mission.distance.shape[1]):
-            worst = max(worst, record.worst_error[e, i])
-        done = time >= rules.horizon_s - _ROUNDING and worst < rules.radius
-        done &= record.scored[e] > 0
+        radius, hold_s, settle_s = success.worst_error, 0.0, success.settle_s
     else:
-        since = 0.0
-        for i in range(mission.distance.shape[1]):
-            since = max(since, record.arrival[e, i])
-        done = time - since >= rules.hold_s - _ROUNDING
-    if done and not mission.held[e]:
-        stages = mission.goals.shape[1]
-        mission.held[e] = True
-        mission.reached[e] += 1
-        verdict.achieved[e] = 1.0 / stages
-        verdict.succeeded[e] = mission.reached[e] == stages
+        radius, hold_s, settle_s = success.radius, success.hold_s, 0.0
+    return {
+        "tracks": isinstance(success, TrackingSuccess),
+        "success_radius": float(radius),
+        "hold_s": float(hold_s),
+        "settle_s": float(settle_s),
+    }
 
 
-@borrowing_kernel
-def enter_stage(
-    e: int, time: float, position: FloatArray, rules: Rules, mission: Mission, record: Record
-) -> None:
-    """Begin the stage of environment `e` that is due, if it is another than the present one."""
-    stage = stage_at(time, rules.stage_s, mission.goals.shape[1])
-    if stage == mission.stage[e]:
-        return
-    mission.stage[e], mission.held[e] = stage, False
-    for i in range(position.shape[1]):
-        square = 0.0
+@part
+def enter_stage(drones: Records, goals: FloatArray, time: float, radius: float) -> None:
+    """Give the drones (N,) of one environment the goals (N, 3), m, of their next stage."""
+    for i in range(drones.shape[0]):
+        d, square = drones[i], 0.0
         for k in range(3):
-            mission.goal[e, i, k] = mission.goals[e, stage, i, k]
-            square += (position[e, i, k] - mission.goal[e, i, k]) ** 2
-        mission.distance[e, i] = np.sqrt(square)
-        near = mission.distance[e, i] < rules.radius
-        record.arrival[e, i] = time if near else np.inf
+            d.goal[k] = goals[i, k]
+            square += (d.position[k] - goals[i, k]) ** 2
+        d.distance = math.sqrt(square)
+        d.arrival = time if d.distance < radius else np.inf
 
 
-@borrowing_kernel
-def judge(
+@kernel
+def judge(  # noqa: C901  # the rules of an episode, in their order
     actions: FloatArray,
-    time: FloatArray,
-    position: FloatArray,
-    reference: FloatArray,
-    contacts: Contacts,
-    rules: Rules,
-    mission: Mission,
-    record: Record,
-    verdict: Verdict,
-    running: BoolArray,
+    drones: Records,
+    environments: Records,
+    goals: FloatArray,
+    settings: Records,
 ) -> None:
     """Judge the decision that every running environment has just flown.
 
     Args:
         actions: (E, N, width), what was decided.
-        time: (E,) s.
-        position: (E, N, 3) m.
-        reference: (E, N, 3) where drones should be, m.
-        contacts: of this decision.
-        rules: of success and end.
-        mission: its distances are updated.
-        record: updated.
-        verdict: written.
-        running: (E,) environments to judge; those that have ended are taken out.
+        drones: (E, N) records, whose reference is that of the present time.
+        environments: (E,) records; those whose episode has ended no longer run afterwards.
+        goals: (E, S, N, 3) goals of every stage, m.
+        settings: (1,) the rules.
     """
-    drones, width = actions.shape[1], actions.shape[2]
-    for e in range(actions.shape[0]):
-        verdict.achieved[e] = 0.0
-        if not running[e]:
+    rules, size, stages = settings[0], drones.shape[1], goals.shape[1]
+    for e in range(drones.shape[0]):
+        environment = environments[e]
+        environment.achieved = 0.0
+        if not environment.running:
             continue
-        for i in range(drones):
-            verdict.last_distance[e, i] = mission.distance[e, i]
+        time, crashed, worst, since = environment.time, False, 0.0, 0.0
+        scores = time >= rules.settle_s
+        environment.scored += scores
+        for i in range(size):
+            d = drones[e, i]
+            d.last_distance = d.distance
             if rules.bounded:
                 square = 0.0
-                for k in range(width):
+                for k in range(actions.shape[2]):
                     square += actions[e, i, k] * actions[e, i, k]
-                verdict.effort[e, i] = square / width
-        if rules.tracks:
-            for i in range(drones):
+                d.effort = square / actions.shape[2]
+            if rules.tracks:
                 for k in range(3):
-                    mission.goal[e, i, k] = reference[e, i, k]
-        measure(
-            e,
-            position,
-            reference,
-            contacts,
-            mission,
-            time,
-            rules.radius,
-            rules.settle_s,
-            record,
-            verdict.error[e],
-        )
-        crashed = False
-        for i in range(drones):
-            touched = contacts.drone[e, i] != NO_DRONE or contacts.obstacle[e, i] != NO_OBSTACLE
-            touched |= contacts.floor[e, i] or contacts.wall[e, i]
-            verdict.crashed[e, i] |= touched or contacts.tumbling[e, i]
-            crashed |= verdict.crashed[e, i]
-        if not crashed:
-            achieve(e, time[e], rules, mission, record, verdict)
-        over = crashed or (rules.end_on_success and verdict.succeeded[e] and not rules.tracks)
-        verdict.terminated[e] = over
-        verdict.truncated[e] = not over and time[e] >= rules.horizon_s - _ROUNDING
-        running[e] = not (over or verdict.truncated[e])
-        if running[e]:
-            enter_stage(e, time[e], position, rules, mission, record)
+                    d.goal[k] = d.reference_position[k]
+            to_goal = to_reference = 0.0
+            for k in range(3):
+                to_goal += (d.position[k] - d.goal[k]) ** 2
+                to_reference += (d.position[k] - d.reference_position[k]) ** 2
+            d.distance, d.tracking_error = math.sqrt(to_goal), math.sqrt(to_reference)
+            d.least_separation = min(d.least_separation, d.separation)
+            d.least_clearance = min(d.least_clearance, d.clearance)
+            d.least_obstacle_clearance = min(d.least_obstacle_clearance, d.obstacle_clearance)
+            if scores:
+                height = abs(d.position[2] - d.reference_position[2])
+                d.worst_error = max(d.worst_error, d.tracking_error)
+                d.worst_height_error = max(d.worst_height_error, height)
+                d.squared_error += to_reference
+            if d.distance >= rules.success_radius:
+                d.arrival = np.inf
+            elif d.arrival == np.inf:
+                d.arrival = time
+            touched = d.touched_drone != NO_DRONE or d.touched_obstacle != NO_OBSTACLE
+            if touched or d.touched_floor + d.touched_wall + d.tumbling > 0.0:
+                d.crashed = 1.0
+            crashed |= d.crashed > 0.0
+            worst, since = max(worst, d.worst_error), max(since, d.arrival)
+        ended = time >= rules.horizon_s - _ROUNDING
+        if rules.tracks:
+            done = ended and worst < rules.success_radius and environment.scored > 0
+        else:
+            done = time - since >= rules.hold_s - _ROUNDING
+        if done and not crashed and not environment.held:
+            environment.held = True
+            environment.reached += 1
+            environment.achieved = 1.0 / stages
+            environment.succeeded = environment.reached == stages
+        won = rules.end_on_success and environment.succeeded and not rules.tracks
+        environment.terminated = crashed or won
+        environment.truncated = ended and not environment.terminated
+        environment.running = not (environment.terminated or environment.truncated)
+        if stages > 1 and environment.running:
+            stage = stage_at(time, rules.stage_s, stages)
+            if stage != environment.stage:
+                environment.stage, environment.held = stage, False
+                enter_stage(drones[e], goals[e, stage], time, rules.success_radius)
+
+
+def begin_mission(world: World, where: IntArray, radius: float) -> None:
+    """Let the missions of environments (M,) begin: a drone that starts at its goal is there."""
+    distance = world.drones["distance"]
+    for e in where.tolist():
+        world.drones["arrival"][e] = np.where(distance[e] < radius, 0.0, np.inf)
+
+
+def metrics(world: World, task: Task, environments: Sequence[int]) -> list[dict[str, Any]]:
+    """What the episodes of these environments are judged by, so far, in their order.
+
+    - `success`: whether the team did its task; `stages_reached` of `stages`: sets of goals at
+      which all have stood; `length_s`: time flown.
+    - `collided_drones`, `collided_floor`, `collided_wall`, `collided_obstacle`, `tumbled`:
+      number of drones that ended so; `near_misses`: drones that came within 1.5 times the sum
+      of radii without touching.
+    - `minimum_separation_m`: smallest distance between two drones (None if alone);
+      `minimum_obstacle_distance_m`: from a drone's centre to an obstacle (None without one).
+    - `worst_tracking_error_m`, `rms_tracking_error_m`, `worst_height_error_m`: against the
+      reference, over all drones; the lists `..._by_drone_m` say which. None without a
+      reference, or before errors count: in `ring` after the start-up. Errors are taken at
+      decisions, so compare them at one decision rate.
+    - `worst_force_g`: largest force of the air on a drone, its drag included; `energy_j`: ideal
+      induced energy of all rotors; `force_bound_violations`: drone-steps of 1/240 s with a
+      vertical force above the drone's bound, and `fraction_over_force_bound`: their share of
+      all; `fraction_outside_measured_range`: of drone-steps whose force was extrapolated.
+    - `time_to_goal_s`: when the last drone came to stay at its goal, in the present stage (None
+      if one did not, or where goals move).
+    """
+    where = np.array(environments, dtype=np.int64)
+    drones, ended = world.drones[where], world.environments[where]
+    steps = np.maximum(drones["steps"].sum(axis=1), 1.0)
+    over, outside = drones["over_bound"].sum(axis=1), drones["outside_steps"].sum(axis=1)
+    clearance, obstacles = drones["least_clearance"], drones["least_obstacle_clearance"]
+    arrival = drones["arrival"].max(axis=1)
+    if not isinstance(task.success, Success):
+        arrival = np.full_like(arrival, np.inf)
+    stages = np.full(len(where), world.goals.shape[1])
+    ends = {
+        "success": ended["succeeded"],
+        "stages": stages,
+        "stages_reached": ended["reached"],
+        "length_s": ended["time"],
+        "collided_drones": (drones["touched_drone"] != NO_DRONE).sum(axis=1),
+        "collided_floor": (drones["touched_floor"] > 0.0).sum(axis=1),
+        "collided_wall": (drones["touched_wall"] > 0.0).sum(axis=1),
+        "collided_obstacle": (drones["touched_obstacle"] != NO_OBSTACLE).sum(axis=1),
+        "tumbled": (drones["tumbling"] > 0.0).sum(axis=1),
+        "near_misses": ((clearance >= 1.0) & (clearance < NEAR_MISS)).sum(axis=1),
+        "minimum_separation_m": drones["least_separation"].min(axis=1),
+        "minimum_obstacle_distance_m": (obstacles * drones["radius"]).min(axis=1),
+    }
+    flown = {
+        "worst_force_g": drones["worst_force"].max(axis=1) / GRAM_FORCE,
+        "energy_j": drones["energy"].sum(axis=1),
+        "force_bound_violations": over.astype(np.int64),
+        "fraction_over_force_bound": over / steps,
+        "fraction_outside_measured_range": outside / steps,
+        "time_to_goal_s": arrival,
+    }
+    return [
+        {
+            **{name: _plain(column[m]) for name, column in ends.items()},
+            **_tracking(drones[m], int(ended["scored"][m]), task),
+            **{name: _plain(column[m]) for name, column in flown.items()},
+        }
+        for m in range(len(where))
+    ]
+
+
+def _plain(value: Any) -> Any:
+    """A number of numpy as Python's own; None if it is infinite."""
+    number = value.item()
+    return number if math.isfinite(number) else None
+
+
+def _tracking(drones: Records, scored: int, task: Task) -> dict[str, Any]:
+    """The tracking errors of the drones (N,) of one environment."""
+    if task.motion.kind == REST or not scored:
+        names = ("worst_tracking_error_m", "rms_tracking_error_m", "worst_height_error_m")
+        return dict.fromkeys(names)
+    return {
+        "worst_tracking_error_m": float(drones["worst_error"].max()),
+        "rms_tracking_error_m": float(np.sqrt(drones["squared_error"].mean() / scored)),
+        "worst_height_error_m": float(drones["worst_height_error"].max()),
+        "worst_tracking_error_by_drone_m": drones["worst_error"].tolist(),
+        "worst_height_error_by_drone_m": drones["worst_height_error"].tolist(),
+    }

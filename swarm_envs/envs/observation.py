@@ -6,15 +6,24 @@ not depend on the size of the team: one policy flies any number of drones. World
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium import spaces
 
-from swarm_envs.state import FloatArray
+from swarm_envs.compiled import kernel, part
+from swarm_envs.neighbors import nearest, nearest_sorted, sort_along_x
+from swarm_envs.noise import normal
+from swarm_envs.physics.obstacles import nearest_point
+from swarm_envs.physics.rigid_body import rotation_entries
+from swarm_envs.physics.step import SETPOINTS
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tables import Record, Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
-from swarm_envs.vehicles import VEHICLES, Team
+from swarm_envs.vehicles import VEHICLES
 
 Float32Array = npt.NDArray[np.float32]
 """An array of observed numbers."""
@@ -98,11 +107,267 @@ def observation_width(num_neighbors: int, num_obstacles: int = 0) -> int:
     return observation_layout(num_neighbors, num_obstacles)[-1].where.stop
 
 
-def type_codes(team: Team) -> FloatArray:
-    """One-hot (N, types) code of each vehicle, in the order of `VEHICLES`; zeros for others."""
-    tokens = list(VEHICLES)
-    code = np.zeros((len(team), len(tokens)))
-    for i, vehicle in enumerate(team):
-        if vehicle.token in tokens:
-            code[i, tokens.index(vehicle.token)] = 1.0
-    return code
+FORMS = ("flat", "dict")
+"""Names of the forms."""
+
+Observation = Any
+"""One drone's: a float32 row, or a dictionary of float32 arrays; whoever asks knows which."""
+
+_SETS = {"neighbors": ("neighbor_", "mask"), "obstacles": ("obstacle_", "obstacle_mask")}
+"""Groups of fields that repeat: the name of theirs, and of what masks them."""
+
+
+def observation_space(form: str, num_neighbors: int, num_obstacles: int = 0) -> spaces.Space[Any]:
+    """The space of one drone's observation: a Box, or a Dict of Boxes.
+
+    The dictionary has `self` (width), `neighbors` (K, width), nearest first, `mask` (K,), 1 where
+    there is a neighbour, and `task` (width); with obstacles observed also `obstacles` (M, 3) and
+    `obstacle_mask` (M,). See `observation_layout` for the fields.
+    """
+    row = np.zeros(observation_layout(num_neighbors, num_obstacles)[-1].where.stop, np.float32)
+    if form == "flat":
+        return _box(row)
+    parts = shaper(form, num_neighbors, num_obstacles)(row)
+    return spaces.Dict({name: _box(part, "mask" in name) for name, part in parts.items()})
+
+
+def shaper(
+    form: str, num_neighbors: int, num_obstacles: int = 0
+) -> Callable[[Float32Array], Observation]:
+    """A function that gives rows (..., width) the form; its parts are views of the rows."""
+    if form == "flat":
+        return lambda rows: rows
+    own = _span("self.", num_neighbors, num_obstacles)
+    task = _span("task.", num_neighbors, num_obstacles)
+    counts = {"neighbors": num_neighbors, "obstacles": num_obstacles}
+    places = {
+        name: (_span(_SETS[name][0], num_neighbors, num_obstacles), _set_width(name))
+        for name, count in counts.items()
+        if count or name == "neighbors"
+    }
+
+    def shape(rows: Float32Array) -> Observation:
+        parts = {"self": rows[..., own], "task": rows[..., task]}
+        for name, (where, width) in places.items():
+            group = rows[..., where].reshape(*rows.shape[:-1], counts[name], width + 1)
+            parts[name], parts[_SETS[name][1]] = group[..., :width], group[..., width]
+        return parts
+
+    return shape
+
+
+def _span(prefix: str, num_neighbors: int, num_obstacles: int) -> slice:
+    """Where the fields of a prefix stand in a row; nowhere if there are none."""
+    layout = observation_layout(num_neighbors, num_obstacles)
+    places = [field.where for field in layout if field.name.startswith(prefix)]
+    return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
+
+
+def _set_width(name: str) -> int:
+    """Numbers of one member of a group, its mask aside, which stands last."""
+    where = _span(_SETS[name][0], 1, 1)
+    return where.stop - where.start - 1
+
+
+def _box(part: Float32Array, mask: bool = False) -> spaces.Box:
+    low, high = (0.0, 1.0) if mask else (-np.inf, np.inf)
+    return spaces.Box(low, high, part.shape, np.float32)
+
+
+_PER_DRONE = 12
+"""Random numbers that a noisy drone takes at each decision."""
+
+
+@kernel
+def sense(
+    first: int,
+    last: int,
+    drones: Records,
+    environments: Records,
+    settings: Records,
+    mask: BoolArray,
+    out: Records,
+) -> None:
+    """Write the state as noisy sensors measure it; rotors and batteries are known.
+
+    Args:
+        first: the first environment to look at.
+        last: one past the last.
+        drones: (E, N) records: the true state.
+        environments: (E,) records; each decision is measured anew.
+        settings: (1,) the standard deviations per component of position (m), velocity (m/s),
+            attitude (rad) and body rate (rad/s).
+        mask: (E,) environments to measure.
+        out: (E, N) records, written.
+    """
+    noise, size = settings[0].noise, drones.shape[1]
+    for e in range(first, last):
+        if not mask[e]:
+            continue
+        key = environments[e].noise_key
+        for i in range(size):
+            at = (environments[e].decisions * size + i) * _PER_DRONE
+            d, o = drones[e, i], out[e, i]
+            half = 0.5 * noise[2]
+            for k in range(3):
+                p, v = normal(key, np.uint64(at + k)), normal(key, np.uint64(at + 3 + k))
+                w = normal(key, np.uint64(at + 9 + k))
+                o.position[k] = d.position[k] + noise[0] * p
+                o.velocity[k] = d.velocity[k] + noise[1] * v
+                o.angular_velocity[k] = d.angular_velocity[k] + noise[3] * w
+            tx = half * normal(key, np.uint64(at + 6))
+            ty = half * normal(key, np.uint64(at + 7))
+            tz = half * normal(key, np.uint64(at + 8))
+            x, y, z, w = d.quaternion[0], d.quaternion[1], d.quaternion[2], d.quaternion[3]
+            q = o.quaternion
+            q[0] = x + tx * w + ty * z - tz * y
+            q[1] = y - tx * z + ty * w + tz * x
+            q[2] = z + tx * y - ty * x + tz * w
+            q[3] = w - tx * x - ty * y - tz * z
+            norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
+            for k in range(4):
+                q[k] /= norm
+                o.rotor_thrust[k] = d.rotor_thrust[k]
+            o.battery = d.battery
+
+
+@part
+def write_self(seen: Record, drone: Record, direct: bool, row: Float32Array) -> int:
+    """Write the `self` fields of a drone; return where they end.
+
+    Args:
+        seen: its record as it is measured.
+        drone: its true record.
+        direct: whether there is no controller, so that set-points mean nothing.
+        row: written.
+    """
+    p, v, q, w = seen.position, seen.velocity, seen.quaternion, seen.angular_velocity
+    f = seen.rotor_thrust
+    r = rotation_entries(q[0], q[1], q[2], q[3])
+    for k in range(3):
+        row[k] = p[k]
+        row[3 + k] = v[k] / SPEED_LIMIT
+        row[19 + k] = 0.0 if direct else drone.setpoint_position[k] - p[k]
+        row[22 + k] = drone.type_code[k]
+    row[6], row[7], row[8], row[9], row[10], row[11], row[12], row[13], row[14] = r
+    x, y, z = w[0] / RATE_SCALE, w[1] / RATE_SCALE, w[2] / RATE_SCALE
+    row[15] = r[0] * x + r[3] * y + r[6] * z
+    row[16] = r[1] * x + r[4] * y + r[7] * z
+    row[17] = r[2] * x + r[5] * y + r[8] * z
+    row[18] = (f[0] + f[1] + f[2] + f[3]) / (4.0 * drone.max_rotor_thrust)
+    return 25
+
+
+@part
+def write_neighbor(own: Record, other: Record, drone: Record, row: Float32Array) -> None:
+    """Write the fields of a neighbour as seen from a drone.
+
+    Args:
+        own: the drone's record, as it is measured.
+        other: the neighbour's, as it is measured.
+        drone: the neighbour's true record.
+        row: written.
+    """
+    for k in range(3):
+        row[k] = other.position[k] - own.position[k]
+        row[3 + k] = (other.velocity[k] - own.velocity[k]) / SPEED_LIMIT
+        row[6 + k] = drone.goal[k] - other.position[k]
+        row[9 + k] = drone.type_code[k]
+    row[12] = 1.0
+
+
+@part
+def write_obstacles(
+    x: float, y: float, z: float, obstacles: FloatArray, places: int, row: Float32Array
+) -> int:
+    """Write the fields of the obstacles nearest to a point, m; return where they end."""
+    for k in range(4 * places):
+        row[k] = 0.0
+    reached: float = -1.0
+    last: Any = np.int64(-1)
+    for place in range(min(places, obstacles.shape[0])):
+        nearest_square = np.inf
+        chosen: Any = np.int64(-1)  # a literal would be compiled by itself
+        for m in range(obstacles.shape[0]):
+            dx, dy, dz = nearest_point(obstacles, m, x, y, z)
+            square = dx * dx + dy * dy + dz * dz
+            later = square > reached or (square == reached and m > last)
+            if later and square < nearest_square:
+                nearest_square, chosen = square, m
+        reached, last = nearest_square, chosen
+        k = 4 * place
+        row[k], row[k + 1], row[k + 2] = nearest_point(obstacles, chosen, x, y, z)
+        row[k + 3] = 1.0
+    return 4 * places
+
+
+@kernel
+def write_observations(
+    first: int,
+    last: int,
+    mask: BoolArray,
+    out: Float32Array,
+    num_obstacles: int,
+    seen: Records,
+    columns: FloatArray,
+    drones: Records,
+    environments: Records,
+    settings: Records,
+    order: IntArray | None,
+    obstacles: FloatArray | None,
+    others: IntArray,
+    square: FloatArray,
+) -> None:
+    """Write the observation rows of the environments first to last - 1 that are in the mask.
+
+    Args:
+        first: the first environment to look at.
+        last: one past the last.
+        mask: (E,) environments to write.
+        out: (E, N, width) rows.
+        num_obstacles: M.
+        seen: (E, N) records of the drones as they are measured.
+        columns: (E, N, columns) the same memory as plain numbers; the first three are positions.
+        drones: (E, N) true records.
+        environments: (E,) records.
+        settings: (1,) record.
+        order: (E, N) any permutation of the drones, sorted in place; None if they are few.
+        obstacles: (M', 7) rows of `swarm_envs.physics.obstacles`; None if none are observed.
+        others: (K,) scratch: for so many neighbours.
+        square: (K,) scratch.
+    """
+    direct = settings[0].level != SETPOINTS
+    for e in range(first, last):
+        if not mask[e]:
+            continue
+        position = columns[e, :, :3]
+        time_left = max(1.0 - environments[e].time / settings[0].horizon_s, 0.0)
+        if order is not None:
+            sort_along_x(position, order[e])
+        for place in range(out.shape[1]):
+            i = place
+            if order is not None:
+                i = order[e, place]
+            row, own, d = out[e, i], seen[e, i], drones[e, i]
+            start = write_self(own, d, direct, row)
+            if order is None:
+                found = nearest(i, position, others, square)
+            else:
+                found = nearest_sorted(i, place, position, order[e], others, square)
+            for k in range(others.shape[0]):
+                if k < found:
+                    j = others[k]
+                    write_neighbor(own, seen[e, j], drones[e, j], row[start : start + 13])
+                else:
+                    row[start : start + 13] = 0.0
+                start += 13
+            if obstacles is not None:
+                p = own.position
+                place_of = row[start : start + 4 * num_obstacles]
+                start += write_obstacles(p[0], p[1], p[2], obstacles, num_obstacles, place_of)
+            for k in range(3):
+                row[start + k] = d.goal[k] - own.position[k]
+                row[start + 3 + k] = d.reference_position[k] - own.position[k]
+                row[start + 6 + k] = d.reference_velocity[k] / SPEED_LIMIT
+                row[start + 9 + k] = d.reference_acceleration[k] / ACCELERATION_LIMIT
+            row[start + 12] = time_left

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
@@ -12,12 +13,13 @@ from typing import Any, NamedTuple, ParamSpec, TypedDict
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
+from swarm_envs import TASKS
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.envs.turns import SwarmTurnEnv
-from swarm_envs.errors import check_integer, check_kind, unknown_name
+from swarm_envs.errors import check_integer, check_kind, check_name, unknown_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.motors import BatteryModel
 from swarm_envs.tasks.base import Task
@@ -38,6 +40,7 @@ class EnvOptions(TypedDict, total=False):
     action: str
     decision_rate: int
     force_rate: int
+    precision: str
     controller: ControllerConfig | None
     threads: int | None
     observation: str
@@ -121,3 +124,32 @@ def team_of(team: str | Sequence[Vehicle] | None, num_drones: int) -> Team:
     if team is not None:
         return parse_team(team)
     return parse_team("S" * check_integer("num_drones", num_drones, 1, MOST_DRONES))
+
+
+def blueprint_of(task: str, **options: Any) -> Blueprint:
+    """What the task's `parallel_env(**options)` is made from.
+
+    Raises:
+        TypeError: an option does not exist; the message names the nearest.
+        ValueError: there is no such task, or an option has an impossible value.
+    """
+    check_name("task", task, TASKS)
+    found: Blueprint = importlib.import_module(f"swarm_envs.{task}").blueprint(**options)
+    return found
+
+
+def batch_of(task: str, **options: Any) -> Blueprint:
+    """The same for many environments at once: the batched engine flies unless it is told.
+
+    Raises:
+        TypeError: an option does not exist; the message names the nearest.
+        ValueError: there is no such task, an option has an impossible value, or pictures are
+            asked for.
+    """
+    found = blueprint_of(task, **{"physics": "batch", **options})
+    if found.render_mode is not None:
+        raise ValueError(
+            f"render_mode is {found.render_mode!r}, but environments that fly at once are not "
+            "drawn; render a single one: parallel_env(render_mode='rgb_array')"
+        )
+    return found

@@ -7,7 +7,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from swarm_envs.state import FloatArray, Parameters
+from swarm_envs.state import FloatArray
+from swarm_envs.tables import World
 from swarm_envs.vehicles import GRAVITY, Team
 
 Range = tuple[float, float]
@@ -114,15 +115,25 @@ class Randomization:
         )
 
 
-def draw_parameters(
-    rng: np.random.Generator, ranges: Randomization, nominal: Parameters, e: int, out: Parameters
-) -> None:
-    """Draw the drones of environment `e`: nominal values times factors, into `out`."""
+def draw_vehicles(rng: np.random.Generator, ranges: Randomization, e: int, world: World) -> None:
+    """Draw drones, charges and streams of noise of a new episode of environment `e`.
+
+    Args:
+        rng: the environment's generator.
+        ranges: what is drawn.
+        e: the environment.
+        world: its tables are written: nominal values times factors.
+    """
+    drones, environments = world.drones, world.environments
     for option, field in FACTORS.items():
         low, high = getattr(ranges, option)
-        usual: FloatArray = getattr(nominal, field)[e]
+        usual: FloatArray = drones[f"nominal_{field}"][e]
         factor = rng.uniform(low, high, len(usual))
-        getattr(out, field)[e] = usual * (factor if usual.ndim == 1 else factor[:, None])
+        drones[field][e] = usual * (factor if usual.ndim == 1 else factor[:, None])
+    environments["force_scale"][e] = rng.uniform(*ranges.force_scale)
+    drones["charge"][e] = rng.uniform(*ranges.battery, drones.shape[1])
+    gust_key, noise_key = rng.integers(2**63, size=2)
+    environments["gust_key"][e], environments["noise_key"][e] = gust_key, noise_key
 
 
 def _check_range(name: str, value: object) -> None:

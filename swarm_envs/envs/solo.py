@@ -11,7 +11,8 @@ import numpy.typing as npt
 from gymnasium import spaces
 
 from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.forms import Observation
+from swarm_envs.envs.observation import Observation
+from swarm_envs.envs.options import blueprint_of
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv
 from swarm_envs.errors import check_integer
 from swarm_envs.tasks.base import Task
@@ -98,3 +99,14 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
     def close(self) -> None:
         """Free what physics and renderer hold."""
         self.parallel.close()
+
+
+def make_solo(
+    task: str,
+    render_mode: str | None = None,
+    drone: int = 0,
+    others: Policy | None = None,
+    **options: Any,
+) -> SwarmSoloEnv:
+    """One drone of a team; options as of the task's `parallel_env()`."""
+    return SwarmSoloEnv(*blueprint_of(task, render_mode=render_mode, **options), drone, others)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from pettingzoo.utils.conversions import parallel_to_aec_wrapper
 
-from swarm_envs.envs.actions import check_actions
+from swarm_envs.envs.actions import as_actions, check_actions
 from swarm_envs.envs.parallel import SwarmParallelEnv
 
 
@@ -50,4 +50,5 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
         others = np.zeros(core.mode.width, dtype=np.bool_)  # the joined type is the action's own
         actions: dict[str, Any] = dict.fromkeys(self.env.agents, others)
         joined = self.env.join(actions | {agent: action})
-        check_actions(core.mode, joined, (1, core.num_drones, core.mode.width))
+        shape = (1, core.num_drones, core.mode.width)
+        check_actions(core.mode, as_actions(core.mode, joined, shape))

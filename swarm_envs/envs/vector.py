@@ -10,11 +10,11 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from swarm_envs.envs.checks import check_num_envs
-from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.config import EnvConfig, check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, split_teams
 from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import check_integer, check_kind, check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
@@ -159,3 +159,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
     def _observations(self) -> Float32Array:
         return self.core.rows.reshape(self.num_envs, -1).copy()
+
+
+def make_vector(
+    task: str, num_envs: int = 1, autoreset_mode: Any = "NextStep", **options: Any
+) -> SwarmVectorEnv:
+    """E teams on the batched engine; options as of the task's `parallel_env()`."""
+    blueprint = batch_of(task, **options)
+    return SwarmVectorEnv(blueprint.task, blueprint.config, num_envs, autoreset_mode)

@@ -46,12 +46,12 @@ class View:
     @property
     def horizon_s(self) -> float:
         """The clock: the episode is truncated after this many seconds."""
-        return self._core._rules.horizon_s
+        return float(self._core.settings["horizon_s"][0])
 
     @property
     def stage_s(self) -> float:
         """For how long goals stay where they are, s: the clock, where there is one set of them."""
-        return self._core.motion.stage_s or self.horizon_s
+        return self._core.task.motion.stage_s or self.horizon_s
 
     @property
     def state(self) -> SwarmState:
@@ -61,7 +61,7 @@ class View:
     @property
     def goals(self) -> FloatArray:
         """(N, 3) goal positions, m."""
-        return _frozen(self._core.mission.goal[self._e])
+        return _frozen(self._core.world.drones["goal"][self._e])
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
@@ -71,7 +71,8 @@ class View:
     @property
     def setpoint(self) -> Setpoint:
         """What the tracking loop follows now; arrays lead with N alone."""
-        return Setpoint(*(_frozen(array[self._e]) for array in self._core.flight.pilot.setpoint))
+        drones = self._core.world.drones[self._e]
+        return Setpoint(*(_frozen(drones[f"setpoint_{name}"]) for name in Setpoint._fields))
 
     @property
     def contacts(self) -> Contacts:
@@ -89,12 +90,12 @@ class View:
     @property
     def reference_moves(self) -> bool:
         """Whether the task says how to get there; else its reference rests at the goals."""
-        return self._core.motion.kind != REST
+        return self._core.task.motion.kind != REST
 
     def reference(self, time: float) -> Reference:
         """Where the drones should be at `time`, s: arrays (N, 3)."""
         times = np.full(self._core.num_envs, time)
-        full = self._core.task.reference(self._core.mission, times)
+        full = self._core.task.reference(self._core.world, times)
         return Reference(*(_frozen(array[self._e]) for array in full))
 
 

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import resources
 from pathlib import Path
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.compiled import entry_point
 from swarm_envs.errors import unknown_name
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, check_states, types_array
+from swarm_envs.interactions.packed import PackedField, packed
 from swarm_envs.interactions.wake import load_wake
 from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
@@ -44,7 +43,7 @@ class InteractionModel:
     types: tuple[str, ...]
     """The interaction types it knows; a `Vehicle` names its own."""
     field: ForceField
-    """The numbers that compiled kernels read."""
+    """Its numbers."""
     notes: dict[str, Any] = dataclasses.field(default_factory=dict)
     """Where it comes from: provenance and errors that the weights file carries."""
 
@@ -72,6 +71,15 @@ class InteractionModel:
             return self  # no network to evaluate
         field = self.field._replace(weights=self.field.weights.astype(precision))
         return dataclasses.replace(self, field=field)
+
+    @cached_property
+    def packed(self) -> PackedField:
+        """The numbers as compiled kernels read them.
+
+        Raises:
+            ValueError: the model has more types than kernels have room for.
+        """
+        return packed(self.field)
 
     @cached_property
     def fingerprint(self) -> str:
@@ -104,15 +112,8 @@ class InteractionModel:
         p, v = check_states(position, velocity, len(vehicles))
         types, out = np.empty(p.shape[:2], np.int64), np.empty(p.shape)
         types[:] = self.type_indices(vehicles)
-        compiled = _ENTRIES.get(self)
-        if compiled is None:
-            compiled = _ENTRIES[self] = entry_point(all_forces, self.field, types, out, out, out)
-        compiled(self.field, types, p, v, out)
+        all_forces(self.packed, types, p, v, out)
         return out
-
-
-_ENTRIES: WeakKeyDictionary[InteractionModel, Callable[..., None]] = WeakKeyDictionary()
-"""`all_forces` for the types of each model's arrays, which are then not looked up at each call."""
 
 
 @typed

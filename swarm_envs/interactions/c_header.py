@@ -16,6 +16,7 @@ from swarm_envs.interactions.base import InteractionModel
 from swarm_envs.interactions.c_source import HEADER
 from swarm_envs.interactions.field import LEARNED, ForceField
 from swarm_envs.interactions.forces import all_forces
+from swarm_envs.interactions.packed import packed
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -144,7 +145,7 @@ def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
     position[:, 1:, 2] += position[:, :1, 2]
     velocity = rng.normal(0.0, 0.4, (*shape, 3))
     force = np.empty_like(position)
-    all_forces(field, types, position, velocity, force)
+    all_forces(packed(field), types, position, velocity, force)
     pairs = np.concatenate(
         [position[:, 1:] - position[:, :1], velocity[:, 1:] - velocity[:, :1]], 2
     )

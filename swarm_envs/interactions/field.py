@@ -1,17 +1,20 @@
-"""A force model as numbers: the arrays that the compiled kernels read.
+"""A force model as numbers.
 
-One class serves every kind of model, so that physics, controllers and planners are compiled once.
-A model leaves what it does not use at its default.
+One class serves every kind of model. A model leaves what it does not use at its default. What
+compiled kernels read of it is its `swarm_envs.interactions.packed.PackedField`.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from swarm_envs.interactions.lanes import Numbers
 from swarm_envs.state import FloatArray, IntArray
+
+Numbers = npt.NDArray[np.floating[Any]]
+"""Weights: float64, or float32 for speed."""
 
 NONE, WAKE, LEARNED, PAIRWISE = 0, 1, 2, 3
 """Kinds of force model, as kernels tell them apart."""

@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import check_states, types_array
+from swarm_envs.interactions.forces import check_states, pair_weight, types_array
 from swarm_envs.interactions.weights_file import Layers, load_weights, network_layers, read_tensors
-from swarm_envs.interactions.window import pair_weight
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
 

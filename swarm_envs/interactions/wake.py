@@ -21,10 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
-from swarm_envs.interactions.blocks import Scratch
+from swarm_envs.compiled import equation
 from swarm_envs.interactions.field import WAKE, ForceField, empty_field
-from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.interactions.packed import PackedField
+from swarm_envs.interactions.scratch import Scratch
 from swarm_envs.vehicles import GRAM_FORCE
 
 FORMAT = "wake-1"
@@ -94,50 +94,29 @@ def _check(parameters: object) -> None:
             raise ValueError("it holds a number that is not finite")
 
 
-@borrowing_kernel
-def jet_force(field: ForceField, upper: int, lower: int, lateral: float, depth: float) -> float:
-    """Downward push (N, positive) of one jet at a lateral distance from its axis and a depth, m."""
-    fit = field.wake_pair
-    amplitude, width0 = fit[upper, lower, 0], fit[upper, lower, 1]
-    spread, exponent = fit[upper, lower, 2], fit[upper, lower, 3]
-    width = width0 + spread * max(depth, 0.0)
-    shape = (width0 / width) ** exponent * math.exp(-0.5 * (lateral / width) ** 2)
-    return amplitude * shape / (1.0 + math.exp(-depth / _ONSET))
-
-
-@borrowing_kernel
-def wake_forces(
-    field: ForceField,
-    types: IntArray,
-    position: FloatArray,
-    velocity: FloatArray,
-    scratch: Scratch,
-    out: FloatArray,
-) -> None:
-    """Add the vertical wake and ground forces on M drones to `out`.
-
-    Args:
-        field: the model.
-        types: (M,) interaction types.
-        position: (M, 3) m.
-        velocity: (M, 3) m/s.
-        scratch: working memory for M drones, which knows their pairs.
-        out: (M, 3) forces, N, world frame.
-    """
-    q, delays, pairs, pushed = field.wake_combine, field.wake_delay, scratch.pairs, scratch.codes[0]
-    ground, mitigation = field.wake_ground, field.wake_mitigation
-    for i in range(position.shape[0]):
-        pushed[i, 0] = 0.0
-    for pair in range(scratch.found[0]):
-        i, j = pairs[0, pair], pairs[1, pair]
-        dx, dy = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1]
-        dz = position[j, 2] - position[i, 2]
-        delay = max(dz, 0.0) * delays[types[j]]
-        x, y = dx - velocity[j, 0] * delay, dy - velocity[j, 1] * delay
-        force = jet_force(field, types[j], types[i], math.sqrt(x * x + y * y), dz)
-        pushed[i, 0] += (scratch.weight[pair] * force) ** q
-    for i in range(position.shape[0]):
-        height = max(position[i, 2], _LOWEST_MEASURED)
+@equation
+def wake_forces(field: PackedField, total: int, scratch: Scratch) -> None:
+    """Add the vertical wake and ground forces on the first `total` drones; pairs are known."""
+    model, ground_effect = field.constants[0], field.constants[0]["wake_ground"]
+    q, mitigation = model["wake_combine"], model["wake_mitigation"]
+    for slot in range(total):
+        scratch.drones[slot]["pushed"] = 0.0
+    for at in range(scratch.desk[0]["pairs"]):
+        pair = scratch.pairs[at]
+        lower, upper = scratch.drones[pair["i"]], scratch.drones[pair["j"]]
+        here, there, speed = lower["position"], upper["position"], upper["velocity"]
+        dx, dy, dz = there[0] - here[0], there[1] - here[1], there[2] - here[2]
+        delay = max(dz, 0.0) * model["wake_delay"][upper["type"]]
+        x, y = dx - speed[0] * delay, dy - speed[1] * delay
+        fit, lateral = model["wake_pair"][upper["type"], lower["type"]], math.sqrt(x * x + y * y)
+        width = fit[1] + fit[2] * max(dz, 0.0)
+        aside = lateral / width
+        shape = (fit[1] / width) ** fit[3] * math.exp(-0.5 * (aside * aside))
+        force = fit[0] * shape / (1.0 + math.exp(-dz / _ONSET))
+        lower["pushed"] += (pair["weight"] * force) ** q
+    for slot in range(total):
+        drone = scratch.drones[slot]
+        height, own = max(drone["position"][2], _LOWEST_MEASURED), ground_effect[drone["type"]]
         lost = mitigation[0] * math.exp(-height / mitigation[1])
-        lift = ground[types[i], 0] * math.exp((_LOWEST_MEASURED - height) / ground[types[i], 1])
-        out[i, 2] += lift - (1.0 - lost) * pushed[i, 0] ** (1.0 / q)
+        lift = own[0] * math.exp((_LOWEST_MEASURED - height) / own[1])
+        drone["force"][2] += lift - (1.0 - lost) * drone["pushed"] ** (1.0 / q)

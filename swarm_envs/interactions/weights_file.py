@@ -26,7 +26,7 @@ from swarm_envs.interactions.field import (
     empty_field,
     unlimited,
 )
-from swarm_envs.interactions.pairwise import pairwise_names
+from swarm_envs.interactions.network import pairwise_names
 from swarm_envs.state import FloatArray
 
 Layers = list[tuple[FloatArray, FloatArray]]

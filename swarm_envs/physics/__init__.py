@@ -6,8 +6,7 @@ state = physics.reset()
 state = physics.step(commands)      # (E, N, 4) newton a rotor, 1/240 s
 """
 
-from swarm_envs.physics.base import Physics
-from swarm_envs.physics.batch import BatchPhysics
+from swarm_envs.physics.base import BatchPhysics, Physics
 from swarm_envs.physics.bullet import BulletPhysics, bullet_available
 from swarm_envs.physics.contact import Contacts
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP

@@ -1,4 +1,4 @@
-"""What both engines share: the arrays, the checks at the door, the reset.
+"""What both engines share: the memory, the checks at the door, the reset, the step.
 
 A physics object holds E environments of N drones: of one team, unless `set_team` was told
 otherwise. `step` takes rotor commands and advances
@@ -7,39 +7,66 @@ everything by 1/240 s; the interaction force is part of it.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.compiled import announce_compilation
+from swarm_envs.compiled import announce_compilation, entry_point
+from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.errors import check_array, check_integer
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.motors import BATTERY_ROWS, BatteryModel
-from swarm_envs.physics.contact import NO_WALLS, Contacts, no_contacts
-from swarm_envs.physics.gusts import new_gusts
+from swarm_envs.interactions.scratch import scratch_for
+from swarm_envs.motors import BatteryModel
+from swarm_envs.neighbors import FEW
+from swarm_envs.physics.contact import NO_WALLS, Contacts, contacts_of
 from swarm_envs.physics.obstacles import ROW, no_obstacles
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
-from swarm_envs.physics.step import World, refresh_all
+from swarm_envs.physics.step import (
+    BEGIN,
+    CONTROL,
+    MOVE,
+    ROTORS,
+    SPIN,
+    TOUCH,
+    begin_flight,
+    fly,
+    new_work,
+)
+from swarm_envs.physics.workers import Workers
 from swarm_envs.state import (
     BoolArray,
     FloatArray,
+    IntArray,
     Parameters,
     SwarmState,
     hover_state,
     parameters,
-    replace_rows,
+    state_of,
 )
-from swarm_envs.vehicles import Vehicle, parse_team
+from swarm_envs.tables import SETTINGS_TYPE, Records, World, clear_environments, new_world
+from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Team, Vehicle, parse_team
 
 MOST_ENVIRONMENTS = 1_000_000
 """Of `num_envs`: memory ends before."""
+PART = 512
+"""Drones of a part of a batch: their records fit into a core's second cache."""
+AIR_DENSITY = 1.225
+"""Density of air at sea level, kg/m^3."""
+FORCE_BOUNDS_G: Mapping[str, float] = {"S": 5.0, "S*": 5.0, "L": 10.0}
+"""Bounds on the vertical interaction force by vehicle token, gram-force: those with which
+Neural-Swarm2 plans (Sec. VII-D, Fig. 6)."""
 
 
-class Physics(ABC):
+Finish = Callable[[int, int, int], object]
+"""What is done with the environments first to last - 1 on a thread, once they have flown."""
+
+
+class Physics:
     """Rigid bodies, rotors and the air between them, for E environments of one team.
 
     Args:
@@ -53,6 +80,12 @@ class Physics(ABC):
         gusts: standard deviation (m/s^2) and correlation time (s) of the acceleration that gusts
             give in environments; None for still air. `step` leaves them out.
         obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`; None for none.
+        level: where commands enter: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`.
+        controller: of the tracking loop, for the first two.
+        threads: how many fly the environments, each its part of them.
+        num_stages: S, sets of goals of an episode.
+        force_bounds_g: bound on the vertical interaction force by vehicle token, gram-force, that
+            metrics count; types that are left out have none.
 
     Raises:
         ValueError: an argument names nothing valid.
@@ -73,6 +106,11 @@ class Physics(ABC):
         force_rate: int = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
         obstacles: npt.ArrayLike | None = None,
+        level: int = ROTORS,
+        controller: ControllerConfig | None = None,
+        threads: int = 1,
+        num_stages: int = 1,
+        force_bounds_g: Mapping[str, float] = FORCE_BOUNDS_G,
     ) -> None:
         check_integer("num_envs", num_envs, 1, MOST_ENVIRONMENTS)
         self.team = parse_team(team)
@@ -84,51 +122,121 @@ class Physics(ABC):
             )
         self.num_envs = num_envs
         self.interactions = load(interactions)
-        self.types = np.repeat(self.interactions.type_indices(self.team)[None], num_envs, axis=0)
-        self.parameters: Parameters = parameters(self.team, num_envs)
+        config = controller or ControllerConfig()
+        self.belief = load("none" if config.feedforward is None else config.feedforward)
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
         rows = np.asarray(no_obstacles() if obstacles is None else obstacles)
         self.obstacles = check_array("obstacles", rows, (*rows.shape[:1], ROW), "(M, 7)")
-        shape = (num_envs, len(self.team))
-        self.contacts: Contacts = no_contacts(*shape)
-        self.force: FloatArray = np.zeros((*shape, 3))
-        self._total: FloatArray = np.zeros((*shape, 3))
-        self._no_force: FloatArray = np.zeros((*shape, 3))
         self._battery = BatteryModel() if battery is None else battery
-        self._state = hover_state(self.team, self._default_positions())
-        self.state: SwarmState = self._state.read_only()
-        self.world = World(
-            state=self._state,
-            parameters=self.parameters,
-            types=self.types,
-            field=self.interactions.field,
-            force=self.force,
-            outside=np.zeros(shape, dtype=np.bool_),
-            force_scale=np.ones(num_envs),
-            gusts=new_gusts(num_envs, *(gusts or (0.0, 1.0)), TIME_STEP),
-            age=np.zeros(num_envs, dtype=np.int64),
+        self._bounds_g = force_bounds_g
+        drones = len(self.team)
+        self.world: World = new_world(num_envs, drones, num_stages)
+        self._columns = self.world.columns
+        self.world.environments["force_scale"] = 1.0
+        self.settings: Records = np.zeros(1, SETTINGS_TYPE)
+        strength, correlation_s = gusts or (0.0, 1.0)
+        self._set(
+            level=level,
             hold=PHYSICS_RATE // force_rate,
-            rotor_limit=self.parameters.max_rotor_thrust.copy(),
+            believes=config.feedforward is not None,
             drains=battery is not None,
-            battery=self._battery.compile(self.team * num_envs),
-            contacts=self.contacts,
+            gusty=strength > 0.0,
+            gust_kept=float(np.exp(-TIME_STEP / correlation_s)),
+            gust_strength=strength,
             arena=self.arena,
-            obstacles=self.obstacles,
-            order=np.repeat(np.arange(len(self.team))[None], num_envs, axis=0),
+            idle_current=self._battery.idle_current_a,
+            current_per_newton=self._battery.current_per_newton,
+            **gains(config, TIME_STEP),
         )
+        self.order: IntArray = np.repeat(np.arange(drones)[None], num_envs, axis=0)
+        for name, values in self._fields_of(self.team).items():
+            self.world.drones[name] = values
+        self.world.drones["charge"] = 1.0
+        self.state: SwarmState = state_of(self.world.drones)
+        self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
+        self._make_memory(threads)
+        self._place(hover_state(self.team, self._default_positions()), self._everywhere)
+
+    def _set(self, **values: object) -> None:
+        for name, value in values.items():
+            self.settings[name] = value
+
+    def _make_memory(self, threads: int) -> None:
+        """What `fly` takes: all of it stays, so it is put together once."""
+        drones = len(self.team)
+        work = new_work(drones)
+        largest = max(1, PART // drones)
+        self.workers = Workers(self.num_envs, threads, len(work.members), largest)
+        self._open_circuit = self._battery.open_circuit if self.settings["drains"][0] else None
+        self._given = (
+            self.world.drones,
+            self._columns,
+            self.world.environments,
+            self.settings,
+            self.obstacles if len(self.obstacles) else None,
+            self._open_circuit,
+            self.order if drones > FEW else None,
+            True if self.settings["gusty"][0] else None,
+            self.interactions.packed,
+            self.belief.packed if self.settings["believes"][0] else None,
+        )
+        places = len(work.members)
+        self._own = [
+            (
+                new_work(drones),
+                *(scratch_for(m, places, drones) if m else None for m in self._given[-2:]),
+            )
+            for _ in range(self.workers.threads)
+        ]
+
+        self._numbers = [(thread,) for thread in range(self.workers.threads)]
+
+    @cached_property
+    def _compiled(self) -> Callable[..., None]:
+        """`fly` for the types of our arguments, which are then not looked up at every call."""
+        return entry_point(fly, 0, 0, 0, 0, self._everywhere, *self._given, *self._own[0])
+
+    def _fields_of(self, team: Team) -> dict[str, npt.ArrayLike]:
+        """What the table of drones holds of a team: fields by name, (N, ...)."""
+        nominal = parameters(team)
+        tokens = list(VEHICLES)
+        areas = np.array([math.pi * vehicle.rotor_radius**2 for vehicle in team])
+        code = [[float(vehicle.token == token) for token in tokens] for vehicle in team]
+        bound = [self._bounds_g.get(vehicle.token, np.inf) * GRAM_FORCE for vehicle in team]
+        believed = {name: getattr(nominal, name)[0] for name in _BELIEVED}
+        return {
+            **{name: array[0] for name, array in zip(nominal._fields, nominal, strict=True)},
+            **{f"nominal_{name}": array for name, array in believed.items()},
+            **self._battery.of_team(team),
+            "type": self.interactions.type_indices(team),
+            "believed_type": self.belief.type_indices(team),
+            "energy_scale": [
+                TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * area) for area in areas.tolist()
+            ],
+            "force_bound": bound,
+            "hover_thrust": [vehicle.hover_rotor_thrust for vehicle in team],
+            "type_code": code,
+        }
+
+    @property
+    def parameters(self) -> Parameters:
+        """What each drone is made of: views (E, N, ...)."""
+        return Parameters(*(self.world.drones[name] for name in Parameters._fields))
+
+    @property
+    def force(self) -> FloatArray:
+        """(E, N, 3) interaction force, as last evaluated, N, world frame."""
+        return self.world.drones["force"]
+
+    @property
+    def contacts(self) -> Contacts:
+        """What each drone touched in the last step or decision."""
+        return contacts_of(self.world.drones)
 
     @property
     def contact(self) -> BoolArray:
         """(E, N) whether each drone touched a drone, floor, wall or obstacle in the last step."""
         return self.contacts.any()
-
-    def hover(self, position: FloatArray) -> SwarmState:
-        """State at rest at positions (E, N, 3), m: rotors at hover, batteries full."""
-        state = hover_state(self.team, position)
-        for e, team in enumerate(self.teams):
-            if team != self.team:
-                state.rotor_thrust[e] = hover_state(team, position[e]).rotor_thrust[0]
-        return state
 
     def set_team(self, e: int, team: str | Sequence[Vehicle]) -> None:
         """Let other vehicles fly in environment `e`, as many as before, from its next reset on.
@@ -136,7 +244,7 @@ class Physics(ABC):
         Parameters, interaction types, batteries and bodies become theirs.
 
         Raises:
-            ValueError: their number is another, or the force model does not know their type;
+            ValueError: their number is another, or a force model does not know their type;
                 nothing is changed.
         """
         vehicles = parse_team(team)
@@ -144,11 +252,8 @@ class Physics(ABC):
             raise ValueError(
                 f"the team has {len(vehicles)} vehicles, but must have {len(self.team)}, as before"
             )
-        self.types[e] = self.interactions.type_indices(vehicles)
-        replace_rows(self.parameters, e, parameters(vehicles))
-        rows, first = self._battery.compile(vehicles), e * len(vehicles)
-        for name in BATTERY_ROWS:
-            getattr(self.world.battery, name)[first : first + len(vehicles)] = getattr(rows, name)
+        for name, values in self._fields_of(vehicles).items():
+            self.world.drones[name][e] = values
         self.teams[e] = vehicles
 
     def reset(self, state: SwarmState | None = None, mask: BoolArray | None = None) -> SwarmState:
@@ -164,16 +269,51 @@ class Physics(ABC):
         Raises:
             ValueError: the state does not fit, or holds an impossible value; nothing is changed.
         """
-        new = self.hover(self._default_positions()) if state is None else state
-        check_state(new, self._state)
-        where: BoolArray = np.ones(self.num_envs, dtype=np.bool_)
-        if mask is not None:
-            where &= mask
-        self._state.assign(new, where)
-        announce_compilation(refresh_all)
-        refresh_all(where, self.world)
-        self.place_bodies(where)
+        new = self._default_state() if state is None else state
+        check_state(new, self.state)
+        where = self._everywhere if mask is None else self._everywhere & mask
+        self._place(new, where)
         return self.state
+
+    def _place(self, state: SwarmState, where: BoolArray) -> None:
+        for name, array in zip(state._fields, state, strict=True):
+            self.world.drones[name][where] = array[where]
+        self.begin(np.flatnonzero(where), at_rest=False)
+
+    def begin(self, where: IntArray, at_rest: bool = True) -> None:
+        """Let environments (M,) begin anew: at rest at their starts, or as their state was set."""
+        announce_compilation(begin_flight)
+        drones, columns, circuit = self.world.drones, self._columns, self._open_circuit
+        begin_flight(where, at_rest, drones, columns, self.settings, circuit)
+        clear_environments(self.world.environments, where)
+        self.place_bodies(where)
+
+    def fly(self, steps: int, flown: BoolArray, then: Finish = lambda *_: None) -> None:
+        """Make so many physics steps in the environments that fly: a decision of theirs.
+
+        Args:
+            steps: of 1/240 s.
+            flown: (E,) which fly.
+            then: called with the first environment, one past the last, and the thread's number,
+                for every part of the batch that has been flown, on the thread that flew it.
+        """
+        phases = BEGIN | CONTROL | SPIN | MOVE | TOUCH
+        mask: BoolArray = np.ascontiguousarray(flown)  # a view of the records would not be
+
+        def work(first: int, last: int, thread: int) -> None:
+            own = self._own[thread]
+            self._compiled(first, last, phases, steps, mask, *self._given, *own)
+            then(first, last, thread)
+
+        self.workers.share(work, (), self._numbers)
+
+    def control(self) -> None:
+        """Let the tracking loop alone make one step everywhere: commands for the state that is."""
+        self._fly(CONTROL, 1, self._everywhere)
+
+    def _fly(self, phases: int, steps: int, flown: BoolArray) -> None:
+        mask: BoolArray = np.ascontiguousarray(flown)  # as in `fly`
+        self.workers.share(self._compiled, (phases, steps, mask, *self._given), self._own)
 
     def step(
         self, commands: npt.ArrayLike, external_force: npt.ArrayLike | None = None
@@ -191,14 +331,20 @@ class Physics(ABC):
         Raises:
             ValueError: a shape does not fit or an entry is not finite; nothing is changed.
         """
-        shape = self.force.shape
-        u = check_array("commands", commands, (*shape[:2], 4), "(E, N, 4), newton a rotor")
-        external = self._no_force
+        drones = self.world.drones
+        u = check_array("commands", commands, (*drones.shape, 4), "(E, N, 4), newton a rotor")
         if external_force is not None:
-            external = check_array("external_force", external_force, shape, "(E, N, 3), newton")
-        self.contacts.clear()
-        self._advance(u, external)
+            shape = (*drones.shape, 3)
+            external_force = check_array(
+                "external_force", external_force, shape, "(E, N, 3), newton"
+            )
+        drones["commands"] = u
+        drones["external"] = 0.0 if external_force is None else external_force
+        self._advance()
         return self.state
+
+    def _advance(self) -> None:
+        self._fly(BEGIN | SPIN | MOVE | TOUCH, 1, self._everywhere)
 
     def __reduce__(self) -> str:
         """Refuse to be copied or pickled: views of the state would come apart from it.
@@ -213,23 +359,40 @@ class Physics(ABC):
 
     def close(self) -> None:
         """Free what the engine holds. May be called more than once."""
+        self.workers.close()
 
-    @abstractmethod
-    def _advance(self, commands: FloatArray, external: FloatArray) -> None:
-        """One step of checked input, in place."""
-
-    def place_bodies(self, mask: BoolArray) -> None:
-        """Tell an engine that keeps bodies of its own that states or parameters were set.
+    def place_bodies(self, where: IntArray) -> None:
+        """Tell an engine that keeps bodies of its own that states or vehicles were set.
 
         Args:
-            mask: (E,) the environments in which they were.
+            where: (M,) the environments in which they were.
         """
+
+    def _default_state(self) -> SwarmState:
+        """At rest 1 m above the ground, rotors at hover, batteries full."""
+        state = hover_state(self.team, self._default_positions())
+        state.rotor_thrust[:] = self.world.drones["hover_thrust"][..., None]
+        return state
 
     def _default_positions(self) -> FloatArray:
         row = np.zeros((self.num_envs, len(self.team), 3))
         row[..., 0] = np.arange(len(self.team)) - (len(self.team) - 1) / 2
         row[..., 2] = 1.0
         return row
+
+
+class BatchPhysics(Physics):
+    """The compiled engine. Any number of environments, no dependency on Bullet.
+
+    It is the twin of `BulletPhysics`: the same step rule, to 1e-9 until the first contact. After a
+    contact it goes on without response: drones pass through each other and through walls.
+    """
+
+    name = "batch"
+
+
+_BELIEVED = ("mass", "inertia", "motor_rate", "max_rotor_thrust")
+"""Parameters of which the controller believes the nominal value."""
 
 
 def check_state(state: SwarmState, like: SwarmState) -> None:

@@ -4,24 +4,20 @@ from __future__ import annotations
 
 import importlib
 import weakref
-from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from swarm_envs.compiled import announce_compilation, entry_point
-from swarm_envs.interactions import InteractionModel
-from swarm_envs.motors import BatteryModel
-from swarm_envs.physics.base import Physics
+from swarm_envs.physics.base import Finish, Physics
 from swarm_envs.physics.bullet_bodies import build_body, build_floor, build_obstacle
-from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
-from swarm_envs.physics.step import blow_and_prepare, take_bodies
-from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.vehicles import GRAVITY, Vehicle
+from swarm_envs.physics.rigid_body import TIME_STEP
+from swarm_envs.physics.step import BEGIN, CONTROL, SPIN, TOUCH
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.vehicles import GRAVITY
 
 _ORIGIN = [0.0, 0.0, 0.0]
+_MOVED = 13
+"""The first columns of a drone: position, quaternion, velocity, angular velocity."""
 
 
 def bullet_available() -> bool:
@@ -68,41 +64,12 @@ class BulletPhysics(Physics):
 
     name = "bullet"
 
-    def __init__(
-        self,
-        team: str | Sequence[Vehicle],
-        num_envs: int = 1,
-        interactions: str | Path | InteractionModel = "learned",
-        *,
-        arena: npt.ArrayLike | None = None,
-        battery: BatteryModel | None = None,
-        force_rate: int = PHYSICS_RATE,
-        gusts: tuple[float, float] | None = None,
-        obstacles: npt.ArrayLike | None = None,
-    ) -> None:
-        super().__init__(
-            team,
-            num_envs,
-            interactions,
-            arena=arena,
-            battery=battery,
-            force_rate=force_rate,
-            gusts=gusts,
-            obstacles=obstacles,
-        )
+    def __init__(self, *arguments: Any, **options: Any) -> None:
         self._bullet = import_bullet()
         self.clients: list[int] = []
         self.bodies: list[list[int]] = []
         self._finalizer = weakref.finalize(self, _disconnect, self._bullet, self.clients)
-        for e in range(num_envs):
-            self.clients.append(self._connect())
-            self.bodies.append(self._populate(e))
-        self.wrench: FloatArray = np.zeros((len(self.team), 6))
-        self._moved: FloatArray = np.zeros((len(self.team), 13))
-        self._take: Callable[..., None] | None = None
-        self._built = self._body_numbers()
-        self._built_teams = list(self.teams)
-        self.place_bodies(np.ones(num_envs, dtype=np.bool_))
+        super().__init__(*arguments, **options)
 
     def __enter__(self) -> BulletPhysics:
         """Use as a context that closes itself."""
@@ -114,6 +81,7 @@ class BulletPhysics(Physics):
 
     def close(self) -> None:
         """Disconnect every client. May be called more than once."""
+        super().close()
         self._finalizer()
 
     def _connect(self) -> int:
@@ -127,7 +95,7 @@ class BulletPhysics(Physics):
 
     def _populate(self, e: int) -> list[int]:
         """Empty the world of environment `e` and build floor, obstacles and drones; their ids."""
-        bullet, client = self._bullet, self._client(e)
+        bullet, client = self._bullet, self.clients[e]
         bullet.resetSimulation(physicsClientId=client)
         bullet.setTimeStep(TIME_STEP, physicsClientId=client)
         bullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=client)
@@ -140,28 +108,20 @@ class BulletPhysics(Physics):
         ]
 
     def _inertia(self, e: int, i: int) -> tuple[float, list[float]]:
-        return float(self.parameters.mass[e, i]), self.parameters.inertia[e, i].tolist()
+        drone = self.world.drones[e, i]
+        return float(drone["mass"]), drone["inertia"].tolist()
 
-    def _body_numbers(self) -> FloatArray:
-        """(E, N, 4) mass and moments of inertia, as bodies are built from."""
-        mass, inertia = self.parameters.mass, self.parameters.inertia
-        return np.concatenate([mass[..., None], inertia], axis=-1)
-
-    def _rebuild(self, e: int, i: int, body: int) -> None:
-        mass, inertia = self._inertia(e, i)
-        client = self._client(e)
-        self._bullet.changeDynamics(
-            body, -1, mass=mass, localInertiaDiagonal=inertia, physicsClientId=client
-        )
-
-    def place_bodies(self, mask: BoolArray) -> None:
-        """Move the bodies of the environments in the mask to their states, masses included.
+    def place_bodies(self, where: IntArray) -> None:
+        """Move the bodies of these environments (M,) to their states, masses included.
 
         Where other vehicles fly, all bodies are built anew: Bullet cannot change a body's shape.
         """
+        if not self.bodies:
+            self._build()
+        self._check_open()
         wanted = self._body_numbers()
         changed = (wanted != self._built).any(axis=-1)
-        for e in np.flatnonzero(mask).tolist():
+        for e in where.tolist():
             if self.teams[e] != self._built_teams[e]:
                 self.bodies[e], self._built_teams[e] = self._populate(e), self.teams[e]
             else:
@@ -170,13 +130,31 @@ class BulletPhysics(Physics):
             self._built[e] = wanted[e]
             self.settle(e)
 
+    def _build(self) -> None:
+        for e in range(self.num_envs):
+            self.clients.append(self._connect())
+            self.bodies.append(self._populate(e))
+        self._built, self._built_teams = self._body_numbers(), list(self.teams)
+
+    def _body_numbers(self) -> FloatArray:
+        """(E, N, 4) mass and moments of inertia, as bodies are built from."""
+        drones = self.world.drones
+        return np.concatenate([drones["mass"][..., None], drones["inertia"]], axis=-1)
+
+    def _rebuild(self, e: int, i: int, body: int) -> None:
+        mass, inertia = self._inertia(e, i)
+        client = self.clients[e]
+        self._bullet.changeDynamics(
+            body, -1, mass=mass, localInertiaDiagonal=inertia, physicsClientId=client
+        )
+
     def settle(self, e: int) -> None:
         """Put the bodies of environment `e` where its state says, to the last bit.
 
         Bullet keeps attitudes in a form of its own, and rounds one that it is given. Done between
         decisions, this makes the state all there is: what is restored from it goes on alike.
         """
-        state, bullet, client = self._state, self._bullet, self._client(e)
+        state, bullet, client = self.state, self._bullet, self.clients[e]
         pose, twist = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
         rows = zip(
             self.bodies[e],
@@ -190,35 +168,47 @@ class BulletPhysics(Physics):
             pose(body, position, quaternion, client)
             twist(body, velocity, rate, client)
 
-    def _client(self, e: int) -> int:
+    def _check_open(self) -> None:
         if not self.clients:
             raise RuntimeError("this BulletPhysics is closed; make a new one")
-        return self.clients[e]
 
-    def _advance(self, commands: FloatArray, external: FloatArray) -> None:
-        announce_compilation(blow_and_prepare)
-        for e in range(self.num_envs):
-            blow_and_prepare(e, self.world, commands, external, self.wrench)
-            self.move_bodies(e)
+    def fly(self, steps: int, flown: BoolArray, then: Finish = lambda *_: None) -> None:
+        """Make so many physics steps in the environments that fly; see `Physics.fly`."""
+        mask: BoolArray = np.ascontiguousarray(flown)
+        for k in range(steps):
+            self._step_bodies(CONTROL | SPIN | (0 if k else BEGIN), mask)
+        for e in np.flatnonzero(flown).tolist():
+            self.settle(e)
+        then(0, self.num_envs, 0)
 
-    def move_bodies(self, e: int) -> None:
-        """Advance the bodies of environment `e` by one step under `wrench`, unchecked."""
-        client, bodies, bullet = self._client(e), self.bodies[e], self._bullet
+    def _advance(self) -> None:
+        self._step_bodies(BEGIN | SPIN, self._everywhere)
+
+    def _step_bodies(self, before: int, flown: BoolArray) -> None:
+        """Make one physics step, with Bullet in the place of the phase MOVE."""
+        if not self.clients:
+            self._check_open()
+        bullet, kernel, given = (
+            self._bullet,
+            self._compiled,
+            (1, flown, *self._given, *self._own[0]),
+        )
         push, turn, link = bullet.applyExternalForce, bullet.applyExternalTorque, bullet.LINK_FRAME
-        for body, row in zip(bodies, self.wrench.tolist(), strict=True):
-            push(body, -1, row[:3], _ORIGIN, link, client)
-            turn(body, -1, row[3:], link, client)
-        bullet.stepSimulation(client)
         pose, twist = bullet.getBasePositionAndOrientation, bullet.getBaseVelocity
-        self._moved[:] = [
-            (*position, *quaternion, *velocity, *rate)
-            for (position, quaternion), (velocity, rate) in [
-                (pose(body, client), twist(body, client)) for body in bodies
+        kernel(0, self.num_envs, before, *given)
+        for e in np.flatnonzero(flown).tolist():
+            client, bodies = self.clients[e], self.bodies[e]
+            for body, row in zip(bodies, self.world.drones["wrench"][e].tolist(), strict=True):
+                push(body, -1, row[:3], _ORIGIN, link, client)
+                turn(body, -1, row[3:], link, client)
+            bullet.stepSimulation(client)
+            self._columns[e, :, :_MOVED] = [
+                (*position, *quaternion, *velocity, *rate)
+                for (position, quaternion), (velocity, rate) in [
+                    (pose(body, client), twist(body, client)) for body in bodies
+                ]
             ]
-        ]
-        if self._take is None:
-            self._take = entry_point(take_bodies, e, self.world, self._moved)
-        self._take(e, self.world, self._moved)
+        kernel(0, self.num_envs, TOUCH, *given)
 
 
 def _disconnect(bullet: Any, clients: list[int]) -> None:

@@ -7,14 +7,17 @@ obstacle when that is nearer to its centre than its radius.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
-from swarm_envs.neighbors import FEW, distance_between, sort_along_x
+from swarm_envs.compiled import part
+from swarm_envs.neighbors import sort_along_x
 from swarm_envs.physics.obstacles import distance_to
+from swarm_envs.physics.rigid_body import TUMBLING_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tables import LANES, Field, Records, record_type
 
 NO_DRONE = -1
 """In `Contacts.drone`: touches no other drone."""
@@ -23,6 +26,17 @@ NO_OBSTACLE = -1
 
 NO_WALLS = np.array([[-np.inf, -np.inf, -np.inf], [np.inf, np.inf, np.inf]])
 """(2, 3) arena without walls, m."""
+
+PLACES = 64
+"""Environments whose pairs are compared side by side."""
+SPOT_TYPE = record_type(
+    tuple(
+        Field(name, (PLACES,), "", None, "")
+        for name in ("x", "y", "z", "radius", "distance", "ratio")
+    )
+)
+"""What the comparison of pairs knows of drone `i` of `PLACES` environments: where it is, and the
+square of its smallest distance to another drone, in m^2 and over the square of the radii's sum."""
 
 
 class Contacts(NamedTuple):
@@ -52,157 +66,171 @@ class Contacts(NamedTuple):
         touched = (self.drone != NO_DRONE) | (self.obstacle != NO_OBSTACLE)
         return touched | self.floor | self.wall
 
-    def clear(self, mask: BoolArray | slice = slice(None)) -> None:
-        """Forget everything, in the environments of the mask."""
-        self.drone[mask] = NO_DRONE
-        self.floor[mask] = False
-        self.wall[mask] = False
-        self.tumbling[mask] = False
-        self.separation[mask] = np.inf
-        self.clearance[mask] = np.inf
-        self.obstacle[mask] = NO_OBSTACLE
-        self.obstacle_clearance[mask] = np.inf
 
-
-def no_contacts(num_envs: int, num_drones: int) -> Contacts:
-    """Contacts of swarms that touch nothing."""
-    shape = (num_envs, num_drones)
+def contacts_of(drones: Records) -> Contacts:
+    """The contacts of drones (E, N) in their last decision, as new arrays."""
     return Contacts(
-        drone=np.full(shape, NO_DRONE, dtype=np.int64),
-        floor=np.zeros(shape, dtype=np.bool_),
-        wall=np.zeros(shape, dtype=np.bool_),
-        tumbling=np.zeros(shape, dtype=np.bool_),
-        separation=np.full(shape, np.inf),
-        clearance=np.full(shape, np.inf),
-        obstacle=np.full(shape, NO_OBSTACLE, dtype=np.int64),
-        obstacle_clearance=np.full(shape, np.inf),
+        drone=drones["touched_drone"].astype(np.int64),
+        floor=drones["touched_floor"] > 0.0,
+        wall=drones["touched_wall"] > 0.0,
+        tumbling=drones["tumbling"] > 0.0,
+        separation=drones["separation"].copy(),
+        clearance=drones["clearance"].copy(),
+        obstacle=drones["touched_obstacle"].astype(np.int64),
+        obstacle_clearance=drones["obstacle_clearance"].copy(),
     )
 
 
-@borrowing_kernel
-def forget(e: int, contacts: Contacts) -> None:
-    """Forget what environment `e` touched."""
-    for i in range(contacts.drone.shape[1]):
-        contacts.drone[e, i] = NO_DRONE
-        contacts.floor[e, i] = contacts.wall[e, i] = contacts.tumbling[e, i] = False
-        contacts.separation[e, i] = contacts.clearance[e, i] = np.inf
-        contacts.obstacle[e, i], contacts.obstacle_clearance[e, i] = NO_OBSTACLE, np.inf
-
-
-@borrowing_kernel
-def find_contacts(
-    e: int,
-    position: FloatArray,
-    angular_velocity: FloatArray,
-    radius: FloatArray,
-    arena: FloatArray,
-    obstacles: FloatArray,
-    order: IntArray,
-    tumbling_rate: float,
-    seen: Contacts,
-) -> None:
-    """Add what the drones of environment `e` touch now to what has been seen.
+@part
+def touch(blocks: Records, count: int, settings: Records) -> None:
+    """Add what the drones of the first `count` blocks touch now of floor and walls.
 
     Args:
-        e: the environment.
-        position: (E, N, 3) m.
-        angular_velocity: (E, N, 3) rad/s.
-        radius: (E, N) of the collision spheres, m.
-        arena: (2, 3) lower and upper corner, m; its floor is the ground at z = 0.
-        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
-        order: (N,) any permutation of the drones; sorted along x if there are many.
-        tumbling_rate: rad/s.
-        seen: contacts, updated: flags stay set, distances keep their smallest value.
+        blocks: records of `LANES` drones; flags stay set.
+        count: how many of them.
+        settings: (1,) the arena, whose floor is the ground at z = 0.
     """
-    for i in range(position.shape[1]):
-        r = radius[e, i]
-        if position[e, i, 2] < r:
-            seen.floor[e, i] = True
-        for k in range(3):
-            low = position[e, i, k] - r < arena[0, k] and k < 2
-            if low or position[e, i, k] + r > arena[1, k]:
-                seen.wall[e, i] = True
-        x, y, z = angular_velocity[e, i, 0], angular_velocity[e, i, 1], angular_velocity[e, i, 2]
-        if x * x + y * y + z * z > tumbling_rate * tumbling_rate:
-            seen.tumbling[e, i] = True
+    low, high = settings[0].arena[0], settings[0].arena[1]
+    low_x, low_y, high_x, high_y, high_z = low[0], low[1], high[0], high[1], high[2]
+    fastest = TUMBLING_RATE * TUMBLING_RATE
+    for n in range(count):
+        b = blocks[n]
+        for lane in range(LANES):
+            x, y, z, r = (
+                b.position[0, lane],
+                b.position[1, lane],
+                b.position[2, lane],
+                b.radius[lane],
+            )
+            floor = 1.0 if z < r else 0.0
+            left = 1.0 if x - r < low_x else 0.0
+            right = 1.0 if x + r > high_x else 0.0
+            front = 1.0 if y - r < low_y else 0.0
+            back = 1.0 if y + r > high_y else 0.0
+            above = 1.0 if z + r > high_z else 0.0
+            wall = max(max(left, right), max(max(front, back), above))
+            b.touched_floor[lane] = max(b.touched_floor[lane], floor)
+            b.touched_wall[lane] = max(b.touched_wall[lane], wall)
+            x, y, z = (
+                b.angular_velocity[0, lane],
+                b.angular_velocity[1, lane],
+                b.angular_velocity[2, lane],
+            )
+            fast = 1.0 if x * x + y * y + z * z > fastest else 0.0
+            b.tumbling[lane] = max(b.tumbling[lane], fast)
+
+
+@part
+def touch_obstacles(blocks: Records, slots: int, obstacles: FloatArray) -> None:
+    """Add which of the obstacles (M, 7) the drones in the first `slots` lanes touch now."""
+    for slot in range(slots):
+        b, lane = blocks[slot // LANES], slot % LANES
         for k in range(obstacles.shape[0]):
-            x, y, z = position[e, i, 0], position[e, i, 1], position[e, i, 2]
-            ratio = distance_to(obstacles, k, x, y, z) / r
-            if ratio < seen.obstacle_clearance[e, i]:
-                seen.obstacle_clearance[e, i] = ratio
+            x, y, z = b.position[0, lane], b.position[1, lane], b.position[2, lane]
+            ratio = distance_to(obstacles, k, x, y, z) / b.radius[lane]
+            if ratio < b.obstacle_clearance[lane]:
+                b.obstacle_clearance[lane] = ratio
                 if ratio < 1.0:
-                    seen.obstacle[e, i] = k
-    if position.shape[1] > FEW:
-        sweep_pairs(position[e], radius[e], order, e, seen)
-        return
-    for i in range(position.shape[1]):
+                    b.touched_obstacle[lane] = k
+
+
+@part
+def meet(blocks: Records, count: int, drones: int, spots: Records) -> None:
+    """Add how near the drones of `count` environments of few drones come to each other now.
+
+    Every pair of one environment is looked at, side by side with the same pair of the others.
+
+    Args:
+        blocks: records of `LANES` drones, one environment after the other; separations,
+            clearances and drones touched are updated.
+        count: environments, at most `PLACES`.
+        drones: N.
+        spots: (N,) scratch of `SPOT_TYPE`.
+    """
+    for place in range(count):
+        for i in range(drones):
+            slot = place * drones + i
+            b, lane, s = blocks[slot // LANES], slot % LANES, spots[i]
+            s.x[place], s.y[place], s.z[place] = (
+                b.position[0, lane],
+                b.position[1, lane],
+                b.position[2, lane],
+            )
+            s.radius[place], s.distance[place], s.ratio[place] = b.radius[lane], np.inf, np.inf
+    for i in range(drones):
+        s = spots[i]
         for j in range(i):
-            distance = distance_between(position[e], i, j)
-            ratio = distance / (radius[e, i] + radius[e, j])
-            approach(e, i, j, distance, ratio, seen)
-            approach(e, j, i, distance, ratio, seen)
+            t = spots[j]
+            for place in range(count):
+                x, y, z = t.x[place] - s.x[place], t.y[place] - s.y[place], t.z[place] - s.z[place]
+                distance, sum_of_radii = x * x + y * y + z * z, s.radius[place] + t.radius[place]
+                ratio = distance / (sum_of_radii * sum_of_radii)
+                s.distance[place] = min(s.distance[place], distance)
+                t.distance[place] = min(t.distance[place], distance)
+                s.ratio[place] = min(s.ratio[place], ratio)
+                t.ratio[place] = min(t.ratio[place], ratio)
+    for place in range(count):
+        for i in range(drones):
+            slot = place * drones + i
+            b, lane, s = blocks[slot // LANES], slot % LANES, spots[i]
+            clearance = math.sqrt(s.ratio[place])
+            if clearance < min(b.clearance[lane], 1.0):
+                b.touched_drone[lane] = nearest_of(spots, drones, i, place)
+            b.separation[lane] = min(b.separation[lane], math.sqrt(s.distance[place]))
+            b.clearance[lane] = min(b.clearance[lane], clearance)
 
 
-@borrowing_kernel
-def approach(e: int, i: int, j: int, distance: float, ratio: float, seen: Contacts) -> None:
-    """Note how near drone `j` is to drone `i` of environment `e`.
-
-    Args:
-        e: the environment.
-        i: the drone whose contacts are updated.
-        j: the other.
-        distance: between their centres, m.
-        ratio: that distance over the sum of their radii.
-        seen: contacts, updated; of equally near drones that touch, the first is kept.
-    """
-    seen.separation[e, i] = min(seen.separation[e, i], distance)
-    nearest = seen.clearance[e, i]
-    if ratio < 1.0 and (ratio < nearest or (ratio == nearest and j < seen.drone[e, i])):
-        seen.drone[e, i] = j
-    seen.clearance[e, i] = min(nearest, ratio)
+@part
+def nearest_of(spots: Records, drones: int, i: int, place: int) -> int:
+    """The drone of one environment that is nearest to drone `i` for the sum of their radii."""
+    s, nearest, smallest = spots[i], NO_DRONE, math.inf
+    for j in range(drones):
+        t = spots[j]
+        x, y, z = t.x[place] - s.x[place], t.y[place] - s.y[place], t.z[place] - s.z[place]
+        ratio = math.sqrt(x * x + y * y + z * z) / (s.radius[place] + t.radius[place])
+        if j != i and ratio < smallest:
+            nearest, smallest = j, ratio
+    return nearest
 
 
-@borrowing_kernel
-def reach_of(e: int, i: int, largest: float, seen: Contacts) -> float:
-    """How near a drone must be to drone `i` to change what was seen, its contacts being updated, m.
-
-    Args:
-        e: the environment.
-        i: the drone.
-        largest: sum of its radius and the largest of all, m.
-        seen: contacts so far.
-    """
-    return max(seen.separation[e, i], seen.clearance[e, i] * largest)
-
-
-@borrowing_kernel
-def sweep_pairs(
-    position: FloatArray, radius: FloatArray, order: IntArray, e: int, seen: Contacts
-) -> None:
-    """Note how near all drones of environment `e` are, looking along x only as far as it matters.
+@part
+def meet_many(blocks: Records, first: int, position: FloatArray, order: IntArray) -> None:
+    """Do what `meet` does in one environment of many drones: look along x only as far as needed.
 
     Args:
-        position: (N, 3) m.
-        radius: (N,) m.
+        blocks: records of `LANES` drones, updated.
+        first: slot of the environment's first drone.
+        position: (N, 3) scratch, m.
         order: (N,) any permutation of the drones; sorted along x.
-        e: the environment.
-        seen: contacts, updated.
     """
+    largest, drones = 0.0, position.shape[0]
+    for i in range(drones):
+        b, lane = blocks[(first + i) // LANES], (first + i) % LANES
+        largest = max(largest, b.radius[lane])
+        for k in range(3):
+            position[i, k] = b.position[k, lane]
     sort_along_x(position, order)
-    largest = 0.0
-    for i in range(radius.shape[0]):
-        largest = max(largest, radius[i])
-    for place in range(order.shape[0]):
+    for place in range(drones):
         i = order[place]
-        x, matters = position[i, 0], reach_of(e, i, radius[i] + largest, seen)
+        b, lane = blocks[(first + i) // LANES], (first + i) % LANES
+        radius = b.radius[lane]
         for step in (-1, 1):
-            b = place + step
-            while 0 <= b < order.shape[0]:
-                j = order[b]
-                if abs(position[j, 0] - x) > matters:
+            other = place + step
+            while 0 <= other < drones:
+                j = order[other]
+                matters = max(b.separation[lane], b.clearance[lane] * (radius + largest))
+                x = position[j, 0] - position[i, 0]
+                if abs(x) > matters:
                     break
-                distance = distance_between(position, i, j)
+                y, z = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+                distance = math.sqrt(x * x + y * y + z * z)
                 if distance <= matters:
-                    approach(e, i, j, distance, distance / (radius[i] + radius[j]), seen)
-                    matters = reach_of(e, i, radius[i] + largest, seen)
-                b += step
+                    c, m = blocks[(first + j) // LANES], (first + j) % LANES
+                    ratio = distance / (radius + c.radius[m])
+                    nearer = ratio < b.clearance[lane]
+                    tie = ratio == b.clearance[lane] and j < b.touched_drone[lane]
+                    if ratio < 1.0 and (nearer or tie):
+                        b.touched_drone[lane] = j
+                    b.separation[lane] = min(b.separation[lane], distance)
+                    b.clearance[lane] = min(b.clearance[lane], ratio)
+                other += step

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel, part
 from swarm_envs.state import FloatArray
 
 BOX, COLUMN = 0.0, 1.0
@@ -24,13 +24,13 @@ def no_obstacles() -> FloatArray:
     return np.zeros((0, ROW))
 
 
-@borrowing_kernel
+@part
 def _beyond(low: float, high: float, x: float) -> float:
     """What must be added to x to come into [low, high]; 0 within."""
     return max(low - x, 0.0) + min(high - x, 0.0)
 
 
-@borrowing_kernel
+@part
 def nearest_point(
     rows: FloatArray, k: int, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
@@ -55,14 +55,14 @@ def nearest_point(
     return share * dx, share * dy, _beyond(rows[k, 4], rows[k, 5], z)
 
 
-@borrowing_kernel
+@part
 def distance_to(rows: FloatArray, k: int, x: float, y: float, z: float) -> float:
     """Distance from a point to obstacle k of the rows (M, 7), m; zero inside of it."""
     dx, dy, dz = nearest_point(rows, k, x, y, z)
     return math.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@borrowing_kernel
+@kernel
 def distances(rows: FloatArray, points: FloatArray, out: FloatArray) -> None:
     """Write the distance (P, M), m, from each of P points (P, 3) to each of M obstacles (M, 7)."""
     for p in range(points.shape[0]):

@@ -1,272 +1,378 @@
-"""The compiled physics step, in the pieces that both engines put together."""
+"""The physics step: one loop for both engines, compiled.
+
+`fly` takes some environments from their records into blocks of `LANES` drones, makes steps of
+1/240 s there, and writes them back. A step has four phases, of which Bullet replaces one:
+
+1. `CONTROL`: the tracking loop turns set-points into rotor commands;
+2. `SPIN`: interaction forces and gusts at the present state, metrics, rotor lag, batteries;
+3. `MOVE`: the rigid bodies, on the compiled engine; on Bullet `wrench` says what pushes them;
+4. `TOUCH`: contacts at the new positions.
+"""
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel, kernel
-from swarm_envs.interactions.crowd import Crowd, crowd_for, crowd_forces
-from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import outside_measured_range
-from swarm_envs.motors import BatteryArrays, battery_step, rotor_limit
-from swarm_envs.physics.contact import Contacts, find_contacts, forget
-from swarm_envs.physics.gusts import Gusts
+from swarm_envs.compiled import kernel, part
+from swarm_envs.control.loop import hold_rates, track
+from swarm_envs.interactions.field import NONE
+from swarm_envs.interactions.forces import swarm_forces
+from swarm_envs.interactions.packed import PackedField
+from swarm_envs.interactions.scratch import CROWD, Scratch
+from swarm_envs.motors import drain, limit_rotors
+from swarm_envs.neighbors import FEW
+from swarm_envs.physics.contact import (
+    PLACES,
+    SPOT_TYPE,
+    meet,
+    meet_many,
+    touch,
+    touch_obstacles,
+)
+from swarm_envs.physics.gusts import gust
 from swarm_envs.physics.rigid_body import (
     TIME_STEP,
-    TUMBLING_RATE,
     integrate,
-    lag_rotors,
     rotation_entries,
     rotor_wrench,
+    spin_rotors,
 )
-from swarm_envs.state import BoolArray, FloatArray, IntArray, Parameters, SwarmState
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tables import (
+    BLOCK_TYPE,
+    BODY_END,
+    CONTACT_COLUMNS,
+    CONTACT_VALUES,
+    CONTROLLER_END,
+    LANES,
+    RESET_COLUMNS,
+    RESET_VALUES,
+    VEHICLE_END,
+    Records,
+    aligned,
+)
+
+SETPOINTS, RATES, ROTORS = 0, 1, 2
+"""Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
+BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
+"""Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
 
 
-class World(NamedTuple):
-    """Everything a physics step reads and writes, apart from commands: E environments."""
+class Work(NamedTuple):
+    """Working memory of one thread, nothing to keep."""
 
-    state: SwarmState
-    """Of every drone, written by each step."""
-    parameters: Parameters
-    """What each drone is made of."""
-    types: IntArray
-    """(E, N) interaction types."""
-    field: ForceField
-    """The force model that blows."""
-    force: FloatArray
-    """(E, N, 3) interaction force, as last evaluated, N."""
-    outside: BoolArray
-    """(E, N) whether that force is an extrapolation past what was measured."""
-    force_scale: FloatArray
-    """(E,) factor of that force."""
-    gusts: Gusts
-    """The wind's state."""
-    age: IntArray
-    """(E,) steps since reset."""
-    hold: int
-    """Steps over which the interaction force is held."""
-    rotor_limit: FloatArray
-    """(E, N) largest thrust of one rotor now, N."""
-    drains: bool
-    """Whether batteries empty."""
-    battery: BatteryArrays
-    """Its rows are all drones of the first environment, then those of the second, and so on."""
-    contacts: Contacts
-    """What each drone touches."""
-    arena: FloatArray
-    """(2, 3) corners of the walls, m."""
-    obstacles: FloatArray
-    """(M, 7) rows of `swarm_envs.physics.obstacles`."""
-    order: IntArray
-    """(E, N) drones of each environment, as last sorted along x."""
+    blocks: Records
+    """Records of `LANES` drones: all drones of a tile, one environment after the other."""
+    tile: FloatArray
+    """(blocks, rows, LANES) the same memory as plain numbers."""
+    members: IntArray
+    """(C,) the environments of the tile."""
+    due: IntArray
+    """(C,) places of those whose force is due."""
+    spots: Records
+    """(N,) for `meet`."""
+    position: FloatArray
+    """(N, 3) for `meet_many`."""
 
 
-@borrowing_kernel
-def refresh(e: int, world: World) -> None:
-    """Begin anew in environment `e`, whose state has just been set.
-
-    Bullet keeps quaternions of exactly unit length, so its twin starts from one too.
-    """
-    q, f, most = world.state.quaternion, world.state.rotor_thrust, world.parameters.max_rotor_thrust
-    drones = most.shape[1]
-    world.age[e] = 0
-    for k in range(3):
-        world.gusts.acceleration[e, k] = 0.0
-    for i in range(drones):
-        square = total = 0.0
-        for k in range(4):
-            square += q[e, i, k] * q[e, i, k]
-            total += f[e, i, k]
-        for k in range(4):
-            q[e, i, k] /= math.sqrt(square)
-        for k in range(3):
-            world.force[e, i, k] = 0.0
-        world.rotor_limit[e, i] = most[e, i]
-        charge = world.state.battery[e, i]
-        if world.drains and charge < 1.0:
-            row = e * drones + i
-            limit = rotor_limit(charge, total, 4.0 * most[e, i], world.battery, row)
-            world.rotor_limit[e, i] = limit
-    forget(e, world.contacts)
-
-
-@borrowing_kernel
-def refresh_all(mask: BoolArray, world: World) -> None:
-    """Begin anew in the environments of the mask."""
-    for e in range(mask.shape[0]):
-        if mask[e]:
-            refresh(e, world)
-
-
-@borrowing_kernel
-def blow(count: int, environments: IntArray, world: World, crowd: Crowd) -> None:
-    """Evaluate the interaction force at the present state of environments in which it is due.
-
-    Args:
-        count: how many environments, at most as many as the crowd has places.
-        environments: which.
-        world: its force and age are changed in place.
-        crowd: working memory.
-    """
-    state, drones, due = world.state, world.types.shape[1], 0
-    for place in range(count):
-        e = environments[place]
-        if world.age[e] % world.hold == 0:
-            crowd.members[due] = e
-            due += 1
-        world.age[e] += 1
-    if due == 0:
-        return
-    crowd_forces(world.field, due, world.types, state.position, state.velocity, crowd, world.force)
-    m = due * drones
-    gathered, moving, outside = crowd.position[:m], crowd.velocity[:m], crowd.outside[:m]
-    outside_measured_range(world.field, gathered, moving, crowd.scratch, outside)
-    for place in range(due):
-        e = crowd.members[place]
-        for i in range(drones):
-            world.outside[e, i] = outside[place * drones + i]
-            for k in range(3):
-                world.force[e, i, k] *= world.force_scale[e]
-
-
-@borrowing_kernel
-def drain(e: int, world: World) -> None:
-    """Take one step's charge from the batteries of environment `e`; their rotors' limits follow."""
-    state, parameters, drones = world.state, world.parameters, world.force.shape[1]
-    for i in range(drones):
-        total = 0.0
-        for r in range(4):
-            total += state.rotor_thrust[e, i, r]
-        state.battery[e, i], world.rotor_limit[e, i] = battery_step(
-            state.battery[e, i],
-            total,
-            4.0 * parameters.max_rotor_thrust[e, i],
-            world.battery,
-            e * drones + i,
-            TIME_STEP,
-        )
-
-
-@borrowing_kernel
-def spin_rotors(e: int, world: World, commands: FloatArray) -> None:
-    """Rotor lag and battery of environment `e` over one step, towards `commands` (E, N, 4), N."""
-    thrust = world.state.rotor_thrust
-    lag_rotors(e, thrust, world.parameters, world.rotor_limit, commands, TIME_STEP)
-    if world.drains:
-        drain(e, world)
-
-
-@borrowing_kernel
-def touch(e: int, world: World) -> None:
-    """Add what environment `e` touches now to the contacts."""
-    state = world.state
-    find_contacts(
-        e,
-        state.position,
-        state.angular_velocity,
-        world.parameters.radius,
-        world.arena,
-        world.obstacles,
-        world.order[e],
-        TUMBLING_RATE,
-        world.contacts,
+def new_work(num_drones: int) -> Work:
+    """Working memory for environments of so many drones."""
+    places = max(1, min(PLACES, CROWD // num_drones))
+    blocks = aligned(-(-places * num_drones // LANES), BLOCK_TYPE)
+    return Work(
+        blocks=blocks,
+        tile=blocks.view(np.float64).reshape(len(blocks), -1, LANES),
+        members=np.zeros(places, np.int64),
+        due=np.zeros(places, np.int64),
+        spots=aligned(num_drones if num_drones <= FEW else 0, SPOT_TYPE),
+        position=np.zeros((num_drones, 3)),
     )
 
 
-@borrowing_kernel
-def step_environment(
-    e: int, world: World, commands: FloatArray, external: FloatArray, total: FloatArray
+@part
+def load(columns: FloatArray, count: int, controlled: bool, begins: bool, work: Work) -> None:
+    """Copy what a step knows of the drones of the first `count` members into the blocks.
+
+    The columns of the tracking loop are left out if there is none. Where a decision begins, what
+    was touched in the last one is forgotten. Lanes that are left over in the last block repeat the
+    last drone, so that numbers there are sound; they are not written back.
+    """
+    drones, slot = columns.shape[1], 0
+    skipped = BODY_END if controlled else CONTROLLER_END
+    for place in range(count):
+        for i in range(drones):
+            row, block, lane = (
+                columns[work.members[place], i],
+                work.tile[slot // LANES],
+                slot % LANES,
+            )
+            for c in range(BODY_END):
+                block[c, lane] = row[c]
+            for c in range(skipped, VEHICLE_END):
+                block[c, lane] = row[c]
+            if begins:
+                for k in range(len(CONTACT_COLUMNS)):
+                    block[CONTACT_COLUMNS[k], lane] = CONTACT_VALUES[k]
+            slot += 1
+    last, block = (slot - 1) % LANES, work.tile[(slot - 1) // LANES]
+    for lane in range(last + 1, LANES):
+        for c in range(VEHICLE_END):
+            block[c, lane] = block[c, last]
+
+
+@part
+def store(columns: FloatArray, count: int, controlled: bool, work: Work) -> None:
+    """Copy what a step has changed back from the blocks."""
+    drones, slot = columns.shape[1], 0
+    end = CONTROLLER_END if controlled else BODY_END
+    for place in range(count):
+        for i in range(drones):
+            row, block, lane = (
+                columns[work.members[place], i],
+                work.tile[slot // LANES],
+                slot % LANES,
+            )
+            for c in range(end):
+                row[c] = block[c, lane]
+            slot += 1
+
+
+@part
+def gather(count: int, drones: int, believed: bool, work: Work, scratch: Scratch) -> None:
+    """Tell a force model which drones are at the places `work.due[:count]`, and where."""
+    for place in range(count):
+        for i in range(drones):
+            slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
+            b, lane = work.blocks[slot // LANES], slot % LANES
+            felt["type"] = int(b.believed_type[lane] if believed else b.type[lane])
+            for k in range(3):
+                felt["position"][k], felt["velocity"][k] = b.position[k, lane], b.velocity[k, lane]
+
+
+@part
+def spread(
+    count: int, drones: int, believed: bool, environments: Records, work: Work, scratch: Scratch
 ) -> None:
-    """One whole physics step of environment `e` on the compiled engine, the air's force given.
+    """Write the forces that a force model has found into the blocks.
 
     Args:
-        e: the environment.
-        world: changed in place; its force is that at the state before the step.
-        commands: (E, N, 4) rotor thrusts, N.
-        external: (E, N, 3) further force, N.
-        total: (E, N, 3) scratch.
+        count: how many places of `work.due` were asked for.
+        drones: N.
+        believed: whether the controller believes in these forces, or they act.
+        environments: their records, with the factor of the force that acts.
+        work: its blocks are written.
+        scratch: of the force model.
     """
-    spin_rotors(e, world, commands)
-    for i in range(total.shape[1]):
-        for k in range(3):
-            total[e, i, k] = world.force[e, i, k] + external[e, i, k]
-    integrate(e, world.state, world.parameters, total, TIME_STEP)
-    touch(e, world)
+    for place in range(count):
+        scale = environments[work.members[work.due[place]]].force_scale
+        for i in range(drones):
+            slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
+            b, lane = work.blocks[slot // LANES], slot % LANES
+            if believed:
+                for k in range(3):
+                    b.believed_force[k, lane] = felt["force"][k]
+            else:
+                b.outside[lane] = felt["outside"]
+                for k in range(3):
+                    b.force[k, lane] = felt["force"][k] * scale
 
 
 @kernel
-def step_all(world: World, commands: FloatArray, external: FloatArray, total: FloatArray) -> None:
-    """One physics step of every environment on the compiled engine."""
-    crowd, environments = crowd_for(world.field, total.shape[1]), np.arange(total.shape[0])
-    places = len(crowd.members)
-    for first in range(0, len(environments), places):
-        part = environments[first : first + places]
-        blow(len(part), part, world, crowd)
-        for e in part:
-            step_environment(e, world, commands, external, total)
-
-
-@kernel
-def blow_and_prepare(
-    e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
+def fly(  # noqa: C901  # one step, on one screen
+    first: int,
+    last: int,
+    phases: int,
+    steps: int,
+    flown: BoolArray,
+    drones: Records,
+    columns: FloatArray,
+    environments: Records,
+    settings: Records,
+    obstacles: FloatArray | None,
+    open_circuit: FloatArray | None,
+    order: IntArray | None,
+    gusty: bool | None,
+    air: PackedField,
+    belief: PackedField | None,
+    work: Work,
+    scratch: Scratch,
+    belief_scratch: Scratch,
 ) -> None:
-    """`blow`, then `prepare_wrench`."""
-    blow(1, np.array([e]), world, crowd_for(world.field, out.shape[0]))
-    prepare_wrench(e, world, commands, external, out)
-
-
-@borrowing_kernel
-def prepare_wrench(
-    e: int, world: World, commands: FloatArray, external: FloatArray, out: FloatArray
-) -> None:
-    """What comes after `blow` and before the bodies move, for an engine that moves them.
+    """Fly the environments first to last - 1 that are in the mask, a tile of them at a time.
 
     Args:
-        e: the environment.
-        world: rotor thrusts and batteries are advanced in place.
-        commands: (E, N, 4) rotor thrusts, N.
-        external: (E, N, 3) further force, N.
-        out: (N, 6) force (N) and torque (N m) on each body, in its own frame.
+        first: the first environment.
+        last: one past the last.
+        phases: which phases each step has.
+        steps: number of steps.
+        flown: (E,) environments to fly; the others are not touched.
+        drones: (E, N) their records.
+        columns: (E, N, columns) the same memory as plain numbers.
+        environments: (E,) records.
+        settings: (1,) record.
+        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`; None for none. What is None is
+            left out when this is compiled, which saves about a fifth of the time.
+        open_circuit: (K,) of the batteries; None if they never empty.
+        order: (E, N) drones of each environment, as last sorted along x; None if they are few.
+        gusty: True if there are gusts, else None.
+        air: the force model of the environment.
+        belief: the one in which the controller believes; None if it compensates nothing.
+        work: working memory of this thread.
+        scratch: working memory of the first force model.
+        belief_scratch: of the second.
     """
-    spin_rotors(e, world, commands)
-    q, f, parameters = world.state.quaternion, world.state.rotor_thrust, world.parameters
-    for i in range(out.shape[0]):
-        thrust, out[i, 3], out[i, 4], out[i, 5] = rotor_wrench(
-            f[e, i, 0],
-            f[e, i, 1],
-            f[e, i, 2],
-            f[e, i, 3],
-            parameters.rotor_offset[e, i],
-            parameters.thrust_to_torque[e, i],
+    s, size, members = settings[0], drones.shape[1], work.members
+    controlled = s.level != ROTORS
+    e = first
+    while e < last:
+        count = 0
+        while e < last and count < len(members):
+            if flown[e]:
+                members[count] = e
+                count += 1
+            e += 1
+        if count == 0:
+            continue
+        full = (count * size + LANES - 1) // LANES
+        load(columns, count, controlled, phases & BEGIN != 0, work)
+        for _ in range(steps):
+            if phases & CONTROL and s.level == SETPOINTS:
+                if belief is not None:
+                    believed = size > 0
+                    for place in range(count):
+                        work.due[place] = place
+                    gather(count, size, believed, work, belief_scratch)
+                    swarm_forces(belief, count, size, belief_scratch)
+                    spread(count, size, believed, environments, work, belief_scratch)
+                track(work.blocks, full, settings)
+            elif phases & CONTROL and s.level == RATES:
+                hold_rates(work.blocks, full, settings)
+            if phases & SPIN:
+                believed = size == 0
+                due: Any = np.int64(0)  # a literal would compile what takes it twice
+                for place in range(count):
+                    environment = environments[members[place]]
+                    if environment.age % s.hold == 0:
+                        work.due[due] = place
+                        due += 1
+                    environment.age += 1
+                if due > 0 and air.constants[0]["kind"] != NONE:
+                    gather(due, size, believed, work, scratch)
+                    swarm_forces(air, due, size, scratch)
+                    spread(due, size, believed, environments, work, scratch)
+                if gusty is not None and phases & CONTROL:
+                    for place in range(count):
+                        environment = environments[members[place]]
+                        gust(environment, place * size, size, settings, work.blocks)
+                spin_rotors(work.blocks, full)
+                if open_circuit is not None:
+                    empty_batteries(count, drones, settings, open_circuit, work)
+            if phases & MOVE:
+                integrate(work.blocks, full)
+            elif phases & SPIN:
+                write_wrenches(count, drones, work)
+            if phases & TOUCH:
+                touch(work.blocks, full, settings)
+                if order is None:
+                    meet(work.blocks, count, size, work.spots)
+                else:
+                    for place in range(count):
+                        meet_many(work.blocks, place * size, work.position, order[members[place]])
+                if obstacles is not None:
+                    touch_obstacles(work.blocks, count * size, obstacles)
+        store(columns, count, controlled, work)
+
+
+@part
+def empty_batteries(
+    count: int, drones: Records, settings: Records, open_circuit: FloatArray, work: Work
+) -> None:
+    """Take one step's charge from the batteries; the limits of their rotors follow."""
+    size = drones.shape[1]
+    for slot in range(count * size):
+        b, lane = work.blocks[slot // LANES], slot % LANES
+        drone, total = drones[work.members[slot // size], slot % size], 0.0
+        for r in range(4):
+            total += b.rotor_thrust[r, lane]
+        b.battery[lane], b.rotor_limit[lane] = drain(
+            b.battery[lane], total, drone, settings[0], open_circuit, TIME_STEP
         )
-        r = rotation_entries(q[e, i, 0], q[e, i, 1], q[e, i, 2], q[e, i, 3])
-        x = world.force[e, i, 0] + external[e, i, 0]
-        y = world.force[e, i, 1] + external[e, i, 1]
-        z = world.force[e, i, 2] + external[e, i, 2]
-        out[i, 0] = r[0] * x + r[3] * y + r[6] * z
-        out[i, 1] = r[1] * x + r[4] * y + r[7] * z
-        out[i, 2] = r[2] * x + r[5] * y + r[8] * z + thrust
 
 
-@borrowing_kernel
-def take_bodies(e: int, world: World, moved: FloatArray) -> None:
-    """Take over where another engine has moved the bodies of environment `e`; what touches?
+@part
+def write_wrenches(count: int, drones: Records, work: Work) -> None:
+    """Write force (N) and torque (N m) on each body in its own frame, for Bullet to move it."""
+    size = drones.shape[1]
+    for slot in range(count * size):
+        b, lane = work.blocks[slot // LANES], slot % LANES
+        out = drones[work.members[slot // size], slot % size].wrench
+        thrust, out[3], out[4], out[5] = rotor_wrench(
+            b.rotor_thrust[0, lane],
+            b.rotor_thrust[1, lane],
+            b.rotor_thrust[2, lane],
+            b.rotor_thrust[3, lane],
+            b.rotor_offset[lane],
+            b.thrust_to_torque[lane],
+        )
+        r = rotation_entries(
+            b.quaternion[0, lane],
+            b.quaternion[1, lane],
+            b.quaternion[2, lane],
+            b.quaternion[3, lane],
+        )
+        x = b.force[0, lane] + b.external[0, lane]
+        y = b.force[1, lane] + b.external[1, lane]
+        z = b.force[2, lane] + b.external[2, lane]
+        out[0] = r[0] * x + r[3] * y + r[6] * z
+        out[1] = r[1] * x + r[4] * y + r[7] * z
+        out[2] = r[2] * x + r[5] * y + r[8] * z + thrust
+
+
+@kernel
+def begin_flight(
+    where: IntArray,
+    at_rest: bool,
+    drones: Records,
+    columns: FloatArray,
+    settings: Records,
+    open_circuit: FloatArray | None,
+) -> None:
+    """Let the drones of these environments (M,) begin, as if nothing had been flown.
 
     Args:
-        e: the environment.
-        world: changed in place.
-        moved: (N, 13) position, quaternion, velocity, angular velocity.
+        where: environments.
+        at_rest: whether they begin at rest at their `start`, rotors at hover, charged as `charge`
+            says; else their state has been set.
+        drones: (E, N) records.
+        columns: (E, N, columns) the same memory.
+        settings: (1,) record.
+        open_circuit: (K,) of the batteries; None if they never empty.
     """
-    state = world.state
-    p, q, v, w = state.position, state.quaternion, state.velocity, state.angular_velocity
-    for i in range(moved.shape[0]):
-        for k in range(3):
-            p[e, i, k] = moved[i, k]
-            v[e, i, k] = moved[i, 7 + k]
-            w[e, i, k] = moved[i, 10 + k]
-        for k in range(4):
-            q[e, i, k] = moved[i, 3 + k]
-    touch(e, world)
+    for e in where:
+        for i in range(drones.shape[1]):
+            d = drones[e, i]
+            for k in range(len(RESET_COLUMNS)):
+                columns[e, i, RESET_COLUMNS[k]] = RESET_VALUES[k]
+            if at_rest:
+                for k in range(3):
+                    d.position[k] = d.start[k]
+                    d.velocity[k] = d.angular_velocity[k] = d.quaternion[k] = 0.0
+                for k in range(4):
+                    d.rotor_thrust[k] = d.hover_thrust
+                d.quaternion[3], d.battery = 1.0, d.charge
+            square = total = 0.0
+            for k in range(4):
+                square += d.quaternion[k] * d.quaternion[k]
+                total += d.rotor_thrust[k]
+            for k in range(4):  # Bullet keeps quaternions of exactly unit length: so does its twin
+                d.quaternion[k] /= np.sqrt(square)
+                d.commands[k] = d.rotor_thrust[k]
+                d.asked[k] = 0.0
+            for k in range(3):
+                d.setpoint_position[k] = d.position[k]
+            d.asked[0], d.rotor_limit = total, d.max_rotor_thrust
+            d.motor_decay = np.exp(-d.motor_rate * TIME_STEP)
+            if open_circuit is not None and d.battery < 1.0:
+                d.rotor_limit = limit_rotors(d.battery, total, d, settings[0], open_circuit)

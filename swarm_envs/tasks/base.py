@@ -6,14 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 
 from swarm_envs.errors import check_array
-from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.tasks.mission import Mission, Placement, mission_of
-from swarm_envs.tasks.motion import Motion, new_reference, write_reference
+from swarm_envs.state import FloatArray
+from swarm_envs.tables import SETTINGS_TYPE, Records, World
+from swarm_envs.tasks.mission import Placement, world_of
+from swarm_envs.tasks.motion import Motion, reference_of, write_reference
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
 from swarm_envs.trajectories import Reference
@@ -23,29 +24,10 @@ SPEED_LIMIT = 2.0
 """Largest speed that actions ask for, m/s, the same for every type."""
 ACCELERATION_LIMIT = 5.0
 """Largest acceleration that actions ask for, m/s^2, the same for every type."""
+NEAR_MISS = 1.5
+"""Drones that come closer than this times the sum of their radii had a near miss."""
 _DRAWS = 200
 """How often an episode is drawn anew until it is free of obstacles."""
-
-
-class Situation(NamedTuple):
-    """What rewards are computed from, after a decision has been flown."""
-
-    distance: FloatArray
-    """(E, N) distance to the goal, m."""
-    last_distance: FloatArray
-    """(E, N) the same one decision earlier, m."""
-    tracking_error: FloatArray
-    """(E, N) distance to the reference, m."""
-    effort: FloatArray
-    """(E, N) mean square of the action, in [0, 1]."""
-    clearance: FloatArray
-    """(E, N) smallest distance to another drone in this decision, over the sum of radii."""
-    crashed: BoolArray
-    """(E, N) collided, left the arena or tumbled in this decision."""
-    obstacle_clearance: FloatArray
-    """(E, N) smallest distance to an obstacle in this decision, over the radius."""
-    achieved: FloatArray
-    """(E,) the share of the task that was done in this decision."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +51,7 @@ class TrackingSuccess:
 
 
 class Task(ABC):
-    """A task for a team. Stateless: what changes over an episode lives in the `Mission`."""
+    """A task for a team. Stateless: what changes over an episode lives in the `World`."""
 
     name: str
     """Versioned name, such as `swap_v0`."""
@@ -83,13 +65,13 @@ class Task(ABC):
     """Weight of each reward term; a term left out has none."""
     reward_names: tuple[str, ...]
     """Names of the T reward terms."""
-    write_reward_terms: Callable[[Situation, float, float, FloatArray], None]
-    """A kernel that writes the bounded terms (T, E, N) of a `Situation`; it is also told the time
-    between decisions and the clock, s."""
-    write_reference: Callable[[Mission, Motion, FloatArray, Reference], None] = staticmethod(
+    write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
+    """A kernel that writes the bounded terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
+    for its arguments, and docs/architecture.md for the fields that it can read."""
+    write_reference: Callable[[Records, Records, FloatArray, Records], None] = staticmethod(
         write_reference
     )
-    """The kernel that writes the reference of every environment."""
+    """The kernel that writes the reference of every environment at its time."""
 
     def with_team(self, team: Team) -> Self:
         """The same task for another team.
@@ -189,8 +171,8 @@ class Task(ABC):
         rows = self.obstacle_rows
         parts = [("start", placement.start), *(("goal", goals) for goals in placement.goals)]
         if placement.duration or placement.orbit is not None:
-            mission, times = mission_of(placement), np.arange(0.0, self.episode_s + 0.05, 0.05)
-            path = [self.reference(mission, np.array([t])).position[0] for t in times]
+            world, times = world_of(placement), np.arange(0.0, self.episode_s + 0.05, 0.05)
+            path = [self.reference(world, np.array([t])).position[0] for t in times]
             parts.append(("reference", np.array(path)))
         for name, points in parts:
             why = check_free(name, points, self.radius, rows, margin)
@@ -198,9 +180,12 @@ class Task(ABC):
                 return why
         return ""
 
-    def reference(self, mission: Mission, time: FloatArray) -> Reference:
-        """Where the drones should be at `time` (E,), s: new arrays (E, N, 3)."""
-        out = new_reference(*mission.start.shape[:2])
-        times = check_array("time", time, (len(mission.stage),))
-        self.write_reference(mission, self.motion, times, out)
-        return out
+    def reference(self, world: World, time: FloatArray) -> Reference:
+        """Where the drones should be at `time` (E,), s: arrays (E, N, 3) of their own."""
+        copied = world.copy()
+        copied.environments["time"] = check_array("time", time, world.environments.shape)
+        settings = np.zeros(1, SETTINGS_TYPE)
+        for name, value in self.motion.settings().items():
+            settings[name] = value
+        self.write_reference(*copied, settings)
+        return reference_of(copied.drones)

@@ -98,7 +98,7 @@ class FormationTask(Task):
         """Refuse options that are unknown, and shapes that do not fit the arena."""
         check_name("labels", self.labels, LABELS)
         check_name("start", self.start, STARTS)
-        check_reward_weights(self.reward_weights)
+        check_reward_weights(self.reward_weights, self.reward_names)
         self._check_numbers()
         least = 2 if self.start == "shape" else 1
         if len(self.shapes) < least:

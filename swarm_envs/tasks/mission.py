@@ -1,14 +1,13 @@
-"""An episode as a task draws it, and what is kept of it: starts, goals of every stage, motions."""
+"""An episode as a task draws it: starts, goals of every stage, motions; how it is kept."""
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import FloatArray
+from swarm_envs.tables import World, new_world
 
 
 class Orbit(NamedTuple):
@@ -39,75 +38,22 @@ class Placement(NamedTuple):
     """What the reference circles on, if it does."""
 
 
-class Mission(NamedTuple):
-    """What the task keeps of every environment's episode: arrays that lead with E."""
-
-    start: FloatArray
-    """(E, N, 3) start positions, m."""
-    goals: FloatArray
-    """(E, S, N, 3) goal positions of each stage, m."""
-    duration: FloatArray
-    """(E,) seconds that the reference takes from one stage to the next; 0 if it rests."""
-    orbit: FloatArray
-    """(E, N, 3, 3) centre, first and second half axis of the reference's ellipses, m."""
-    rate: FloatArray
-    """(E, N) angular rates on them, rad/s."""
-    phase: FloatArray
-    """(E, N) angles at time zero, rad."""
-    stage: IntArray
-    """(E,) the present stage."""
-    goal: FloatArray
-    """(E, N, 3) its goal positions, m; where the reference circles, where it is."""
-    distance: FloatArray
-    """(E, N) distance to the goal at the last decision, m."""
-    held: BoolArray
-    """(E,) whether the present stage is done."""
-    reached: IntArray
-    """(E,) how many stages are done."""
-
-    def place(self, e: int, placement: Placement) -> None:
-        """Keep a new episode of environment `e`, which `begin_mission` begins."""
-        self.start[e], self.goals[e], self.duration[e] = placement[:3]
-        if placement.orbit is not None:
-            for k in range(3):
-                self.orbit[e, :, k] = placement.orbit[k]
-            self.rate[e], self.phase[e] = placement.orbit.rate, placement.orbit.phase
+def place(world: World, e: int, placement: Placement) -> None:
+    """Keep a new episode of environment `e` in the tables; its first stage begins."""
+    drones, goals = world.drones[e], placement.goals
+    drones["start"], drones["goal"], world.goals[e] = placement.start, goals[0], goals
+    offset = goals[0] - placement.start
+    x, y, z = offset[:, 0], offset[:, 1], offset[:, 2]
+    drones["distance"] = np.sqrt(x * x + y * y + z * z)
+    world.environments["duration"][e] = placement.duration
+    if placement.orbit is not None:
+        drones["orbit"] = np.stack(placement.orbit[:3], axis=1)
+        drones["orbit_rate"], drones["orbit_phase"] = placement.orbit.rate, placement.orbit.phase
 
 
-@borrowing_kernel
-def begin_mission(e: int, mission: Mission) -> None:
-    """Enter the first stage of environment `e`, the drones at their starts."""
-    mission.stage[e], mission.reached[e], mission.held[e] = 0, 0, False
-    for i in range(mission.start.shape[1]):
-        square = 0.0
-        for k in range(3):
-            mission.goal[e, i, k] = mission.goals[e, 0, i, k]
-            square += (mission.goal[e, i, k] - mission.start[e, i, k]) ** 2
-        mission.distance[e, i] = math.sqrt(square)
-
-
-def new_mission(num_envs: int, num_drones: int, num_stages: int = 1) -> Mission:
-    """A mission whose environments have not begun."""
-    shape = (num_envs, num_drones)
-    return Mission(
-        start=np.zeros((*shape, 3)),
-        goals=np.zeros((num_envs, num_stages, num_drones, 3)),
-        duration=np.zeros(num_envs),
-        orbit=np.zeros((*shape, 3, 3)),
-        rate=np.zeros(shape),
-        phase=np.zeros(shape),
-        stage=np.zeros(num_envs, dtype=np.int64),
-        goal=np.zeros((*shape, 3)),
-        distance=np.zeros(shape),
-        held=np.zeros(num_envs, dtype=np.bool_),
-        reached=np.zeros(num_envs, dtype=np.int64),
-    )
-
-
-def mission_of(placement: Placement) -> Mission:
-    """The mission of a single environment that begins with a placement."""
+def world_of(placement: Placement) -> World:
+    """The tables of a single environment that begins with a placement."""
     stages, drones, _ = placement.goals.shape
-    mission = new_mission(1, drones, stages)
-    mission.place(0, placement)
-    begin_mission(0, mission)
-    return mission
+    world = new_world(1, drones, stages)
+    place(world, 0, placement)
+    return world

@@ -9,11 +9,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel, part
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.mission import Mission
+from swarm_envs.tables import Records
 from swarm_envs.trajectories import Reference
 
 REST, LINES, ORBITS = 0, 1, 2
@@ -26,23 +24,27 @@ class Motion(NamedTuple):
 
     kind: int = REST
     """`REST` at the goals; `LINES`: straight from each stage's goals to the next, where the
-    mission has a duration; `ORBITS`: on the mission's ellipses."""
+    environment has a duration; `ORBITS`: on the drones' ellipses."""
     ramp: float = 0.2
     """`LINES`: share of the duration in which the speed grows, and in which it falls. `ORBITS`:
     time in which the rate grows from rest, s."""
     stage_s: float = 0.0
     """Seconds that each stage lasts; 0 if there is only one."""
 
+    def settings(self) -> dict[str, float]:
+        """The fields of `swarm_envs.tables.SETTINGS` that it gives."""
+        return {"motion": self.kind, "ramp": float(self.ramp), "stage_s": float(self.stage_s)}
 
-@borrowing_kernel
+
+@part
 def stage_at(time: float, stage_s: float, num_stages: int) -> int:
     """The stage that is flown at a time, s."""
-    if num_stages == 1 or stage_s <= 0.0:
+    if stage_s <= 0.0:
         return 0
     return min(int((time + _ROUNDING) / stage_s), num_stages - 1)
 
 
-@borrowing_kernel
+@part
 def ramped_time(t: float, ramp: float) -> tuple[float, float, float, float]:
     """Time that stands still before zero and runs at full rate after `ramp`, and its derivatives.
 
@@ -60,7 +62,7 @@ def ramped_time(t: float, ramp: float) -> tuple[float, float, float, float]:
     return value, first, second, third
 
 
-@borrowing_kernel
+@part
 def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, float, float]:
     """Share of a straight way that is covered at time t, s, and its derivatives by time.
 
@@ -84,68 +86,54 @@ def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, 
     )
 
 
-@borrowing_kernel
-def _write_rest(e: int, mission: Mission, motion: Motion, time: float, out: Reference) -> None:
-    stage = stage_at(time, motion.stage_s, mission.goals.shape[1])
-    for i in range(mission.goals.shape[2]):
-        for k in range(3):
-            out.position[e, i, k] = mission.goals[e, stage, i, k]
-            out.velocity[e, i, k] = out.acceleration[e, i, k] = out.jerk[e, i, k] = 0.0
-
-
-@borrowing_kernel
-def _write_lines(e: int, mission: Mission, motion: Motion, time: float, out: Reference) -> None:
-    stage = stage_at(time, motion.stage_s, mission.goals.shape[1])
-    since = time - stage * motion.stage_s
-    s, d1, d2, d3 = line_profile(since, mission.duration[e], motion.ramp)
-    start = mission.start[e] if stage == 0 else mission.goals[e, stage - 1]
-    goal = mission.goals[e, stage]
-    for i in range(goal.shape[0]):
-        for k in range(3):
-            way = goal[i, k] - start[i, k]
-            # Weighted so that the end is met to the last bit.
-            out.position[e, i, k] = start[i, k] * (1.0 - s) + goal[i, k] * s
-            out.velocity[e, i, k] = d1 * way
-            out.acceleration[e, i, k] = d2 * way
-            out.jerk[e, i, k] = d3 * way
-
-
-@borrowing_kernel
-def _write_orbits(e: int, mission: Mission, ramp: float, time: float, out: Reference) -> None:
-    warp, d1, d2, d3 = ramped_time(time, ramp)
-    for i in range(mission.rate.shape[1]):
-        rate = mission.rate[e, i]
-        angle = mission.phase[e, i] + rate * warp
-        c, s = math.cos(angle), math.sin(angle)
-        w, dw, ddw = rate * d1, rate * d2, rate * d3
-        for k in range(3):
-            a, b = mission.orbit[e, i, 1, k], mission.orbit[e, i, 2, k]
-            radial, tangent = a * c + b * s, b * c - a * s
-            out.position[e, i, k] = mission.orbit[e, i, 0, k] + radial
-            out.velocity[e, i, k] = tangent * w
-            out.acceleration[e, i, k] = tangent * dw - radial * w**2
-            out.jerk[e, i, k] = tangent * (ddw - w**3) - 3.0 * radial * w * dw
-
-
-@borrowing_kernel
-def write_reference(mission: Mission, motion: Motion, time: FloatArray, out: Reference) -> None:
-    """Write where the drones of every environment should be.
+@kernel
+def write_reference(
+    drones: Records, environments: Records, goals: FloatArray, settings: Records
+) -> None:
+    """Write where the drones of every environment should be at its time.
 
     Args:
-        mission: starts, goals and ellipses.
-        motion: how the reference moves.
-        time: (E,) s.
-        out: arrays (E, N, 3), written.
+        drones: (E, N) records; their `reference_...` fields are written.
+        environments: (E,) records.
+        goals: (E, S, N, 3) goals of every stage, m.
+        settings: (1,) how the reference moves: `motion`, `ramp`, `stage_s`.
     """
-    for e in range(time.shape[0]):
-        if motion.kind == ORBITS:
-            _write_orbits(e, mission, motion.ramp, time[e], out)
-        elif motion.kind == LINES and mission.duration[e] > 0.0:
-            _write_lines(e, mission, motion, time[e], out)
+    motion, ramp, stage_s = settings[0].motion, settings[0].ramp, settings[0].stage_s
+    stages = goals.shape[1]
+    for e in range(drones.shape[0]):
+        time, duration = environments[e].time, environments[e].duration
+        stage = stage_at(time, stage_s, stages) if stages > 1 else 0
+        if motion == LINES and duration > 0.0:
+            s, d1, d2, d3 = line_profile(time - stage * stage_s, duration, ramp)
+        elif motion == ORBITS:
+            s, d1, d2, d3 = ramped_time(time, ramp)
         else:
-            _write_rest(e, mission, motion, time[e], out)
+            s, d1, d2, d3 = 1.0, 0.0, 0.0, 0.0
+        for i in range(drones.shape[1]):
+            d = drones[e, i]
+            if motion == ORBITS:
+                rate = d.orbit_rate
+                angle, w, dw, ddw = d.orbit_phase + rate * s, rate * d1, rate * d2, rate * d3
+                cos, sin = math.cos(angle), math.sin(angle)
+                for k in range(3):
+                    a, b = d.orbit[1, k], d.orbit[2, k]
+                    radial, tangent = a * cos + b * sin, b * cos - a * sin
+                    d.reference_position[k] = d.orbit[0, k] + radial
+                    d.reference_velocity[k] = tangent * w
+                    d.reference_acceleration[k] = tangent * dw - radial * w**2
+                    d.reference_jerk[k] = tangent * (ddw - w**3) - 3.0 * radial * w * dw
+                continue
+            for k in range(3):
+                goal = goals[e, stage, i, k]
+                start = d.start[k] if stage == 0 else goals[e, stage - 1, i, k]
+                way = goal - start
+                # Weighted so that the end is met to the last bit.
+                d.reference_position[k] = start * (1.0 - s) + goal * s
+                d.reference_velocity[k] = d1 * way
+                d.reference_acceleration[k] = d2 * way
+                d.reference_jerk[k] = d3 * way
 
 
-def new_reference(num_envs: int, num_drones: int) -> Reference:
-    """A reference whose arrays (E, N, 3) are zero."""
-    return Reference(*(np.zeros((num_envs, num_drones, 3)) for _ in range(4)))
+def reference_of(drones: Records) -> Reference:
+    """The reference of drones (E, N), as last written: views (E, N, 3)."""
+    return Reference(*(drones[f"reference_{name}"] for name in Reference._fields))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.obstacles import obstacle_distances
@@ -68,7 +68,7 @@ def check_points(
         raise ValueError(f"{why}; move it")
 
 
-@borrowing_kernel
+@kernel
 def _clearly_apart(points: FloatArray, radius: FloatArray, arena: FloatArray) -> bool:
     """Whether all are in the arena and no two so near that rounding decides if they touch.
 
@@ -176,7 +176,7 @@ def draw_apart(
     )
 
 
-@borrowing_kernel
+@kernel
 def _keep_apart(
     points: FloatArray, placed: int, candidates: FloatArray, least_square: float
 ) -> int:
@@ -217,7 +217,7 @@ def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
     raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")
 
 
-@borrowing_kernel
+@kernel
 def _all_moved(order: IntArray) -> bool:
     """Whether a permutation leaves nothing in its place."""
     moved = 0

@@ -86,7 +86,7 @@ class RingTask(Task):
 
     def __post_init__(self) -> None:
         """Refuse rings that do not fit, on which drones would collide, or that are too fast."""
-        check_reward_weights(self.reward_weights)
+        check_reward_weights(self.reward_weights, self.reward_names)
         for name, value in (("settle_s", self.success.settle_s), ("scored_s", self.scored_s)):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} is {value!r}, but must be positive and finite, in s")

@@ -140,13 +140,17 @@ class SwapTask(Task):
     write_reward_terms = staticmethod(write_terms)
 
     def __post_init__(self) -> None:
-        """Refuse an unknown layout, and weights of terms that do not exist."""
+        """Refuse an unknown layout, a spacing that is none, and weights of unknown terms."""
         check_name("layout", self.layout, LAYOUTS)
+        if not 0.0 < self.spacing_m < math.inf:
+            raise ValueError(
+                f"SwapTask.spacing_m is {self.spacing_m!r}, but must be positive and finite, in m"
+            )
         if self.layout == "stacked":
             self._check_stack()
         if self.layout == "circle":
             self._check_circle()
-        check_reward_weights(self.reward_weights)
+        check_reward_weights(self.reward_weights, self.reward_names)
 
     def _check_stack(self) -> None:
         ranges, ceiling = self.stacked, self.arena[1, 2] - max(v.radius for v in self.team)

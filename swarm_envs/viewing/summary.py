@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.metrics import NEAR_MISS
+from swarm_envs.tasks.base import NEAR_MISS
 from swarm_envs.vehicles import Vehicle, team_string
 from swarm_envs.viewing.record import Recording
 

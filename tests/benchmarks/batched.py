@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import batch_of
 from swarm_envs.interactions import load
 from swarm_envs.interactions.forces import active_pairs
 from tests.benchmarks.peers import RATES, batch_peer_row

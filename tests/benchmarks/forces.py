@@ -117,7 +117,7 @@ def kernel_forces(model: InteractionModel, position: Array, velocity: Array, tea
     types, out = np.repeat(indices[None], len(position), axis=0), np.empty_like(position)
 
     def call() -> Array:
-        all_forces(model.field, types, position, velocity, out)
+        all_forces(model.packed, types, position, velocity, out)
         return out
 
     return call

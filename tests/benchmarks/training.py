@@ -52,7 +52,8 @@ class Clocks:
         env.step_wait = self._timed("environment", env.step_wait)  # type: ignore[method-assign]
         env.told = self._timed("features", env.told)  # type: ignore[method-assign]
         for core in env.cores:
-            core.flight.fly = self._timed("flight", core.flight.fly)  # type: ignore[method-assign]
+            fly = self._timed("flight", core.physics.fly)
+            core.physics.fly = fly  # type: ignore[method-assign]
 
     def _timed(self, part: str, call: Callable[..., Any]) -> Callable[..., Any]:
         def timed(*arguments: Any, **options: Any) -> Any:

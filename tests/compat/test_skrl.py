@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from swarm_envs import swap_v0
-from swarm_envs.envs.named import make_joint, make_vector
+from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.vector import make_vector
 
 pytest.importorskip("skrl", reason="run by `make test-compat`")
 

@@ -14,15 +14,27 @@ from swarm_envs.control.config import (
     STIFF,
     ControllerConfig,
     PositionGains,
-    compile_gains,
+    gains,
     low_pass_blend,
 )
-from swarm_envs.control.state import ControllerState, Setpoint
-from swarm_envs.control.tracking import TrackingController, extrapolate
+from swarm_envs.control.state import Setpoint
+from swarm_envs.control.tracking import TrackingController
+from swarm_envs.physics import BatchPhysics
+from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import FloatArray, SwarmState, hover_state
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
 
 TEAM = parse_team("SLS*L")
+MEMORY = (
+    *("velocity_integral", "rate_integral", "desired_thrust", "thrust_rate", "rate_error"),
+    *("rate_error_rate", "desired_attitude", "desired_rate", "started"),
+)
+"""What the loop remembers from step to step."""
+
+
+def memory(controller: TrackingController) -> dict[str, FloatArray]:
+    drones = controller._loop.world.drones
+    return {name: drones[name].copy() for name in MEMORY}
 
 
 class _RandomFlight:
@@ -62,11 +74,11 @@ def _multiply(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 @pytest.mark.parametrize("lag_compensation", [True, False])
-@pytest.mark.parametrize(("wildness", "gains"), [(0.03, MID), (1.0, STIFF)])
+@pytest.mark.parametrize(("wildness", "stiffness"), [(0.03, MID), (1.0, STIFF)])
 def test_compiled_agrees_with_plain(
-    lag_compensation: bool, wildness: float, gains: PositionGains
+    lag_compensation: bool, wildness: float, stiffness: PositionGains
 ) -> None:
-    config = ControllerConfig(gains=gains, lag_compensation=lag_compensation)
+    config = ControllerConfig(gains=stiffness, lag_compensation=lag_compensation)
     compiled = TrackingController(TEAM, num_envs=2, config=config)
     plain = [[PlainTrackingController(v, config) for v in TEAM] for _ in range(2)]
     flight = _RandomFlight(7, wildness)
@@ -105,32 +117,18 @@ def test_reset_forgets_only_the_masked_environments() -> None:
     flight = _RandomFlight(3, 1.0)
     for _ in range(20):
         one.commands(*flight.advance())
-    untouched = one.memory.copy()
+    untouched = memory(one)
+    assert all(part[e].any() for part in untouched.values() for e in range(2))
     one.reset(np.array([False, True]))
-    for mine, before in zip(one.memory, untouched, strict=True):
-        np.testing.assert_array_equal(mine[0], before[0])
+    for name, mine in memory(one).items():
+        np.testing.assert_array_equal(mine[0], untouched[name][0])
         assert not mine[1].any()
     arguments = flight.advance()
     a, b = one.commands(*arguments), fresh.commands(*arguments)
     np.testing.assert_array_equal(a[1], b[1])
     assert not np.array_equal(a[0], b[0])
     one.reset()
-    assert not any(part.any() for part in one.memory)
-
-
-def test_memory_copies_and_assigns_by_environment() -> None:
-    rng = np.random.default_rng(0)
-    target, full = ControllerState.zeros(3, 2), ControllerState.zeros(3, 2)
-    for part in full[:-1]:
-        part[...] = rng.normal(size=part.shape)
-    full.started[...] = True
-    target.assign(full, np.array([True, False, True]))
-    for mine, theirs in zip(target, full, strict=True):
-        np.testing.assert_array_equal(mine[[0, 2]], theirs[[0, 2]])
-        assert not mine[1].any()
-    twin = full.copy()
-    twin.thrust[...] = 0
-    assert full.thrust.all()
+    assert not any(part.any() for part in memory(one).values())
 
 
 def test_a_first_step_has_no_kick_from_derivatives() -> None:
@@ -203,9 +201,12 @@ def test_batched_is_the_single_one_to_the_last_bit() -> None:
 def test_extrapolation_follows_the_cubic_exactly_in_one_environment() -> None:
     rng = np.random.default_rng(0)
     start = Setpoint(*(rng.normal(size=(2, 3, 3)) for _ in range(4)), *rng.normal(size=(2, 2, 3)))
-    moved = start.copy()
-    for _ in range(5):
-        extrapolate(moved, 1, 0.1)
+    physics = BatchPhysics("SLS", 2, "none", level=SETPOINTS)
+    physics.settings["step"] = 0.1
+    drones = physics.world.drones
+    moved = Setpoint(*(drones[f"setpoint_{name}"] for name in Setpoint._fields))
+    moved.assign(start)
+    physics.fly(5, np.array([False, True]))
     t, (p, v, a, j, yaw, yaw_rate) = 0.5, start
     expected = (
         p + v * t + a * t**2 / 2 + j * t**3 / 6,
@@ -229,11 +230,15 @@ def test_low_pass_has_its_cutoff() -> None:
 
 
 def test_compiled_gains_hold_the_configuration() -> None:
-    gains = compile_gains(ControllerConfig(gains=SOFT, lag_compensation=False, rate_yaw=7.0))
-    assert (gains.position, gains.velocity, gains.integral) == (1.0, 2.0, 0.5)
-    assert (gains.lead, gains.rate_yaw, gains.step) == (0.0, 7.0, 1 / 240)
+    config = ControllerConfig(gains=SOFT, lag_compensation=False, rate_yaw=7.0)
+    settings = BatchPhysics("S", interactions="none", level=SETPOINTS, controller=config).settings
+    for name, value in gains(config).items():
+        assert settings[name].tolist() == [value]
+    s = settings[0]
+    assert (s.position_gain, s.velocity_gain, s.integral_gain) == (1.0, 2.0, 0.5)
+    assert (s.lead, s.rate_yaw, s.step) == (0.0, 7.0, 1 / 240)
     with pytest.raises(ValueError, match="dt is 0"):
-        compile_gains(ControllerConfig(), dt=0.0)
+        gains(ControllerConfig(), dt=0.0)
 
 
 _NUMBERS = [
@@ -264,7 +269,7 @@ def test_refused_calls_leave_the_memory_alone() -> None:
     state = hover_state((SMALL, LARGE), np.ones((2, 3)))
     setpoint = Setpoint.hold(state.position.copy())
     controller.commands(state, setpoint)
-    before = controller.memory.copy()
+    before = memory(controller)
     bad = setpoint.copy()
     bad.velocity[0, 1, 2] = np.nan
     with pytest.raises(ValueError, match=r"Setpoint\.velocity is nan at index \(0, 1, 2\)"):
@@ -273,7 +278,7 @@ def test_refused_calls_leave_the_memory_alone() -> None:
         controller.commands(state, setpoint, np.zeros((2, 3)))
     with pytest.raises(ValueError, match=r"SwarmState\.position has shape \(1, 1, 3\)"):
         controller.commands(hover_state((SMALL,), np.ones((1, 3))), setpoint)
-    for mine, was in zip(controller.memory, before, strict=True):
-        np.testing.assert_array_equal(mine, was)
+    for name, mine in memory(controller).items():
+        np.testing.assert_array_equal(mine, before[name])
     with pytest.raises(ValueError, match="num_envs is 0"):
         TrackingController(TEAM, num_envs=0)

@@ -73,7 +73,7 @@ def test_follows_a_setpoint_after_a_disturbance(vehicle):
 def test_rotor_commands_are_a_share_of_the_largest_thrust():
     env = lone(action="rotors")
     repeat(env, [-1.0, 0.0, 0.5, 1.0], 1)
-    commands = env.core.flight.pilot.commands[0, 0]
+    commands = env.core.world.drones["commands"][0, 0]
     expected = np.array([0.0, 0.5, 0.75, 1.0]) * SMALL.max_rotor_thrust
     np.testing.assert_allclose(commands, expected, rtol=1e-15)
     assert env.view.state.rotor_thrust[0, 0] < SMALL.hover_rotor_thrust < commands[3]
@@ -224,11 +224,12 @@ def test_random_accelerations_are_followed(rate):
     core = SwarmCore(task, config, num_envs=16)
     rng = np.random.default_rng(0)
     core.reset(list(range(16)))
-    for array in (core.physics._state.position, core.flight.pilot.setpoint.position):
-        array[..., 2] += 500.0
-    core.physics.arena[:] = [[-1e3] * 3, [1e3] * 3]
+    drones = core.world.drones
+    for name in ("position", "setpoint_position"):
+        drones[name][..., 2] += 500.0
+    core.settings["arena"] = [[-1e3] * 3, [1e3] * 3]
     for _ in range(3 * rate):
         core.step(rng.uniform(-1.0, 1.0, (16, 2, 3)))
         core.running[:] = True
-    offset = core.physics.state.position - core.flight.pilot.setpoint.position
+    offset = drones["position"] - drones["setpoint_position"]
     assert np.quantile(np.linalg.norm(offset, axis=-1), 0.95) < 0.25

@@ -18,6 +18,7 @@ import swarm_envs
 from swarm_envs import swap_v0
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.swap import StackedLayout
+from tests.helpers.living import living
 
 WEIGHTS = Path(swarm_envs.__file__).parent / "interactions" / "weights" / "learned.safetensors"
 
@@ -164,21 +165,8 @@ def good(env: SwarmParallelEnv) -> dict[str, np.ndarray]:
 
 
 def everything(env: SwarmParallelEnv) -> bytes:
-    core = env.core
-    groups = (
-        core.physics.state,
-        core.physics.contacts,
-        core.physics.world.age,
-        core.flight.pilot.setpoint,
-        core.flight.pilot.memory,
-        core.flight.tally,
-        core.mission,
-        core.record,
-        core.verdict,
-        (core.time, core.running, core.physics.force, core.flight.pilot.commands),
-    )
-    arrays = b"".join(np.asarray(array).tobytes() for group in groups for array in group)
-    generators = repr([g.bit_generator.state for g in core.generators])
+    arrays = b"".join(array.tobytes() for array in living(env.core).values())
+    generators = repr([g.bit_generator.state for g in env.core.generators])
     return arrays + generators.encode() + repr(env.agents).encode()
 
 

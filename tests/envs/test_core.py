@@ -8,9 +8,9 @@ import pytest
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import StepResult, SwarmCore
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.envs.snapshot import living_arrays
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import parse_team
+from tests.helpers.living import living
 
 SEEDS = (3, 14, 15, 92)
 STEPS = 120
@@ -22,25 +22,10 @@ def cores(engine: str, num_envs: int, team: str = "LSS*", **options: object) -> 
     return SwarmCore(SwapTask(team=parse_team(team), layout=layout), config, num_envs)
 
 
-def everything(core: SwarmCore) -> list[np.ndarray]:
-    """Copies of all arrays (E, ...) that change over an episode."""
-    groups = (
-        core.physics.state,
-        core.physics.contacts,
-        core.flight.pilot.setpoint,
-        core.flight.pilot.memory,
-        core.flight.tally,
-        core.mission,
-        core.record,
-        core.verdict,
-        (core.time, core.running, core.physics.force, core.flight.pilot.commands),
-    )
-    return [array.copy() for group in groups for array in group]
-
-
 def check_same(one: SwarmCore, many: SwarmCore, e: int) -> None:
-    for single, batch in zip(everything(one), everything(many), strict=True):
-        np.testing.assert_array_equal(single[0], batch[e])
+    batch = living(many)
+    for name, single in living(one).items():
+        np.testing.assert_array_equal(single[0], batch[name][e], name)
 
 
 def check_results(one: StepResult, many: StepResult, e: int) -> None:
@@ -89,11 +74,11 @@ def test_masked_reset_leaves_the_others_untouched(engine, layout):
     core.reset([1, 2, 3])
     for _ in range(10):
         core.step(np.full((3, 3, 3), 0.1))
-    before = everything(core)
+    before = living(core)
     generators = [g.bit_generator.state for g in core.generators]
     core.reset(mask=np.array([False, True, False]))
-    for then, now in zip(before, everything(core), strict=True):
-        np.testing.assert_array_equal(now[[0, 2]], then[[0, 2]])
+    for name, now in living(core).items():
+        np.testing.assert_array_equal(now[[0, 2]], before[name][[0, 2]], name)
     assert core.time.tolist() == [pytest.approx(10 / 48), 0.0, pytest.approx(10 / 48)]
     states = [g.bit_generator.state for g in core.generators]
     assert [a == b for a, b in zip(generators, states, strict=True)] == [True, False, True]
@@ -108,12 +93,12 @@ def test_an_environment_begins_as_one_that_never_flew(engine, action):
     used.reset([1, 2])
     for _ in range(80):
         used.step(np.full((2, 2, used.mode.width), -0.9))
-    assert used.verdict.crashed.any()
+    assert used.world.drones["crashed"].any()
     used.reset([3, 4])
     fresh.reset([3, 4])
-    forgotten = "outside"  # written before it is read
-    arrays, expected = living_arrays(used), living_arrays(fresh)
-    for name in expected.keys() - {forgotten}:
+    kept = "drones.wrench"  # written before it is read
+    arrays, expected = living(used), living(fresh)
+    for name in expected.keys() - {kept}:
         np.testing.assert_array_equal(arrays[name], expected[name], name)
     used.close()
     fresh.close()
@@ -128,10 +113,10 @@ def test_ended_environments_stay_as_they_ended():
         result = core.step(np.zeros((2, 3, 3)))
     assert result.truncated.tolist() == [False, True]
     assert core.running.tolist() == [True, False]
-    ended = everything(core)
+    ended = living(core)
     result = core.step(np.full((2, 3, 3), 0.5))
-    for then, now in zip(ended, everything(core), strict=True):
-        np.testing.assert_array_equal(now[1], then[1])
+    for name, now in living(core).items():
+        np.testing.assert_array_equal(now[1], ended[name][1], name)
     assert result.rewards[1].tolist() == [0.0, 0.0, 0.0]
     assert result.rewards[0].any()
 

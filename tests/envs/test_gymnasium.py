@@ -11,8 +11,9 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 from swarm_envs import TASKS, ring_v0, swap_v0
-from swarm_envs.envs.named import make_joint, make_solo, make_vector
-from swarm_envs.envs.vector import SwarmVectorEnv
+from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.solo import make_solo
+from swarm_envs.envs.vector import SwarmVectorEnv, make_vector
 from swarm_envs.registration import gymnasium_name, register
 
 QUICK: dict[str, Any] = {"num_drones": 2, "physics": "batch", "horizon_s": 0.5}

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from swarm_envs.envs.named import make_joint, make_solo, make_vector
+from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.solo import make_solo
+from swarm_envs.envs.vector import make_vector
 from swarm_envs.tasks.obstacles import Column
 from tests.helpers.faces import everything
 

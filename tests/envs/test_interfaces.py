@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swarm_envs import swap_v0
-from swarm_envs.envs.named import make_vector
+from swarm_envs.envs.vector import make_vector
 from swarm_envs.interactions import load
 from swarm_envs.physics import bullet_available
 from tests.helpers.faces import everything

@@ -37,8 +37,8 @@ def test_factors_fill_their_range_and_nothing_else_moves(option, field):
         made.physics.parameters._fields, made.physics.parameters, usual.physics.parameters
     ):
         assert name == field or np.array_equal(mine, theirs)
-    assert np.array_equal(made.flight.pilot.nominal.mass, usual.physics.parameters.mass)
-    assert np.array_equal(made.mission.start, usual.mission.start)
+    assert np.array_equal(made.world.drones["nominal_mass"], usual.physics.parameters.mass)
+    assert np.array_equal(made.world.drones["start"], usual.world.drones["start"])
 
 
 def test_inertia_keeps_its_shape():
@@ -94,7 +94,7 @@ def test_a_smaller_inertia_turns_faster_on_both_engines(engine):
 
 def test_scaled_forces_scale():
     made, usual = core(Randomization(force_scale=(0.5, 2.0))), core(None)
-    scale = made.physics.world.force_scale
+    scale = made.world.environments["force_scale"]
     assert 0.5 <= scale.min() < 0.52 and 1.95 < scale.max() <= 2.0
     for one in (made, usual):
         one.physics.step(one.physics.state.rotor_thrust)
@@ -107,8 +107,8 @@ def test_gusts_push_all_drones_alike_with_the_spread_asked_for():
     made = core(ranges, interactions="none")
     samples, previous = [], None
     for _ in range(40):
-        made.flight.fly(5, made.running)
-        now = made.physics.world.gusts.acceleration.copy()
+        made.physics.fly(5, made.running)
+        now = made.world.environments["gust"].copy()
         samples.append(now)
         previous = now if previous is None else previous
     spread = np.array(samples[20:]).std()
@@ -122,7 +122,7 @@ def test_without_a_controller_a_gust_accelerates_every_type_by_itself():
     made = core(ranges, 1, interactions="none", action="rotors")
     still = core(None, 1, interactions="none", action="rotors")
     for one in (made, still):
-        one.flight.fly(24, one.running)
+        one.physics.fly(24, one.running)
     gained = made.physics.state.velocity - still.physics.state.velocity
     np.testing.assert_allclose(gained[0, 0], gained[0, 1], rtol=1e-9)
     assert np.linalg.norm(gained) > 1e-3
@@ -157,7 +157,7 @@ def test_batteries_start_where_they_are_drawn_and_limit_from_the_first_step():
     made = core(ranges, battery=BatteryModel())
     charge = made.physics.state.battery
     assert 0.05 <= charge.min() < charge.max() <= 0.1
-    assert (made.physics.world.rotor_limit < made.physics.parameters.max_rotor_thrust).all()
+    assert (made.world.drones["rotor_limit"] < made.physics.parameters.max_rotor_thrust).all()
 
 
 @pytest.mark.parametrize(

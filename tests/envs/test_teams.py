@@ -15,9 +15,11 @@ from swarm_envs import swap_v0
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.named import make_joint, make_solo, make_vector
+from swarm_envs.envs.joint import make_joint
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.randomization import Randomization
+from swarm_envs.envs.solo import make_solo
+from swarm_envs.envs.vector import make_vector
 from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import BatchPhysics
@@ -191,8 +193,7 @@ def test_one_environment_of_a_vector():
     env.reset(seed=5, options={"reset_mask": mask, "team": (LARGE, SMALL, LARGE)})
     assert [task.team for task in env.core.tasks] == [parse_team("SSS"), parse_team("LSL")]
     single = make_joint("swap_v0", physics="batch", team="LSL")
-    first = single.reset(seed=6)[0]
-    np.testing.assert_array_equal(env.core.rows[1].reshape(-1), first)
+    np.testing.assert_array_equal(env.core.rows[1].reshape(-1), single.reset(seed=6)[0])
     solo = make_solo("swap_v0", physics="batch", num_drones=3, drone=2)
     seen, _ = solo.reset(seed=6, options={"team": "LSL"})
     np.testing.assert_array_equal(seen, env.core.rows[1, 2])
@@ -249,9 +250,8 @@ def test_a_team_with_an_impossible_start(engine):
     """Starts are checked with the radii of those that fly: large ones touch where small do not."""
     start = [[0.0, 0.0, 1.0], [0.15, 0.0, 1.0], [1.0, 1.0, 1.0]]
     refused(engine, {}, {"team": "LLS", "start": start}, r"drones 0 and 1 are 0.150 m apart")
-    swap_v0.parallel_env(physics=engine, team="LLL").reset(
-        seed=1, options={"team": "SSS", "start": start}
-    )
+    env = swap_v0.parallel_env(physics=engine, team="LLL")
+    env.reset(seed=1, options={"team": "SSS", "start": start})
 
 
 def refused(engine: str, options: dict[str, Any], reset: dict[str, Any], message: str) -> None:
@@ -278,7 +278,7 @@ def test_a_vehicle_of_one_s_own():
     env.reset(seed=1, options={"team": (mine, SMALL)})
     flight(env, 10)
     assert env.view.team == (mine, SMALL)
-    over = env.core.flight.tally.over_bound[0]
+    over = env.core.world.drones["over_bound"][0]
     assert over[0] > 40 and over[1] == 0
     assert env.core.physics.parameters.mass[0].tolist() == [0.05, SMALL.mass]
 

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarm_envs.envs.workers import Workers, parts
+from swarm_envs.physics.workers import Workers, parts
 
 
 @contextmanager

@@ -9,7 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.named import make_joint, make_solo, make_vector
+from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.solo import make_solo
+from swarm_envs.envs.vector import make_vector
+from tests.helpers.living import living
 
 
 class Face(NamedTuple):
@@ -132,5 +135,4 @@ def core_of(env: Any) -> SwarmCore:
 
 def everything(env: Any) -> bytes:
     """All that changes in its first environment."""
-    arrays = core_of(env).get_state().arrays
-    return b"".join(arrays[name][0].tobytes() for name in sorted(arrays))
+    return b"".join(array[0].tobytes() for array in living(core_of(env)).values())

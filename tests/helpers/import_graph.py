@@ -14,6 +14,10 @@ FOUNDATION, FACES, COMMANDS = "vehicles, state ...", "swap_v0, ring_v0 ...", "cl
 WIDTH, ROW, HEIGHT, LETTER = 1000, 84, 34, 7.6
 """Of the picture, from one row of boxes to the next, of a box, and of a letter, pixels."""
 
+APART = ("swarm_envs.control.tracking",)
+"""Modules with a box of their own: physics flies the equations of `control`, and the controller
+that users take by itself flies in physics."""
+
 Graph = Mapping[str, set[str]]
 
 
@@ -28,6 +32,8 @@ class Box(NamedTuple):
 def package(module: str) -> str:
     """The box in which a module stands."""
     parts, height = module.split("."), level(module)
+    if module in APART:
+        return ".".join(parts[1:])
     if height in (BASE, FACE, CLI):
         return {BASE: FOUNDATION, FACE: FACES, CLI: COMMANDS}[height]
     if parts[1] in ("baselines", "training") and len(parts) > 2:

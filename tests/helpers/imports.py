@@ -16,7 +16,7 @@ LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 
 LEVELS |= {"deploy": 3}
 _BASE_MODULES = (
     *("vehicles", "state", "errors", "motors", "files", "c_text"),
-    *("compiled", "borrowed", "lowering", "neighbors", "arguments"),
+    *("compiled", "tables", "neighbors", "arguments"),
 )
 LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)
 LEVELS |= dict.fromkeys(("trajectories", "noise", "registration", ""), BASE)

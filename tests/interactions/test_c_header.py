@@ -70,7 +70,7 @@ def in_python(model: InteractionModel, row: np.ndarray) -> np.ndarray:
     v = np.concatenate([velocity[None], velocity + others[:, 3:]])[None]
     types = np.concatenate([[row["own"]], row["types"][: row["count"]]])[None].astype(np.int64)
     out = np.empty_like(p)
-    all_forces(model.field, types, p, v, out)
+    all_forces(model.packed, types, p, v, out)
     return out[0, 0]
 
 

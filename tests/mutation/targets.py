@@ -41,8 +41,8 @@ GROUPS = (
     Group(
         "trackers",
         {
+            "swarm_envs/control/loop.py": _TRACKING,
             "swarm_envs/control/tracking.py": _TRACKING,
-            "swarm_envs/control/attitude.py": _TRACKING,
             "swarm_envs/control/mixer.py": _MIXER,
             "baselines/mlr_dmpc/tracker.py": _TRACKER,
         },

@@ -135,7 +135,7 @@ def test_batteries_empty_and_weaken_the_rotors() -> None:
     for _ in range(240):
         physics.step(state.rotor_thrust)
     assert 0.0 < physics.state.battery[0, 0] < 0.3
-    assert physics.world.rotor_limit[0, 0] < full[0, 0]
+    assert physics.world.drones["rotor_limit"][0, 0] < full[0, 0]
     lasting = BatchPhysics("S", interactions="none")
     lasting.step(lasting.state.rotor_thrust)
     assert lasting.state.battery[0, 0] == 1.0

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swarm_envs.physics import TIME_STEP, BatchPhysics
-from swarm_envs.physics.rigid_body import integrate
-from swarm_envs.state import SwarmState, hover_state, parameters
-from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
+from swarm_envs.physics import TIME_STEP, BatchPhysics, rigid_body
+from swarm_envs.physics.rigid_body import LARGEST_RATE, integrate, sinc_cos
+from swarm_envs.state import SwarmState, hover_state
+from swarm_envs.tables import BLOCK_TYPE, Records
+from swarm_envs.vehicles import GRAVITY, parse_team
 
 STEPS = 240
 TEAM = parse_team("SL")
@@ -71,23 +72,35 @@ def test_spin_about_a_principal_axis_keeps_its_rate(axis: int, rate: float) -> N
         np.testing.assert_allclose(body_rate, rate * body_axis, atol=rate * 1e-6)
 
 
-def momentum_and_energy(state: SwarmState, inertia: np.ndarray) -> tuple[np.ndarray, float]:
-    attitude = Rotation.from_quat(state.quaternion[0, 0])
-    body_rate = attitude.inv().apply(state.angular_velocity[0, 0])
+def spinning_block(inertia: list[float], rate: list[float]) -> Records:
+    """A block of equal bodies without rotors that spin, rad/s."""
+    blocks = np.zeros(1, BLOCK_TYPE)
+    blocks["mass"] = 1.0
+    blocks["quaternion"][:, 3] = 1.0
+    blocks["inertia"] = np.array(inertia)[:, None]
+    blocks["angular_velocity"] = np.array(rate)[:, None]
+    return blocks
+
+
+def momentum_and_energy(blocks: Records) -> tuple[np.ndarray, float]:
+    """Angular momentum and energy of the last of a block's bodies; all have the same."""
+    for name in ("quaternion", "angular_velocity"):
+        assert (blocks[name] == blocks[name][..., :1]).all()
+    attitude = Rotation.from_quat(blocks["quaternion"][0, :, -1])
+    inertia = blocks["inertia"][0, :, -1]
+    body_rate = attitude.inv().apply(blocks["angular_velocity"][0, :, -1])
     return attitude.apply(inertia * body_rate), float(0.5 * body_rate @ (inertia * body_rate))
 
 
 def drift(dt: float, duration: float = 1.0) -> tuple[float, float]:
     """Relative change of angular momentum and energy of a torque-free, generic spin."""
-    team = parse_team([SMALL])
-    state, body = start(team), parameters(team)
-    body.inertia[:] = [1.2e-5, 1.9e-5, 2.9e-5]
-    state.rotor_thrust[:] = 0.0
-    state.angular_velocity[:] = [3.0, 4.0, 5.0]
-    momentum, energy = momentum_and_energy(state, body.inertia[0, 0])
-    for _ in range(round(duration / dt)):
-        integrate(0, state, body, np.zeros((1, 1, 3)), dt)
-    later, later_energy = momentum_and_energy(state, body.inertia[0, 0])
+    blocks = spinning_block([1.2e-5, 1.9e-5, 2.9e-5], [3.0, 4.0, 5.0])
+    momentum, energy = momentum_and_energy(blocks)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rigid_body, "TIME_STEP", dt)  # called from here, `integrate` is interpreted
+        for _ in range(round(duration / dt)):
+            integrate(blocks, 1)
+    later, later_energy = momentum_and_energy(blocks)
     change = float(np.linalg.norm(later - momentum) / np.linalg.norm(momentum))
     return change, abs(later_energy - energy) / energy
 
@@ -104,15 +117,11 @@ def test_torque_free_spin_converges_at_first_order() -> None:
 
 def test_symmetric_top_conserves_energy_about_its_axis() -> None:
     """Where the gyroscopic term vanishes nothing drifts: 1e-6 over 1 s at 240 Hz."""
-    team = parse_team([LARGE])
-    state, body = start(team), parameters(team)
-    body.inertia[:] = 3e-5
-    state.rotor_thrust[:] = 0.0
-    state.angular_velocity[:] = [30.0, -40.0, 50.0]
-    momentum, energy = momentum_and_energy(state, body.inertia[0, 0])
+    blocks = spinning_block([3e-5] * 3, [30.0, -40.0, 50.0])
+    momentum, energy = momentum_and_energy(blocks)
     for _ in range(STEPS):
-        integrate(0, state, body, np.zeros((1, 1, 3)), TIME_STEP)
-    later, later_energy = momentum_and_energy(state, body.inertia[0, 0])
+        integrate(blocks, 1)
+    later, later_energy = momentum_and_energy(blocks)
     np.testing.assert_allclose(later, momentum, rtol=1e-6)
     assert later_energy == pytest.approx(energy, rel=1e-6)
 
@@ -193,3 +202,13 @@ def test_unequal_rotors_and_a_force_from_outside_add_up() -> None:
     mass = np.array([vehicle.mass for vehicle in TEAM])[:, None]
     expected = (force[0] + [0.0, 0.0, 0.15]) / mass - [0.0, 0.0, 9.80665]
     np.testing.assert_allclose(physics.state.velocity[0] * 240.0, expected, rtol=1e-10)
+
+
+def test_sines_by_series_are_those_of_the_library() -> None:
+    """At every half turn of a step that the limits of the three body rates allow."""
+    most = 0.5 * np.sqrt(3.0) * LARGEST_RATE * TIME_STEP
+    angles = np.concatenate([np.linspace(0.0, most, 2001), np.logspace(-300, 0, 301)])
+    for angle in angles.tolist():
+        sinc, cos = sinc_cos(angle)
+        assert sinc == pytest.approx(np.sinc(angle / np.pi), abs=1e-14)
+        assert cos == pytest.approx(np.cos(angle), abs=1e-14)

@@ -9,8 +9,8 @@ import numpy as np
 
 from swarm_envs import make
 from swarm_envs.agents import fly_episode, load
-from swarm_envs.envs.blueprints import blueprint_of
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import blueprint_of
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import BulletPhysics
@@ -70,7 +70,7 @@ def actions(core: SwarmCore, rng: np.random.Generator, before: np.ndarray | None
     """Random actions: half of each row anew, half as before, so that flights go somewhere."""
     shape = (core.num_envs, core.num_drones, core.mode.width)
     if not core.mode.bounded:  # set-points: somewhere near the goal, then all else nearly at rest
-        near = core.mission.goal + rng.normal(0.0, 0.3, (*shape[:2], 3))
+        near = core.world.drones["goal"] + rng.normal(0.0, 0.3, (*shape[:2], 3))
         return np.concatenate([near, rng.normal(0.0, 0.05, (*shape[:2], 11))], axis=2)
     drawn = rng.uniform(-1.0, 1.0, shape)
     if core.mode.name in ("rotors", "ctbr"):  # about hover, or all would fall within a second

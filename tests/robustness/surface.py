@@ -24,6 +24,7 @@ from swarm_envs.control.config import PositionGains
 from swarm_envs.envs.options import EnvOptions
 from swarm_envs.interactions import load
 from swarm_envs.physics import BatchPhysics
+from swarm_envs.vehicles import parse_team
 from tests.helpers.imports import ROOT, SOURCES
 
 STARTS, GOALS = np.array([[0.0, 0, 1], [1.0, 0, 1]]), np.array([[0.0, 1, 1], [1.0, 1, 1]])
@@ -82,6 +83,7 @@ EXEMPT = {
     "evaluate": "a generator of many flights; the command's options are checked",
     "episodes_of": "takes a name and a task of the benchmark's tables",
     "claimed": "takes a folder",
+    "kernel": "compiles a function, which numba checks",
 }
 OWN: tuple[str, ...] = ("make(swap_v0)", "make(ring_v0)", "make(formation_v0)", "make")
 OWN += ("env.reset", "env.step")
@@ -293,5 +295,6 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "CurriculumConfig": {"out": Path("curriculum")},
     "BeliefConfig": {"out": Path("belief")},
     "Job": {"function": "module:function", "arguments": {}},
+    "SwapTask": {"team": parse_team("SS")},
 }
 """Fields of settings that have no default."""

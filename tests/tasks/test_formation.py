@@ -14,7 +14,7 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.tasks.formation import CLOSEST, FormationTask, nearest_places
-from swarm_envs.tasks.mission import Placement, mission_of
+from swarm_envs.tasks.mission import Placement, world_of
 from swarm_envs.tasks.shapes import SHAPES, block_of, shape_points
 from swarm_envs.vehicles import parse_team
 
@@ -68,9 +68,9 @@ def test_straight_ways_to_the_nearest_places_do_not_meet(n, start):
     task = task_of(n, shapes=shapes, start=start)
     for seed in range(3):
         placement = drawn(task, seed)
-        mission = mission_of(placement)
+        world = world_of(placement)
         for time in np.arange(0.0, task.episode_s, 0.1):
-            position = task.reference(mission, np.array([time])).position[0]
+            position = task.reference(world, np.array([time])).position[0]
             distance = np.linalg.norm(position[:, None] - position[None], axis=-1)
             distance[np.eye(n, dtype=bool)] = np.inf
             assert distance.min() > task.spacing / np.sqrt(2) - 1e-9
@@ -137,11 +137,11 @@ def test_stages_change_with_the_clock():
     task = task_of(2, shapes=("plane", "cube", "plane"), shape_s=0.5, travel_s=0.5)
     core = SwarmCore(task, EnvConfig(physics="batch", interactions="none", end_on_success=False))
     core.reset([1])
-    goals = core.mission.goals[0].copy()
+    goals, drones = core.world.goals[0].copy(), core.world.drones[0]
     for k in range(48):
-        np.testing.assert_array_equal(core.mission.goal[0], goals[int(k >= 24)])
-        distance = np.linalg.norm(core.physics.state.position[0] - core.mission.goal[0], axis=1)
-        np.testing.assert_allclose(core.mission.distance[0], distance)
+        np.testing.assert_array_equal(drones["goal"], goals[int(k >= 24)])
+        distance = np.linalg.norm(core.physics.state.position[0] - drones["goal"], axis=1)
+        np.testing.assert_allclose(drones["distance"], distance)
         core.step(np.zeros((1, 2, 3)))
     assert not core.running.any()
 
@@ -151,7 +151,7 @@ def agent_metrics(agent: TrackingAgent, seed: int = 0, **options: Any) -> dict[s
     shapes: list[float] = []
 
     def watch(env: Any) -> None:
-        shapes.append(float(env.core.verdict.achieved[0]))
+        shapes.append(float(env.core.world.environments["achieved"][0]))
 
     metrics = fly_episode(env, agent, seed, watch)
     metrics["shares"] = [share for share in shapes if share]

@@ -7,13 +7,14 @@ import pytest
 
 from swarm_envs import trajectories
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.mission import Mission, Orbit, Placement, new_mission
+from swarm_envs.tables import SETTINGS_TYPE, World
+from swarm_envs.tasks.mission import Orbit, Placement, world_of
 from swarm_envs.tasks.motion import (
     LINES,
     ORBITS,
     REST,
     Motion,
-    new_reference,
+    reference_of,
     stage_at,
     write_reference,
 )
@@ -23,13 +24,16 @@ TIMES = np.linspace(-0.5, 7.0, 64)
 N = 3
 
 
-def written(mission: Mission, motion: Motion) -> Reference:
+def written(world: World, motion: Motion) -> Reference:
     """The reference of an environment at all times: arrays (T, N, 3)."""
-    out = new_reference(1, N)
+    settings = np.zeros(1, SETTINGS_TYPE)
+    for name, value in motion.settings().items():
+        settings[name] = value
     rows = []
     for time in TIMES:
-        write_reference(mission, motion, np.array([time]), out)
-        rows.append([array[0].copy() for array in out])
+        world.environments["time"] = time
+        write_reference(*world, settings)
+        rows.append([array[0].copy() for array in reference_of(world.drones)])
     return Reference(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
@@ -38,26 +42,25 @@ def check_close(ours: Reference, theirs: Reference) -> None:
         np.testing.assert_allclose(mine, other, rtol=1e-12, atol=1e-12)
 
 
-def legs(duration: float, stages: int = 1) -> tuple[Mission, FloatArray]:
+def legs(duration: float, stages: int = 1) -> tuple[World, FloatArray]:
     rng = np.random.default_rng(1)
     start, goals = rng.normal(size=(N, 3)), rng.normal(size=(stages, N, 3))
-    mission = new_mission(1, N, stages)
-    mission.place(0, Placement(start, goals, duration))
-    return mission, np.concatenate([start[None], goals])
+    world = world_of(Placement(start, goals, duration))
+    return world, np.concatenate([start[None], goals])
 
 
 @pytest.mark.parametrize("ramp", [0.2, 0.5])
 def test_lines(ramp):
-    mission, (start, goal) = legs(3.0)
+    world, (start, goal) = legs(3.0)
     theirs = trajectories.ramped_line(start, goal, 3.0, TIMES[:, None], ramp)
-    ours = written(mission, Motion(LINES, ramp))
+    ours = written(world, Motion(LINES, ramp))
     check_close(ours, theirs)
     np.testing.assert_array_equal(ours.position[-1], goal)
 
 
 def test_lines_from_stage_to_stage():
-    mission, corners = legs(1.5, stages=3)
-    ours = written(mission, Motion(LINES, 0.5, stage_s=2.0))
+    world, corners = legs(1.5, stages=3)
+    ours = written(world, Motion(LINES, 0.5, stage_s=2.0))
     for k, time in enumerate(TIMES):
         stage = int(np.clip(time // 2.0, 0, 2))
         here, there = corners[stage], corners[stage + 1]
@@ -66,9 +69,9 @@ def test_lines_from_stage_to_stage():
 
 
 def test_rest_is_at_the_goals_of_the_stage():
-    mission, corners = legs(0.0, stages=3)
+    world, corners = legs(0.0, stages=3)
     for kind in (REST, LINES):  # lines that take no time are none
-        ours = written(mission, Motion(kind, 0.5, stage_s=2.0))
+        ours = written(world, Motion(kind, 0.5, stage_s=2.0))
         stage = np.clip(TIMES // 2.0, 0, 2).astype(int)
         np.testing.assert_array_equal(ours.position, corners[1 + stage])
         np.testing.assert_array_equal(np.array(ours[1:]), 0.0)
@@ -78,11 +81,10 @@ def test_orbits():
     rng = np.random.default_rng(2)
     center, first, second = rng.normal(size=(3, N, 3))
     rate, phase = rng.normal(size=(2, N))
-    mission = new_mission(1, N)
     orbit = Orbit(center, first, second, rate, phase)
-    mission.place(0, Placement(center + first, center[None], 0.0, orbit))
+    world = world_of(Placement(center + first, center[None], 0.0, orbit))
     theirs = trajectories.ellipse(center, first, second, rate, phase, TIMES[:, None], ramp_time=2.0)
-    check_close(written(mission, Motion(ORBITS, 2.0)), theirs)
+    check_close(written(world, Motion(ORBITS, 2.0)), theirs)
 
 
 @pytest.mark.parametrize(("time", "stage"), [(0.0, 0), (5.99, 0), (6.0, 1), (17.9, 2), (99.0, 2)])

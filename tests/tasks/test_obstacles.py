@@ -164,8 +164,8 @@ def test_what_is_drawn_is_free(task, options):
     for seed in range(10):
         env.reset(seed=seed)
         view = env.view
-        points = [view.state.position, *env.core.mission.goals[0]]
-        if env.core.motion.kind:
+        points = [view.state.position, *env.core.world.goals[0]]
+        if env.core.task.motion.kind:
             times = np.arange(0.0, env.core.task.episode_s, 0.02)
             points += [view.reference(t).position for t in times]
         for place in points:

@@ -234,7 +234,7 @@ def test_a_batch_is_its_single_environments(task, options):
             single = one.step(actions[e : e + 1])
             np.testing.assert_array_equal(single.observations[0], result.observations[e])
             np.testing.assert_array_equal(single.rewards[0], result.rewards[e])
-            for ours, theirs in zip(one.mission, many.mission, strict=True):
+            for ours, theirs in zip(one.world, many.world, strict=True):
                 np.testing.assert_array_equal(ours[0], theirs[e])
         over = result.terminated | result.truncated
         if over.any():

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.tasks.base import Success
-from swarm_envs.tasks.rewards import bell, progress, proximity, ramp, weigh
+from swarm_envs.tables import SETTINGS_TYPE, new_world
+from swarm_envs.tasks.base import SPEED_LIMIT, Success
+from swarm_envs.tasks.rewards import REWARD_NAMES, bell, weigh, write_terms
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import parse_team
 
@@ -27,25 +28,61 @@ def test_bell(x):
     assert 0.0 <= bell(x, 0.15) <= 1.0
 
 
+def written(**fields: float) -> dict[str, float]:
+    """The terms of a drone of whom this is known, 25 times a second on a clock of 10 s."""
+    world, settings = new_world(1, 1), np.zeros(1, SETTINGS_TYPE)
+    settings["decision_s"], settings["horizon_s"] = 0.04, 10.0
+    world.drones["clearance"] = world.drones["obstacle_clearance"] = math.inf
+    for name, value in fields.items():
+        table = world.environments if name == "achieved" else world.drones
+        table[name] = value
+    out = np.full((len(REWARD_NAMES), 1, 1), np.nan)
+    write_terms(world.drones, world.environments, settings, out)
+    return dict(zip(REWARD_NAMES, out.ravel().tolist(), strict=True))
+
+
 @given(number)
-def test_ramp(x):
-    assert ramp(2.5, 2.5, 1.0) == 0.0
-    assert ramp(1.0, 2.5, 1.0) == 1.0
-    assert ramp(1.75, 2.5, 1.0) == pytest.approx(0.5)
-    assert 0.0 <= ramp(x, 2.5, 1.0) <= 1.0
-    assert proximity(x) == ramp(x, 2.5, 1.0)
+def test_proximity(x):
+    """From 0 at 2.5 times the sum of radii to 1 where drones touch; obstacles alike."""
+    for name in ("clearance", "obstacle_clearance"):
+        assert written(**{name: 2.5})["proximity"] == 0.0
+        assert written(**{name: 1.0})["proximity"] == 0.04
+        assert written(**{name: 1.75})["proximity"] == pytest.approx(0.5 * 0.04)
+        expected = 0.04 * np.clip((2.5 - x) / 1.5, 0.0, 1.0)
+        assert written(**{name: x})["proximity"] == pytest.approx(expected)
+        assert 0.0 <= written(**{name: x})["proximity"] <= 0.04
+    nearest = written(clearance=2.0, obstacle_clearance=x)["proximity"]
+    assert nearest == written(clearance=min(2.0, x))["proximity"]
 
 
 def test_proximity_of_a_lone_drone_is_nothing():
-    assert proximity(math.inf) == 0.0
+    assert written()["proximity"] == 0.0
 
 
 @given(number, number)
 def test_progress(before, now):
-    assert progress(1.0, 0.98, 0.04) == pytest.approx(0.5)
-    assert progress(1.0, 1.02, 0.04) == pytest.approx(-0.5)
-    assert -1.0 <= progress(before, now, 0.04) <= 1.0
-    assert progress(before, now, 0.04) == -progress(now, before, 0.04)
+    """Of the most that is covered at the speed limit, in a decision."""
+
+    def progress(before: float, now: float) -> float:
+        return written(last_distance=before, distance=now)["progress"] / 0.04
+
+    most = SPEED_LIMIT * 0.04
+    assert progress(1.0, 1.0 - 0.5 * most) == pytest.approx(0.5)
+    assert progress(1.0, 1.0 + 0.5 * most) == pytest.approx(-0.5)
+    assert -1.0 <= progress(before, now) <= 1.0
+    assert progress(before, now) == -progress(now, before)
+
+
+@given(st.floats(0.0, 1e3))
+def test_bells_are_shares_of_the_clock(x):
+    assert written(distance=x)["at_goal"] == pytest.approx(0.004 * bell(x, 0.15))
+    assert written(tracking_error=x)["tracking"] == pytest.approx(0.004 * bell(x, 0.10))
+
+
+def test_effort_lasts_and_events_do_not():
+    told = written(effort=0.5, crashed=1.0, achieved=0.25)
+    assert told["effort"] == 0.02
+    assert (told["crash"], told["success"]) == (1.0, 0.25)
 
 
 def test_weighted_sum():
@@ -67,7 +104,7 @@ def hovering(success: Success, start: list[list[float]], steps: int) -> list[boo
     succeeded = []
     for _ in range(steps):
         core.step(np.zeros((1, 2, 3)))
-        succeeded.append(bool(core.verdict.succeeded[0]))
+        succeeded.append(bool(core.world.environments["succeeded"][0]))
     return succeeded
 
 
@@ -97,4 +134,4 @@ def test_leaving_the_goal_starts_the_hold_anew():
     assert inside[0]
     assert not all(inside)
     assert sum(inside) > 24  # half a second in all, but not at a stretch
-    assert not core.verdict.succeeded[0]
+    assert not core.world.environments["succeeded"][0]

@@ -14,7 +14,7 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import TrackingSuccess
-from swarm_envs.tasks.mission import mission_of
+from swarm_envs.tasks.mission import world_of
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.tasks.rings import FIVE, SIXTEEN, RingLayout, num_upright, perimeter
 from swarm_envs.vehicles import parse_team, team_string
@@ -24,8 +24,8 @@ G = 9.80665
 
 def flown(task: RingTask, seed: int, times: FloatArray) -> list[FloatArray]:
     """Position, velocity, acceleration and jerk (T, N, 3) of the reference."""
-    mission = mission_of(task.place(np.random.default_rng(seed)))
-    rows = [[a[0] for a in task.reference(mission, np.array([t]))] for t in times]
+    world = world_of(task.place(np.random.default_rng(seed)))
+    rows = [[a[0] for a in task.reference(world, np.array([t]))] for t in times]
     return [np.array(column) for column in zip(*rows, strict=True)]
 
 

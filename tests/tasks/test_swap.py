@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.mission import Mission, Placement, mission_of
+from swarm_envs.tables import World
+from swarm_envs.tasks.mission import Placement, world_of
 from swarm_envs.tasks.placing import arena_of, check_points, derangement, draw_apart
 from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.trajectories import Reference
@@ -19,8 +20,8 @@ def drawn(task: SwapTask, seed: int) -> Placement:
     return task.place(np.random.default_rng(seed))
 
 
-def at(task: SwapTask, mission: Mission, time: float) -> Reference:
-    full = task.reference(mission, np.array([time]))
+def at(task: SwapTask, world: World, time: float) -> Reference:
+    full = task.reference(world, np.array([time]))
     return Reference(*(array[0] for array in full))
 
 
@@ -55,15 +56,15 @@ def test_stacked_reference_aligns_all_half_way():
     task = SwapTask(team=parse_team("LSS"), layout="stacked")
     for seed in SEEDS:
         placement = drawn(task, seed)
-        mission, half = mission_of(placement), placement.duration / 2
-        middle = at(task, mission, half)
+        world, half = world_of(placement), placement.duration / 2
+        middle = at(task, world, half)
         np.testing.assert_allclose(middle.position[:, :2], 0.0, atol=1e-12)
         np.testing.assert_allclose(middle.position[:, 2], placement.start[:, 2], atol=1e-12)
         np.testing.assert_allclose(middle.acceleration, 0.0, atol=1e-12)
-        first, last = at(task, mission, 0.0), at(task, mission, placement.duration)
+        first, last = at(task, world, 0.0), at(task, world, placement.duration)
         np.testing.assert_array_equal(first.position, placement.start)
         np.testing.assert_array_equal(last.position, placement.goals[0])
-        np.testing.assert_array_equal(at(task, mission, 99.0).position, placement.goals[0])
+        np.testing.assert_array_equal(at(task, world, 99.0).position, placement.goals[0])
         for end in (first, last):
             np.testing.assert_allclose(np.array(end[1:]), 0.0, atol=1e-9)
 
@@ -71,10 +72,10 @@ def test_stacked_reference_aligns_all_half_way():
 def test_stacked_reference_flies_straight_at_constant_speed_between_ramps():
     task = SwapTask(team=parse_team("LS"), layout="stacked")
     placement = drawn(task, 1)
-    mission, total = mission_of(placement), placement.duration
+    world, total = world_of(placement), placement.duration
     speeds = []
     for share in np.linspace(0.0, 1.0, 101):
-        reference = at(task, mission, share * total)
+        reference = at(task, world, share * total)
         speeds.append(np.linalg.norm(reference.velocity, axis=1)[0])
         way = placement.goals[0] - placement.start
         offset = reference.position - placement.start
@@ -84,8 +85,8 @@ def test_stacked_reference_flies_straight_at_constant_speed_between_ramps():
     np.testing.assert_allclose(speeds[20:81], cruise, rtol=1e-9)
     assert (np.diff(speeds[:21]) > 0).all()
     np.testing.assert_allclose(speeds, speeds[::-1], atol=1e-9)
-    early, late = (at(task, mission, t).position for t in (0.7 - 1e-6, 0.7 + 1e-6))
-    np.testing.assert_allclose((late - early) / 2e-6, at(task, mission, 0.7).velocity, atol=1e-7)
+    early, late = (at(task, world, t).position for t in (0.7 - 1e-6, 0.7 + 1e-6))
+    np.testing.assert_allclose((late - early) / 2e-6, at(task, world, 0.7).velocity, atol=1e-7)
 
 
 def test_equal_ends_fix_a_stack():
@@ -130,7 +131,7 @@ def test_random_fills_its_box():
 def test_random_has_no_reference_but_its_goals():
     task = SwapTask(team=parse_team("SS"))
     placement = drawn(task, 0)
-    reference = at(task, mission_of(placement), 1.0)
+    reference = at(task, world_of(placement), 1.0)
     np.testing.assert_array_equal(reference.position, placement.goals[0])
     np.testing.assert_array_equal(np.array(reference[1:]), 0.0)
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from swarm_envs import TASKS, swap_v0
-from swarm_envs.envs.named import make_joint, make_solo
+from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.solo import make_solo
 
 pytest.importorskip("stable_baselines3")
 
@@ -21,6 +22,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import VecCheckNan, VecMonitor, VecNormalize
 
 from swarm_envs.training import SharedPolicyVecEnv
+from tests.helpers.living import living
 
 ENVS, DRONES = 3, 2
 QUICK: dict[str, Any] = {"num_drones": DRONES, "horizon_s": 0.5}
@@ -118,12 +120,12 @@ def test_options_of_the_next_reset():
     env.set_options([{"start": start}] + [{}] * 5)
     with pytest.raises(ValueError, match="options of environment 0 differ between its drones"):
         env.reset()
-    core, before = env.core, env.core.get_state()
+    core, before = env.core, living(env.core)
     env.set_options([{"start": start}] * DRONES + [{"team": "SX"}] * (2 * DRONES))
     with pytest.raises(ValueError, match="unknown vehicle token 'X'"):
         env.reset()
-    for name, array in core.get_state().arrays.items():
-        assert array.tobytes() == before.arrays[name].tobytes()  # none of them has begun
+    for name, array in living(core).items():
+        assert array.tobytes() == before[name].tobytes()  # none of them has begun
     env.set_options([{}] * DRONES + [{"team": "LS"}] * DRONES + [{}] * DRONES)
     env.reset()
     assert ["".join(v.token for v in task.team) for task in core.tasks] == ["SS", "LS", "SS"]

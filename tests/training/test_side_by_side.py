@@ -76,6 +76,6 @@ def test_threads_change_no_byte_of_what_is_learned():
         learner = PpoLearner(completed(plain, "swap_v0"), "swap_v0")
         learner.fly(range(2))
         weights.append([p.detach().clone() for p in learner.model.policy.parameters()])
-        assert learner.env.cores[0].flight.workers.threads == threads
+        assert learner.env.cores[0].physics.workers.threads == threads
         learner.close()
     assert all(torch.equal(one, two) for one, two in zip(*weights, strict=True))

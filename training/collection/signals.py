@@ -32,12 +32,13 @@ def motor_signals(
         Signals (T, N, 4), 0 to 65535, and voltages (T, N), V.
     """
     battery = BatteryModel()
-    arrays = battery.compile(team)
+    drones = battery.of_team(team)
+    capacity, resistance = drones["battery_capacity"], drones["battery_resistance"]
     thrust = lagged_thrust(commands, team, 1.0 / rate_hz)
-    current = arrays.idle_current + arrays.current_per_newton * thrust
-    charge = 1.0 - np.cumsum(current, axis=0) / (rate_hz * arrays.capacity)
-    full = np.linspace(0.0, 1.0, len(arrays.open_circuit))
-    volts = np.interp(charge, full, arrays.open_circuit) - arrays.resistance * current
+    current = battery.idle_current_a + battery.current_per_newton * thrust
+    charge = 1.0 - np.cumsum(current, axis=0) / (rate_hz * capacity)
+    full = np.linspace(0.0, 1.0, len(battery.open_circuit))
+    volts = np.interp(charge, full, battery.open_circuit) - resistance * current
     signal = np.empty_like(commands)
     for i, vehicle in enumerate(team):
         signal[:, i] = _signal(vehicle, commands[:, i] / GRAM_FORCE, volts[:, i, None])

@@ -48,7 +48,7 @@ class CompiledForce:
         p, v = (np.ascontiguousarray(values.numpy()) for values in (position, velocity))
         kinds = np.tile(types_array(tuple(type_names), self.types), (len(p), 1))
         out = np.empty_like(p)
-        all_forces(self.model.field, kinds, p, v, out)
+        all_forces(self.model.packed, kinds, p, v, out)
         return torch.from_numpy(out[..., 2] / GRAM_FORCE)
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from swarm_envs.files import write_json, write_table
 from swarm_envs.motors import pwm_for_force, rotor_force_g
 from swarm_envs.physics import TIME_STEP as DT
-from swarm_envs.physics.batch import BatchPhysics
-from swarm_envs.state import FloatArray
+from swarm_envs.physics import BatchPhysics
+from swarm_envs.state import FloatArray, hover_state
 from swarm_envs.training.reproduce.style import GREY, picture
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, Vehicle
 
@@ -65,8 +65,7 @@ def mass_and_thrust(vehicle: Vehicle) -> tuple[float, float]:
     steps = round(1.0 / DT)  # sixteen time constants: thrust has settled
 
     def accelerated(command: float) -> float:
-        state = physics.hover(np.array([[[0.0, 0.0, 50.0]]]))
-        physics.reset(state)
+        physics.reset(hover_state(physics.team, [[0.0, 0.0, 50.0]]))
         commands = np.full((1, 1, 4), command)
         for _ in range(steps):
             before = physics.step(commands).velocity[0, 0, 2]
@@ -81,7 +80,7 @@ def mass_and_thrust(vehicle: Vehicle) -> tuple[float, float]:
 def motor_rate(vehicle: Vehicle) -> float:
     """Rate of the first-order lag, 1/s: least squares on the thrust's way after a square step."""
     physics = BatchPhysics((vehicle,), interactions="none")
-    physics.reset(physics.hover(np.array([[[0.0, 0.0, 50.0]]])))
+    physics.reset(hover_state(physics.team, [[0.0, 0.0, 50.0]]))
     low, high = vehicle.hover_rotor_thrust, 0.9 * vehicle.max_rotor_thrust
     commands = np.full((1, 1, 4), high)
     rest = [

@@ -10,8 +10,8 @@ import numpy as np
 from swarm_envs.agents.batch import AT_ONCE, fly_batch
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.policy_file import Policy
-from swarm_envs.envs.blueprints import batch_of
 from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import batch_of
 from swarm_envs.training.rl.recipes import RECIPES
 
 CHOOSING = (0x63686F6F, 0x73696E67)

@@ -11,8 +11,7 @@ from gymnasium import spaces
 from stable_baselines3.common.vec_env import VecEnvWrapper
 
 from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPES
-from swarm_envs.envs.blueprints import batch_of
-from swarm_envs.envs.options import Blueprint
+from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.recipes import RECIPES, completed
 from swarm_envs.training.rl.side_by_side import SideBySide

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.lanes import Numbers
+from swarm_envs.interactions.field import ForceField, Numbers
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 

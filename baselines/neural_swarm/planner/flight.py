@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from swarm_envs.baselines.neural_swarm.planner.scene import Scene, Work
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.state import FloatArray
 
@@ -19,20 +19,24 @@ INVALID = -1.0
 _SLACK = 1e-9  # rounding
 
 
-@borrowing_kernel
+@kernel
 def feel(scene: Scene, knot: int, work: Work) -> None:
     """Put the others where they are at a knot, and evaluate the forces on all robots."""
-    for j in range(1, work.position.shape[0]):
+    drones, robots = work.scratch.drones, work.position.shape[0]
+    for j in range(robots):
         for k in range(3):
-            work.position[j, k] = scene.position[knot, j, k]
-            work.velocity[j, k] = scene.velocity[knot, j, k]
-    n = work.position.shape[0]
-    swarm_forces(
-        scene.field, n, scene.types, work.position, work.velocity, work.scratch, work.force
-    )
+            if j > 0:
+                work.position[j, k] = scene.position[knot, j, k]
+                work.velocity[j, k] = scene.velocity[knot, j, k]
+            drones[j]["position"][k] = work.position[j, k]
+            drones[j]["velocity"][k] = work.velocity[j, k]
+    swarm_forces(scene.field, 1, robots, work.scratch)
+    for j in range(robots):
+        for k in range(3):
+            work.force[j, k] = drones[j]["force"][k]
 
 
-@borrowing_kernel
+@kernel
 def forces_allowed(scene: Scene, knot: int, work: Work) -> bool:
     """Whether all forces at a knot, and the others' controls against them, are within bounds."""
     for j in range(work.force.shape[0]):
@@ -50,7 +54,7 @@ def forces_allowed(scene: Scene, knot: int, work: Work) -> bool:
     return True
 
 
-@borrowing_kernel
+@kernel
 def control_cost(scene: Scene, knot: int, control: FloatArray, work: Work) -> float:
     """Sum over all robots of ||u|| at a knot: this robot's control, the others' against forces."""
     total = math.sqrt(control[0] ** 2 + control[1] ** 2 + control[2] ** 2)
@@ -63,7 +67,7 @@ def control_cost(scene: Scene, knot: int, control: FloatArray, work: Work) -> fl
     return total
 
 
-@borrowing_kernel
+@kernel
 def closest(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
     """Squared distance of the origin from the segment between two points."""
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -73,7 +77,7 @@ def closest(a: tuple[float, float, float], b: tuple[float, float, float]) -> flo
     return (a[0] + share * x) ** 2 + (a[1] + share * y) ** 2 + (a[2] + share * z) ** 2
 
 
-@borrowing_kernel
+@kernel
 def offset(
     scene: Scene, knot: int, j: int, work: Work, acceleration: FloatArray, t: float
 ) -> tuple[float, float, float]:
@@ -86,7 +90,7 @@ def offset(
     return x, y, z
 
 
-@borrowing_kernel
+@kernel
 def keeps_clear(scene: Scene, knot: int, work: Work, acceleration: FloatArray) -> bool:
     """Whether the step after a knot keeps its distance from all others, also between knots.
 
@@ -102,7 +106,7 @@ def keeps_clear(scene: Scene, knot: int, work: Work, acceleration: FloatArray) -
     return True
 
 
-@borrowing_kernel
+@kernel
 def step(
     scene: Scene, knot: int, control: FloatArray, acceleration: FloatArray, work: Work
 ) -> float:

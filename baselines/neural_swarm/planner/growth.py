@@ -23,7 +23,7 @@ from swarm_envs.baselines.neural_swarm.planner.tree import (
     settle,
     write_state,
 )
-from swarm_envs.compiled import borrowing_kernel, kernel
+from swarm_envs.compiled import kernel, part
 from swarm_envs.state import FloatArray
 
 FEW = 5
@@ -47,7 +47,7 @@ class Chances(NamedTuple):
     """To sample near the guide; else uniformly."""
 
 
-@kernel
+@part
 def sample(
     scene: Scene,
     tree: Tree,
@@ -72,7 +72,7 @@ def sample(
     return knot, rng.random() * bound
 
 
-@kernel
+@part
 def choose(
     scene: Scene,
     tree: Tree,
@@ -95,7 +95,7 @@ def choose(
     return found
 
 
-@kernel
+@part
 def grow_once(
     scene: Scene,
     tree: Tree,
@@ -127,7 +127,7 @@ def grow_once(
     return new
 
 
-@borrowing_kernel
+@part
 def trace(scene: Scene, tree: Tree, node: int, work: Work, states: FloatArray) -> None:
     """Write the states (K + 1, 6) up to a node's knot, flying each edge on its path once more."""
     while tree.parent[node] != NONE:

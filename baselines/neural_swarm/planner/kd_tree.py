@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel, part
 from swarm_envs.state import FloatArray, IntArray
 
 BUCKET = 16
@@ -68,14 +68,14 @@ def kd_tree(capacity: int, dimensions: int) -> KdTree:
     return tree
 
 
-@borrowing_kernel
+@kernel
 def clear(tree: KdTree) -> None:
     """Forget all points."""
     tree.used[0], tree.used[1] = 0, 1
     _begin_leaf(tree, 0)
 
 
-@borrowing_kernel
+@kernel
 def insert(tree: KdTree, point: FloatArray) -> int:
     """Add a point (D,) and return its index; the tree must not be full."""
     index = tree.used[0]
@@ -94,7 +94,7 @@ def insert(tree: KdTree, point: FloatArray) -> int:
     return index
 
 
-@borrowing_kernel
+@kernel
 def nearest(tree: KdTree, query: FloatArray) -> int:
     """Index of the point nearest to a query (D,); -1 if there is none."""
     best, found, height = np.inf, -1, 1
@@ -120,21 +120,21 @@ def nearest(tree: KdTree, query: FloatArray) -> int:
     return found
 
 
-@borrowing_kernel
+@part
 def _begin_leaf(tree: KdTree, node: int) -> None:
     tree.axis[node], tree.filled[node] = _LEAF, 0
     for d in range(tree.points.shape[1]):
         tree.lower[node, d], tree.upper[node, d] = np.inf, -np.inf
 
 
-@borrowing_kernel
+@part
 def _widen(tree: KdTree, node: int, point: FloatArray) -> None:
     for d in range(point.shape[0]):
         tree.lower[node, d] = min(tree.lower[node, d], point[d])
         tree.upper[node, d] = max(tree.upper[node, d], point[d])
 
 
-@borrowing_kernel
+@part
 def _box_distance(tree: KdTree, node: int, query: FloatArray) -> float:
     """Squared distance of a query from the box around a node's points."""
     total = 0.0
@@ -144,7 +144,7 @@ def _box_distance(tree: KdTree, node: int, query: FloatArray) -> float:
     return total
 
 
-@borrowing_kernel
+@part
 def _split(tree: KdTree, node: int) -> None:
     """Turn a full leaf into two half full ones; points that are all equal are shared out."""
     axis = 0

@@ -9,8 +9,8 @@ import numpy as np
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.steering import responses
 from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_forces
-from swarm_envs.interactions.blocks import Scratch, scratch_for
-from swarm_envs.interactions.field import ForceField
+from swarm_envs.interactions.packed import PackedField
+from swarm_envs.interactions.scratch import Scratch, scratch_for
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -21,7 +21,7 @@ class Scene(NamedTuple):
     K is the largest number of steps. Robots that have no motion yet are not among the n.
     """
 
-    field: ForceField
+    field: PackedField
     """The believed force model."""
     types: IntArray
     """(n,) interaction types."""
@@ -79,14 +79,16 @@ class Work(NamedTuple):
     force: FloatArray
     """Forces that come out, N."""
     scratch: Scratch
-    """Working memory of the force model."""
+    """Working memory of the force model, which knows the robots' types."""
 
 
 def work_for(scene: Scene) -> Work:
     """Working memory for a scene."""
     n = len(scene.types)
     position, velocity, force = np.zeros((3, n, 3))
-    return Work(position, velocity, force, scratch_for(scene.field, n, n))
+    scratch = scratch_for(scene.field, 1, n)
+    scratch.drones["type"] = scene.types
+    return Work(position, velocity, force, scratch)
 
 
 def make_scene(
@@ -120,7 +122,7 @@ def make_scene(
     drag = problem.model.field.drag[types[0]] / mass[0]
     start, goal = problem.starts[robot], problem.goals[robot]
     return Scene(
-        field=problem.model.field,
+        field=problem.model.packed,
         types=types,
         mass=mass,
         clearance=bounds.clearances(problem.team)[robot, index],

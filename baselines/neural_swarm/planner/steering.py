@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray
 
 LONGEST_BURST = 8
@@ -46,7 +46,7 @@ def responses(drag: FloatArray, dt: float, steps: int) -> FloatArray:
     return table
 
 
-@borrowing_kernel
+@kernel
 def impulse_cost(table: FloatArray, steps: int, way: FloatArray, velocity: FloatArray) -> float:
     """Least integral of ||u|| from a velocity (3,) to rest, a way (3,) further: two impulses.
 
@@ -70,7 +70,7 @@ def impulse_cost(table: FloatArray, steps: int, way: FloatArray, velocity: Float
     return math.sqrt(first) + math.sqrt(last)
 
 
-@borrowing_kernel
+@kernel
 def reach_burst(
     table: FloatArray,
     edge: int,
@@ -107,7 +107,7 @@ def reach_burst(
     return False
 
 
-@borrowing_kernel
+@kernel
 def rest_bursts(
     table: FloatArray,
     edge: int,

@@ -14,7 +14,7 @@ from swarm_envs.baselines.neural_swarm.planner.steering import (
     reach_burst,
     rest_bursts,
 )
-from swarm_envs.compiled import borrowing_kernel
+from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray, IntArray
 
 NONE = -1
@@ -69,7 +69,7 @@ def search_tree(capacity: int, robots: int) -> Tree:
     )
 
 
-@borrowing_kernel
+@part
 def put_point(tree: Tree, state: FloatArray, knot: float, cost: float) -> None:
     """Write a state (6,), time and cost into `tree.point`, scaled by the metric."""
     for k in range(3):
@@ -79,7 +79,7 @@ def put_point(tree: Tree, state: FloatArray, knot: float, cost: float) -> None:
     tree.point[7] = tree.scale[3] * cost
 
 
-@borrowing_kernel
+@part
 def add(tree: Tree, parent: int, control: FloatArray, knot: int, cost: float, work: Work) -> int:
     """Add what the working memory holds as a node; return its index, or NONE without room."""
     node = tree.places.used[0]
@@ -94,7 +94,7 @@ def add(tree: Tree, parent: int, control: FloatArray, knot: int, cost: float, wo
     return insert(tree.places, tree.point)
 
 
-@borrowing_kernel
+@part
 def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
     """Copy the first rows (n, 3) of an array into another; by slices, it would make a third."""
     for j in range(robots):
@@ -102,7 +102,7 @@ def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
             target[j, k] = source[j, k]
 
 
-@borrowing_kernel
+@part
 def load(tree: Tree, node: int, work: Work) -> None:
     """Put a node's state and forces into the working memory."""
     for k in range(3):
@@ -110,14 +110,14 @@ def load(tree: Tree, node: int, work: Work) -> None:
     copy_forces(tree.force[node], work.force, len(work.force))
 
 
-@borrowing_kernel
+@part
 def write_state(work: Work, out: FloatArray) -> None:
     """Write this robot's position and velocity into a state (6,)."""
     for k in range(3):
         out[k], out[3 + k] = work.position[0, k], work.velocity[0, k]
 
 
-@borrowing_kernel
+@part
 def plant(scene: Scene, tree: Tree, work: Work) -> float:
     """Start a tree at the scene's start; return the cost of the direct flight, all robots', m/s."""
     direct = tree.vector[0]
@@ -136,7 +136,7 @@ def plant(scene: Scene, tree: Tree, work: Work) -> float:
     return cost
 
 
-@borrowing_kernel
+@part
 def outlook(scene: Scene, tree: Tree, node: int) -> float:
     """Cost of the whole flight through a node if nothing but drag acted on from there, m/s."""
     knot, last = tree.knot[node], scene.position.shape[0] - 1
@@ -149,7 +149,7 @@ def outlook(scene: Scene, tree: Tree, node: int) -> float:
     return total
 
 
-@borrowing_kernel
+@part
 def extend(
     scene: Scene, tree: Tree, node: int, control: FloatArray, bound: float, work: Work
 ) -> int:
@@ -169,7 +169,7 @@ def extend(
     return add(tree, node, control, knot, cost, work)
 
 
-@borrowing_kernel
+@part
 def offset_drift(scene: Scene, tree: Tree, node: int, control: FloatArray) -> bool:
     """Subtract from a control what acts on a node besides drag; whether it is within limits."""
     for k in range(3):
@@ -180,7 +180,7 @@ def offset_drift(scene: Scene, tree: Tree, node: int, control: FloatArray) -> bo
     return True
 
 
-@borrowing_kernel
+@part
 def reach(
     scene: Scene, tree: Tree, node: int, place: FloatArray, edges: int, bound: float, work: Work
 ) -> int:
@@ -201,7 +201,7 @@ def reach(
     return last
 
 
-@borrowing_kernel
+@part
 def finish(scene: Scene, tree: Tree, node: int, edges: int, bound: float, work: Work) -> int:
     """Add edges from a node to rest at the goal after so many; NONE if that is impossible."""
     control, way = tree.vector[2], tree.vector[3]
@@ -223,7 +223,7 @@ def finish(scene: Scene, tree: Tree, node: int, edges: int, bound: float, work: 
     return last
 
 
-@borrowing_kernel
+@part
 def at_goal(scene: Scene, tree: Tree, node: int) -> bool:
     """Whether a node is within epsilon of the goal, in position and in velocity."""
     place, speed = 0.0, 0.0
@@ -233,7 +233,7 @@ def at_goal(scene: Scene, tree: Tree, node: int) -> bool:
     return place <= scene.limits[2] ** 2 and speed <= scene.limits[3] ** 2
 
 
-@borrowing_kernel
+@part
 def rest_control(scene: Scene, work: Work, control: FloatArray) -> None:
     """The control after arrival: towards the goal by virtual tracking, or to rest at once."""
     for k in range(3):
@@ -242,7 +242,7 @@ def rest_control(scene: Scene, work: Work, control: FloatArray) -> None:
         control[k] = scene.free[k] * (wanted - work.force[0, k] / scene.mass[0])
 
 
-@borrowing_kernel
+@part
 def settle(
     scene: Scene, tree: Tree, node: int, bound: float, work: Work, states: FloatArray
 ) -> float:

@@ -50,7 +50,7 @@ def fly_plan(
             core.step(np.concatenate([*reference, straight], axis=1)[None])
             samples.append(_sample(core, plan))
         track = Track(*(np.array(column) for column in zip(*samples, strict=True)))
-        return track, bool(core.verdict.crashed[0].any())
+        return track, bool((core.world.drones["crashed"][0] > 0.0).any())
     finally:
         core.close()
 

@@ -24,6 +24,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, SwarmState
+from swarm_envs.tasks.motion import reference_of
 from swarm_envs.vehicles import GRAM_FORCE
 
 NOISE_HZ = 5.0
@@ -90,15 +91,16 @@ def fly_imperfectly(
     try:
         core.reset(list(seeds))
         loop = TrackingController(test.task.team, len(seeds), replace(controller, feedforward=None))
-        most = loop.parameters.max_rotor_thrust[..., None]
+        most = core.world.drones["nominal_max_rotor_thrust"][..., None]
         rng = np.random.default_rng(list(seeds))
         belief = _Belief(core, controller.feedforward, imperfection, rng)
         while core.running.any():
             state = _measure(core.physics.state, imperfection, rng)
             commands = loop.commands(state, _setpoint(core), belief.force(state))
             core.step(2.0 * commands / most - 1.0)
-        crashed = np.asarray(core.verdict.crashed.any(axis=1))
-        return Worst(core.record.worst_height_error.copy(), crashed)
+        drones = core.world.drones
+        crashed = np.asarray((drones["crashed"] > 0.0).any(axis=1))
+        return Worst(drones["worst_height_error"].copy(), crashed)
     finally:
         core.close()
 
@@ -117,7 +119,7 @@ def _make_core(test: FlightTest, num_envs: int) -> SwarmCore:
 
 
 def _setpoint(core: SwarmCore) -> Setpoint:
-    reference = core.task.reference(core.mission, core.time)
+    reference = reference_of(core.world.drones)
     straight = np.zeros((core.num_envs, core.num_drones))
     return Setpoint(*reference, straight, straight)
 
@@ -146,7 +148,7 @@ class _Belief:
     ) -> None:
         self._team, self._model, self._scale = core.task.team, model, imperfection.scale
         shape = (core.num_envs, core.num_drones)
-        steps = round(core._rules.horizon_s * PHYSICS_RATE) + 1
+        steps = round(float(core.settings["horizon_s"][0]) * PHYSICS_RATE) + 1
         size = imperfection.noise_g * GRAM_FORCE
         self._noise = size * slow_noise(rng, (*shape, steps)) if size > 0.0 else None
         delay = round(imperfection.delay_s * PHYSICS_RATE)

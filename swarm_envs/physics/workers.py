@@ -14,20 +14,26 @@ _PARTS_PER_THREAD = 4
 
 
 class Workers:
-    """Threads that call a kernel, each for the next part of the environments that is left.
+    """Threads that work on environments, each on the next part of them that is left.
+
+    One thread takes them in parts too: what a part needs stays in the cache from one kernel to the
+    next.
 
     Args:
         num_envs: E.
         threads: how many, with the one that asks; never more than environments.
         together: environments that a kernel looks at together, which no part has fewer of unless
             there are too few for all threads.
+        largest: environments in a part, at most.
     """
 
-    def __init__(self, num_envs: int, threads: int, together: int = 1) -> None:
+    def __init__(
+        self, num_envs: int, threads: int, together: int = 1, largest: int = 1_000_000
+    ) -> None:
         self.threads = min(threads, num_envs)
-        most = min(_PARTS_PER_THREAD * self.threads, num_envs // together)
-        self._everything = (0, num_envs)
-        self._parts = parts(num_envs, max(self.threads, most))
+        shared = min(_PARTS_PER_THREAD * self.threads, num_envs // together)
+        count = max(self.threads, shared if self.threads > 1 else 1, -(-num_envs // largest))
+        self._parts = parts(num_envs, count)
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
 
     def close(self) -> None:
@@ -41,12 +47,12 @@ class Workers:
         """Call `call(first, last + 1, *given, *own[thread])` until every environment had its turn.
 
         Args:
-            call: a kernel that lets other threads run.
+            call: a kernel, or a function that calls some; kernels let other threads run.
             given: what all threads take.
             own: what each thread takes alone.
         """
         if self._pool is None:
-            call(*self._everything, *given, *own[0])
+            _work(call, iter(self._parts), (*given, *own[0]))
             return
         left = iter(self._parts)  # of which Python hands each part to one thread only
         waiting = [self._pool.submit(_work, call, left, (*given, *mine)) for mine in own[1:]]

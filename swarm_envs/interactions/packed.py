@@ -1,0 +1,153 @@
+"""A force model as compiled kernels read it: three arrays of the same types for every model.
+
+All small numbers lie in one record; the networks are a list of steps (`layout`), whose weights lie
+in rows of equal size (`weights`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.interactions.field import LEARNED, PAIRWISE, ForceField
+from swarm_envs.state import IntArray
+from swarm_envs.tables import aligned
+
+Records = npt.NDArray[np.void]
+"""An array of records."""
+
+MOST_TYPES = 8
+"""Largest number of interaction types that a model may have."""
+INPUTS = 5
+"""Inputs whose weights share a row: numbers of inputs are filled up to a multiple of it. Of two
+samples, their factors stay in vector registers; with six, those no longer suffice."""
+OUTPUTS = 8
+"""Numbers of outputs are filled up to a multiple of it, which fills vector registers, and at least
+to the number of inputs of the next layer."""
+WIDTH = 64
+"""Outputs that a row of weights has room for; wider networks have rows of a multiple of it."""
+
+CONSTANTS = np.dtype(
+    [
+        ("kind", np.int64),
+        ("hidden", np.int64),  # numbers of a code, filled up
+        ("anchor_height", np.float64),
+        ("window", np.float64, (4,)),
+        ("environment_range", np.float64, (2, 4)),
+        ("pair_range", np.float64, (2, 6)),
+        ("drag", np.float64, (MOST_TYPES, 3)),
+        ("wake_pair", np.float64, (MOST_TYPES, MOST_TYPES, 4)),
+        ("wake_delay", np.float64, (MOST_TYPES,)),
+        ("wake_combine", np.float64),
+        ("wake_ground", np.float64, (MOST_TYPES, 2)),
+        ("wake_mitigation", np.float64, (2,)),
+    ]
+)
+"""The small numbers of a model; what they mean says `ForceField`."""
+
+PAIRS, ENVIRONMENT, CODES = 0, 1, 2
+"""What a network is applied to: pairs of drones, each drone's own motion, each drone's codes."""
+TO_CODES, TO_FORCE = 0, 1
+"""Where its outputs are added."""
+SOURCE, TARGET, OWN, NEIGHBOUR, DEPTH, FIRST_LAYER = range(6)
+"""Columns of a layout. `OWN` and `NEIGHBOUR` are interaction types, or `ANY`."""
+ANY = -1
+START, BLOCKS, UNITS = range(3)
+"""Columns of each layer, from `FIRST_LAYER` on: its first row of weights, its number of inputs over
+`INPUTS`, and its number of outputs, filled up."""
+
+
+class PackedField(NamedTuple):
+    """What kernels read of a force model. Get one by `InteractionModel.packed`."""
+
+    constants: Records
+    """(1,) records of `CONSTANTS`."""
+    layout: IntArray
+    """(networks, 5 + 3 L): in the order in which they are applied; columns as above."""
+    weights: Records
+    """Rows `v` of (INPUTS, width) numbers: of each layer one with the bias, v[0], then one for each
+    `INPUTS` inputs, v[input, output]."""
+
+
+def packed(field: ForceField) -> PackedField:
+    """Pack a force model.
+
+    Raises:
+        ValueError: it has more types than kernels have room for.
+    """
+    types = len(field.drag)
+    if types > MOST_TYPES:
+        raise ValueError(
+            f"the force model has {types} interaction types, but at most {MOST_TYPES} are possible"
+        )
+    constants = np.zeros(1, CONSTANTS)
+    for name in CONSTANTS.names or ():
+        if name != "hidden":
+            value = np.asarray(getattr(field, name))
+            place = tuple(slice(size) for size in value.shape)
+            constants[name][(slice(1), *place)] = value
+    if field.kind not in (LEARNED, PAIRWISE):
+        empty = np.zeros((0, FIRST_LAYER + 3), np.int64)
+        row = np.dtype([("v", np.float64, (INPUTS, WIDTH))])
+        return PackedField(constants, empty, aligned(1, row))
+    steps = _deep_set_steps(types) if field.kind == LEARNED else _pairwise_steps(types)
+    networks = [_shape(field, n) for n, *_ in steps]
+    width = max(WIDTH, *(max(*inputs, *units) for inputs, units in networks))
+    row = np.dtype([("v", field.weights.dtype, (INPUTS, _filled(width, WIDTH)))])
+    layout = np.zeros((len(steps), FIRST_LAYER + 3 * max(len(x) for x, _ in networks)), np.int64)
+    parts: list[Records] = []
+    for entry, (n, *step), (inputs, units) in zip(layout, steps, networks, strict=True):
+        entry[:FIRST_LAYER] = *step, len(inputs)
+        for layer in range(len(inputs)):
+            columns = entry[FIRST_LAYER + 3 * layer :]
+            columns[:3] = sum(map(len, parts)), inputs[layer] // INPUTS, units[layer]
+            parts.append(_layer(field, n, layer, row))
+    constants["hidden"] = networks[0][1][-1]
+    weights = aligned(sum(map(len, parts)), row)
+    weights[:] = np.concatenate(parts)
+    return PackedField(constants, layout, weights)
+
+
+def _filled(count: int, multiple: int) -> int:
+    """The next multiple."""
+    return -(-count // multiple) * multiple
+
+
+def _shape(field: ForceField, n: int) -> tuple[list[int], list[int]]:
+    """Numbers of inputs and outputs of each layer of network `n`, filled up."""
+    widths = [int(width) for width in field.layout[n, 1 : 2 + field.layout[n, 0]]]
+    inputs = [_filled(width, INPUTS) for width in widths]  # the last: as if a layer followed
+    units = [_filled(max(w, i), OUTPUTS) for w, i in zip(widths[1:], inputs[1:], strict=True)]
+    return inputs[:-1], units
+
+
+def _deep_set_steps(types: int) -> list[tuple[int, int, int, int, int]]:
+    """Network, source, target, own and neighbour's type of each step of a deep set."""
+    return [
+        *((k, PAIRS, TO_CODES, ANY, k) for k in range(types)),
+        (types, ENVIRONMENT, TO_CODES, ANY, ANY),
+        *((types + 1 + k, CODES, TO_FORCE, k, ANY) for k in range(types)),
+    ]
+
+
+def _pairwise_steps(types: int) -> list[tuple[int, int, int, int, int]]:
+    """The same of a pairwise sum."""
+    steps = []
+    for own in range(types):
+        steps.append((types * types + own, ENVIRONMENT, TO_FORCE, own, ANY))
+        steps += [(k * types + own, PAIRS, TO_FORCE, own, k) for k in range(types)]
+    return steps
+
+
+def _layer(field: ForceField, n: int, layer: int, row: np.dtype[np.void]) -> Records:
+    """Rows of one layer of network `n`: the bias, then the weights."""
+    inputs, outputs = (int(width) for width in field.layout[n, 1 + layer :][:2])
+    start = int(field.layout[n, field.layout.shape[1] // 2 + 1 + layer])
+    bias = start + inputs * outputs
+    rows = np.zeros(1 + -(-inputs // INPUTS), row)
+    rows["v"][0, 0, :outputs] = field.weights[bias : bias + outputs]
+    matrix = field.weights[start:bias].reshape(inputs, outputs)
+    rows["v"][1:].reshape(-1, rows["v"].shape[2])[:inputs, :outputs] = matrix
+    return rows

@@ -1,0 +1,280 @@
+"""Speed of this tree against another commit's, both in one run, measured in turn.
+
+    make bench-against REF=d9123f6
+    python -m tests.benchmarks.against --ref d9123f6 --json against.json --peers PYTHON
+
+CPU time of one thread, median of repetitions. Each tree has a process of its own that stays, and
+kernels cached in a folder of its own; the two are asked in turn, so that noise of the machine meets
+both alike. `faster` is the ratio of speeds in each repetition: above one, this tree is faster. An
+agent-step is one drone flying one decision, 48 a second; batches start from the random layout,
+after 2 s of hovering. First steps are those of a fresh process without cached kernels, imports
+included: Bullet's, then those of the environment on the batch engine, then of `BatchPhysics` alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import atexit
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from swarm_envs.physics import bullet_available
+from tests.benchmarks.peers import RATES, batch_peer_row
+from tests.benchmarks.rows import Job, Row, run, spread
+
+ROOT = Path(__file__).parent.parent.parent
+BUILD = ROOT / "build" / "against"
+"""Where other commits' trees and everyone's cached kernels lie."""
+WORKER = Path(__file__).parent / "against_worker.py"
+LEAST_SECONDS = 0.2
+"""Each repetition calls as often as fills this time in the other tree."""
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+BATCH, LARGE = (1024, 4), (1024, 16)
+"""Environments and drones of the batches."""
+
+
+class Measured(NamedTuple):
+    """What is measured in both trees."""
+
+    row: Row
+    """As the table shows it."""
+    maker: str
+    """Of `MAKERS` in the worker."""
+    options: dict[str, Any]
+    """What the maker takes."""
+    work: int
+    """Agent-steps of a call; 0 where the row tells its time, in ms."""
+
+
+def measured() -> Iterator[Measured]:
+    """Everything that is measured in processes that stay."""
+    engines = [("batch", 4), ("batch", 16), *([("bullet", 4)] if bullet_available() else [])]
+    for engine, n in engines:
+        row = {"what": f"{engine} environment", "drones": n, "force_rate": 240}
+        options = {"engine": engine, "drones": n, "force_rate": 240}
+        yield Measured(row | {"unit": "agent-steps/s"}, "environment", options, n)
+    for engine in ("batch", *(("bullet",) if bullet_available() else ())):
+        row = {"what": f"{engine} environment, reset", "drones": 16, "unit": "ms"}
+        yield Measured(row, "reset", {"engine": engine, "drones": 16}, 0)
+    kinds: list[tuple[str, tuple[int, int], dict[str, Any]]] = [
+        ("batch, learned forces", BATCH, {"force_rate": 240}),
+        ("batch, learned forces", BATCH, {"force_rate": 48}),
+        ("batch, no forces", BATCH, {"interactions": "none"}),
+        ("batch, learned forces", LARGE, {"force_rate": 240}),
+    ]
+    for what, (envs, n), told in kinds:
+        row = {"what": what, "environments": envs, "drones": n, "unit": "agent-steps/s"}
+        options = {"envs": envs, "drones": n, **told}
+        yield Measured(row | {"force_rate": told.get("force_rate")}, "batch", options, envs * n)
+
+
+class Tree:
+    """A tree, and a process that measures in it.
+
+    Args:
+        folder: with the package `swarm_envs` in it.
+        kernels: folder for its cached kernels; None for the one that numba takes by itself.
+    """
+
+    def __init__(self, folder: Path, kernels: Path | None = None) -> None:
+        self._folder, self._kernels = folder, kernels
+        self._errors = tempfile.TemporaryFile("w+")  # noqa: SIM115  # as long as the process
+        self._process: subprocess.Popen[str] | None = None
+        atexit.register(self.close)
+
+    def environ(self, kernels: Path | None = None) -> dict[str, str]:
+        """Variables of processes that measure here."""
+        kept = kernels or self._kernels
+        paths = {"PYTHONPATH": str(self._folder)}
+        if kept is not None:
+            kept.mkdir(parents=True, exist_ok=True)
+            paths["NUMBA_CACHE_DIR"] = str(kept)
+        return {**os.environ, **ONE_THREAD, **paths}
+
+    def ask(self, **order: Any) -> dict[str, Any]:
+        """What the process answers: `seconds`, or the text of an `error`."""
+        if self._process is None:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", str(WORKER)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=self._errors,
+                env=self.environ(),
+                text=True,
+            )
+        process = self._process
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with suppress(BrokenPipeError):  # it has ended: then there is no answer either
+            process.stdin.write(json.dumps(order) + "\n")
+            process.stdin.flush()
+        line = process.stdout.readline()
+        if not line:
+            self._errors.seek(0)
+            told = self._errors.read().strip().splitlines()[-20:]
+            raise RuntimeError(f"the process of {self._folder} ended:\n" + "\n".join(told))
+        answer: dict[str, Any] = json.loads(line)
+        return answer
+
+    def first_steps(self) -> dict[str, float]:
+        """CPU time of a fresh process without cached kernels, s, by stage."""
+        with tempfile.TemporaryDirectory() as empty:
+            command = [sys.executable, "-P", str(WORKER), "first"]
+            told = self.environ(Path(empty))
+            done = subprocess.run(command, env=told, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError((done.stderr.strip().splitlines() or ["no first step"])[-1])
+        found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
+        return found
+
+    def close(self) -> None:
+        """End the process. May be called more than once."""
+        if self._process is not None:
+            with self._process:  # closes its pipes, at which it ends, and waits for it
+                pass
+        self._process = None
+        self._errors.close()
+
+
+def checked_out(ref: str) -> Path:
+    """The tree of another commit, as a worktree of this repository's; made once.
+
+    Raises:
+        subprocess.CalledProcessError: there is no such commit.
+    """
+    git = ["git", "-C", str(ROOT)]
+    name = subprocess.check_output([*git, "rev-parse", "--short", f"{ref}^{{commit}}"], text=True)
+    folder = BUILD / name.strip()
+    if not (folder / "swarm_envs").is_dir():
+        subprocess.run([*git, "worktree", "prune"], check=True)  # those that `make clean` removed
+        add = ["worktree", "add", "--quiet", "--detach", str(folder), name.strip()]
+        subprocess.run([*git, *add], check=True)
+    return folder
+
+
+Pair = tuple[list[float], list[float]]
+"""Times or speeds in the other tree and in this one, of the same repetitions."""
+
+
+def in_turn(trees: Sequence[Tree], job: Measured, repetitions: int) -> Pair | str:
+    """Seconds of a call in both trees, asked in turn, or why there are none."""
+    made = [tree.ask(make=job.maker, options=job.options) for tree in trees]
+    errors = [answer["error"] for answer in made if "error" in answer]
+    if errors:
+        return errors[0]
+    times = max(1, math.ceil(LEAST_SECONDS / max(made[0]["seconds"], 1e-6)))
+    found: Pair = ([], [])
+    for k in range(repetitions):
+        for side in (0, 1) if k % 2 == 0 else (1, 0):
+            found[side].append(trees[side].ask(times=times)["seconds"])
+    return found
+
+
+def compared(row: Row, found: Callable[[], Pair | str], fast: bool) -> list[Job]:
+    """Three rows: the other tree's, this one's, and how many times as fast this one is.
+
+    Args:
+        row: what they share.
+        found: measures when it is first called.
+        fast: whether large numbers are good.
+    """
+
+    def side(k: int) -> Row:
+        pair = found()
+        head = row | {"what": f"{row['what']}, {('old', 'new')[k]}"}
+        return head | ({"value": None, "note": pair} if isinstance(pair, str) else spread(pair[k]))
+
+    def ratio() -> Row:
+        pair = found()
+        head = row | {"what": f"{row['what']}, new over old", "unit": "times as fast"}
+        if isinstance(pair, str):
+            return head | {"value": None, "note": "not measured"}
+        over = [b / a if fast else a / b for a, b in zip(*pair, strict=True)]
+        return head | spread(over)
+
+    return [partial(side, 0), partial(side, 1), ratio]
+
+
+def staying_jobs(trees: Sequence[Tree], repetitions: int) -> Iterator[Job]:
+    """Rows of what is measured in processes that stay."""
+    for job in measured():
+
+        @cache
+        def found(job: Measured = job) -> Pair | str:
+            pair = in_turn(trees, job, repetitions)
+            if isinstance(pair, str):
+                return pair
+            one, two = ([job.work / s if job.work else 1e3 * s for s in side] for side in pair)
+            return one, two
+
+        yield from compared(job.row, found, fast=bool(job.work))
+
+
+def first_jobs(trees: Sequence[Tree], repetitions: int) -> Iterator[Job]:
+    """Rows of the first steps of fresh processes."""
+    stages = {"bullet": "Bullet", "batch": "then the batch engine", "alone": "then BatchPhysics"}
+    if not bullet_available():
+        del stages["bullet"]
+
+    @cache
+    def runs() -> tuple[list[dict[str, float]], list[dict[str, float]]] | str:
+        found: tuple[list[dict[str, float]], list[dict[str, float]]] = ([], [])
+        try:
+            for k in range(repetitions):
+                for side in (0, 1) if k % 2 == 0 else (1, 0):
+                    found[side].append(trees[side].first_steps())
+        except RuntimeError as error:
+            return str(error)
+        return found
+
+    def seconds(names: Sequence[str]) -> Pair | str:
+        both = runs()
+        if isinstance(both, str):
+            return both
+        one, two = ([sum(stage[name] for name in names) for stage in side] for side in both)
+        return one, two
+
+    for name, what in stages.items():
+        row = {"what": f"first step, {what}", "unit": "CPU s"}
+        yield from compared(row, partial(seconds, [name]), fast=False)
+    row = {"what": "first steps, all of them", "unit": "CPU s"}
+    yield from compared(row, partial(seconds, [*stages]), fast=False)
+
+
+def jobs(options: argparse.Namespace) -> Iterator[Job]:
+    """Everything that is measured, in the order of the table."""
+    other = options.old or checked_out(options.ref)
+    trees = [Tree(other, BUILD / f"kernels-{other.name}"), Tree(options.new, BUILD / "kernels-new")]
+    yield from staying_jobs(trees, options.repetitions)
+    if options.first_steps:
+        yield from first_jobs(trees, options.first_steps)
+    if options.peers:
+        for rates in RATES:
+            yield partial(batch_peer_row, options.peers, rates, *BATCH, options.repetitions)
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Add what only this benchmark takes."""
+    parser.add_argument("--ref", default="HEAD", help="commit that this tree is measured against")
+    parser.add_argument("--old", type=Path, help="a folder with its tree, in place of a commit")
+    parser.add_argument("--new", type=Path, default=ROOT, help="this tree's folder")
+    parser.add_argument("--first-steps", type=int, default=3, help="runs of the first steps")
+    parser.add_argument("--peers", help="interpreter that has crazyflow, measured beside")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Measure and print."""
+    run(__doc__, jobs, arguments, configure=configure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,132 @@
+"""One tree's side of `tests.benchmarks.against`: measures when it is told to.
+
+    PYTHONPATH=TREE python -P tests/benchmarks/against_worker.py            answers on a pipe
+    PYTHONPATH=TREE python -P tests/benchmarks/against_worker.py first      first steps, once
+
+It runs in trees of other days as well: it uses only what has stayed the same in the package, and
+nothing of the tests. A line of JSON asks, a line of JSON answers.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+HOVER_DECISIONS = 96
+"""Flown before the clock starts: 2 s."""
+
+Call = Callable[[], object]
+
+
+def environment(engine: str, drones: int, **options: Any) -> Call:
+    """A decision of a PettingZoo environment whose drones hover."""
+    env = importlib.import_module("swarm_envs").make(
+        "swap_v0",
+        num_drones=drones,
+        physics=engine,
+        horizon_s=1e6,
+        end_on_success=False,
+        **options,
+    )
+    still = {agent: np.zeros(3, np.float32) for agent in env.possible_agents}
+    env.reset(seed=0)
+    for _ in range(HOVER_DECISIONS):
+        env.step(still)
+    return partial(env.step, still)
+
+
+def reset(engine: str, drones: int) -> Call:
+    """A reset of a PettingZoo environment."""
+    env = importlib.import_module("swarm_envs").make("swap_v0", num_drones=drones, physics=engine)
+    env.reset(seed=0)
+    return partial(env.reset)
+
+
+def batch(envs: int, drones: int, **options: Any) -> Call:
+    """A decision of many environments, on one thread."""
+    blueprint = importlib.import_module("swarm_envs.swap_v0").blueprint
+    told = {"physics": "batch", "threads": 1, "horizon_s": 1e6, "end_on_success": False}
+    task, config, _ = blueprint(num_drones=drones, **told, **options)
+    core = importlib.import_module("swarm_envs.envs.core").SwarmCore(task, config, envs)
+    core.reset(list(range(envs)))
+    still = np.zeros((envs, drones, 3))
+    for _ in range(HOVER_DECISIONS):
+        core.step(still)
+    return timed_part(core, still)
+
+
+def timed_part(core: Any, actions: np.ndarray) -> Call:
+    """What is timed of a decision: the whole step, for no name of the flight alone has stayed."""
+    return partial(core.step, actions)
+
+
+MAKERS: dict[str, Callable[..., Call]] = {
+    "environment": environment,
+    "reset": reset,
+    "batch": batch,
+}
+"""What can be measured: makes what is called, warmed up."""
+
+
+def cpu_seconds(call: Call, times: int) -> float:
+    """CPU time of one call in this thread, s: the mean over a run of them."""
+    begin = time.thread_time()
+    for _ in range(times):
+        call()
+    return (time.thread_time() - begin) / times
+
+
+def first_steps() -> dict[str, float]:
+    """CPU time of this process until each engine has made its first step, s, in turn."""
+    found, begin = {}, time.process_time()
+    physics = importlib.import_module("swarm_envs.physics")
+    swap = importlib.import_module("swarm_envs.swap_v0")
+    engines = ("bullet", "batch") if physics.bullet_available() else ("batch",)
+    for engine in engines:
+        env = swap.parallel_env(num_drones=4, physics=engine)
+        env.reset(seed=0)
+        env.step({agent: np.zeros(3, np.float32) for agent in env.agents})
+        found[engine] = time.process_time() - begin
+        begin = time.process_time()
+    alone = physics.BatchPhysics("SSSS", num_envs=1, interactions="learned")
+    alone.step(alone.reset().rotor_thrust.copy())
+    found["alone"] = time.process_time() - begin
+    return found
+
+
+def serve() -> None:
+    """Answer until the pipe is closed."""
+    answers = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print is no answer
+    call: Call | None = None
+    for line in sys.stdin:
+        order = json.loads(line)
+        answer: dict[str, Any]
+        try:
+            if "make" in order:
+                call = None  # frees what was measured before
+                call = MAKERS[order["make"]](**order["options"])
+                call()
+                answer = {"seconds": cpu_seconds(call, 1)}
+            else:
+                answer = {"seconds": cpu_seconds(call, order["times"])}  # type: ignore[arg-type]
+        except Exception as error:  # a tree under construction fails in ways of its own
+            traceback.print_exc()
+            answer = {"error": " ".join(f"{type(error).__name__}: {error}".split())}
+        print(json.dumps(answer), file=answers, flush=True)
+
+
+if __name__ == "__main__":
+    if sys.argv[1:] == ["first"]:
+        print(json.dumps(first_steps()))
+    else:
+        serve()

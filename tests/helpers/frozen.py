@@ -1,0 +1,714 @@
+"""Flights whose every number is frozen: what they give is hashed and compared with a file.
+
+    python -m tests.helpers.frozen                      compare with the file, and say what differs
+    python -m tests.helpers.frozen --write              freeze what they give now
+    python -m tests.helpers.frozen --arrays FOLDER      keep the arrays of each flight there
+
+A rewrite that promises the same flights shows it here. The bytes are promised for one machine: the
+file also holds a fingerprint of the arithmetic that froze it, and where that differs, some plain
+numbers are compared instead. Nothing here looks inside the engine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import importlib
+import json
+import math
+import platform
+import sys
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from safetensors.numpy import save_file
+from tqdm import tqdm
+
+import swarm_envs
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.control.state import Setpoint
+from swarm_envs.control.tracking import TrackingController
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.motors import BatteryModel
+from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
+from swarm_envs.tasks.obstacles import Box, Column
+from swarm_envs.vehicles import parse_team
+
+FILE = Path(__file__).parent.parent / "envs" / "frozen.json"
+"""What the flights gave when they were frozen."""
+PARTS = ("states", "observations", "rewards", "contacts", "metrics")
+"""What is hashed apart from each other, so that a difference says where it is."""
+
+Array = npt.NDArray[np.float64]
+
+
+class Flown(NamedTuple):
+    """What a flight gave."""
+
+    arrays: dict[str, Array]
+    """By part, with one row per decision."""
+    metrics: list[str]
+    """Metrics of the episodes in the order in which they ended, then of those that go on; JSON."""
+    numbers: list[float]
+    """Where the first environment's drones ended, and the sum of its rewards."""
+    touched: bool
+    """Whether a drone touched anything: from there on rounding errors grow fast."""
+
+
+class Log:
+    """What a flight gives, row by row, as float64: integers and flags are exact in it."""
+
+    def __init__(self) -> None:
+        self._rows: dict[str, list[Array]] = {}
+        self._metrics: list[str] = []
+        self.touched = False
+
+    def add(self, part: str, *arrays: npt.ArrayLike, lead: int = 2) -> None:
+        """Add a row: arrays that share their first `lead` axes, one behind the other."""
+        flat = [np.asarray(a, dtype=np.float64) for a in arrays]
+        rows = [a.reshape(*a.shape[:lead], -1) for a in flat]
+        self._rows.setdefault(part, []).append(np.concatenate(rows, axis=-1) + 0.0)
+
+    def add_physics(self, physics: Any) -> None:
+        """Add what an engine shows of itself: state, interaction force, contacts."""
+        contacts = physics.contacts
+        self.add("states", *physics.state)
+        self.add("contacts", physics.force, *contacts)
+        flags = contacts.floor, contacts.wall, contacts.tumbling
+        bodies = (contacts.drone >= 0) | (contacts.obstacle >= 0)
+        self.touched |= bool(bodies.any() or np.any(flags))
+
+    def add_metrics(self, metrics: Mapping[str, Any]) -> None:
+        """Add the metrics of one episode."""
+        self._metrics.append(json.dumps(metrics, sort_keys=True, default=float))
+
+    def flown(self) -> Flown:
+        """Everything, put together."""
+        arrays = {part: np.stack(rows) for part, rows in self._rows.items()}
+        numbers = []
+        if "states" in arrays:
+            numbers += arrays["states"][-1, 0, :, :3].ravel().tolist()
+        if "rewards" in arrays:
+            numbers.append(float(arrays["rewards"][:, 0, :, 0].sum()))
+        if not numbers:
+            numbers = [float(a.ravel()[k]) for a in arrays.values() for k in (0, a.size // 2, -1)]
+        return Flown(arrays, self._metrics, numbers, self.touched)
+
+
+# What drones are told, by the name of a pilot. Each draws from the flight's own generator.
+
+Draw = Callable[[np.random.Generator, Any, tuple[int, int, int]], Array]
+
+
+def _gentle(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    return rng.uniform(-0.4, 0.4, shape)
+
+
+def _wild(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    return rng.uniform(-1.0, 1.0, shape)
+
+
+def _by_rates(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    return 0.05 * rng.uniform(-1.0, 1.0, shape)
+
+
+def _by_rotors(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    return 0.05 + 0.02 * rng.uniform(-1.0, 1.0, shape)
+
+
+def _falling(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    return np.clip(-0.3 + 0.5 * rng.uniform(-1.0, 1.0, shape), -1.0, 1.0)
+
+
+def _tumbling(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    return np.array([0.9, 0.9, -0.9, -0.9]) * rng.uniform(0.5, 1.0, (*shape[:2], 1))
+
+
+def _to_a_wall(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    return np.array([0.9, 0.0, 0.1]) + 0.1 * rng.uniform(-1.0, 1.0, shape)
+
+
+def _near(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    actions = 0.05 * rng.standard_normal(shape)
+    actions[..., :3] += core.physics.state.position
+    return actions
+
+
+def _to_the_middle(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+    actions = np.zeros(shape)
+    actions[..., :3] = [0.0, 0.0, 1.0] + 0.02 * rng.standard_normal((*shape[:2], 3))
+    return actions
+
+
+def _to(place: Array) -> Draw:
+    def draw(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+        actions = np.zeros(shape)
+        actions[..., :3] = place + 0.005 * rng.standard_normal((*shape[:2], 3))
+        return actions
+
+    return draw
+
+
+@dataclass(frozen=True)
+class Flight:
+    """A flight of environments: what flies, what it is told, and which seeds it is flown with."""
+
+    task: str = "swap_v0"
+    """Which task."""
+    engine: str = "batch"
+    """`batch` or `bullet`."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Options of the task's `parallel_env`."""
+    draw: Draw = _gentle
+    """What draws the actions."""
+    envs: int | None = None
+    """Environments of a batch; None for one behind PettingZoo's interface."""
+    seeds: tuple[int, ...] = (1, 2)
+    """Each is a flight of its own."""
+    decisions: int = 30
+    """How many are flown."""
+    placed: tuple[Mapping[str, Any], ...] = ({},)
+    """Options of the resets, in turn."""
+    resets_every: int = 1
+    """Environments whose episode has ended begin another at every so manieth decision."""
+    returns_at: int | None = None
+    """At this decision a snapshot is taken, something else flown, and the snapshot gone back to."""
+
+    def fly(self, seed: int) -> Flown:
+        """Fly it."""
+        return self._fly_batch(seed) if self.envs else self._fly_single(seed)
+
+    def _fly_batch(self, seed: int) -> Flown:
+        module = importlib.import_module(f"swarm_envs.{self.task}")
+        task, config, _ = module.blueprint(physics=self.engine, **self.options)
+        core = SwarmCore(task, config, self.envs or 1)
+        log, rng, turn = Log(), np.random.default_rng(1000 + seed), 0
+        seeds = [100 * seed + e for e in range(core.num_envs)]
+        log.add("observations", core.reset(seeds, options=self.placed[0]))
+        log.add_physics(core.physics)
+        shape = (core.num_envs, core.num_drones, core.mode.width)
+        for k in range(1, self.decisions + 1):
+            result = core.step(self.draw(rng, core, shape))
+            terms = np.moveaxis(result.reward_terms, 0, -1)
+            log.add("observations", result.observations)
+            log.add("rewards", result.rewards, terms, *_by_drone(core, result))
+            log.add_physics(core.physics)
+            if k % self.resets_every or core.running.all():
+                continue
+            turn, mask = turn + 1, ~core.running
+            for e in np.flatnonzero(mask).tolist():
+                log.add_metrics(core.metrics(e))
+            told = self.placed[turn % len(self.placed)]
+            log.add("observations", core.reset(mask=mask, options=told))
+        for e in range(core.num_envs):
+            log.add_metrics(core.metrics(e))
+        core.close()
+        return log.flown()
+
+    def _fly_single(self, seed: int) -> Flown:
+        env = swarm_envs.make(self.task, physics=self.engine, **self.options)
+        core = env.core
+        log, rng, turn = Log(), np.random.default_rng(1000 + seed), 0
+        observations, _ = env.reset(seed=seed, options=self.placed[0])
+        log.add("observations", np.array([*observations.values()])[None])
+        shape = (1, core.num_drones, core.mode.width)
+        for k in range(1, self.decisions + 1):
+            if k == self.returns_at:
+                self._stray(env, np.random.default_rng(7), shape)
+            if not env.agents:
+                turn += 1
+                log.add_metrics(core.metrics(0))
+                observations, _ = env.reset(options=self.placed[turn % len(self.placed)])
+                log.add("observations", np.array([*observations.values()])[None])
+            actions = self.draw(rng, core, shape)[0].astype(np.float32)
+            told = dict(zip(env.agents, actions, strict=True))
+            observations, rewards, ended, cut, infos = env.step(told)
+            terms = [[*info["reward_terms"].values()] for info in infos.values()]
+            ends = [[*ended.values()]], [[*cut.values()]]
+            log.add("observations", np.array([*observations.values()])[None])
+            log.add("rewards", [[*rewards.values()]], [terms], *ends)
+            log.add("team", env.state(), lead=0)
+            log.add_physics(core.physics)
+        log.add_metrics(core.metrics(0))
+        env.close()
+        return log.flown()
+
+    def _stray(self, env: Any, rng: np.random.Generator, shape: tuple[int, int, int]) -> None:
+        """Take a snapshot, fly elsewhere and into another episode, and go back to it."""
+        snapshot = env.get_state()
+        for _ in range(5):
+            if env.agents:
+                actions = self.draw(rng, env.core, shape)[0].astype(np.float32)
+                env.step(dict(zip(env.agents, actions, strict=True)))
+        env.reset(seed=99)
+        env.set_state(snapshot)
+
+
+def _by_drone(core: Any, result: Any) -> list[Array]:
+    """Flags of environments (E,), as columns of their drones."""
+    flags = (result.terminated, result.truncated, core.running)
+    return [np.repeat(np.asarray(f, np.float64)[:, None], core.num_drones, axis=1) for f in flags]
+
+
+@cache
+def pairwise_model() -> InteractionModel:
+    """A pairwise sum of networks with weights drawn once; none ships."""
+    types, rng = ("S", "L"), np.random.default_rng(3)
+    networks = {f"pair.{other}.{own}": (6, 16, 16, 1) for other in types for own in types}
+    networks |= {f"environment.{name}": (4, 16, 16, 1) for name in types}
+    tensors = {f"drag.{name}": np.full(3, 0.02) for name in types}
+    for name, widths in networks.items():
+        for k, (inputs, outputs) in enumerate(pairwise(widths)):
+            scale = 1.0 / math.sqrt(inputs)
+            tensors[f"{name}.{k}.weight"] = scale * rng.normal(size=(outputs, inputs))
+            tensors[f"{name}.{k}.bias"] = 0.1 * rng.normal(size=outputs)
+    window = {"lateral_m": [0.25, 0.35], "vertical_m": [0.8, 1.1]}
+    note = {"format": "pairwise-1", "types": types, "anchor_height_m": 0.6, "window": window}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "pairwise.safetensors"
+        save_file(tensors, path, metadata={"swarm_envs": json.dumps(note)})
+        return load(path)
+
+
+@dataclass(frozen=True)
+class PhysicsAlone:
+    """An engine without environments, pushed by an external force as well."""
+
+    engine: str
+    team: str
+    envs: int
+    seeds: tuple[int, ...] = (1, 2)
+    steps: int = 120
+
+    def fly(self, seed: int) -> Flown:
+        """Fly it; half way some environments are set to another state."""
+        engine = {"batch": BatchPhysics, "bullet": BulletPhysics}[self.engine]
+        physics = engine(self.team, num_envs=self.envs, interactions="learned")
+        rng, log = np.random.default_rng(seed), Log()
+        shape = (self.envs, len(physics.team))
+        hover = physics.state.rotor_thrust.copy()
+        for k in range(self.steps):
+            if k % (self.steps // 2) == 0:
+                row = 0.3 * np.arange(shape[1])[:, None] * [0.8, 0.1, 0.0] + [0.0, 0.0, 1.0]
+                position = row + 0.05 * rng.standard_normal((*shape, 3))
+                velocity = 0.2 * rng.standard_normal((*shape, 3))
+                start = physics.state._replace(position=position, velocity=velocity)
+                mask = None if k == 0 else np.arange(self.envs) % 2 == 0
+                physics.reset(start, mask=mask)
+                log.add_physics(physics)
+            commands = hover * (1.0 + 0.1 * rng.standard_normal((*shape, 4)))
+            external = None if k % 3 == 0 else 0.01 * rng.standard_normal((*shape, 3))
+            physics.step(commands, external)
+            log.add_physics(physics)
+        physics.close()
+        return log.flown()
+
+
+@dataclass(frozen=True)
+class TrackingAlone:
+    """The tracking controller, shown states that nothing has flown."""
+
+    config: ControllerConfig
+    seeds: tuple[int, ...] = (1, 2)
+    engine: str = "batch"
+    steps: int = 60
+
+    def fly(self, seed: int) -> Flown:
+        """Ask for its commands; its memory is cleared in some environments half way."""
+        rng, log, team = np.random.default_rng(seed), Log(), parse_team("LSS*")
+        controller = TrackingController(team, 3, self.config)
+        like = BatchPhysics(team, num_envs=3, interactions="none").state
+        for k in range(self.steps):
+            if k == self.steps // 2:
+                controller.reset(np.array([False, True, False]))
+            turn = np.array([0.0, 0.0, 0.0, 1.0]) + 0.2 * rng.standard_normal((3, 3, 4))
+            state = like._replace(
+                position=like.position + 0.1 * rng.standard_normal((3, 3, 3)),
+                velocity=0.5 * rng.standard_normal((3, 3, 3)),
+                quaternion=turn / np.sqrt((turn * turn).sum(axis=-1, keepdims=True)),
+                angular_velocity=rng.standard_normal((3, 3, 3)),
+            )
+            vectors = [0.2 * rng.standard_normal((3, 3, 3)) for _ in range(4)]
+            vectors[0] += like.position
+            setpoint = Setpoint(*vectors, *rng.standard_normal((2, 3, 3)))
+            believed = None if k % 2 else 0.01 * rng.standard_normal((3, 3, 3))
+            log.add("states", controller.commands(state, setpoint, believed))
+        return log.flown()
+
+
+@dataclass(frozen=True)
+class ForcesAlone:
+    """The forces of a model on crowds at random."""
+
+    model: Callable[[], InteractionModel]
+    seeds: tuple[int, ...] = (1,)
+    engine: str = "batch"
+
+    def fly(self, seed: int) -> Flown:
+        """Ask for the forces of crowds of several sizes, in one environment and in several."""
+        rng, log, model = np.random.default_rng(seed), Log(), self.model()
+        for envs, team in ((1, "S"), (1, "LS"), (3, "LSS*S"), (2, "SL" * 13), (1, "SLS" * 10)):
+            shape = (envs, len(parse_team(team)), 3)
+            position = rng.uniform([-0.5, -0.5, 0.1], [0.5, 0.5, 1.8], shape)
+            velocity = rng.normal(0.0, 0.4, shape)
+            log.add(f"{envs} x {team}", model.forces(position, velocity, team))
+        return log.flown()
+
+
+def _flights() -> dict[str, Any]:
+    """Every flight by its name."""
+    start = np.array([[-0.5, 0.0, 1.0], [0.5, 0.1, 1.1], [0.0, 0.6, 0.9]])
+    near = start + np.array([0.12, 0.0, 0.05])
+    belief = ControllerConfig(feedforward=load("wake"))
+    drawn = Randomization(
+        mass=(0.9, 1.1),
+        inertia=(0.8, 1.2),
+        motor_rate=(0.8, 1.2),
+        thrust=(0.95, 1.05),
+        force_scale=(0.5, 1.5),
+        battery=(0.5, 1.0),
+        gust_acceleration=1.0,
+        gust_time_s=0.5,
+        position_noise_m=0.01,
+        velocity_noise=0.05,
+        attitude_noise_rad=0.02,
+        body_rate_noise=0.1,
+    )
+    everything = {
+        "team": "LSS*",
+        "randomization": drawn,
+        "battery": BatteryModel(),
+        "controller": belief,
+        "force_rate": 80,
+        "horizon_s": 0.5,
+    }
+    standing = (Box((-0.2, -0.2, 0.0), (0.2, 0.2, 0.6)), Column((0.6, 0.6), 0.1, 2.0))
+    mission = {"shapes": ("plane", "sphere", "plane"), "shape_s": 0.4, "travel_s": 0.2}
+    stack = {"team": "L2S", "layout": "stacked"}
+    meeting = {"team": "LSS*", "action": "setpoint", "decision_rate": 24}
+    crowd: dict[str, Any] = {"num_drones": 26, "force_rate": 48}
+    return {
+        # Batches on the compiled engine.
+        "swaps by acceleration": Flight(
+            envs=5, options={"team": "SSSS", "threads": 1}, seeds=(1, 2, 3), decisions=40
+        ),
+        "swaps by acceleration, two threads": Flight(
+            envs=5, options={"team": "SSSS", "threads": 2}, seeds=(1, 2, 3), decisions=40
+        ),
+        "33 swaps": Flight(envs=33, options={"threads": 1, "force_rate": 48, "horizon_s": 0.3}),
+        "33 swaps, two threads": Flight(
+            envs=33, options={"threads": 2, "force_rate": 48, "horizon_s": 0.3}
+        ),
+        "circles by velocity": Flight(
+            envs=5,
+            options={
+                **{"team": "LSS*", "layout": "circle", "action": "velocity"},
+                **{"interactions": "wake", "force_rate": 48},
+            },
+            draw=_wild,
+        ),
+        "stacks by acceleration": Flight(envs=5, options=stack, decisions=40),
+        "stacks, float32, forces 48 a second": Flight(
+            envs=5,
+            options={
+                **stack,
+                "interactions": load("learned").with_precision("float32"),
+                "force_rate": 48,
+            },
+        ),
+        "rings by body rates": Flight(
+            "ring_v0",
+            envs=5,
+            options={
+                **{"team": "SSSS", "action": "ctbr", "interactions": "none"},
+                "decision_rate": 240,
+            },
+            draw=_by_rates,
+            decisions=60,
+        ),
+        "rings by rotors, into the floor": Flight(
+            "ring_v0",
+            envs=5,
+            options={"team": "SSSS", "action": "rotors", "interactions": "none"},
+            draw=_falling,
+            decisions=60,
+            resets_every=3,
+        ),
+        "formations by set-points": Flight(
+            "formation_v0",
+            envs=5,
+            options={"num_drones": 4, "action": "setpoint", **mission},
+            draw=_near,
+            decisions=50,
+        ),
+        "26 drones": Flight(envs=1, options=crowd, decisions=20),
+        "26 drones each, two threads": Flight(
+            envs=5, options={**crowd, "interactions": "wake", "threads": 2}, decisions=20
+        ),
+        "pairwise forces": Flight(
+            envs=5, options={**stack, "team": "LSS*S", "interactions": pairwise_model()}
+        ),
+        "everything drawn": Flight(envs=5, options=everything, seeds=(1, 2, 3), decisions=40),
+        "everything drawn, two threads": Flight(
+            envs=5, options={**everything, "threads": 2}, seeds=(1, 2, 3), decisions=40
+        ),
+        "obstacles in the way": Flight(
+            envs=5,
+            options={**meeting, "obstacles": standing},
+            draw=_to(np.array([0.0, 0.0, 0.5])),
+            decisions=50,
+        ),
+        "teams, starts and goals of a reset": Flight(
+            envs=5,
+            options={"team": "LSS*", "horizon_s": 0.25, "force_rate": 240},
+            placed=({"team": "SSL", "start": start}, {"start": start, "goal": near}, {}),
+            decisions=50,
+        ),
+        "successes": Flight(
+            envs=5,
+            options=meeting,
+            placed=({"start": start, "goal": near},),
+            draw=_to(near),
+            decisions=50,
+            resets_every=2,
+        ),
+        "collisions": Flight(
+            envs=5,
+            options={**meeting, "controller": belief},
+            placed=({"start": start}, {}),
+            draw=_to_the_middle,
+            decisions=60,
+            resets_every=2,
+        ),
+        "into the walls": Flight(
+            envs=5,
+            options={"team": "SSSS", "decision_rate": 24},
+            draw=_to_a_wall,
+            decisions=50,
+        ),
+        "tumbling": Flight(
+            envs=5,
+            options={"team": "LSS*", "action": "rotors", "num_neighbors": 1},
+            draw=_tumbling,
+            decisions=60,
+            resets_every=5,
+        ),
+        # One environment behind PettingZoo's interface, on the compiled engine.
+        "a swap goes on": Flight(options=everything, decisions=60),
+        "a swap goes on from a snapshot": Flight(options=everything, decisions=60, returns_at=20),
+        # Bullet.
+        "Bullet by acceleration": Flight(engine="bullet", options={"team": "SSSS"}),
+        "Bullet by velocity": Flight(
+            "ring_v0",
+            "bullet",
+            {"team": "SSSS", "action": "velocity", "force_rate": 48},
+        ),
+        "Bullet by body rates": Flight(
+            engine="bullet", options={**stack, "action": "ctbr"}, draw=_by_rates
+        ),
+        "Bullet by rotors": Flight(
+            engine="bullet",
+            options={"team": "LSS*", "action": "rotors", "interactions": "wake"},
+            draw=_by_rotors,
+        ),
+        "Bullet by set-points": Flight(
+            "formation_v0",
+            "bullet",
+            {"num_drones": 4, "action": "setpoint", "horizon_s": 0.4, **mission},
+            _near,
+        ),
+        "Bullet, pairwise forces": Flight(
+            engine="bullet", options={**stack, "interactions": pairwise_model()}, seeds=(1,)
+        ),
+        "Bullet, 26 drones": Flight(engine="bullet", options=crowd, seeds=(1,), decisions=20),
+        "Bullet, successes": Flight(
+            engine="bullet",
+            options=meeting,
+            placed=({"start": start, "goal": near},),
+            draw=_to(near),
+            decisions=50,
+        ),
+        "Bullet, collisions": Flight(
+            engine="bullet",
+            envs=3,
+            options=meeting,
+            placed=({"start": start}, {}, {"team": "SSL"}),
+            draw=_to_the_middle,
+            decisions=60,
+            resets_every=2,
+        ),
+        "Bullet, into the walls": Flight(
+            engine="bullet",
+            options={"team": "SSSS", "decision_rate": 24},
+            draw=_to_a_wall,
+            decisions=50,
+        ),
+        "Bullet, tumbling": Flight(
+            engine="bullet",
+            options={"team": "LSS*", "action": "rotors"},
+            draw=_tumbling,
+            decisions=40,
+        ),
+        "Bullet, everything drawn": Flight(
+            engine="bullet",
+            envs=3,
+            options={**everything, "obstacles": standing},
+            decisions=40,
+        ),
+        "Bullet goes on": Flight(engine="bullet", options=everything, decisions=40),
+        "Bullet goes on from a snapshot": Flight(
+            engine="bullet", options=everything, decisions=40, returns_at=15
+        ),
+        # Parts alone.
+        "BatchPhysics, 1 x 2": PhysicsAlone("batch", "LS", 1),
+        "BatchPhysics, 7 x 5": PhysicsAlone("batch", "LSS*SL", 7),
+        "BulletPhysics, 1 x 2": PhysicsAlone("bullet", "LS", 1),
+        "BulletPhysics, 2 x 5": PhysicsAlone("bullet", "LSS*SL", 2, seeds=(1,)),
+        "tracking": TrackingAlone(ControllerConfig()),
+        "tracking with compensation": TrackingAlone(belief, seeds=(1,)),
+        "forces, learned": ForcesAlone(lambda: load("learned")),
+        "forces, learned, float32": ForcesAlone(lambda: load("learned").with_precision("float32")),
+        "forces, wake": ForcesAlone(lambda: load("wake")),
+        "forces, pairwise": ForcesAlone(pairwise_model),
+    }
+
+
+FLIGHTS: dict[str, Any] = _flights()
+"""Every flight by its name."""
+JOBS = [(name, seed) for name, flight in FLIGHTS.items() for seed in flight.seeds]
+"""Every flight with each of its seeds."""
+TWINS = {
+    "swaps by acceleration, two threads": "swaps by acceleration",
+    "33 swaps, two threads": "33 swaps",
+    "everything drawn, two threads": "everything drawn",
+    "a swap goes on from a snapshot": "a swap goes on",
+    "Bullet goes on from a snapshot": "Bullet goes on",
+}
+"""Flights that must be another to the last bit."""
+
+
+def can_fly(name: str) -> bool:
+    """Whether the flight's engine is there."""
+    return FLIGHTS[name].engine != "bullet" or bullet_available()
+
+
+def frozen(flown: Flown) -> dict[str, Any]:
+    """What the file keeps of a flight: a hash of each part, and numbers unless it touched."""
+    hashes = {}
+    for part, array in flown.arrays.items():
+        clean = np.where(np.isnan(array), np.nan, array).astype("<f8")  # any NaN is the same
+        hashes[part] = hashlib.sha256(repr(clean.shape).encode() + clean.tobytes()).hexdigest()
+    if flown.metrics:
+        text = "\n".join(flown.metrics).replace("-0.0,", "0.0,")
+        hashes["metrics"] = hashlib.sha256(text.encode()).hexdigest()
+    return {"hashes": hashes, "numbers": None if flown.touched else flown.numbers}
+
+
+def fingerprint() -> dict[str, str]:
+    """What the last bit of a flight depends on beside our sources.
+
+    Results of the mathematical functions that kernels and numpy call here, whether compiled code
+    fuses a product with a sum, and the versions whose random numbers and compiler were used.
+    """
+    rng = np.random.default_rng(0)
+    a, b, c = rng.uniform(0.1, 3.0, (3, 512))
+    compiled = numba.njit(error_model="numpy")(_arithmetic)(a, b, c)
+    vectors = [np.sin(a), np.cos(a), np.exp(a), np.log(a), np.sqrt(a), np.arctan2(a, b), a * b + c]
+    square = a.reshape(16, 32)
+    products = [square @ square.T, np.einsum("ij,kj->ik", square, square), a.sum(keepdims=True)]
+    return {
+        "machine": platform.machine(),
+        "numba": ".".join(numba.__version__.split(".")[:2]),
+        "numpy": ".".join(np.__version__.split(".")[:2]),
+        "kernels": "interpreted" if numba.config.DISABLE_JIT else "compiled",
+        "compiled arithmetic": hashlib.sha256(compiled.tobytes()).hexdigest()[:16],
+        "vector arithmetic": _digest(vectors),
+        "products": _digest(products),
+    }
+
+
+def _digest(arrays: Sequence[Array]) -> str:
+    return hashlib.sha256(b"".join(array.tobytes() for array in arrays)).hexdigest()[:16]
+
+
+def _arithmetic(a: Array, b: Array, c: Array) -> Array:
+    out = np.empty((9, a.shape[0]))
+    for k in range(a.shape[0]):
+        out[0, k], out[1, k], out[2, k] = math.sin(a[k]), math.cos(a[k]), math.tan(a[k])
+        out[3, k], out[4, k] = math.exp(a[k]), math.log(a[k])
+        out[5, k], out[6, k] = math.atan2(a[k], b[k]), math.sqrt(a[k])
+        out[7, k], out[8, k] = a[k] * b[k] + c[k], a[k] ** b[k]
+    return out
+
+
+def differences(now: Mapping[str, Any], then: Mapping[str, Any], same_machine: bool) -> list[str]:
+    """What differs between a flight and what was frozen of it, in words; nothing if nothing does.
+
+    Args:
+        now: as `frozen` gives it.
+        then: what the file says.
+        same_machine: whether the arithmetic is that of the file, so that bytes can be compared.
+    """
+    if same_machine:
+        names = {*now["hashes"], *then["hashes"]}
+        return sorted(n for n in names if now["hashes"].get(n) != then["hashes"].get(n))
+    if now["numbers"] is None or then["numbers"] is None:
+        return []
+    found, expected = np.array(now["numbers"]), np.array(then["numbers"])
+    if found.shape != expected.shape:
+        return ["how many numbers there are"]
+    apart = np.abs(found - expected) > 1e-9 * np.maximum(np.abs(expected), 1e-3)
+    return [f"number {k}: {found[k]!r}, not {expected[k]!r}" for k in np.flatnonzero(apart)]
+
+
+def read() -> dict[str, Any]:
+    """The file."""
+    kept: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
+    return kept
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Fly everything, then write the file or compare with it."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--write", action="store_true", help="freeze what the flights give now")
+    parser.add_argument("--file", type=Path, default=FILE, help="in place of the one of the tests")
+    parser.add_argument("--arrays", type=Path, help="folder that receives the arrays")
+    parser.add_argument("--only", help="fly only what has this in its name")
+    options = parser.parse_args(arguments)
+    if options.arrays:
+        options.arrays.mkdir(parents=True, exist_ok=True)
+    jobs = [job for job in JOBS if can_fly(job[0]) and (options.only or "") in job[0]]
+    found: dict[str, Any] = {}
+    for name, seed in tqdm(jobs, unit="flight"):
+        flown = FLIGHTS[name].fly(seed)
+        found[f"{name}, seed {seed}"] = frozen(flown)
+        if options.arrays:
+            np.savez(options.arrays / f"{name}, seed {seed}.npz", **flown.arrays)
+    if options.write:
+        kept = {"fingerprint": fingerprint(), "flights": found}
+        options.file.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+        print(f"froze {len(found)} flights in {options.file}")
+        return 0
+    kept = json.loads(options.file.read_text(encoding="utf-8"))
+    same = fingerprint() == kept["fingerprint"]
+    wrong = {name: differences(now, kept["flights"][name], same) for name, now in found.items()}
+    for name, parts in wrong.items():
+        if parts:
+            print(f"{name}: {', '.join(parts)}")
+    what = "bytes" if same else "numbers, since this machine computes otherwise,"
+    print(f"{sum(not parts for parts in wrong.values())} of {len(wrong)} flights: same {what}")
+    return int(any(wrong.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

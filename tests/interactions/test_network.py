@@ -1,0 +1,116 @@
+"""Networks of several samples: precision, and that nobody sees what is computed together."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from swarm_envs.interactions import load
+from swarm_envs.interactions.field import PAIRWISE, ForceField, empty_field
+from swarm_envs.interactions.network import network
+from swarm_envs.interactions.packed import ENVIRONMENT, MOST_TYPES, PAIRS, SOURCE, packed
+from swarm_envs.interactions.scratch import SAMPLES, scratch_for
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE
+
+
+def test_float32_agrees_to_a_thousandth_of_a_gram() -> None:
+    """1e5 random states of the flight range, against the float64 networks."""
+    rng = np.random.default_rng(8)
+    model = load("learned")
+    fast = model.with_precision("float32")
+    position = rng.uniform([-0.3, -0.3, 0.05], [0.3, 0.3, 1.6], (25_000, 4, 3))
+    velocity = rng.normal(0.0, 0.5, position.shape)
+    expected = model.forces(position, velocity, "SLLS")
+    rounded = fast.forces(position, velocity, "SLLS")
+    assert 0.0 < np.abs(rounded - expected).max() < 1e-3 * GRAM_FORCE
+    assert fast.with_precision("float64").field.weights.dtype == np.float64
+    for name in ("none", "wake"):
+        assert load(name).with_precision("float32").field is not None
+    with pytest.raises(ValueError, match="unknown precision 'float16'"):
+        model.with_precision("float16")
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_what_is_computed_together_never_shows(precision: str) -> None:
+    """Other environments, and drones out of reach, do not change a bit of a drone's force."""
+    model = load("learned").with_precision(precision)
+    rng = np.random.default_rng(9)
+    position = rng.uniform([-0.3, -0.3, 0.1], [0.3, 0.3, 1.3], (37, 3, 3))
+    velocity = rng.normal(0.0, 0.3, position.shape)
+    together = model.forces(position, velocity, "SLS")
+    for e in range(len(position)):
+        alone = model.forces(position[e : e + 1], velocity[e : e + 1], "SLS")
+        np.testing.assert_array_equal(alone[0], together[e])
+    far = np.concatenate([position[:, :1] + [9.0, 0.0, 0.0], position], axis=1)
+    more = model.forces(far, np.concatenate([velocity[:, :1], velocity], axis=1), "LSLS")
+    np.testing.assert_array_equal(more[:, 1:], together)
+
+
+def field_of(rng: np.random.Generator, *networks: tuple[int, ...]) -> ForceField:
+    """A pairwise sum over one type, whose two networks have these widths."""
+    depth = max(map(len, networks)) - 1
+    layout, flat, start = np.zeros((2, 2 * depth + 2), np.int64), [], 0
+    for row, widths in zip(layout, networks, strict=True):
+        row[: len(widths) + 1] = len(widths) - 1, *widths
+        for k, (inputs, outputs) in enumerate(pairwise(widths)):
+            row[2 + depth + k] = start
+            flat.append(rng.normal(size=(inputs + 1) * outputs))
+            start += len(flat[-1])
+    return empty_field(1)._replace(kind=PAIRWISE, weights=np.concatenate(flat), layout=layout)
+
+
+def plain(field: ForceField, n: int, x: FloatArray) -> FloatArray:
+    """Network `n` of samples (S, inputs) in numpy."""
+    for k in range(field.layout[n, 0]):
+        inputs, outputs = field.layout[n, 1 + k : 3 + k]
+        start = field.layout[n, field.layout.shape[1] // 2 + 1 + k]
+        middle = start + inputs * outputs
+        matrix = field.weights[start:middle].reshape(inputs, outputs)
+        x = (np.maximum(x, 0.0) if k else x) @ matrix + field.weights[middle : middle + outputs]
+    return x
+
+
+def evaluated(field: ForceField, n: int, x: FloatArray) -> FloatArray:
+    """The same by the kernel."""
+    model = packed(field)
+    scratch = scratch_for(model, 1, 1)
+    row = model.layout[:, SOURCE].tolist().index((PAIRS, ENVIRONMENT)[n])
+    samples = scratch.rows["v"].reshape(-1, scratch.rows["v"].shape[2])
+    samples[: len(x), : x.shape[1]] = x
+    begin = 2 * network(model.layout, row, model.weights, len(x), scratch.rows)
+    return samples[begin : begin + len(x), : field.layout[n, 1 + field.layout[n, 0]]].copy()
+
+
+@pytest.mark.parametrize(("number", "tolerance"), [("float64", 1e-11), ("float32", 1e-2)])
+@pytest.mark.parametrize("widths", [(1,), (25, 40, 20, 1), (5, 16, 13), (100, 64, 70, 3)])
+def test_a_network_of_any_size_is_the_matrix_product(
+    number: str, tolerance: float, widths: tuple[int, ...]
+) -> None:
+    """Numbers of inputs and outputs that fill no whole row, and any number of samples."""
+    rng = np.random.default_rng(10)
+    field = field_of(rng, (6, *widths), (4, *widths))
+    for n, inputs in enumerate((6, 4)):
+        for count in (1, 2, 7, SAMPLES):
+            x = rng.normal(size=(count, inputs))
+            found = evaluated(field._replace(weights=field.weights.astype(number)), n, x)
+            np.testing.assert_allclose(found, plain(field, n, x), rtol=1e-3, atol=tolerance)
+
+
+def test_nan_goes_through_a_network() -> None:
+    """As numpy's maximum has it: a ReLU must not make a force out of a broken state."""
+    rng = np.random.default_rng(11)
+    field, x = field_of(rng, (6, 9, 9, 1), (4, 1)), rng.normal(size=(5, 6))
+    x[2, 3] = np.nan
+    found = evaluated(field, 0, x)
+    assert np.isnan(found[2]).all()
+    assert np.isfinite(np.delete(found, 2, axis=0)).all()
+
+
+def test_more_types_than_there_is_room_for_are_refused() -> None:
+    with pytest.raises(ValueError, match="has 9 interaction types, but at most 8"):
+        packed(empty_field(MOST_TYPES + 1))
+    with pytest.raises(ValueError, match="more than 128 drones"):
+        scratch_for(packed(empty_field(1)), 40, 4)

@@ -1,0 +1,78 @@
+"""The loops over lanes are vector instructions; what breaks that is silent, but for this test."""
+
+from __future__ import annotations
+
+import platform
+import re
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+
+from swarm_envs.control.loop import hold_rates, track
+from swarm_envs.physics.contact import SPOT_TYPE, meet, touch
+from swarm_envs.physics.rigid_body import integrate, sinc_cos, spin_rotors
+from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
+
+pytestmark = [
+    pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled"),
+    pytest.mark.skipif(
+        platform.machine().lower() not in ("x86_64", "amd64"), reason="reads x86 instructions"
+    ),
+]
+_ARITHMETIC = r"\bv?(?:add|sub|mul|div|sqrt|fm\w+?)(p|s)d\b"
+
+
+def instructions(part: Any, *arguments: Any) -> tuple[int, int]:
+    """Packed and scalar instructions of double arithmetic of a part, compiled for arguments."""
+    names = ", ".join(f"a{k}" for k in range(len(arguments)))
+    call = eval(f"lambda {names}: part({names})", {"part": part})
+    kernel = numba.njit(error_model="numpy")(call)
+    kernel(*arguments)
+    found = re.findall(_ARITHMETIC, "\n".join(kernel.inspect_asm().values()))
+    return found.count("p"), found.count("s")
+
+
+def blocks() -> Any:
+    memory = aligned(2, BLOCK_TYPE)
+    for name in BLOCK_TYPE.names or ():
+        memory[name] = 0.5
+    memory["setpoint_yaw"] = 0.0
+    return memory
+
+
+@pytest.mark.parametrize("part", [spin_rotors, integrate])
+def test_the_body_is_vector_instructions(part):
+    packed, scalar = instructions(part, blocks(), 2)
+    assert packed >= 15
+    assert scalar <= 0.02 * packed
+
+
+@pytest.mark.parametrize("part", [track, hold_rates, touch])
+def test_controller_and_walls_are_vector_instructions(part):
+    """But for the yaw: sine and cosine, which are left out where no set-point yaws."""
+    packed, scalar = instructions(part, blocks(), 2, np.zeros(1, SETTINGS_TYPE))
+    assert packed >= 15
+    assert scalar <= 0.1 * packed
+
+
+def test_pairs_of_environments_are_compared_side_by_side():
+    packed, _ = instructions(meet, blocks(), 4, 4, aligned(4, SPOT_TYPE))
+    assert packed >= 8  # scalar ones do the environments that are left over
+
+
+def test_a_row_of_a_block_is_a_cache_line():
+    assert all(place[1] % 64 == 0 for place in (BLOCK_TYPE.fields or {}).values())
+    assert LANES * 8 == 64
+    assert aligned(3, BLOCK_TYPE).ctypes.data % 64 == 0
+
+
+def test_sine_and_cosine_of_half_a_turn():
+    """Over all that a step can turn: half an angle of sqrt(3) * 1000 rad/s * dt is 3.6 rad."""
+    angle = np.concatenate([np.logspace(-12, 0, 200), np.linspace(0.01, 4.0, 400)])
+    for a in angle.tolist():
+        sinc, cosine = sinc_cos(a)
+        assert sinc == pytest.approx(np.sin(a) / a, abs=2e-14)
+        assert cosine == pytest.approx(np.cos(a), abs=1e-13)
+    assert sinc_cos(0.0) == (1.0, 1.0)
