@@ -26,6 +26,7 @@ extensions = [
     "extensions.docstrings",
     "extensions.links",
     "extensions.option_tables",
+    "extensions.state_tables",
 ]
 exclude_patterns = ["_build", "extensions"]
 

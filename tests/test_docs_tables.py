@@ -1,4 +1,4 @@
-"""Tables of numbers in the docs: that they say what the files beside them hold."""
+"""Tables in the docs: that they say what the files beside them, and the code, hold."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ import csv
 import re
 from collections.abc import Iterator
 
+import numpy as np
 import pytest
 
+from docs.extensions.state_tables import TABLES, expand, state_table
 from tests.helpers.pages import DOCS
 
 ROW = re.compile(
@@ -55,3 +57,21 @@ def test_the_table_is_found():
 @pytest.mark.parametrize(("figure", "grid", "robots", "numbers"), ROWS)
 def test_a_row_says_what_was_measured(figure, grid, robots, numbers):
     assert numbers in measured(figure, grid, robots)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_page_of_the_architecture_shows_every_field(name):
+    text = expand((DOCS / "architecture.md").read_text(encoding="utf-8"))
+    assert f"state table: {name}" not in text
+    for field in TABLES[name]:
+        row = [f"`{field.name}`", f"`{field.shape}`", f"`{np.dtype(field.kind)}`", field.unit]
+        assert f"\n| {' | '.join(row)} | " in text
+        assert f" | {field.meaning} |\n" in text
+
+
+def test_a_row_says_what_a_field_holds_after_a_reset():
+    assert "| `held` | `()` | `bool` |  | `False` | Whether" in state_table("ENVIRONMENT")
+    assert "| `touched_drone` | `()` | `float64` |  | `-1.0` | Drone" in state_table("DRONE")
+    assert "| `position` | `(3,)` | `float64` | m |  | Position" in state_table("DRONE")
+    with pytest.raises(KeyError, match="DRONES"):
+        expand("<!-- state table: DRONES -->")

@@ -1,1 +1,1 @@
-"""What the site needs beyond Sphinx: pages from docstrings, tables of options, links."""
+"""What the site needs beyond Sphinx: pages from docstrings, tables of options and state, links."""
