@@ -153,25 +153,32 @@ _EPISODE = (
 DRONE = (*_BODY, *_CONTACT, *_TALLY, *_CONTROLLER, *_VEHICLE, *_EPISODE)
 """Every quantity of a drone."""
 
-ENVIRONMENT = (
-    Field("time", (), "s", 0.0, "Time since the episode began."),
+_KEPT = (
     Field("force_scale", (), "", None, "Factor of the interaction force."),
-    Field("gust", (3,), "m/s^2", 0.0, "Acceleration that gusts give now, world frame."),
     Field("duration", (), "s", None, "Time of the reference from one stage to the next; 0: rest."),
+    Field("gust_key", (), "", None, "Stream of random numbers of the gusts.", np.uint64),
+    Field("noise_key", (), "", None, "Stream of random numbers of the observations.", np.uint64),
+)
+"""What a task or a randomisation draws for an episode, and a reset leaves."""
+
+_BEGINS = (
+    Field("time", (), "s", 0.0, "Time since the episode began."),
+    Field("gust", (3,), "m/s^2", 0.0, "Acceleration that gusts give now, world frame."),
     Field("achieved", (), "", 0.0, "Share of the task that was done in this decision."),
     Field("age", (), "", 0.0, "Physics steps since the reset.", np.int64),
     Field("decisions", (), "", 0.0, "Decisions of this episode.", np.int64),
     Field("stage", (), "", 0.0, "The present stage.", np.int64),
     Field("reached", (), "", 0.0, "Stages that are done.", np.int64),
     Field("scored", (), "", 0.0, "Decisions whose error counts.", np.int64),
-    Field("gust_key", (), "", None, "Stream of random numbers of the gusts.", np.uint64),
-    Field("noise_key", (), "", None, "Stream of random numbers of the observations.", np.uint64),
     Field("running", (), "", 1.0, "Whether the episode goes on.", np.bool_),
     Field("held", (), "", 0.0, "Whether the present stage is done.", np.bool_),
     Field("succeeded", (), "", 0.0, "Whether the task is done.", np.bool_),
     Field("terminated", (), "", 0.0, "Ended by a crash or by success.", np.bool_),
     Field("truncated", (), "", 0.0, "Ended by the clock.", np.bool_),
 )
+"""What begins anew with each episode."""
+
+ENVIRONMENT = (*_KEPT, *_BEGINS)
 """Every quantity of an environment."""
 
 SETTINGS = (
@@ -321,10 +328,13 @@ RESET_COLUMNS, RESET_VALUES = _reset_columns(DRONE)
 """Columns of a drone that a reset sets, and their values."""
 CONTACT_COLUMNS, CONTACT_VALUES = _reset_columns(_CONTACT)
 """The same of contacts, which begin anew at every decision."""
-_ENVIRONMENT_RESETS = {field.name: field.reset for field in ENVIRONMENT if field.reset is not None}
+_BEGUN = np.zeros(1, ENVIRONMENT_TYPE)
+for _field in _BEGINS:
+    _BEGUN[_field.name] = _field.reset
+_FIRST_RESET = dict(ENVIRONMENT_TYPE.fields or ())[_BEGINS[0].name][1]
 
 
 def clear_environments(environments: Records, where: npt.NDArray[np.int64]) -> None:
     """Give the quantities of these environments (M,) their values at a reset."""
-    for name, value in _ENVIRONMENT_RESETS.items():
-        environments[name][where] = value
+    memory = environments.view(np.uint8).reshape(len(environments), -1)
+    memory[where, _FIRST_RESET:] = _BEGUN.view(np.uint8)[_FIRST_RESET:]

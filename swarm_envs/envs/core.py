@@ -18,7 +18,7 @@ import numpy.typing as npt
 from swarm_envs.compiled import entry_point
 from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_actions
 from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
-from swarm_envs.envs.judge import begin_mission, judge, metrics, success_rules
+from swarm_envs.envs.judge import judge, metrics, success_rules
 from swarm_envs.envs.observation import (
     Float32Array,
     observation_width,
@@ -220,7 +220,6 @@ class SwarmCore:
             for e in begun.tolist():
                 draw_vehicles(self.generators[e], self.config.randomization, e, self.world)
         self.physics.begin(begun)
-        begin_mission(self.world, begun, float(self.settings["success_radius"][0]))
         self._kernels.refer(*self.world, self.settings)
         return self._observe(where)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from swarm_envs.compiled import kernel, part
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
-from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records, World
 from swarm_envs.tasks.base import NEAR_MISS, Success, Task, TrackingSuccess
 from swarm_envs.tasks.motion import REST, stage_at
@@ -127,13 +127,6 @@ def judge(  # noqa: C901  # the rules of an episode, in their order
             if stage != environment.stage:
                 environment.stage, environment.held = stage, False
                 enter_stage(drones[e], goals[e, stage], time, rules.success_radius)
-
-
-def begin_mission(world: World, where: IntArray, radius: float) -> None:
-    """Let the missions of environments (M,) begin: a drone that starts at its goal is there."""
-    distance = world.drones["distance"]
-    for e in where.tolist():
-        world.drones["arrival"][e] = np.where(distance[e] < radius, 0.0, np.inf)
 
 
 def metrics(world: World, task: Task, environments: Sequence[int]) -> list[dict[str, Any]]:

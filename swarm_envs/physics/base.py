@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.compiled import announce_compilation, entry_point
+from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.errors import check_array, check_integer
 from swarm_envs.interactions import InteractionModel, load
@@ -191,6 +191,13 @@ class Physics:
 
         self._numbers = [(thread,) for thread in range(self.workers.threads)]
 
+        self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
+
+    @cached_property
+    def _begin(self) -> Callable[..., None]:
+        """`begin_flight` for the types of our arguments."""
+        return entry_point(begin_flight, np.zeros(1, np.int64), True, *self._begun)
+
     @cached_property
     def _compiled(self) -> Callable[..., None]:
         """`fly` for the types of our arguments, which are then not looked up at every call."""
@@ -282,9 +289,7 @@ class Physics:
 
     def begin(self, where: IntArray, at_rest: bool = True) -> None:
         """Let environments (M,) begin anew: at rest at their starts, or as their state was set."""
-        announce_compilation(begin_flight)
-        drones, columns, circuit = self.world.drones, self._columns, self._open_circuit
-        begin_flight(where, at_rest, drones, columns, self.settings, circuit)
+        self._begin(where, at_rest, *self._begun)
         clear_environments(self.world.environments, where)
         self.place_bodies(where)
 

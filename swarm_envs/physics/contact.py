@@ -147,33 +147,38 @@ def meet(blocks: Records, count: int, drones: int, spots: Records) -> None:
         drones: N.
         spots: (N,) scratch of `SPOT_TYPE`.
     """
+    smallest, largest = math.inf, 0.0
     for place in range(count):
         for i in range(drones):
             slot = place * drones + i
             b, lane, s = blocks[slot // LANES], slot % LANES, spots[i]
-            s.x[place], s.y[place], s.z[place] = (
-                b.position[0, lane],
-                b.position[1, lane],
-                b.position[2, lane],
-            )
-            s.radius[place], s.distance[place], s.ratio[place] = b.radius[lane], np.inf, np.inf
+            p, r = b.position, b.radius[lane]
+            s.x[place], s.y[place], s.z[place] = p[0, lane], p[1, lane], p[2, lane]
+            s.radius[place], s.distance[place], s.ratio[place] = r, np.inf, np.inf
+            smallest, largest = min(smallest, r), max(largest, r)
     for i in range(drones):
         s = spots[i]
         for j in range(i):
             t = spots[j]
             for place in range(count):
                 x, y, z = t.x[place] - s.x[place], t.y[place] - s.y[place], t.z[place] - s.z[place]
-                distance, sum_of_radii = x * x + y * y + z * z, s.radius[place] + t.radius[place]
-                ratio = distance / (sum_of_radii * sum_of_radii)
+                distance = x * x + y * y + z * z
                 s.distance[place] = min(s.distance[place], distance)
                 t.distance[place] = min(t.distance[place], distance)
-                s.ratio[place] = min(s.ratio[place], ratio)
-                t.ratio[place] = min(t.ratio[place], ratio)
+            if smallest < largest:  # else the nearest drone is also that of the smallest ratio
+                for place in range(count):
+                    x, y = t.x[place] - s.x[place], t.y[place] - s.y[place]
+                    z, radii = t.z[place] - s.z[place], s.radius[place] + t.radius[place]
+                    ratio = (x * x + y * y + z * z) / (radii * radii)
+                    s.ratio[place] = min(s.ratio[place], ratio)
+                    t.ratio[place] = min(t.ratio[place], ratio)
     for place in range(count):
         for i in range(drones):
             slot = place * drones + i
             b, lane, s = blocks[slot // LANES], slot % LANES, spots[i]
-            clearance = math.sqrt(s.ratio[place])
+            radii = 2.0 * s.radius[place]
+            ratio = s.ratio[place] if smallest < largest else s.distance[place] / (radii * radii)
+            clearance = math.sqrt(ratio)
             if clearance < min(b.clearance[lane], 1.0):
                 b.touched_drone[lane] = nearest_of(spots, drones, i, place)
             b.separation[lane] = min(b.separation[lane], math.sqrt(s.distance[place]))

@@ -343,8 +343,8 @@ def begin_flight(
 
     Args:
         where: environments.
-        at_rest: whether they begin at rest at their `start`, rotors at hover, charged as `charge`
-            says; else their state has been set.
+        at_rest: whether they begin an episode: at rest at their `start`, rotors at hover, charged
+            as `charge` says; who starts at the goal has arrived. Else their state has been set.
         drones: (E, N) records.
         columns: (E, N, columns) the same memory.
         settings: (1,) record.
@@ -362,6 +362,10 @@ def begin_flight(
                 for k in range(4):
                     d.rotor_thrust[k] = d.hover_thrust
                 d.quaternion[3], d.battery = 1.0, d.charge
+                x, y, z = d.goal[0] - d.start[0], d.goal[1] - d.start[1], d.goal[2] - d.start[2]
+                d.distance = np.sqrt(x * x + y * y + z * z)
+                if d.distance < settings[0].success_radius:
+                    d.arrival = 0.0
             square = total = 0.0
             for k in range(4):
                 square += d.quaternion[k] * d.quaternion[k]

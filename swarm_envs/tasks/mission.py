@@ -42,9 +42,6 @@ def place(world: World, e: int, placement: Placement) -> None:
     """Keep a new episode of environment `e` in the tables; its first stage begins."""
     drones, goals = world.drones[e], placement.goals
     drones["start"], drones["goal"], world.goals[e] = placement.start, goals[0], goals
-    offset = goals[0] - placement.start
-    x, y, z = offset[:, 0], offset[:, 1], offset[:, 2]
-    drones["distance"] = np.sqrt(x * x + y * y + z * z)
     world.environments["duration"][e] = placement.duration
     if placement.orbit is not None:
         drones["orbit"] = np.stack(placement.orbit[:3], axis=1)
