@@ -76,7 +76,7 @@ def axis_acceleration(
     Returns:
         The angular acceleration, rad/s^2, and the derivative and the integral with this step.
     """
-    error_rate += blend * ((error - last_error) / step - error_rate)
+    error_rate += blend * ((error - last_error) * (1.0 / step) - error_rate)
     integral = min(max(integral + error * step, -limit), limit)
     proportional = rate_gain * (error + lead_time * error_rate)
     return -proportional - integral_gain * integral, error_rate, integral
@@ -109,8 +109,9 @@ def mix_rotors(
         thrust_to_torque: yaw torque per newton of rotor thrust, m.
     """
     # Rotors 1 and 3 take opposite shares of roll and pitch, and so do 2 and 4.
-    diagonal_1 = -(torque_x + torque_y) / (4.0 * rotor_offset)
-    diagonal_2 = (torque_y - torque_x) / (4.0 * rotor_offset)
+    per_arm = 0.25 / rotor_offset
+    diagonal_1 = -(torque_x + torque_y) * per_arm
+    diagonal_2 = (torque_y - torque_x) * per_arm
     largest = max(abs(diagonal_1), abs(diagonal_2))
     too_much = 2.0 * largest > max_rotor_thrust
     scale = 0.5 * max_rotor_thrust / largest if too_much else 1.0
@@ -189,7 +190,7 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             from becoming vector instructions.
     """
     s = settings[0]
-    step, lead = s.step, s.lead
+    step, per_step, lead = s.step, 1.0 / s.step, s.lead  # a division takes as long as ten sums
     kp, kv, ki, v_limit = (
         s.position_gain,
         s.velocity_gain,
@@ -286,10 +287,11 @@ def track(blocks: Records, count: int, settings: Records) -> None:
                 + (1.0 - 2.0 * (q[0] * q[0] + q[1] * q[1])) * fz
             )
             thrust_rate = b.thrust_rate[lane]
-            raw = (thrust - b.desired_thrust[lane]) / step
+            raw = (thrust - b.desired_thrust[lane]) * per_step
             thrust_rate += started * thrust_blend * (raw - thrust_rate)
             b.desired_thrust[lane], b.thrust_rate[lane] = thrust, thrust_rate
-            thrust += lead * thrust_rate / motor_rate
+            lead_time = lead / motor_rate
+            thrust += lead_time * thrust_rate
 
             # The desired attitude: the shortest rotation of the world's z axis to the force; and
             # its rate: the tilt's is differentiated and low-passed.
@@ -305,9 +307,9 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             )
             change = relative_rotation(last, tilt)
             dx, dy, dz = b.desired_rate[0, lane], b.desired_rate[1, lane], b.desired_rate[2, lane]
-            dx += started * rate_blend * (2.0 * change[0] / step - dx)
-            dy += started * rate_blend * (2.0 * change[1] / step - dy)
-            dz += started * rate_blend * (2.0 * change[2] / step - dz)
+            dx += started * rate_blend * (2.0 * change[0] * per_step - dx)
+            dy += started * rate_blend * (2.0 * change[1] * per_step - dy)
+            dz += started * rate_blend * (2.0 * change[2] * per_step - dz)
             b.desired_rate[0, lane], b.desired_rate[1, lane], b.desired_rate[2, lane] = dx, dy, dz
             b.desired_attitude[0, lane], b.desired_attitude[1, lane] = tilt[0], tilt[1]
             b.desired_attitude[2, lane], b.desired_attitude[3, lane] = tilt[2], tilt[3]
@@ -338,7 +340,7 @@ def track(blocks: Records, count: int, settings: Records) -> None:
                 omega,
                 (rx, ry, rz),
                 (ux, uy, uz),
-                lead / motor_rate,
+                lead_time,
                 error_blend * started,
                 gains,
             )
@@ -357,8 +359,10 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             for k in range(3):
                 v, a = b.setpoint_velocity[k, lane], b.setpoint_acceleration[k, lane]
                 j = b.setpoint_jerk[k, lane]
-                b.setpoint_position[k, lane] += step * (v + step * (a / 2.0 + step * j / 6.0))
-                b.setpoint_velocity[k, lane] += step * (a + step * j / 2.0)
+                b.setpoint_position[k, lane] += step * (
+                    v + step * (0.5 * a + step * j * (1.0 / 6.0))
+                )
+                b.setpoint_velocity[k, lane] += step * (a + 0.5 * step * j)
                 b.setpoint_acceleration[k, lane] += step * j
             b.setpoint_yaw[lane] += step * b.setpoint_yaw_rate[lane]
 

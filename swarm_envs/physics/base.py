@@ -53,8 +53,8 @@ from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Team, Vehicle, parse_team
 
 MOST_ENVIRONMENTS = 1_000_000
 """Of `num_envs`: memory ends before."""
-PART = 512
-"""Drones of a part of a batch: their records fit into a core's second cache."""
+PART = 2048
+"""Drones of a part of a batch: their records stay in the cache from one kernel to the next."""
 AIR_DENSITY = 1.225
 """Density of air at sea level, kg/m^3."""
 FORCE_BOUNDS_G: Mapping[str, float] = {"S": 5.0, "S*": 5.0, "L": 10.0}

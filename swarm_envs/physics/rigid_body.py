@@ -159,12 +159,12 @@ def integrate(blocks: Records, count: int) -> None:
             z = r[6] * cx + r[7] * cy + r[8] * cz
             w[0, lane], w[1, lane], w[2, lane] = x, y, z
             # Newton's, with the thrust along the old attitude.
-            mass = b.mass[lane]
+            per_mass = dt / b.mass[lane]
             fx, fy = b.force[0, lane] + b.external[0, lane], b.force[1, lane] + b.external[1, lane]
             fz = b.force[2, lane] + b.external[2, lane]
-            b.velocity[0, lane] += dt * (r[2] * thrust + fx) / mass
-            b.velocity[1, lane] += dt * (r[5] * thrust + fy) / mass
-            b.velocity[2, lane] += dt * ((r[8] * thrust + fz) / mass - GRAVITY)
+            b.velocity[0, lane] += per_mass * (r[2] * thrust + fx)
+            b.velocity[1, lane] += per_mass * (r[5] * thrust + fy)
+            b.velocity[2, lane] += per_mass * (r[8] * thrust + fz) - dt * GRAVITY
             b.position[0, lane] += dt * b.velocity[0, lane]
             b.position[1, lane] += dt * b.velocity[1, lane]
             b.position[2, lane] += dt * b.velocity[2, lane]
@@ -177,6 +177,6 @@ def integrate(blocks: Records, count: int) -> None:
             ny = aw * qy - ax * qz + ay * qw + az * qx
             nz = aw * qz + ax * qy - ay * qx + az * qw
             nw = aw * qw - ax * qx - ay * qy - az * qz
-            norm = math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
-            q[0, lane], q[1, lane] = nx / norm, ny / norm
-            q[2, lane], q[3, lane] = nz / norm, nw / norm
+            scale = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
+            q[0, lane], q[1, lane] = nx * scale, ny * scale
+            q[2, lane], q[3, lane] = nz * scale, nw * scale

@@ -65,16 +65,17 @@ def measured() -> Iterator[Measured]:
     for engine in ("batch", *(("bullet",) if bullet_available() else ())):
         row = {"what": f"{engine} environment, reset", "drones": 16, "unit": "ms"}
         yield Measured(row, "reset", {"engine": engine, "drones": 16}, 0)
-    kinds: list[tuple[str, tuple[int, int], dict[str, Any]]] = [
-        ("batch, learned forces", BATCH, {"force_rate": 240}),
-        ("batch, learned forces", BATCH, {"force_rate": 48}),
-        ("batch, no forces", BATCH, {"interactions": "none"}),
-        ("batch, learned forces", LARGE, {"force_rate": 240}),
+    kinds: list[tuple[str, str, tuple[int, int], dict[str, Any]]] = [
+        ("batch, learned forces", "batch", BATCH, {"force_rate": 240}),
+        ("batch, learned forces", "batch", BATCH, {"force_rate": 48}),
+        ("batch, no forces", "batch", BATCH, {"interactions": "none"}),
+        ("flight alone, no forces", "flight", BATCH, {"interactions": "none"}),
+        ("batch, learned forces", "batch", LARGE, {"force_rate": 240}),
     ]
-    for what, (envs, n), told in kinds:
+    for what, maker, (envs, n), told in kinds:
         row = {"what": what, "environments": envs, "drones": n, "unit": "agent-steps/s"}
         options = {"envs": envs, "drones": n, **told}
-        yield Measured(row | {"force_rate": told.get("force_rate")}, "batch", options, envs * n)
+        yield Measured(row | {"force_rate": told.get("force_rate")}, maker, options, envs * n)
 
 
 class Tree:

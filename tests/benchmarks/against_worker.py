@@ -51,8 +51,8 @@ def reset(engine: str, drones: int) -> Call:
     return partial(env.reset)
 
 
-def batch(envs: int, drones: int, **options: Any) -> Call:
-    """A decision of many environments, on one thread."""
+def hovering(envs: int, drones: int, **options: Any) -> Any:
+    """Many environments, on one thread, that have hovered for a while, and zeros as actions."""
     blueprint = importlib.import_module("swarm_envs.swap_v0").blueprint
     told = {"physics": "batch", "threads": 1, "horizon_s": 1e6, "end_on_success": False}
     task, config, _ = blueprint(num_drones=drones, **told, **options)
@@ -61,18 +61,27 @@ def batch(envs: int, drones: int, **options: Any) -> Call:
     still = np.zeros((envs, drones, 3))
     for _ in range(HOVER_DECISIONS):
         core.step(still)
-    return timed_part(core, still)
+    return core, still
 
 
-def timed_part(core: Any, actions: np.ndarray) -> Call:
-    """What is timed of a decision: the whole step, for no name of the flight alone has stayed."""
-    return partial(core.step, actions)
+def batch(envs: int, drones: int, **options: Any) -> Call:
+    """A decision of many environments."""
+    core, still = hovering(envs, drones, **options)
+    return partial(core.step, still)
+
+
+def flight(envs: int, drones: int, **options: Any) -> Call:
+    """The flight of a decision alone: five physics steps with contacts and counting."""
+    core, _ = hovering(envs, drones, **options)
+    fly = getattr(core, "flight", core.physics).fly  # of 0.1.0, or of later revisions
+    return partial(fly, 5, np.ones(envs, dtype=np.bool_))
 
 
 MAKERS: dict[str, Callable[..., Call]] = {
     "environment": environment,
     "reset": reset,
     "batch": batch,
+    "flight": flight,
 }
 """What can be measured: makes what is called, warmed up."""
 
