@@ -49,12 +49,6 @@ class SwarmState(NamedTuple):
             view.flags.writeable = False
         return views
 
-    def assign(self, other: SwarmState, mask: BoolArray | None = None) -> None:
-        """Copy another state's values into these arrays, in the environments of the (E,) mask."""
-        where = slice(None) if mask is None else mask
-        for mine, theirs in zip(self, other, strict=True):
-            mine[where] = theirs[where]
-
 
 def state_of(drones: Records) -> SwarmState:
     """The state of drones (E, N) as read-only views of their records."""

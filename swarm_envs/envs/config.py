@@ -206,10 +206,10 @@ def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
 
 
 class ResetOptions(NamedTuple):
-    """What a reset was told, checked."""
+    """The options of a reset, checked."""
 
     team: Team | None
-    """Who flies; None for the constructor's team."""
+    """The team of the episode; None for the constructor's team."""
     placement: dict[str, FloatArray]
     """What of `start` and `goal`, (N, 3) m, was given."""
 

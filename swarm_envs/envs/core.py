@@ -71,7 +71,7 @@ class Snapshot:
     generators: tuple[Any, ...]
     """State of each environment's random generator."""
     teams: tuple[Team, ...]
-    """Who flies in each environment: the team, or another that its reset named."""
+    """The team of each environment: the constructor's, or that of its last reset."""
 
 
 class _Kernels(NamedTuple):

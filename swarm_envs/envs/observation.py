@@ -111,7 +111,7 @@ FORMS = ("flat", "dict")
 """Names of the forms."""
 
 Observation = Any
-"""One drone's: a float32 row, or a dictionary of float32 arrays; whoever asks knows which."""
+"""The observation of one drone: a float32 row, or a dictionary of float32 arrays."""
 
 _SETS = {"neighbors": ("neighbor_", "mask"), "obstacles": ("obstacle_", "obstacle_mask")}
 """Groups of fields that repeat: the name of theirs, and of what masks them."""

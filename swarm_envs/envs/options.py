@@ -139,7 +139,7 @@ def blueprint_of(task: str, **options: Any) -> Blueprint:
 
 
 def batch_of(task: str, **options: Any) -> Blueprint:
-    """The same for many environments at once: the batched engine flies unless it is told.
+    """The same for many environments at once: the batch engine is the default.
 
     Raises:
         TypeError: an option does not exist; the message names the nearest.

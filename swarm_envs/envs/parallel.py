@@ -307,7 +307,7 @@ def infos_by_agent(
         core: has just stepped.
         agents: names, in the order of the team.
         result: of the step.
-        ended: whether the episode did: then metrics are told.
+        ended: whether the episode has ended; the infos then hold the metrics.
     """
     # Whatever is touched ends the episode, so that until then nothing is.
     names, columns = core.task.reward_names, result.reward_terms[:, 0].T.tolist()

@@ -72,10 +72,10 @@ def measured() -> Iterator[Measured]:
         ("flight alone, no forces", "flight", BATCH, {"interactions": "none"}),
         ("batch, learned forces", "batch", LARGE, {"force_rate": 240}),
     ]
-    for what, maker, (envs, n), told in kinds:
+    for what, maker, (envs, n), chosen in kinds:
         row = {"what": what, "environments": envs, "drones": n, "unit": "agent-steps/s"}
-        options = {"envs": envs, "drones": n, **told}
-        yield Measured(row | {"force_rate": told.get("force_rate")}, maker, options, envs * n)
+        options = {"envs": envs, "drones": n, **chosen}
+        yield Measured(row | {"force_rate": chosen.get("force_rate")}, maker, options, envs * n)
 
 
 class Tree:
