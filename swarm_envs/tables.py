@@ -216,7 +216,6 @@ SETTINGS = (
     Field("decision_s", (), "s", None, "Time between decisions."),
     Field("horizon_s", (), "s", None, "The clock."),
     Field("stage_s", (), "s", None, "Time that each stage lasts; 0 if there is only one."),
-    Field("motion", (), "", None, "How the reference moves: REST, LINES or ORBITS.", np.int64),
     Field("ramp", (), "", None, "Its ramp: see `swarm_envs.tasks.motion.Motion`."),
     Field("success_radius", (), "m", None, "How near a drone must be to its goal or reference."),
     Field("hold_s", (), "s", None, "How long all must stay there."),

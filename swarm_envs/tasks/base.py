@@ -14,7 +14,7 @@ from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World
 from swarm_envs.tasks.mission import Placement, world_of
-from swarm_envs.tasks.motion import Motion, reference_of, write_reference
+from swarm_envs.tasks.motion import WRITERS, Motion, reference_of
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
 from swarm_envs.trajectories import Reference
@@ -68,10 +68,6 @@ class Task(ABC):
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
     """A kernel that writes the bounded terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
-    write_reference: Callable[[Records, Records, FloatArray, Records], None] = staticmethod(
-        write_reference
-    )
-    """The kernel that writes the reference of every environment at its time."""
 
     def with_team(self, team: Team) -> Self:
         """The same task for another team.
@@ -111,6 +107,11 @@ class Task(ABC):
     @abstractmethod
     def motion(self) -> Motion:
         """How the reference moves."""
+
+    @property
+    def write_reference(self) -> Callable[[Records, Records, FloatArray, Records], None]:
+        """The kernel that writes the reference of every environment at its time."""
+        return WRITERS[self.motion.kind]
 
     @property
     @abstractmethod

@@ -1,4 +1,4 @@
-"""References of every task in one compiled call: rest, straight lines, ellipses.
+"""References of every task, each in one compiled call: rest, straight lines, ellipses.
 
 The same motions as those of `swarm_envs.trajectories`, for all drones of all environments at once,
 since each decision asks for them.
@@ -7,7 +7,9 @@ since each decision asks for them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from swarm_envs.compiled import kernel, part
 from swarm_envs.state import FloatArray
@@ -33,7 +35,7 @@ class Motion(NamedTuple):
 
     def settings(self) -> dict[str, float]:
         """The fields of `swarm_envs.tables.SETTINGS` that it gives."""
-        return {"motion": self.kind, "ramp": float(self.ramp), "stage_s": float(self.stage_s)}
+        return {"ramp": float(self.ramp), "stage_s": float(self.stage_s)}
 
 
 @part
@@ -41,7 +43,8 @@ def stage_at(time: float, stage_s: float, num_stages: int) -> int:
     """The stage that is flown at a time, s."""
     if stage_s <= 0.0:
         return 0
-    return min(int((time + _ROUNDING) / stage_s), num_stages - 1)
+    stage: Any = np.int64((time + _ROUNDING) / stage_s)  # `int` and `min` take longer to compile
+    return stage if stage < num_stages else num_stages - 1
 
 
 @part
@@ -87,42 +90,50 @@ def line_profile(t: float, duration: float, ramp: float) -> tuple[float, float, 
 
 
 @kernel
-def write_reference(
+def write_rest(
     drones: Records, environments: Records, goals: FloatArray, settings: Records
 ) -> None:
-    """Write where the drones of every environment should be at its time.
+    """Write that the drones of every environment should rest at the goals of its stage.
 
     Args:
         drones: (E, N) records; their `reference_...` fields are written.
         environments: (E,) records.
         goals: (E, S, N, 3) goals of every stage, m.
-        settings: (1,) how the reference moves: `motion`, `ramp`, `stage_s`.
+        settings: (1,) how the reference moves: `ramp`, `stage_s`.
     """
-    motion, ramp, stage_s = settings[0].motion, settings[0].ramp, settings[0].stage_s
-    stages = goals.shape[1]
+    stage_s, stages = settings[0].stage_s, goals.shape[1]
+    for e in range(drones.shape[0]):
+        stage = stage_at(environments[e].time, stage_s, stages) if stages > 1 else 0
+        for i in range(drones.shape[1]):
+            d = drones[e, i]
+            for k in range(3):
+                goal = goals[e, stage, i, k]
+                start = d.start[k] if stage == 0 else goals[e, stage - 1, i, k]
+                # As `write_lines` does where they take no time, to the sign of a zero.
+                still = 0.0 * (goal - start)
+                d.reference_position[k] = start * 0.0 + goal
+                d.reference_velocity[k] = still
+                d.reference_acceleration[k] = still
+                d.reference_jerk[k] = still
+
+
+@kernel
+def write_lines(
+    drones: Records, environments: Records, goals: FloatArray, settings: Records
+) -> None:
+    """Write where drones should be on straight lines from the goals of each stage to the next.
+
+    Lines that take no time are rest at the goals. Arguments as of `write_rest`.
+    """
+    ramp, stage_s, stages = settings[0].ramp, settings[0].stage_s, goals.shape[1]
     for e in range(drones.shape[0]):
         time, duration = environments[e].time, environments[e].duration
         stage = stage_at(time, stage_s, stages) if stages > 1 else 0
-        if motion == LINES and duration > 0.0:
+        s, d1, d2, d3 = 1.0, 0.0, 0.0, 0.0
+        if duration > 0.0:
             s, d1, d2, d3 = line_profile(time - stage * stage_s, duration, ramp)
-        elif motion == ORBITS:
-            s, d1, d2, d3 = ramped_time(time, ramp)
-        else:
-            s, d1, d2, d3 = 1.0, 0.0, 0.0, 0.0
         for i in range(drones.shape[1]):
             d = drones[e, i]
-            if motion == ORBITS:
-                rate = d.orbit_rate
-                angle, w, dw, ddw = d.orbit_phase + rate * s, rate * d1, rate * d2, rate * d3
-                cos, sin = math.cos(angle), math.sin(angle)
-                for k in range(3):
-                    a, b = d.orbit[1, k], d.orbit[2, k]
-                    radial, tangent = a * cos + b * sin, b * cos - a * sin
-                    d.reference_position[k] = d.orbit[0, k] + radial
-                    d.reference_velocity[k] = tangent * w
-                    d.reference_acceleration[k] = tangent * dw - radial * w**2
-                    d.reference_jerk[k] = tangent * (ddw - w**3) - 3.0 * radial * w * dw
-                continue
             for k in range(3):
                 goal = goals[e, stage, i, k]
                 start = d.start[k] if stage == 0 else goals[e, stage - 1, i, k]
@@ -132,6 +143,31 @@ def write_reference(
                 d.reference_velocity[k] = d1 * way
                 d.reference_acceleration[k] = d2 * way
                 d.reference_jerk[k] = d3 * way
+
+
+@kernel
+def write_orbits(
+    drones: Records, environments: Records, goals: FloatArray, settings: Records
+) -> None:
+    """Write where drones should be on their ellipses. Arguments as of `write_rest`."""
+    for e in range(drones.shape[0]):
+        s, d1, d2, d3 = ramped_time(environments[e].time, settings[0].ramp)
+        for i in range(drones.shape[1]):
+            d = drones[e, i]
+            rate = d.orbit_rate
+            angle, w, dw, ddw = d.orbit_phase + rate * s, rate * d1, rate * d2, rate * d3
+            cos, sin = math.cos(angle), math.sin(angle)
+            for k in range(3):
+                a, b = d.orbit[1, k], d.orbit[2, k]
+                radial, tangent = a * cos + b * sin, b * cos - a * sin
+                d.reference_position[k] = d.orbit[0, k] + radial
+                d.reference_velocity[k] = tangent * w
+                d.reference_acceleration[k] = tangent * dw - radial * w**2
+                d.reference_jerk[k] = tangent * (ddw - w**3) - 3.0 * radial * w * dw
+
+
+WRITERS = {REST: write_rest, LINES: write_lines, ORBITS: write_orbits}
+"""The kernel that writes the reference, by kind of motion: what is not flown is not compiled."""
 
 
 def reference_of(drones: Records) -> Reference:

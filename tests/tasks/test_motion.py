@@ -13,10 +13,10 @@ from swarm_envs.tasks.motion import (
     LINES,
     ORBITS,
     REST,
+    WRITERS,
     Motion,
     reference_of,
     stage_at,
-    write_reference,
 )
 from swarm_envs.trajectories import Reference
 
@@ -32,7 +32,7 @@ def written(world: World, motion: Motion) -> Reference:
     rows = []
     for time in TIMES:
         world.environments["time"] = time
-        write_reference(*world, settings)
+        WRITERS[motion.kind](*world, settings)
         rows.append([array[0].copy() for array in reference_of(world.drones)])
     return Reference(*(np.array(column) for column in zip(*rows, strict=True)))
 
