@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import kernel, part
+from swarm_envs.compiled import equation, kernel
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records, World
@@ -37,20 +37,15 @@ def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]
     }
 
 
-@part
-def enter_stage(drones: Records, goals: FloatArray, time: float, radius: float) -> None:
-    """Give the drones (N,) of one environment the goals (N, 3), m, of their next stage."""
-    for i in range(drones.shape[0]):
-        d, square = drones[i], 0.0
-        for k in range(3):
-            d.goal[k] = goals[i, k]
-            square += (d.position[k] - goals[i, k]) ** 2
-        d.distance = math.sqrt(square)
-        d.arrival = time if d.distance < radius else np.inf
+@equation
+def squared_distance(a: FloatArray, b: FloatArray) -> float:
+    """Squared distance of two points (3,)."""
+    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return x * x + y * y + z * z
 
 
 @kernel
-def judge(  # noqa: C901  # the rules of an episode, in their order
+def judge(
     actions: FloatArray,
     drones: Records,
     environments: Records,
@@ -86,11 +81,9 @@ def judge(  # noqa: C901  # the rules of an episode, in their order
             if rules.tracks:
                 for k in range(3):
                     d.goal[k] = d.reference_position[k]
-            to_goal = to_reference = 0.0
-            for k in range(3):
-                to_goal += (d.position[k] - d.goal[k]) ** 2
-                to_reference += (d.position[k] - d.reference_position[k]) ** 2
-            d.distance, d.tracking_error = math.sqrt(to_goal), math.sqrt(to_reference)
+            to_reference = squared_distance(d.position, d.reference_position)
+            d.distance = math.sqrt(squared_distance(d.position, d.goal))
+            d.tracking_error = math.sqrt(to_reference)
             d.least_separation = min(d.least_separation, d.separation)
             d.least_clearance = min(d.least_clearance, d.clearance)
             d.least_obstacle_clearance = min(d.least_obstacle_clearance, d.obstacle_clearance)
@@ -99,14 +92,12 @@ def judge(  # noqa: C901  # the rules of an episode, in their order
                 d.worst_error = max(d.worst_error, d.tracking_error)
                 d.worst_height_error = max(d.worst_height_error, height)
                 d.squared_error += to_reference
-            if d.distance >= rules.success_radius:
-                d.arrival = np.inf
-            elif d.arrival == np.inf:
-                d.arrival = time
-            touched = d.touched_drone != NO_DRONE or d.touched_obstacle != NO_OBSTACLE
-            if touched or d.touched_floor + d.touched_wall + d.tumbling > 0.0:
-                d.crashed = 1.0
-            crashed |= d.crashed > 0.0
+            away = d.distance >= rules.success_radius
+            d.arrival = np.inf if away else min(d.arrival, time)
+            fallen = d.touched_floor + d.touched_wall + d.tumbling + d.crashed > 0.0
+            fallen |= (d.touched_drone != NO_DRONE) | (d.touched_obstacle != NO_OBSTACLE)
+            d.crashed = 1.0 if fallen else 0.0
+            crashed |= fallen
             worst, since = max(worst, d.worst_error), max(since, d.arrival)
         ended = time >= rules.horizon_s - _ROUNDING
         if rules.tracks:
@@ -126,7 +117,12 @@ def judge(  # noqa: C901  # the rules of an episode, in their order
             stage = stage_at(time, rules.stage_s, stages)
             if stage != environment.stage:
                 environment.stage, environment.held = stage, False
-                enter_stage(drones[e], goals[e, stage], time, rules.success_radius)
+                for i in range(size):  # they have the goals of the next stage from now on
+                    d = drones[e, i]
+                    for k in range(3):
+                        d.goal[k] = goals[e, stage, i, k]
+                    d.distance = math.sqrt(squared_distance(d.position, d.goal))
+                    d.arrival = time if d.distance < rules.success_radius else np.inf
 
 
 def metrics(world: World, task: Task, environments: Sequence[int]) -> list[dict[str, Any]]:
