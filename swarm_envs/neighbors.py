@@ -25,7 +25,7 @@ def sort_along_x(position: FloatArray, order: IntArray) -> None:
     Drones change places seldom, so an order from a step ago is nearly sorted, and is soon sorted.
 
     Args:
-        position: (N, 3) m.
+        position: (N, 3) m; further columns are not read.
         order: (N,) any permutation of the drones, sorted in place.
     """
     for a in range(1, order.shape[0]):
@@ -96,21 +96,25 @@ def nearest(i: int, position: FloatArray, found: IntArray, square: FloatArray) -
 
     Args:
         i: the drone.
-        position: (N, 3) m.
+        position: (N, 3) m; further columns are not read.
         found: (K,) their indices, written.
         square: (K,) their squared distances, m^2, written.
 
     Returns:
         How many there are, at most K.
     """
-    count: Any = np.int64(0)  # a literal 0 would compile `_offer` twice
-    places, bound = found.shape[0], math.inf if found.shape[0] > 0 else -1.0
+    count, places, bound = 0, found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for j in range(position.shape[0]):
         dx = position[j, 0] - position[i, 0]
         dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
         d = dx * dx + dy * dy + dz * dz
-        if j != i and d <= bound:
-            count = _offer(j, d, count, found, square)
+        if j != i and d < bound:  # at equal distance, those before have the smaller index
+            place = count if count < places else places - 1
+            count = place + 1
+            while place > 0 and square[place - 1] > d:
+                found[place], square[place] = found[place - 1], square[place - 1]
+                place -= 1
+            found[place], square[place] = j, d
             if count == places:
                 bound = square[count - 1]
     return count
@@ -130,7 +134,7 @@ def nearest_sorted(
     Args:
         i: the drone.
         place: where it stands in the order.
-        position: (N, 3) m.
+        position: (N, 3) m; further columns are not read.
         order: (N,) drones sorted along x.
         found: (K,) their indices, written.
         square: (K,) their squared distances, m^2, written.
@@ -138,7 +142,7 @@ def nearest_sorted(
     Returns:
         How many there are, at most K.
     """
-    count: Any = np.int64(0)  # see `nearest`
+    count: Any = np.int64(0)  # a literal 0 would compile `_offer` twice
     places, bound = found.shape[0], math.inf if found.shape[0] > 0 else -1.0
     for step in (-1, 1):
         b = place + step

@@ -259,7 +259,7 @@ def write_self(seen: Record, drone: Record, direct: bool, row: Float32Array) -> 
 
 
 @part
-def write_neighbor(own: Record, other: Record, drone: Record, row: Float32Array) -> None:
+def write_neighbor(own: Record, other: Record, drone: Record, row: Float32Array, at: int) -> None:
     """Write the fields of a neighbour as seen from a drone.
 
     Args:
@@ -267,22 +267,24 @@ def write_neighbor(own: Record, other: Record, drone: Record, row: Float32Array)
         other: the neighbour's, as it is measured.
         drone: the neighbour's true record.
         row: written.
+        at: where these fields begin.
     """
     for k in range(3):
-        row[k] = other.position[k] - own.position[k]
-        row[3 + k] = (other.velocity[k] - own.velocity[k]) / SPEED_LIMIT
-        row[6 + k] = drone.goal[k] - other.position[k]
-        row[9 + k] = drone.type_code[k]
-    row[12] = 1.0
+        row[at + k] = other.position[k] - own.position[k]
+        row[at + 3 + k] = (other.velocity[k] - own.velocity[k]) / SPEED_LIMIT
+        row[at + 6 + k] = drone.goal[k] - other.position[k]
+        row[at + 9 + k] = drone.type_code[k]
+    row[at + 12] = 1.0
 
 
 @part
 def write_obstacles(
     x: float, y: float, z: float, obstacles: FloatArray, places: int, row: Float32Array
 ) -> int:
-    """Write the fields of the obstacles nearest to a point, m; return where they end."""
-    for k in range(4 * places):
-        row[k] = 0.0
+    """Write the fields of the obstacles nearest to a point, m; return where they end.
+
+    Where there are fewer obstacles than places, the row stays as it is.
+    """
     reached: float = -1.0
     last: Any = np.int64(-1)
     for place in range(min(places, obstacles.shape[0])):
@@ -340,7 +342,7 @@ def write_observations(
     for e in range(first, last):
         if not mask[e]:
             continue
-        position = columns[e, :, :3]
+        position = columns[e]
         time_left = max(1.0 - environments[e].time / settings[0].horizon_s, 0.0)
         if order is not None:
             sort_along_x(position, order[e])
@@ -349,18 +351,17 @@ def write_observations(
             if order is not None:
                 i = order[e, place]
             row, own, d = out[e, i], seen[e, i], drones[e, i]
+            for c in range(out.shape[2]):  # fields of neighbours and obstacles may stay zero
+                row[c] = 0.0
             start = write_self(own, d, direct, row)
             if order is None:
                 found = nearest(i, position, others, square)
             else:
                 found = nearest_sorted(i, place, position, order[e], others, square)
-            for k in range(others.shape[0]):
-                if k < found:
-                    j = others[k]
-                    write_neighbor(own, seen[e, j], drones[e, j], row[start : start + 13])
-                else:
-                    row[start : start + 13] = 0.0
-                start += 13
+            for k in range(found):
+                j = others[k]
+                write_neighbor(own, seen[e, j], drones[e, j], row, start + 13 * k)
+            start += 13 * others.shape[0]
             if obstacles is not None:
                 p = own.position
                 place_of = row[start : start + 4 * num_obstacles]
