@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import ne
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.compiled import kernel
 from swarm_envs.errors import check_array
-from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.state import FloatArray
 from swarm_envs.tasks.obstacles import obstacle_distances
 
 ARENA_WIDTH, ARENA_HEIGHT = 4.0, 2.5
@@ -18,6 +19,9 @@ WALL_MARGIN = 0.3
 """Starts and goals keep this distance from the walls, m."""
 OBSTACLE_MARGIN = 0.15
 """What is drawn keeps this distance from obstacles, beyond the radius of the drone, m."""
+_ROUNDING = 1e-9
+"""Two that are this much further apart do not touch, however their distance is rounded, m."""
+_ANYWHERE = np.array([[-np.inf] * 3, [np.inf] * 3])
 
 
 def arena_of(num_drones: int) -> FloatArray:
@@ -61,30 +65,12 @@ def check_points(
     """
     plain = points.flags.c_contiguous and points.dtype == np.float64
     fits = plain and points.shape == (len(radius), 3)
-    if not fits or not _clearly_apart(points, radius, arena):
+    room = np.empty((len(radius), 3))
+    if not fits or _keep_apart(room, 0, points, _ROUNDING, radius, arena) < len(radius):
         _refuse_touching(name, check_array(name, points, (len(radius), 3)), radius, arena)
     why = "" if obstacles is None else check_free(name, points, radius, obstacles, margin=0.0)
     if why:
         raise ValueError(f"{why}; move it")
-
-
-@kernel
-def _clearly_apart(points: FloatArray, radius: FloatArray, arena: FloatArray) -> bool:
-    """Whether all are in the arena and no two so near that rounding decides if they touch.
-
-    False where a number is NaN.
-    """
-    for i in range(len(points)):
-        for k in range(3):
-            if not arena[0, k] + radius[i] <= points[i, k] <= arena[1, k] - radius[i]:
-                return False
-        for j in range(i):
-            reach, square = radius[i] + radius[j], 0.0
-            for k in range(3):
-                square += (points[i, k] - points[j, k]) ** 2
-            if square < reach * reach * (1.0 + 1e-9):
-                return False
-    return True
 
 
 def _refuse_touching(name: str, points: FloatArray, radius: FloatArray, arena: FloatArray) -> None:
@@ -160,14 +146,14 @@ def draw_apart(
     """
     rows = np.zeros((0, 0)) if obstacles is None else obstacles
     points = np.empty((n, 3))
-    placed, drawn, size, least = 0, 0, np.subtract(high, low), float(distance**2)
+    placed, drawn, size, no_radius = 0, 0, np.subtract(high, low), np.zeros(n)
     while placed < n and drawn < 10_000:
         missing = min(n - placed, 10_000 - drawn)  # all of them are drawn, whatever fits
         drawn += missing
         candidates = np.add(low, size * rng.random((missing, 3)))
         if len(rows):
             candidates = candidates[obstacle_distances(rows, candidates).min(axis=-1) >= margin]
-        placed = _keep_apart(points, placed, candidates, least)
+        placed = _keep_apart(points, placed, candidates, distance, no_radius, _ANYWHERE)
     if placed == n:
         return points
     raise RuntimeError(
@@ -178,27 +164,36 @@ def draw_apart(
 
 @kernel
 def _keep_apart(
-    points: FloatArray, placed: int, candidates: FloatArray, least_square: float
+    points: FloatArray,
+    placed: int,
+    candidates: FloatArray,
+    gap: float,
+    radius: FloatArray,
+    arena: FloatArray,
 ) -> int:
-    """Add candidates (M, 3) that are far enough from all points before; return how many there are.
+    """Add candidates (M, 3) that fit in the arena and touch none before; return how many there are.
+
+    What holds a NaN does not fit.
 
     Args:
         points: (N, 3) m, written from `placed` on.
         placed: how many there are.
         candidates: at most as many as are missing, m.
-        least_square: smallest square of the distance between two, m^2.
+        gap: smallest distance between the spheres of two points, m.
+        radius: (N,) of these spheres, by place, m.
+        arena: (2, 3) corners, m.
     """
-    for candidate in candidates:
-        fits = True
+    for c in range(len(candidates)):
+        fits, own = True, radius[placed]
+        for k in range(3):
+            x = points[placed, k] = candidates[c, k]
+            fits &= (arena[0, k] + own <= x) & (x <= arena[1, k] - own)
         for j in range(placed):
-            square = 0.0
+            reach, square = own + radius[j] + gap, 0.0
             for k in range(3):
-                square += (candidate[k] - points[j, k]) ** 2
-            fits &= square >= least_square
-        if fits:
-            for k in range(3):
-                points[placed, k] = candidate[k]
-            placed += 1
+                square += (points[placed, k] - points[j, k]) ** 2
+            fits &= square >= reach * reach
+        placed += fits
     return placed
 
 
@@ -212,15 +207,6 @@ def derangement(rng: np.random.Generator, n: int) -> npt.NDArray[np.int64]:
     """
     for _ in range(1000):
         order = rng.permutation(n)
-        if _all_moved(order):
+        if all(map(ne, order.tolist(), range(n))):
             return order
     raise RuntimeError(f"found no derangement of {n} in a thousand draws; n must be at least 2")
-
-
-@kernel
-def _all_moved(order: IntArray) -> bool:
-    """Whether a permutation leaves nothing in its place."""
-    moved = 0
-    for place in range(len(order)):
-        moved += order[place] != place
-    return moved == len(order)
