@@ -115,6 +115,24 @@ def approach_velocity(
     return shrink * gx, shrink * gy, shrink * gz
 
 
+@part
+def write_command(drone: Record, code: int, u: FloatArray) -> None:
+    """Write an action (width,) that is no acceleration into a drone's record, as it is meant."""
+    most = drone.nominal_max_rotor_thrust
+    if code == _CTBR:
+        drone.asked[0] = 0.5 * (u[0] + 1.0) * (4.0 * most)
+        drone.asked[1], drone.asked[2] = TILT_RATE_LIMIT * u[1], TILT_RATE_LIMIT * u[2]
+        drone.asked[3] = YAW_RATE_LIMIT * u[3]
+    elif code == _ROTORS:
+        for k in range(4):
+            drone.commands[k] = 0.5 * (u[k] + 1.0) * most
+    else:
+        for k in range(3):
+            drone.setpoint_position[k], drone.setpoint_velocity[k] = u[k], u[3 + k]
+            drone.setpoint_acceleration[k], drone.setpoint_jerk[k] = u[6 + k], u[9 + k]
+        drone.setpoint_yaw, drone.setpoint_yaw_rate = u[12], u[13]
+
+
 @kernel
 def apply_actions(
     code: int,
@@ -139,13 +157,11 @@ def apply_actions(
     Returns:
         Whether every number is finite and within the limit; if not, nothing was changed.
     """
-    within = True
     for e in range(actions.shape[0]):
         for i in range(actions.shape[1]):
             for k in range(actions.shape[2]):
-                within &= abs(actions[e, i, k]) <= limit
-    if not within:
-        return False
+                if not abs(actions[e, i, k]) <= limit:
+                    return False
     rate, decision_s = settings[0].decision_rate, settings[0].decision_s
     for e in range(actions.shape[0]):
         flown[e] = environments[e].running
@@ -155,24 +171,13 @@ def apply_actions(
         environments[e].time = environments[e].decisions / rate
         for i in range(actions.shape[1]):
             u, d = actions[e, i], drones[e, i]
-            if code == _ACCELERATION:
-                accelerate(d, u[0], u[1], u[2], decision_s)
-            elif code == _VELOCITY:
-                x, y, z = approach_velocity(d, u[0], u[1], u[2], decision_s)
-                accelerate(d, x, y, z, decision_s)
-            elif code == _CTBR:
-                most = 4.0 * d.nominal_max_rotor_thrust
-                d.asked[0] = 0.5 * (u[0] + 1.0) * most
-                d.asked[1], d.asked[2] = TILT_RATE_LIMIT * u[1], TILT_RATE_LIMIT * u[2]
-                d.asked[3] = YAW_RATE_LIMIT * u[3]
-            elif code == _ROTORS:
-                for k in range(4):
-                    d.commands[k] = 0.5 * (u[k] + 1.0) * d.nominal_max_rotor_thrust
-            else:
-                for k in range(3):
-                    d.setpoint_position[k], d.setpoint_velocity[k] = u[k], u[3 + k]
-                    d.setpoint_acceleration[k], d.setpoint_jerk[k] = u[6 + k], u[9 + k]
-                d.setpoint_yaw, d.setpoint_yaw_rate = u[12], u[13]
+            if code > _VELOCITY:
+                write_command(d, code, u)
+                continue
+            x, y, z = u[0], u[1], u[2]
+            if code == _VELOCITY:
+                x, y, z = approach_velocity(d, x, y, z, decision_s)
+            accelerate(d, x, y, z, decision_s)
     return True
 
 
