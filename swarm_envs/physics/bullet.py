@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import importlib
 import weakref
+from collections.abc import Sequence
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.vehicles import GRAVITY
 
 _ORIGIN = [0.0, 0.0, 0.0]
-_MOVED = 13
+_BODY = Struct("13d")
 """The first columns of a drone: position, quaternion, velocity, angular velocity."""
 
 
@@ -135,6 +137,9 @@ class BulletPhysics(Physics):
             self.clients.append(self._connect())
             self.bodies.append(self._populate(e))
         self._built, self._built_teams = self._body_numbers(), list(self.teams)
+        self._memory = self._columns.data.cast("B")
+        wrenches = self.world.drones["wrench"]
+        self._wrenches = wrenches.reshape(*wrenches.shape[:2], 2, 3)  # a view: force and torque
 
     def _body_numbers(self) -> FloatArray:
         """(E, N, 4) mass and moments of inertia, as bodies are built from."""
@@ -175,40 +180,56 @@ class BulletPhysics(Physics):
     def fly(self, steps: int, flown: BoolArray, then: Finish = lambda *_: None) -> None:
         """Make so many physics steps in the environments that fly; see `Physics.fly`."""
         mask: BoolArray = np.ascontiguousarray(flown)
+        where = np.flatnonzero(mask).tolist()
         for k in range(steps):
-            self._step_bodies(CONTROL | SPIN | (0 if k else BEGIN), mask)
-        for e in np.flatnonzero(flown).tolist():
-            self.settle(e)
+            before = CONTROL | SPIN | (0 if k else BEGIN)
+            self._step_bodies(before, mask, where, settles=k == steps - 1)
         then(0, self.num_envs, 0)
 
     def _advance(self) -> None:
-        self._step_bodies(BEGIN | SPIN, self._everywhere)
+        self._step_bodies(BEGIN | SPIN, self._everywhere, range(self.num_envs), settles=False)
 
-    def _step_bodies(self, before: int, flown: BoolArray) -> None:
-        """Make one physics step, with Bullet in the place of the phase MOVE."""
+    def _step_bodies(
+        self, before: int, flown: BoolArray, where: Sequence[int], settles: bool
+    ) -> None:
+        """Make one physics step, with Bullet in the place of the phase MOVE.
+
+        Args:
+            before: phases that come before it.
+            flown: (E,) environments that fly.
+            where: their numbers.
+            settles: whether bodies are then put where their state says, as `settle` does.
+        """
         if not self.clients:
             self._check_open()
-        bullet, kernel, given = (
-            self._bullet,
-            self._compiled,
-            (1, flown, *self._given, *self._own[0]),
-        )
-        push, turn, link = bullet.applyExternalForce, bullet.applyExternalTorque, bullet.LINK_FRAME
-        pose, twist = bullet.getBasePositionAndOrientation, bullet.getBaseVelocity
+        kernel, given = self._compiled, (1, flown, *self._given, *self._own[0])
         kernel(0, self.num_envs, before, *given)
-        for e in np.flatnonzero(flown).tolist():
-            client, bodies = self.clients[e], self.bodies[e]
-            for body, row in zip(bodies, self.world.drones["wrench"][e].tolist(), strict=True):
-                push(body, -1, row[:3], _ORIGIN, link, client)
-                turn(body, -1, row[3:], link, client)
-            bullet.stepSimulation(client)
-            self._columns[e, :, :_MOVED] = [
-                (*position, *quaternion, *velocity, *rate)
-                for (position, quaternion), (velocity, rate) in [
-                    (pose(body, client), twist(body, client)) for body in bodies
-                ]
-            ]
+        for e in where:
+            self._move_bodies(e, settles)
         kernel(0, self.num_envs, TOUCH, *given)
+
+    def _move_bodies(self, e: int, settles: bool) -> None:
+        """Let Bullet advance the bodies of environment `e`, and write where they are now.
+
+        Numbers are packed into the memory of the drones: to make an array of them takes longer.
+        """
+        bullet, client, bodies = self._bullet, self.clients[e], self.bodies[e]
+        push, turn, link = bullet.applyExternalForce, bullet.applyExternalTorque, bullet.LINK_FRAME
+        for body, (force, torque) in zip(bodies, self._wrenches[e].tolist(), strict=True):
+            push(body, -1, force, _ORIGIN, link, client)
+            turn(body, -1, torque, link, client)
+        bullet.stepSimulation(client)
+        pose, twist = bullet.getBasePositionAndOrientation, bullet.getBaseVelocity
+        put, set_off = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
+        write, memory, size = _BODY.pack_into, self._memory, self.world.drones.itemsize
+        place = e * len(bodies) * size
+        for body in bodies:
+            (position, quaternion), (velocity, rate) = pose(body, client), twist(body, client)
+            write(memory, place, *position, *quaternion, *velocity, *rate)
+            place += size
+            if settles:
+                put(body, position, quaternion, client)
+                set_off(body, velocity, rate, client)
 
 
 def _disconnect(bullet: Any, clients: list[int]) -> None:
