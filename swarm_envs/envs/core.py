@@ -116,15 +116,22 @@ class SwarmCore:
         ranges = config.randomization
         self._noisy = ranges is not None and ranges.noisy
         self._seen = self.world.copy() if self._noisy else self.world
-        self._columns = self._seen.columns
-        k = config.num_neighbors
-        threads = range(self.physics.workers.threads)
-        self._scratch = [(np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
-        many, seen = self.num_drones > FEW, self.num_obstacles > 0
-        order, obstacles = self.physics.order, self.physics.obstacles
-        self._around = (order if many else None, obstacles if seen else None)
+        self._shape = (num_envs, self.num_drones, self.mode.width)
+        self._substeps = PHYSICS_RATE // config.decision_rate
+        self._state = (*self.world, self.settings)
+        self._observed = self._what_is_observed()
+
+    def _what_is_observed(self) -> list[tuple[Any, ...]]:
+        """What `write_observations` takes on each thread: all of it stays."""
+        k, (drones, environments, _) = self.config.num_neighbors, self.world
         width = observation_width(k, self.num_obstacles)
-        self.rows: Float32Array = np.zeros((num_envs, self.num_drones, width), np.float32)
+        self.rows: Float32Array = np.zeros((*drones.shape, width), np.float32)
+        seen = (self._seen.drones, self._seen.columns, drones, environments, self.settings)
+        order = self.physics.order if self.num_drones > FEW else None
+        obstacles = self.physics.obstacles if self.num_obstacles else None
+        given = (self.rows, self.num_obstacles, *seen, order, obstacles)
+        threads = range(self.physics.workers.threads)
+        return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
 
     def _set_rules(self) -> None:
         """Complete the settings by what the task and the options say of episodes."""
@@ -151,21 +158,18 @@ class SwarmCore:
         Kernels look up the types of their arguments at each call; these do not, which saves a
         fifth of a single environment's step.
         """
-        task, settings, (drones, environments, goals) = self.task, self.settings, self.world
-        actions = np.zeros((*drones.shape, self.mode.width))
+        task, settings, (drones, environments, _) = self.task, self.settings, self.world
+        actions = np.zeros(self._shape)
         rewards = np.zeros(drones.shape)
         terms = np.zeros((2, 2, drones.shape[1]))[:, :1]  # of any strides, as the parts of a batch
-        flown, columns = self._flown, self.world.columns
-        seen = (flown, self.rows, 0, drones, columns, drones, environments, settings)
-        around = (*self._around, *self._scratch[0])
-        state = (drones, environments, goals, settings)
+        flown, state = self._flown, self._state
         return _Kernels(
             entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
             entry_point(task.write_reference, *state),
             entry_point(judge, actions, *state),
             entry_point(task.write_reward_terms, drones, environments, settings, terms),
             entry_point(weigh, terms, self._weights, flown, rewards),
-            entry_point(write_observations, 0, 0, *seen, *around),
+            entry_point(write_observations, 0, 0, flown, *self._observed[0]),
         )
 
     @property
@@ -221,7 +225,8 @@ class SwarmCore:
                 draw_vehicles(self.generators[e], self.config.randomization, e, self.world)
         self.physics.begin(begun)
         self._kernels.refer(*self.world, self.settings)
-        return self._observe(where)
+        self._observe(0, self.num_envs, where, 0)
+        return self.rows
 
     def step(self, actions: npt.ArrayLike) -> StepResult:
         """Fly every running environment from this decision to the next.
@@ -233,32 +238,30 @@ class SwarmCore:
             ValueError: actions of a wrong shape, not finite, or outside their bounds; nothing
                 has changed then.
         """
-        mode, kernels, flown, settings = self.mode, self._kernels, self._flown, self.settings
-        drones, environments, goals = self.world
-        asked = as_actions(mode, actions, (self.num_envs, self.num_drones, mode.width))
-        facts = (mode.limit, drones, environments, settings, flown)
-        if not kernels.apply(mode.code, asked, *facts):
+        mode, kernels, flown = self.mode, self._kernels, self._flown
+        drones, environments, goals, settings = everything = self._state
+        asked = as_actions(mode, actions, self._shape)
+        if not kernels.apply(mode.code, asked, mode.limit, drones, environments, settings, flown):
             check_actions(mode, asked)
         rewards: FloatArray = np.empty(drones.shape)
         terms: FloatArray = np.empty((len(self._weights), *drones.shape))
 
         def finish(first: int, last: int, thread: int) -> None:
             """Judge, weigh and observe what has been flown."""
+            state, decided = everything, asked
+            scored = (terms, self._weights, flown, rewards)
             if last - first < self.num_envs:
                 here = slice(first, last)
                 state = (drones[here], environments[here], goals[here], settings)
                 scored = (terms[:, here], self._weights, flown[here], rewards[here])
                 decided = asked[here]
-            else:
-                state, decided = (drones, environments, goals, settings), asked
-                scored = (terms, self._weights, flown, rewards)
             kernels.refer(*state)
             kernels.judge(decided, *state)
             kernels.write_terms(state[0], state[1], settings, scored[0])
             kernels.weigh(*scored)
-            self._observe_part(first, last, flown, thread)
+            self._observe(first, last, flown, thread)
 
-        self.physics.fly(PHYSICS_RATE // self.config.decision_rate, flown, finish)
+        self.physics.fly(self._substeps, flown, finish)
         terminated, truncated = environments["terminated"], environments["truncated"]
         return StepResult(self.rows, rewards, terms, terminated.copy(), truncated.copy())
 
@@ -289,24 +292,16 @@ class SwarmCore:
         drones, environments, _ = self.world
         everywhere, nobody = np.ones(self.num_envs, dtype=np.bool_), np.zeros(0, np.int64)
         given = (everywhere, rows, 0, drones, self.world.columns, drones, environments)
-        order, _ = self._around
-        settings, square = self.settings, np.zeros(0)
+        order, settings, square = self._observed[0][-4], self.settings, np.zeros(0)
         write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
         return rows
 
-    def _observe(self, where: BoolArray) -> Float32Array:
-        """Write the rows of these environments (E,); the others' stay."""
-        self._observe_part(0, self.num_envs, where, 0)
-        return self.rows
-
-    def _observe_part(self, first: int, last: int, where: BoolArray, thread: int) -> None:
+    def _observe(self, first: int, last: int, where: BoolArray, thread: int) -> None:
         """Write the rows of those of the environments first to last - 1 that are in the mask."""
-        drones, environments, _ = self.world
         if self._noisy:
+            drones, environments, _ = self.world
             sense(first, last, drones, environments, self.settings, where, self._seen.drones)
-        given = (where, self.rows, self.num_obstacles, self._seen.drones, self._columns, drones)
-        around, scratch = self._around, self._scratch[thread]
-        self._kernels.observe(first, last, *given, environments, self.settings, *around, *scratch)
+        self._kernels.observe(first, last, where, *self._observed[thread])
 
     def _task_for(self, team: Team | None) -> Task:
         """The task of episodes that begin now, flown by a team; None for the constructor's."""

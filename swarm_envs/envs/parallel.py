@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import repeat
 from typing import Any
 
 import numpy as np
@@ -310,13 +311,10 @@ def infos_by_agent(
         ended: whether the episode has ended; the infos then hold the metrics.
     """
     # Whatever is touched ends the episode, so that until then nothing is.
-    names, columns = core.task.reward_names, result.reward_terms[:, 0].T.tolist()
+    names, columns = repeat(core.task.reward_names), result.reward_terms[:, 0].T.tolist()
     infos: dict[str, dict[str, Any]] = {
-        agent: {
-            "reward_terms": dict(zip(names, column, strict=True)),
-            "contact": _NO_CONTACT.copy(),
-        }
-        for agent, column in zip(agents, columns, strict=True)
+        agent: {"reward_terms": terms, "contact": _NO_CONTACT.copy()}
+        for agent, terms in zip(agents, map(dict, map(zip, names, columns)), strict=True)
     }
     if ended:
         for info, contact in zip(infos.values(), _contacts(core, agents), strict=True):

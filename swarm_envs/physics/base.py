@@ -37,7 +37,7 @@ from swarm_envs.physics.step import (
     fly,
     new_work,
 )
-from swarm_envs.physics.workers import Workers
+from swarm_envs.physics.workers import Call, Workers
 from swarm_envs.state import (
     BoolArray,
     FloatArray,
@@ -62,8 +62,8 @@ FORCE_BOUNDS_G: Mapping[str, float] = {"S": 5.0, "S*": 5.0, "L": 10.0}
 Neural-Swarm2 plans (Sec. VII-D, Fig. 6)."""
 
 
-Finish = Callable[[int, int, int], object]
-"""What is done with the environments first to last - 1 on a thread, once they have flown."""
+DECISION = BEGIN | CONTROL | SPIN | MOVE | TOUCH
+"""Phases of the steps of a decision on the compiled engine."""
 
 
 class Physics:
@@ -168,7 +168,7 @@ class Physics:
         largest = max(1, PART // drones)
         self.workers = Workers(self.num_envs, threads, len(work.members), largest)
         self._open_circuit = self._battery.open_circuit if self.settings["drains"][0] else None
-        self._given = (
+        given = (
             self.world.drones,
             self._columns,
             self.world.environments,
@@ -181,16 +181,14 @@ class Physics:
             self.belief.packed if self.settings["believes"][0] else None,
         )
         places = len(work.members)
-        self._own = [
+        self._given = [  # to each thread
             (
+                *given,
                 new_work(drones),
-                *(scratch_for(m, places, drones) if m else None for m in self._given[-2:]),
+                *(scratch_for(m, places, drones) if m else None for m in given[-2:]),
             )
             for _ in range(self.workers.threads)
         ]
-
-        self._numbers = [(thread,) for thread in range(self.workers.threads)]
-
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
 
     @cached_property
@@ -201,7 +199,7 @@ class Physics:
     @cached_property
     def _compiled(self) -> Callable[..., None]:
         """`fly` for the types of our arguments, which are then not looked up at every call."""
-        return entry_point(fly, 0, 0, 0, 0, self._everywhere, *self._given, *self._own[0])
+        return entry_point(fly, 0, 0, 0, 0, self._everywhere, *self._given[0])
 
     def _fields_of(self, team: Team) -> dict[str, npt.ArrayLike]:
         """What the table of drones holds of a team: fields by name, (N, ...)."""
@@ -293,7 +291,7 @@ class Physics:
         clear_environments(self.world.environments, where)
         self.place_bodies(where)
 
-    def fly(self, steps: int, flown: BoolArray, then: Finish = lambda *_: None) -> None:
+    def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
         """Make so many physics steps in the environments that fly: a decision of theirs.
 
         Args:
@@ -302,23 +300,21 @@ class Physics:
             then: called with the first environment, one past the last, and the thread's number,
                 for every part of the batch that has been flown, on the thread that flew it.
         """
-        phases = BEGIN | CONTROL | SPIN | MOVE | TOUCH
-        mask: BoolArray = np.ascontiguousarray(flown)  # a view of the records would not be
-
-        def work(first: int, last: int, thread: int) -> None:
-            own = self._own[thread]
-            self._compiled(first, last, phases, steps, mask, *self._given, *own)
-            then(first, last, thread)
-
-        self.workers.share(work, (), self._numbers)
+        self._fly(DECISION, steps, flown, then)
 
     def control(self) -> None:
         """Let the tracking loop alone make one step everywhere: commands for the state that is."""
         self._fly(CONTROL, 1, self._everywhere)
 
-    def _fly(self, phases: int, steps: int, flown: BoolArray) -> None:
-        mask: BoolArray = np.ascontiguousarray(flown)  # as in `fly`
-        self.workers.share(self._compiled, (phases, steps, mask, *self._given), self._own)
+    def _fly(self, phases: int, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
+        kernel, given = self._compiled, self._given
+        mask: BoolArray = np.ascontiguousarray(flown)  # a view of the records would not be
+
+        def work(first: int, last: int, thread: int) -> None:
+            kernel(first, last, phases, steps, mask, *given[thread])
+            then(first, last, thread)
+
+        self.workers.share(work)
 
     def step(
         self, commands: npt.ArrayLike, external_force: npt.ArrayLike | None = None

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.physics.base import Finish, Physics
+from swarm_envs.physics.base import Physics
 from swarm_envs.physics.bullet_bodies import build_body, build_floor, build_obstacle
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import BEGIN, CONTROL, SPIN, TOUCH
+from swarm_envs.physics.workers import Call
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.vehicles import GRAVITY
 
@@ -177,7 +178,7 @@ class BulletPhysics(Physics):
         if not self.clients:
             raise RuntimeError("this BulletPhysics is closed; make a new one")
 
-    def fly(self, steps: int, flown: BoolArray, then: Finish = lambda *_: None) -> None:
+    def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
         """Make so many physics steps in the environments that fly; see `Physics.fly`."""
         mask: BoolArray = np.ascontiguousarray(flown)
         where = np.flatnonzero(mask).tolist()
@@ -202,7 +203,7 @@ class BulletPhysics(Physics):
         """
         if not self.clients:
             self._check_open()
-        kernel, given = self._compiled, (1, flown, *self._given, *self._own[0])
+        kernel, given = self._compiled, (1, flown, *self._given[0])
         kernel(0, self.num_envs, before, *given)
         for e in where:
             self._move_bodies(e, settles)

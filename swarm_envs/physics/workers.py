@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 
+Call = Callable[[int, int, int], object]
+"""What is done with the environments first to last - 1, on the thread of a number."""
 _PARTS_PER_THREAD = 4
 """So that a thread whose core is busy with something else leaves more to the others."""
 
@@ -41,31 +42,26 @@ class Workers:
         if self._pool is not None:
             self._pool.shutdown()
 
-    def share(
-        self, call: Callable[..., None], given: tuple[Any, ...], own: Sequence[tuple[Any, ...]]
-    ) -> None:
-        """Call `call(first, last + 1, *given, *own[thread])` until every environment had its turn.
+    def share(self, call: Call) -> None:
+        """Call `call(first, last + 1, thread)` until every environment had its turn.
 
         Args:
-            call: a kernel, or a function that calls some; kernels let other threads run.
-            given: what all threads take.
-            own: what each thread takes alone.
+            call: calls kernels, which let other threads run.
         """
         if self._pool is None:
-            _work(call, iter(self._parts), (*given, *own[0]))
+            for first, last in self._parts:
+                call(first, last, 0)
             return
         left = iter(self._parts)  # of which Python hands each part to one thread only
-        waiting = [self._pool.submit(_work, call, left, (*given, *mine)) for mine in own[1:]]
-        _work(call, left, (*given, *own[0]))
+        waiting = [self._pool.submit(_work, call, left, k) for k in range(1, self.threads)]
+        _work(call, left, 0)
         for future in waiting:
             future.result()
 
 
-def _work(
-    call: Callable[..., None], left: Iterator[tuple[int, int]], arguments: tuple[Any, ...]
-) -> None:
+def _work(call: Call, left: Iterator[tuple[int, int]], thread: int) -> None:
     for first, last in left:
-        call(first, last, *arguments)
+        call(first, last, thread)
 
 
 def parts(num_envs: int, count: int) -> list[tuple[int, int]]:

@@ -38,12 +38,11 @@ def test_every_environment_is_seen_once_and_no_memory_is_shared(num_envs, thread
         seen: list[int] = []
         users: dict[int, set[int]] = {k: set() for k in range(workers.threads)}
 
-        def call(first: int, last: int, given: str, mine: int) -> None:
-            assert given == "given"
+        def call(first: int, last: int, mine: int) -> None:
             seen.extend(range(first, last))
             users[mine].add(threading.get_ident())
 
-        workers.share(call, ("given",), [(k,) for k in range(workers.threads)])
+        workers.share(call)
     assert sorted(seen) == list(range(num_envs))
     assert all(len(threads) <= 1 for threads in users.values())
 
@@ -57,4 +56,4 @@ def test_what_fails_on_a_thread_is_raised():
     done = threading.Event()
     with working(64, 2) as workers, pytest.raises(ValueError, match="no"):
         threading.Timer(0.05, done.set).start()
-        workers.share(call, (), [(0,), (1,)])
+        workers.share(call)
