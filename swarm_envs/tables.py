@@ -331,9 +331,18 @@ _BEGUN = np.zeros(1, ENVIRONMENT_TYPE)
 for _field in _BEGINS:
     _BEGUN[_field.name] = _field.reset
 _FIRST_RESET = dict(ENVIRONMENT_TYPE.fields or ())[_BEGINS[0].name][1]
+_ENVIRONMENT_SIZE = ENVIRONMENT_TYPE.itemsize
+_RESET_PART = np.dtype(
+    {
+        "names": ["begun"],
+        "formats": [np.dtype((np.void, _ENVIRONMENT_SIZE - _FIRST_RESET))],
+        "offsets": [_FIRST_RESET],
+        "itemsize": _ENVIRONMENT_SIZE,
+    }
+)
+"""An environment whose quantities that begin anew are one lump of memory, to be set at once."""
 
 
 def clear_environments(environments: Records, where: npt.NDArray[np.int64]) -> None:
     """Give the quantities of these environments (M,) their values at a reset."""
-    memory = environments.view(np.uint8).reshape(len(environments), -1)
-    memory[where, _FIRST_RESET:] = _BEGUN.view(np.uint8)[_FIRST_RESET:]
+    environments.view(_RESET_PART)["begun"][where] = _BEGUN.view(_RESET_PART)["begun"]

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
@@ -178,14 +179,12 @@ def check_num_envs(num_envs: object) -> int:
     return check_integer("num_envs", num_envs, 1, MOST_ENVIRONMENTS)
 
 
-def check_mask(mask: BoolArray | None, num_envs: int) -> BoolArray:
-    """The (E,) mask of environments, all of them for None.
+def check_mask(mask: npt.ArrayLike, num_envs: int) -> BoolArray:
+    """The (E,) mask of environments.
 
     Raises:
         ValueError: it is not one boolean an environment.
     """
-    if mask is None:
-        return np.ones(num_envs, dtype=np.bool_)
     array = np.array(mask)
     if array.dtype != np.bool_ or array.shape != (num_envs,):
         raise ValueError(
@@ -221,6 +220,8 @@ def check_reset_options(options: Mapping[str, Any], num_drones: int) -> ResetOpt
         TypeError: the options are no mapping.
         ValueError: an option is unknown, an array of wrong shape or not finite, or a team unknown.
     """
+    if not options:
+        return ResetOptions(None, {})
     check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
     for name in given:

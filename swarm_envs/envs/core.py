@@ -31,7 +31,7 @@ from swarm_envs.interactions import load
 from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import World
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.mission import Placement, place
@@ -113,6 +113,7 @@ class SwarmCore:
         weights = [task.reward_weights.get(name, 0.0) for name in task.reward_names]
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
+        self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
         ranges = config.randomization
         self._noisy = ranges is not None and ranges.noisy
         self._seen = self.world.copy() if self._noisy else self.world
@@ -213,10 +214,10 @@ class SwarmCore:
             ValueError: an option is unknown, or a start, goal or team impossible; nothing has
                 changed then.
         """
-        where = check_mask(mask, self.num_envs)
+        where = self._everywhere if mask is None else check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
         team, given = check_reset_options(options or {}, self.num_drones)
-        task, begun = self._task_for(team), np.flatnonzero(where)
+        task, (begun,) = self._task_for(team), where.nonzero()
         for e, placement in self._draw(task, begun.tolist(), seeds, given).items():
             self._fly_task(e, task)
             place(self.world, e, placement)
@@ -290,8 +291,8 @@ class SwarmCore:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
         rows = np.zeros((*self.world.drones.shape, observation_width(0)), np.float32)
         drones, environments, _ = self.world
-        everywhere, nobody = np.ones(self.num_envs, dtype=np.bool_), np.zeros(0, np.int64)
-        given = (everywhere, rows, 0, drones, self.world.columns, drones, environments)
+        nobody: IntArray = np.zeros(0, np.int64)
+        given = (self._everywhere, rows, 0, drones, self.world.columns, drones, environments)
         order, settings, square = self._observed[0][-4], self.settings, np.zeros(0)
         write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
         return rows

@@ -15,7 +15,7 @@ from swarm_envs.physics.bullet_bodies import build_body, build_floor, build_obst
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.physics.step import BEGIN, CONTROL, SPIN, TOUCH
 from swarm_envs.physics.workers import Call
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import BoolArray, IntArray
 from swarm_envs.vehicles import GRAVITY
 
 _ORIGIN = [0.0, 0.0, 0.0]
@@ -106,13 +106,14 @@ class BulletPhysics(Physics):
         for row in self.obstacles.tolist():
             build_obstacle(bullet, client, row)
         return [
-            build_body(bullet, client, vehicle, *self._inertia(e, i))
-            for i, vehicle in enumerate(self.teams[e])
+            build_body(bullet, client, vehicle, *inertia)
+            for vehicle, inertia in zip(self.teams[e], self._inertias(e), strict=True)
         ]
 
-    def _inertia(self, e: int, i: int) -> tuple[float, list[float]]:
-        drone = self.world.drones[e, i]
-        return float(drone["mass"]), drone["inertia"].tolist()
+    def _inertias(self, e: int) -> list[tuple[float, list[float]]]:
+        """Mass and moments of inertia of each drone of environment `e`, for its body."""
+        drones = self.world.drones[e]
+        return list(zip(drones["mass"].tolist(), drones["inertia"].tolist(), strict=True))
 
     def place_bodies(self, where: IntArray) -> None:
         """Move the bodies of these environments (M,) to their states, masses included.
@@ -122,33 +123,28 @@ class BulletPhysics(Physics):
         if not self.bodies:
             self._build()
         self._check_open()
-        wanted = self._body_numbers()
-        changed = (wanted != self._built).any(axis=-1)
         for e in where.tolist():
+            wanted, built = self._inertias(e), self._built[e]
             if self.teams[e] != self._built_teams[e]:
                 self.bodies[e], self._built_teams[e] = self._populate(e), self.teams[e]
             else:
-                for i in np.flatnonzero(changed[e]).tolist():
-                    self._rebuild(e, i, self.bodies[e][i])
-            self._built[e] = wanted[e]
+                for body, new, old in zip(self.bodies[e], wanted, built, strict=True):
+                    if new != old:
+                        self._rebuild(e, body, *new)
+            self._built[e] = wanted
             self.settle(e)
 
     def _build(self) -> None:
-        for e in range(self.num_envs):
+        every = range(self.num_envs)
+        for e in every:
             self.clients.append(self._connect())
             self.bodies.append(self._populate(e))
-        self._built, self._built_teams = self._body_numbers(), list(self.teams)
+        self._built, self._built_teams = list(map(self._inertias, every)), list(self.teams)
         self._memory = self._columns.data.cast("B")
         wrenches = self.world.drones["wrench"]
         self._wrenches = wrenches.reshape(*wrenches.shape[:2], 2, 3)  # a view: force and torque
 
-    def _body_numbers(self) -> FloatArray:
-        """(E, N, 4) mass and moments of inertia, as bodies are built from."""
-        drones = self.world.drones
-        return np.concatenate([drones["mass"][..., None], drones["inertia"]], axis=-1)
-
-    def _rebuild(self, e: int, i: int, body: int) -> None:
-        mass, inertia = self._inertia(e, i)
+    def _rebuild(self, e: int, body: int, mass: float, inertia: list[float]) -> None:
         client = self.clients[e]
         self._bullet.changeDynamics(
             body, -1, mass=mass, localInertiaDiagonal=inertia, physicsClientId=client
@@ -181,7 +177,7 @@ class BulletPhysics(Physics):
     def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
         """Make so many physics steps in the environments that fly; see `Physics.fly`."""
         mask: BoolArray = np.ascontiguousarray(flown)
-        where = np.flatnonzero(mask).tolist()
+        where = mask.nonzero()[0].tolist()
         for k in range(steps):
             before = CONTROL | SPIN | (0 if k else BEGIN)
             self._step_bodies(before, mask, where, settles=k == steps - 1)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -224,17 +225,21 @@ class SwapTask(Task):
         return Placement(start, _opposite(start)[None])
 
     def _draw_random(self, rng: np.random.Generator, start: FloatArray | None) -> Placement:
-        n, (rows, radius, arena) = len(self.team), self._kept
-        edge = arena[1, 0] - WALL_MARGIN
-        ceiling = self.heights_m[1] * arena[1, 2] / ARENA_HEIGHT
-        box = [-edge, -edge, self.heights_m[0]], [edge, edge, ceiling]
-        free = rows, OBSTACLE_MARGIN + float(radius.max())
+        n, (low, high, rows, margin) = len(self.team), self._box
         if n == 1:
-            points = draw_apart(rng, *box, 2, self.spacing_m, *free)
+            points = draw_apart(rng, low, high, 2, self.spacing_m, rows, margin)
             return Placement(points[:1] if start is None else start, points[None, 1:])
         if start is None:
-            start = draw_apart(rng, *box, n, self.spacing_m, *free)
+            start = draw_apart(rng, low, high, n, self.spacing_m, rows, margin)
         return Placement(start, start[derangement(rng, n)][None])
+
+    @cached_property
+    def _box(self) -> tuple[FloatArray, FloatArray, FloatArray, float]:
+        """Corners of the box of random starts, m; the obstacles, how far to keep from them, m."""
+        rows, radius, arena = self._kept
+        edge, ceiling = arena[1, 0] - WALL_MARGIN, self.heights_m[1] * arena[1, 2] / ARENA_HEIGHT
+        low, high = np.array([-edge, -edge, self.heights_m[0]]), np.array([edge, edge, ceiling])
+        return low, high, rows, OBSTACLE_MARGIN + float(radius.max())
 
 
 def _on_circle(n: int, radius: float, turn: float, height: FloatArray | float) -> FloatArray:
