@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import weakref
-from collections.abc import Sequence
 from struct import Struct
 from typing import Any
 
@@ -176,33 +175,30 @@ class BulletPhysics(Physics):
 
     def fly(self, steps: int, flown: BoolArray, then: Call = lambda *_: None) -> None:
         """Make so many physics steps in the environments that fly; see `Physics.fly`."""
-        mask: BoolArray = np.ascontiguousarray(flown)
-        where = mask.nonzero()[0].tolist()
-        for k in range(steps):
-            before = CONTROL | SPIN | (0 if k else BEGIN)
-            self._step_bodies(before, mask, where, settles=k == steps - 1)
+        self._step_bodies(CONTROL | SPIN, steps, np.ascontiguousarray(flown), settles=True)
         then(0, self.num_envs, 0)
 
     def _advance(self) -> None:
-        self._step_bodies(BEGIN | SPIN, self._everywhere, range(self.num_envs), settles=False)
+        self._step_bodies(SPIN, 1, self._everywhere, settles=False)
 
-    def _step_bodies(
-        self, before: int, flown: BoolArray, where: Sequence[int], settles: bool
-    ) -> None:
-        """Make one physics step, with Bullet in the place of the phase MOVE.
+    def _step_bodies(self, before: int, steps: int, flown: BoolArray, settles: bool) -> None:
+        """Make physics steps, with Bullet in the place of the phase MOVE.
+
+        One call of the kernel ends a step and begins the next: it has to load and store once.
 
         Args:
             before: phases that come before it.
+            steps: of 1/240 s.
             flown: (E,) environments that fly.
-            where: their numbers.
-            settles: whether bodies are then put where their state says, as `settle` does.
+            settles: whether bodies are at last put where their state says, as `settle` does.
         """
         if not self.clients:
             self._check_open()
-        kernel, given = self._compiled, (1, flown, *self._given[0])
-        kernel(0, self.num_envs, before, *given)
-        for e in where:
-            self._move_bodies(e, settles)
+        kernel, given, where = self._compiled, (1, flown, *self._given[0]), flown.nonzero()[0]
+        for k in range(steps):
+            kernel(0, self.num_envs, before | (TOUCH if k else BEGIN), *given)
+            for e in where.tolist():
+                self._move_bodies(e, settles and k == steps - 1)
         kernel(0, self.num_envs, TOUCH, *given)
 
     def _move_bodies(self, e: int, settles: bool) -> None:

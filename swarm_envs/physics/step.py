@@ -205,7 +205,8 @@ def fly(  # noqa: C901  # one step, on one screen
     Args:
         first: the first environment.
         last: one past the last.
-        phases: which phases each step has.
+        phases: which phases each step has. Without MOVE, TOUCH comes first: Bullet has moved the
+            bodies since the last call.
         steps: number of steps.
         flown: (E,) environments to fly; the others are not touched.
         drones: (E, N) their records.
@@ -224,7 +225,7 @@ def fly(  # noqa: C901  # one step, on one screen
         belief_scratch: of the second.
     """
     s, size, members = settings[0], drones.shape[1], work.members
-    controlled = s.level != ROTORS
+    controlled, moves = s.level != ROTORS, phases & MOVE != 0
     e = first
     while e < last:
         count = 0
@@ -237,7 +238,18 @@ def fly(  # noqa: C901  # one step, on one screen
             continue
         full = (count * size + LANES - 1) // LANES
         load(columns, count, controlled, phases & BEGIN != 0, work)
-        for _ in range(steps):
+        for k in range(steps + 1):
+            if phases & TOUCH and (k > 0) == moves:
+                touch(work.blocks, full, settings)
+                if order is None:
+                    meet(work.blocks, count, size, work.spots)
+                else:
+                    for place in range(count):
+                        meet_many(work.blocks, place * size, work.position, order[members[place]])
+                if obstacles is not None:
+                    touch_obstacles(work.blocks, count * size, obstacles)
+            if k == steps:
+                break
             if phases & CONTROL and s.level == SETPOINTS:
                 if belief is not None:
                     believed = size > 0
@@ -273,15 +285,6 @@ def fly(  # noqa: C901  # one step, on one screen
                 integrate(work.blocks, full)
             elif phases & SPIN:
                 write_wrenches(count, drones, work)
-            if phases & TOUCH:
-                touch(work.blocks, full, settings)
-                if order is None:
-                    meet(work.blocks, count, size, work.spots)
-                else:
-                    for place in range(count):
-                        meet_many(work.blocks, place * size, work.position, order[members[place]])
-                if obstacles is not None:
-                    touch_obstacles(work.blocks, count * size, obstacles)
         store(columns, count, controlled, work)
 
 
