@@ -84,12 +84,22 @@ def _compiled(function: F, fastmath: bool | set[str]) -> F:
     return compiled
 
 
-def part(function: F) -> F:
+@overload
+def part(function: F) -> F: ...
+@overload
+def part(*, fastmath: bool | set[str] = False) -> Callable[[F], F]: ...
+def part(function: Any = None, *, fastmath: bool | set[str] = False) -> Any:
     """A function that kernels call; from Python it stays as it is, and is interpreted.
 
     It is compiled with the kernel that calls it, and kept on disk as a piece of that. A kernel that
     only other kernels call costs more to compile: an entry point for Python, and a file of its own.
+
+    Args:
+        function: what to compile; leave it out to pass an option, as `@part(fastmath=...)`.
+        fastmath: as of `kernel`.
     """
+    if function is None:
+        return lambda decorated: _within_kernels(decorated, fastmath=fastmath)
     return _within_kernels(function)
 
 
@@ -102,7 +112,7 @@ def equation(function: F) -> F:
     return _within_kernels(function, forceinline=True)
 
 
-def _within_kernels(function: F, **options: bool) -> F:
+def _within_kernels(function: F, **options: Any) -> F:
     if numba.config.DISABLE_JIT:
         return function
     # Only kernels call the compiled version: entry points for C and Python would be left unused.

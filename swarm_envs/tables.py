@@ -91,7 +91,7 @@ _CONTROLLER = (
     Field("desired_attitude", (4,), "", 0.0, "Desired tilt of the last step, before the yaw."),
     Field("desired_rate", (3,), "rad/s", 0.0, "Low-passed angular velocity of the desired tilt."),
     Field("started", (), "", 0.0, "1 once the controller has made a step."),
-    Field("asked", (4,), "N, rad/s", None, "Thrust and body rates that action `ctbr` asks for."),
+    Field("asked", (4,), "N, rad/s", None, "Thrust and body rates that the rate loop gives."),
     Field("believed_force", (3,), "N", 0.0, "Interaction force that the controller compensates."),
 )
 """What the tracking loop remembers; rotor commands alone do without it."""
@@ -227,6 +227,10 @@ SETTINGS = (
 _SCRATCH = (
     Field("yaw_sin", (), "", None, "Sine of half the yaw angle."),
     Field("yaw_cos", (), "", None, "Cosine of half the yaw angle."),
+    Field("desired_force", (3,), "N", None, "Force that the position loop asks for."),
+    Field("asked_change", (3,), "rad/s^2", None, "Derivative of the body rates asked for."),
+    Field("body_rate", (3,), "rad/s", None, "Angular velocity in the body frame."),
+    Field("torque", (3,), "N m", None, "Torque of the rate loop, but for its gyroscopic part."),
 )
 """What a block has beside the columns of the drones."""
 

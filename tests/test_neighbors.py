@@ -39,9 +39,10 @@ def pairs_of(position: Array, drones: int) -> tuple[IntArray, Array]:
     field, places = packed(empty_field(1)), len(position) // drones
     scratch = scratch_for(field, places, drones)
     order = np.tile(np.arange(drones), (places, 1))
-    scratch.order[0] = np.random.default_rng(1).permuted(order, axis=1).ravel()
+    if scratch.order is not None:
+        scratch.order[0] = np.random.default_rng(1).permuted(order, axis=1).ravel()
     scratch.drones["position"] = position
-    find_pairs(field, places, drones, scratch)
+    find_pairs(field, places, drones, scratch.order, scratch)
     found = scratch.pairs[: scratch.desk["pairs"][0]]
     return np.stack([found["i"], found["j"]]), found["weight"]
 

@@ -2,8 +2,8 @@
 
 Position loop, eqs. (18) and (19); attitude loop, eqs. (20) and (21); compensation of the motors'
 lag, eq. (22), which adds to the desired thrust its low-passed derivative over lambda, and to the
-torque the derivative of the rate error; the mixer. `track` makes one step at 240 Hz for blocks of
-drones, and `hold_rates` one step of the inner loop alone.
+torque the derivative of the rate error; the mixer. At 240 Hz `track` makes one step of the outer
+loops for blocks of drones, and `hold_rates` one of the rate loop and the mixer.
 
 Rotors: 1 front right, 2 back right, 3 back left, 4 front left; body x forward, y left, z up.
 """
@@ -47,39 +47,11 @@ def relative_rotation(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 @equation
-def axis_acceleration(
-    error: float,
-    last_error: float,
-    error_rate: float,
-    integral: float,
-    rate_gain: float,
-    integral_gain: float,
-    lead_time: float,
-    step: float,
-    blend: float,
-    limit: float,
-) -> Vector:
-    """Feedback part of eq. (21) about one body axis, with the lead of eq. (22), over J.
-
-    Args:
-        error: body-rate error omega - omega_r, rad/s.
-        last_error: that of the last step, rad/s.
-        error_rate: its low-passed derivative until the last step, rad/s^2.
-        integral: its integral until the last step, rad.
-        rate_gain: K_omega / J, 1/s.
-        integral_gain: Gamma_omega / J, 1/s^2.
-        lead_time: 1 / lambda, s, or zero without lag compensation.
-        step: length of a controller step, s.
-        blend: of the low-pass on the derivative; zero on the first step, which has no last one.
-        limit: of the integral, rad.
-
-    Returns:
-        The angular acceleration, rad/s^2, and the derivative and the integral with this step.
-    """
-    error_rate += blend * ((error - last_error) * (1.0 / step) - error_rate)
-    integral = min(max(integral + error * step, -limit), limit)
-    proportional = rate_gain * (error + lead_time * error_rate)
-    return -proportional - integral_gain * integral, error_rate, integral
+def attitude_and_rates(b: Record, lane: int) -> tuple[Quaternion, Vector]:
+    """Attitude of the drone in a lane of a block, and its body rates, rad/s."""
+    q = b.quaternion[0, lane], b.quaternion[1, lane], b.quaternion[2, lane], b.quaternion[3, lane]
+    w = b.angular_velocity[0, lane], b.angular_velocity[1, lane], b.angular_velocity[2, lane]
+    return q, rotate_back(q, w)
 
 
 @equation
@@ -138,76 +110,23 @@ def mix_rotors(
     )
 
 
-@equation
-def axis_force(
-    position_error: float,
-    velocity: float,
-    setpoint_velocity: float,
-    setpoint_acceleration: float,
-    integral: float,
-    mass: float,
-    position_gain: float,
-    velocity_gain: float,
-    integral_gain: float,
-    step: float,
-    limit: float,
-) -> tuple[float, float]:
-    """Desired force along one world axis, N, without gravity and f_hat: eqs. (18) and (19).
-
-    Args:
-        position_error: p - p_d, m.
-        velocity: v, m/s.
-        setpoint_velocity: derivative of p_d, m/s.
-        setpoint_acceleration: its second derivative, m/s^2.
-        integral: integral of the velocity error until the last step, m.
-        mass: m, kg.
-        position_gain: Lambda, 1/s.
-        velocity_gain: K_v / m, 1/s.
-        integral_gain: Gamma_v, 1/s.
-        step: length of a controller step, s.
-        limit: of the integral, m.
-
-    Returns:
-        The force, and the integral with this step.
-    """
-    reference = setpoint_velocity - position_gain * position_error
-    reference_rate = setpoint_acceleration - position_gain * (velocity - setpoint_velocity)
-    error = velocity - reference
-    integral = min(max(integral + error * step, -limit), limit)
-    damping = (velocity_gain + integral_gain) * error
-    return mass * (reference_rate - damping - velocity_gain * integral_gain * integral), integral
-
-
 @part
 def track(blocks: Records, count: int, settings: Records) -> None:
-    """Make one controller step for every drone of the first `count` blocks.
+    """Make one step of position and attitude loop for every drone of the first `count` blocks.
 
     Args:
-        blocks: records of `LANES` drones; set-points, memory and commands are written. The
-            set-points are then extrapolated by one step with their jerk.
+        blocks: records of `LANES` drones; what they ask of the rate loop is written. The set-points
+            are then extrapolated by one step with their jerk.
         count: how many of them.
         settings: (1,) gains. They are read here, once: inside of the lane loop they would keep it
             from becoming vector instructions.
     """
     s = settings[0]
     step, per_step, lead = s.step, 1.0 / s.step, s.lead  # a division takes as long as ten sums
-    kp, kv, ki, v_limit = (
-        s.position_gain,
-        s.velocity_gain,
-        s.integral_gain,
-        s.velocity_integral_limit,
-    )
-    tilt_gain, yaw_gain = s.attitude_tilt, s.attitude_yaw
-    gains = (
-        s.rate_tilt,
-        s.rate_yaw,
-        s.rate_integral_tilt,
-        s.rate_integral_yaw,
-        step,
-        s.rate_integral_limit,
-    )
-    thrust_blend, error_blend = s.thrust_rate_blend, s.rate_error_blend
-    rate_blend, least = s.desired_rate_blend, s.min_vertical_thrust_fraction
+    kp, kv, ki = s.position_gain, s.velocity_gain, s.integral_gain
+    limit, tilt_gain, yaw_gain = s.velocity_integral_limit, s.attitude_tilt, s.attitude_yaw
+    thrust_blend, rate_blend = s.thrust_rate_blend, s.desired_rate_blend
+    least = s.min_vertical_thrust_fraction
     for n in range(count):
         b = blocks[n]
         # Trigonometric functions are no vector instructions: they are left out where none yaws.
@@ -219,66 +138,27 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             if largest_yaw > 0.0:
                 half = 0.5 * b.setpoint_yaw[lane]
                 b.yaw_sin[lane], b.yaw_cos[lane] = math.sin(half), math.cos(half)
-        for lane in range(LANES):
-            q = (
-                b.quaternion[0, lane],
-                b.quaternion[1, lane],
-                b.quaternion[2, lane],
-                b.quaternion[3, lane],
-            )
-            w = (
-                b.angular_velocity[0, lane],
-                b.angular_velocity[1, lane],
-                b.angular_velocity[2, lane],
-            )
-            omega = rotate_back(q, w)
-            mass, motor_rate = b.nominal_mass[lane], b.nominal_motor_rate[lane]
-            started = b.started[lane]
 
-            # The desired force, eq. (19). Its vertical part is kept positive: it always points up.
-            fx, b.velocity_integral[0, lane] = axis_force(
-                b.position[0, lane] - b.setpoint_position[0, lane],
-                b.velocity[0, lane],
-                b.setpoint_velocity[0, lane],
-                b.setpoint_acceleration[0, lane],
-                b.velocity_integral[0, lane],
-                mass,
-                kp,
-                kv,
-                ki,
-                step,
-                v_limit,
-            )
-            fy, b.velocity_integral[1, lane] = axis_force(
-                b.position[1, lane] - b.setpoint_position[1, lane],
-                b.velocity[1, lane],
-                b.setpoint_velocity[1, lane],
-                b.setpoint_acceleration[1, lane],
-                b.velocity_integral[1, lane],
-                mass,
-                kp,
-                kv,
-                ki,
-                step,
-                v_limit,
-            )
-            fz, b.velocity_integral[2, lane] = axis_force(
-                b.position[2, lane] - b.setpoint_position[2, lane],
-                b.velocity[2, lane],
-                b.setpoint_velocity[2, lane],
-                b.setpoint_acceleration[2, lane],
-                b.velocity_integral[2, lane],
-                mass,
-                kp,
-                kv,
-                ki,
-                step,
-                v_limit,
-            )
-            weight = mass * GRAVITY
-            fx -= b.believed_force[0, lane]
-            fy -= b.believed_force[1, lane]
-            fz = max(fz + weight - b.believed_force[2, lane], least * weight)
+        for lane in range(LANES):
+            # The desired force along each world axis without gravity and f_hat: eqs. (18) and (19).
+            for k in range(3):
+                v, v_d = b.velocity[k, lane], b.setpoint_velocity[k, lane]
+                a_d, p_d = b.setpoint_acceleration[k, lane], b.setpoint_position[k, lane]
+                error = v - (v_d - kp * (b.position[k, lane] - p_d))
+                reference_rate = a_d - kp * (v - v_d)
+                integral = b.velocity_integral[k, lane] + error * step
+                integral = min(max(integral, -limit), limit)
+                b.velocity_integral[k, lane] = integral
+                feedback = reference_rate - (kv + ki) * error - kv * ki * integral
+                b.desired_force[k, lane] = b.nominal_mass[lane] * feedback
+            q, omega = attitude_and_rates(b, lane)
+            started, weight = b.started[lane], b.nominal_mass[lane] * GRAVITY
+
+            # The vertical part of the force is kept positive: it always points up.
+            fx = b.desired_force[0, lane] - b.believed_force[0, lane]
+            fy = b.desired_force[1, lane] - b.believed_force[1, lane]
+            fz = b.desired_force[2, lane] + weight - b.believed_force[2, lane]
+            fz = max(fz, least * weight)
 
             # The thrust along the body's axis, with the lead of eq. (22).
             thrust = (
@@ -290,8 +170,7 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             raw = (thrust - b.desired_thrust[lane]) * per_step
             thrust_rate += started * thrust_blend * (raw - thrust_rate)
             b.desired_thrust[lane], b.thrust_rate[lane] = thrust, thrust_rate
-            lead_time = lead / motor_rate
-            thrust += lead_time * thrust_rate
+            b.asked[0, lane] = thrust + lead / b.nominal_motor_rate[lane] * thrust_rate
 
             # The desired attitude: the shortest rotation of the world's z axis to the force; and
             # its rate: the tilt's is differentiated and low-passed.
@@ -299,12 +178,8 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             half_cos = math.sqrt(0.5 * (1.0 + fz / length))
             tilt_scale = 0.5 / (half_cos * length)
             tilt = -fy * tilt_scale, fx * tilt_scale, 0.0, half_cos
-            last = (
-                b.desired_attitude[0, lane],
-                b.desired_attitude[1, lane],
-                b.desired_attitude[2, lane],
-                b.desired_attitude[3, lane],
-            )
+            last = b.desired_attitude
+            last = last[0, lane], last[1, lane], last[2, lane], last[3, lane]
             change = relative_rotation(last, tilt)
             dx, dy, dz = b.desired_rate[0, lane], b.desired_rate[1, lane], b.desired_rate[2, lane]
             dx += started * rate_blend * (2.0 * change[0] * per_step - dx)
@@ -314,7 +189,7 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             b.desired_attitude[0, lane], b.desired_attitude[1, lane] = tilt[0], tilt[1]
             b.desired_attitude[2, lane], b.desired_attitude[3, lane] = tilt[2], tilt[3]
             yaw_sin, yaw_cos = b.yaw_sin[lane], b.yaw_cos[lane]
-            dx, dy, dz = rotate_back((0.0, 0.0, yaw_sin, yaw_cos), (dx, dy, dz))
+            rate = rotate_back((0.0, 0.0, yaw_sin, yaw_cos), (dx, dy, dz))
             desired = (
                 tilt[0] * yaw_cos + tilt[1] * yaw_sin,
                 tilt[1] * yaw_cos - tilt[0] * yaw_sin,
@@ -322,160 +197,74 @@ def track(blocks: Records, count: int, settings: Records) -> None:
                 tilt[3] * yaw_cos,
             )
 
-            # The torque, eqs. (20) and (21). Of the derivative of omega_r the part that the
-            # attitude error brings, -Lambda_q d(q_v)/dt = -Lambda_q (q_0 a + q_v x a) / 2 with the
-            # rate a against the desired frame, is included, from the measured rates. That of
-            # omega_d is left out: it would be the third difference of a measured velocity.
+            # The body rates, eq. (20), and of their derivative the part that the attitude error
+            # brings, -Lambda_q d(q_v)/dt = -Lambda_q (q_0 a + q_v x a) / 2 with the rate a against
+            # the desired frame, from the measured rates. That of omega_d is left out: it would be
+            # the third difference of a measured velocity.
             e = relative_rotation(desired, q)
-            feed = rotate_back(e, (dx, dy, dz + b.setpoint_yaw_rate[lane]))
+            feed = rotate_back(e, (rate[0], rate[1], rate[2] + b.setpoint_yaw_rate[lane]))
             ax, ay, az = omega[0] - feed[0], omega[1] - feed[1], omega[2] - feed[2]
-            rx, ry = feed[0] - tilt_gain * e[0], feed[1] - tilt_gain * e[1]
-            rz = feed[2] - yaw_gain * e[2]
-            ux = -0.5 * tilt_gain * (e[3] * ax + e[1] * az - e[2] * ay)
-            uy = -0.5 * tilt_gain * (e[3] * ay + e[2] * ax - e[0] * az)
-            uz = -0.5 * yaw_gain * (e[3] * az + e[0] * ay - e[1] * ax)
-            torque_x, torque_y, torque_z = rate_torque(
-                b,
-                lane,
-                omega,
-                (rx, ry, rz),
-                (ux, uy, uz),
-                lead_time,
-                error_blend * started,
-                gains,
-            )
-            b.started[lane] = 1.0
-            (b.commands[0, lane], b.commands[1, lane], b.commands[2, lane], b.commands[3, lane]) = (
-                mix_rotors(
-                    thrust,
-                    torque_x,
-                    torque_y,
-                    torque_z,
-                    b.nominal_max_rotor_thrust[lane],
-                    b.rotor_offset[lane],
-                    b.thrust_to_torque[lane],
-                )
-            )
+            b.asked[1, lane] = feed[0] - tilt_gain * e[0]
+            b.asked[2, lane] = feed[1] - tilt_gain * e[1]
+            b.asked[3, lane] = feed[2] - yaw_gain * e[2]
+            b.asked_change[0, lane] = -0.5 * tilt_gain * (e[3] * ax + e[1] * az - e[2] * ay)
+            b.asked_change[1, lane] = -0.5 * tilt_gain * (e[3] * ay + e[2] * ax - e[0] * az)
+            b.asked_change[2, lane] = -0.5 * yaw_gain * (e[3] * az + e[0] * ay - e[1] * ax)
             for k in range(3):
                 v, a = b.setpoint_velocity[k, lane], b.setpoint_acceleration[k, lane]
                 j = b.setpoint_jerk[k, lane]
-                b.setpoint_position[k, lane] += step * (
-                    v + step * (0.5 * a + step * j * (1.0 / 6.0))
-                )
-                b.setpoint_velocity[k, lane] += step * (a + 0.5 * step * j)
-                b.setpoint_acceleration[k, lane] += step * j
+                moved = step * (v + step * (0.5 * a + step * j * (1.0 / 6.0)))
+                b.setpoint_position[k, lane] += moved
+                b.setpoint_velocity[k, lane] = v + step * (a + 0.5 * step * j)
+                b.setpoint_acceleration[k, lane] = a + step * j
             b.setpoint_yaw[lane] += step * b.setpoint_yaw_rate[lane]
-
-
-@equation
-def rate_torque(
-    b: Record,
-    lane: int,
-    omega: Vector,
-    wanted: Vector,
-    wanted_rate: Vector,
-    lead: float,
-    blend: float,
-    gains: tuple[float, float, float, float, float, float],
-) -> Vector:
-    """Torque (N m) about the body axes that brings body rates to those wanted: eqs. (21), (22).
-
-    Args:
-        b: a block; the integrals, last errors and low-passed derivatives of lane lane are updated.
-        lane: the lane.
-        omega: body rates, rad/s.
-        wanted: omega_r, rad/s.
-        wanted_rate: its derivative, as far as it is known, rad/s^2.
-        lead: 1 / lambda, s, or zero without lag compensation.
-        blend: of the low-pass on the derivative; zero on the first step, which has no last one.
-        gains: K_omega / J (1/s) of roll and pitch, of yaw, Gamma_omega / J (1/s^2) of both, the
-            length of a step, s, and the limit of the integral, rad.
-    """
-    kt, ky, it, iy, step, limit = gains
-    ex, ey, ez = omega[0] - wanted[0], omega[1] - wanted[1], omega[2] - wanted[2]
-    bx, b.rate_error_rate[0, lane], b.rate_integral[0, lane] = axis_acceleration(
-        ex,
-        b.rate_error[0, lane],
-        b.rate_error_rate[0, lane],
-        b.rate_integral[0, lane],
-        kt,
-        it,
-        lead,
-        step,
-        blend,
-        limit,
-    )
-    by, b.rate_error_rate[1, lane], b.rate_integral[1, lane] = axis_acceleration(
-        ey,
-        b.rate_error[1, lane],
-        b.rate_error_rate[1, lane],
-        b.rate_integral[1, lane],
-        kt,
-        it,
-        lead,
-        step,
-        blend,
-        limit,
-    )
-    bz, b.rate_error_rate[2, lane], b.rate_integral[2, lane] = axis_acceleration(
-        ez,
-        b.rate_error[2, lane],
-        b.rate_error_rate[2, lane],
-        b.rate_integral[2, lane],
-        ky,
-        iy,
-        lead,
-        step,
-        blend,
-        limit,
-    )
-    b.rate_error[0, lane], b.rate_error[1, lane], b.rate_error[2, lane] = ex, ey, ez
-    jx, jy, jz = b.nominal_inertia[0, lane], b.nominal_inertia[1, lane], b.nominal_inertia[2, lane]
-    lx, ly, lz = jx * omega[0], jy * omega[1], jz * omega[2]
-    return (
-        jx * (wanted_rate[0] + bx) - (ly * wanted[2] - lz * wanted[1]),
-        jy * (wanted_rate[1] + by) - (lz * wanted[0] - lx * wanted[2]),
-        jz * (wanted_rate[2] + bz) - (lx * wanted[1] - ly * wanted[0]),
-    )
 
 
 @part
 def hold_rates(blocks: Records, count: int, settings: Records) -> None:
-    """Make one step of the rate loop for the first `count` blocks, towards `asked`."""
+    """Make one step of the rate loop for the first `count` blocks, towards `asked`: eq. (21).
+
+    The derivative of the body rates asked for is `asked_change`, which is 0 unless `track` writes
+    it. The rotors' lag is compensated by eq. (22): that adds to the torque the derivative of the
+    rate error, which is low-passed.
+
+    Args:
+        blocks: records of `LANES` drones; rotor commands and the loop's memory are written.
+        count: how many of them.
+        settings: (1,) gains.
+    """
     s = settings[0]
-    lead, blend, integral = s.lead, s.rate_error_blend, (s.rate_integral_tilt, s.rate_integral_yaw)
-    gains = s.rate_tilt, s.rate_yaw, integral[0], integral[1], s.step, s.rate_integral_limit
+    step, per_step, lead, limit = s.step, 1.0 / s.step, s.lead, s.rate_integral_limit
+    tilt, yaw, blend = s.rate_tilt, s.rate_yaw, s.rate_error_blend
+    tilt_integral, yaw_integral = s.rate_integral_tilt, s.rate_integral_yaw
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
-            q = (
-                b.quaternion[0, lane],
-                b.quaternion[1, lane],
-                b.quaternion[2, lane],
-                b.quaternion[3, lane],
-            )
-            w = (
-                b.angular_velocity[0, lane],
-                b.angular_velocity[1, lane],
-                b.angular_velocity[2, lane],
-            )
-            torque_x, torque_y, torque_z = rate_torque(
-                b,
-                lane,
-                rotate_back(q, w),
-                (b.asked[1, lane], b.asked[2, lane], b.asked[3, lane]),
-                (0.0, 0.0, 0.0),
-                lead / b.nominal_motor_rate[lane],
-                blend * b.started[lane],
-                gains,
-            )
+            _, omega = attitude_and_rates(b, lane)
+            b.body_rate[0, lane], b.body_rate[1, lane], b.body_rate[2, lane] = omega
+            for k in range(3):
+                gain, integral_gain = (tilt, tilt_integral) if k < 2 else (yaw, yaw_integral)
+                error, last = b.body_rate[k, lane] - b.asked[1 + k, lane], b.rate_error[k, lane]
+                rate, integral = b.rate_error_rate[k, lane], b.rate_integral[k, lane]
+                # The first step has no last error.
+                rate += blend * b.started[lane] * ((error - last) * per_step - rate)
+                integral = min(max(integral + error * step, -limit), limit)
+                b.rate_error[k, lane], b.rate_error_rate[k, lane] = error, rate
+                b.rate_integral[k, lane] = integral
+                proportional = gain * (error + lead / b.nominal_motor_rate[lane] * rate)
+                change = b.asked_change[k, lane] + (-proportional - integral_gain * integral)
+                b.torque[k, lane] = b.nominal_inertia[k, lane] * change
+            lx = b.nominal_inertia[0, lane] * b.body_rate[0, lane]
+            ly = b.nominal_inertia[1, lane] * b.body_rate[1, lane]
+            lz = b.nominal_inertia[2, lane] * b.body_rate[2, lane]
+            x, y, z = b.asked[1, lane], b.asked[2, lane], b.asked[3, lane]
             b.started[lane] = 1.0
             (b.commands[0, lane], b.commands[1, lane], b.commands[2, lane], b.commands[3, lane]) = (
                 mix_rotors(
                     b.asked[0, lane],
-                    torque_x,
-                    torque_y,
-                    torque_z,
+                    b.torque[0, lane] - (ly * z - lz * y),
+                    b.torque[1, lane] - (lz * x - lx * z),
+                    b.torque[2, lane] - (lx * y - ly * x),
                     b.nominal_max_rotor_thrust[lane],
                     b.rotor_offset[lane],
                     b.thrust_to_torque[lane],

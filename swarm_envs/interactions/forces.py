@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import announce_compilation, equation, kernel
+from swarm_envs.compiled import announce_compilation, equation, kernel, part
 from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.interactions.field import NONE, WAKE
-from swarm_envs.interactions.network import network_forces
-from swarm_envs.interactions.packed import PackedField
-from swarm_envs.interactions.scratch import CROWD, Scratch, scratch_for
+from swarm_envs.interactions.network import add_outputs, network, put_drone, put_pair
+from swarm_envs.interactions.packed import PAIRS, SOURCE, PackedField
+from swarm_envs.interactions.scratch import CROWD, SAMPLES, Scratch, scratch_for
 from swarm_envs.interactions.wake import wake_forces
-from swarm_envs.neighbors import FEW, sort_along_x, within_box
+from swarm_envs.neighbors import sort_along_x, within_box
 from swarm_envs.state import FloatArray, IntArray
 
 
@@ -43,7 +43,9 @@ def pair_weight(window: FloatArray, dx: float, dy: float, dz: float) -> float:
 
 
 @equation
-def find_pairs(field: PackedField, count: int, drones: int, scratch: Scratch) -> None:
+def find_pairs(
+    field: PackedField, count: int, drones: int, order: IntArray | None, scratch: Scratch
+) -> None:
     """List all ordered pairs inside the interaction volume, the neighbours of a drone ascending.
 
     Few drones are compared in all environments at once: drone i of place c is number i * count + c
@@ -54,65 +56,106 @@ def find_pairs(field: PackedField, count: int, drones: int, scratch: Scratch) ->
         field: the model.
         count: environments.
         drones: drones in each, N.
+        order: the scratch's. As an argument that is None it keeps the sweep from being compiled.
         scratch: knows where they are; its pairs are written.
     """
     window, desk, pairs = field.constants[0]["window"], scratch.desk[0], scratch.pairs
     lateral, vertical, found = window[1], window[3], 0
-    if drones <= FEW:
-        x, y, z, near = desk["x"], desk["y"], desk["z"], desk["near"]
-        for slot in range(count * drones):
-            here, k = scratch.drones[slot]["position"], slot % drones * count + slot // drones
-            x[k], y[k], z[k] = here[0], here[1], here[2]
-        candidates = 0
-        for apart in range(drones - 1, 0, -1):
-            gap = np.uint64(apart * count)
-            for k in range(np.uint64((drones - apart) * count)):
-                beside = (abs(x[k + gap] - x[k]) < lateral) & (abs(y[k + gap] - y[k]) < lateral)
-                near[k] = beside & (abs(z[k + gap] - z[k]) < vertical)
-            for k in range((drones - apart) * count):  # no branch, for it could not be foreseen
-                pairs[candidates]["i"], pairs[candidates]["j"] = k + apart * count, k
-                candidates += near[k]
-        for at in range(candidates):
-            a, b = pairs[at]["i"], pairs[at]["j"]
-            left = pair_weight(window, x[a] - x[b], y[a] - y[b], z[a] - z[b])
-            if left > 0.0:
-                pairs[found]["i"] = a % count * drones + a // count
-                pairs[found]["j"] = b % count * drones + b // count
-                pairs[found]["weight"] = left
-                found += 1
-        for at in range(found):  # backwards: the other drone's neighbours ascend too
-            pair, other = pairs[found - 1 - at], pairs[found + at]
-            other["i"], other["j"], other["weight"] = pair["j"], pair["i"], pair["weight"]
-        desk["pairs"] = 2 * found
+    if order is not None:
+        for first in range(0, count * drones, drones):
+            here, sorted_here = scratch.columns[first : first + drones], order[0, first:][:drones]
+            sort_along_x(here, sorted_here)
+            for place in range(drones):
+                i = sorted_here[place]
+                close = within_box(here, sorted_here, place, lateral, vertical, order[1], 0)
+                for c in range(close):
+                    j = order[1, c]
+                    x, y, z = (
+                        here[j, 0] - here[i, 0],
+                        here[j, 1] - here[i, 1],
+                        here[j, 2] - here[i, 2],
+                    )
+                    left = pair_weight(window, x, y, z)
+                    if left > 0.0:
+                        pair = pairs[found]
+                        pair["i"], pair["j"], pair["weight"] = first + i, first + j, left
+                        found += 1
+        desk["pairs"] = found
         return
-    for first in range(0, count * drones, drones):
-        end = first + drones
-        here, order, close = (
-            scratch.columns[first:end],
-            scratch.order[0, first:end],
-            scratch.order[1],
-        )
-        sort_along_x(here, order)
-        for place in range(drones):
-            i = order[place]
-            for c in range(within_box(here, order, place, lateral, vertical, close, 0)):
-                j = close[c]
-                offset = here[j, 0] - here[i, 0], here[j, 1] - here[i, 1], here[j, 2] - here[i, 2]
-                left = pair_weight(window, offset[0], offset[1], offset[2])
-                if left > 0.0:
-                    pair = pairs[found]
-                    pair["i"], pair["j"], pair["weight"] = first + i, first + j, left
-                    found += 1
-    desk["pairs"] = found
+    x, y, z, near = desk["x"], desk["y"], desk["z"], desk["near"]
+    for slot in range(count * drones):
+        here, k = scratch.drones[slot]["position"], slot % drones * count + slot // drones
+        x[k], y[k], z[k] = here[0], here[1], here[2]
+    candidates = 0
+    for apart in range(drones - 1, 0, -1):
+        gap = np.uint64(apart * count)
+        for k in range(np.uint64((drones - apart) * count)):
+            beside = (abs(x[k + gap] - x[k]) < lateral) & (abs(y[k + gap] - y[k]) < lateral)
+            near[k] = beside & (abs(z[k + gap] - z[k]) < vertical)
+        for k in range((drones - apart) * count):  # no branch, for it could not be foreseen
+            pairs[candidates]["i"], pairs[candidates]["j"] = k + apart * count, k
+            candidates += near[k]
+    for at in range(candidates):
+        a, b = pairs[at]["i"], pairs[at]["j"]
+        left = pair_weight(window, x[a] - x[b], y[a] - y[b], z[a] - z[b])
+        if left > 0.0:
+            pair = pairs[found]
+            pair["i"], pair["j"] = a % count * drones + a // count, b % count * drones + b // count
+            pair["weight"] = left
+            found += 1
+    for at in range(found):  # backwards: the other drone's neighbours ascend too
+        pair, other = pairs[found - 1 - at], pairs[found + at]
+        other["i"], other["j"], other["weight"] = pair["j"], pair["i"], pair["weight"]
+    desk["pairs"] = 2 * found
 
 
-@kernel
+@equation
+def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
+    """Write the motion of the first `total` drones and of their pairs, as it was measured.
+
+    What lies outside the measured range is brought to its edge, and the drone that feels it is
+    marked (`outside`): its force is an extrapolation. A drone's own motion is one if it flies too
+    low or too fast. Written are also the drag, and the list of the drones that feel more than that.
+    """
+    model, desk, feeling = field.constants[0], scratch.desk[0], 0
+    anchor, own, measured = model["anchor_height"], model["environment_range"], model["pair_range"]
+    for slot in range(total):
+        drone = scratch.drones[slot]
+        height, drag = drone["position"][2], model["drag"][drone["type"]]
+        drone["motion"][0] = min(max(-height, own[0, 0]), own[1, 0])
+        outside = -height > own[1, 0]
+        for k in range(3):
+            velocity = drone["velocity"][k]
+            known = min(max(-velocity, own[0, k + 1]), own[1, k + 1])
+            outside |= known != -velocity
+            drone["motion"][k + 1], drone["force"][k] = known, -drag[k] * velocity
+        drone["outside"] = outside
+        drone["low"] = drone["felt"] = anchor == 0.0 or height < anchor
+    for at in range(desk["pairs"]):
+        pair = scratch.pairs[at]
+        here, there, motion = scratch.drones[pair["i"]], scratch.drones[pair["j"]], pair["motion"]
+        outside = here["outside"] != 0
+        for k in range(3):
+            motion[k] = there["position"][k] - here["position"][k]
+            motion[k + 3] = there["velocity"][k] - here["velocity"][k]
+        for k in range(6):
+            known = min(max(motion[k], measured[0, k]), measured[1, k])
+            outside |= known != motion[k]
+            motion[k] = known
+        here["outside"], here["felt"] = outside, 1
+    for slot in range(total):
+        scratch.felt[feeling] = slot
+        feeling += scratch.drones[slot]["felt"]
+    desk["feeling"] = feeling
+    for at in range(feeling):
+        code = scratch.rows[SAMPLES + scratch.felt[at]]["v"]
+        for k in range(model["hidden"]):
+            code[0, k] = code[1, k] = 0.0
+
+
+@part
 def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) -> None:
     """Write the interaction and drag forces on the drones of a crowd.
-
-    A force is marked as an extrapolation (`outside`) when the drone's own height (if too low) or
-    speed, or the offset or relative speed of a neighbour inside the interaction volume, lies
-    outside what was measured.
 
     Args:
         field: the model.
@@ -121,34 +164,50 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
         scratch: knows their types, positions and velocities; forces (N, world frame) and marks are
             written, and their pairs.
     """
-    model = field.constants[0]
-    anchor, own, measured = model["anchor_height"], model["environment_range"], model["pair_range"]
-    scratch.desk[0]["pairs"] = 0
-    if model["kind"] != NONE:
-        find_pairs(field, count, drones, scratch)
-    for slot in range(count * drones):
-        drone = scratch.drones[slot]
-        velocity, height = drone["velocity"], drone["position"][2]
-        drag = model["drag"][drone["type"]]
-        outside = -height > own[1, 0]
-        for k in range(3):
-            drone["force"][k] = -drag[k] * velocity[k]
-            outside |= not own[0, k + 1] <= -velocity[k] <= own[1, k + 1]
-        drone["outside"] = outside
-        drone["low"] = drone["felt"] = anchor == 0.0 or height < anchor
-    for at in range(scratch.desk[0]["pairs"]):
-        here, there = scratch.drones[scratch.pairs[at]["i"]], scratch.drones[scratch.pairs[at]["j"]]
-        outside = here["outside"] != 0
-        for k in range(3):
-            apart = there["position"][k] - here["position"][k]
-            moving = there["velocity"][k] - here["velocity"][k]
-            outside |= not measured[0, k] <= apart <= measured[1, k]
-            outside |= not measured[0, k + 3] <= moving <= measured[1, k + 3]
-        here["outside"], here["felt"] = outside, 1
-    if model["kind"] == WAKE:
-        wake_forces(field, count * drones, scratch)
-    elif model["kind"] != NONE:
-        network_forces(field, count * drones, scratch)
+    kind, desk, total = field.constants[0]["kind"], scratch.desk[0], count * drones
+    desk["pairs"] = desk["used"] = 0
+    if kind != NONE:
+        find_pairs(field, count, drones, scratch.order, scratch)
+    describe_motion(field, total, scratch)
+    if kind == WAKE:
+        wake_forces(field, total, scratch)
+    for n in range(field.layout.shape[0]):
+        of_pairs = field.layout[n, SOURCE] == PAIRS
+        end = desk["pairs"] if of_pairs else 2 * desk["feeling"]
+        for at in range(end):
+            if of_pairs:
+                put_pair(field, n, at, scratch)
+            else:
+                put_drone(field, n, 2 * scratch.felt[at // 2] + at % 2, scratch)
+            if desk["used"] == SAMPLES or at == end - 1:
+                result = network(field.layout, n, field.weights, desk["used"], scratch.rows)
+                add_outputs(field, n, scratch.rows[result:], scratch)
+
+
+@kernel
+def write_forces(
+    field: PackedField,
+    types: IntArray,
+    position: FloatArray,
+    velocity: FloatArray,
+    out: FloatArray,
+    scratch: Scratch,
+) -> None:
+    """Do what `all_forces` does, with the scratch's number of environments at a time."""
+    environments, drones = types.shape
+    places = len(scratch.drones) // drones
+    for first in range(0, environments, places):
+        count = min(places, environments - first)
+        for slot in range(count * drones):
+            e, i, drone = first + slot // drones, slot % drones, scratch.drones[slot]
+            drone["type"] = types[e, i]
+            for k in range(3):
+                drone["position"][k], drone["velocity"][k] = position[e, i, k], velocity[e, i, k]
+        swarm_forces(field, count, drones, scratch)
+        for slot in range(count * drones):
+            force = scratch.drones[slot]["force"]
+            for k in range(3):
+                out[first + slot // drones, slot % drones, k] = force[k]
 
 
 def all_forces(
@@ -171,17 +230,8 @@ def all_forces(
     if types.size == 0:
         return
     places = min(max(1, CROWD // drones), environments)
-    scratch = scratch_for(field, places, drones)
-    announce_compilation(swarm_forces)
-    for first in range(0, environments, places):
-        part = slice(first, first + places)
-        count = len(types[part])
-        crowd = scratch.drones[: count * drones]
-        crowd["type"] = types[part].ravel()
-        crowd["position"] = position[part].reshape(-1, 3)
-        crowd["velocity"] = velocity[part].reshape(-1, 3)
-        swarm_forces(field, count, drones, scratch)
-        out[part] = crowd["force"].reshape(count, drones, 3)
+    announce_compilation(write_forces)
+    write_forces(field, types, position, velocity, out, scratch_for(field, places, drones))
 
 
 @kernel

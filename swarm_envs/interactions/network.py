@@ -21,18 +21,16 @@ gives the same bits whatever is computed with it, so this never shows.
 
 from __future__ import annotations
 
-from swarm_envs.compiled import equation, kernel
+from swarm_envs.compiled import equation, part
 from swarm_envs.interactions.packed import (
     ANY,
     BLOCKS,
-    CODES,
     DEPTH,
     ENVIRONMENT,
     FIRST_LAYER,
     INPUTS,
     NEIGHBOUR,
     OWN,
-    PAIRS,
     SOURCE,
     START,
     TARGET,
@@ -49,11 +47,13 @@ FREE = 1
 """The odd slots: a drone alone at the anchor height. The even ones: as it flies."""
 
 
-@kernel(fastmath={"contract"})
+@part(fastmath={"contract"})
 def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records) -> int:
     """Apply a ReLU network to samples: two at a time, five inputs at a time, all outputs at once.
 
     Each sum begins with the bias and takes the inputs in their order, by fused multiply-adds.
+    Inputs that are 0 for both samples are left out, which changes no sum: of units sorted by how
+    often they are active, about half.
 
     Args:
         layout: as in `PackedField`.
@@ -79,6 +79,8 @@ def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records
                 w, k = weights[start + 1 + block]["v"], INPUTS * block
                 a0, a1, a2, a3, a4 = x[0, k], x[0, k + 1], x[0, k + 2], x[0, k + 3], x[0, k + 4]
                 b0, b1, b2, b3, b4 = x[1, k], x[1, k + 1], x[1, k + 2], x[1, k + 3], x[1, k + 4]
+                if layer > 0 and a0 + a1 + a2 + a3 + a4 + b0 + b1 + b2 + b3 + b4 == 0.0:
+                    continue  # these units rest
                 for o in range(units):
                     w0, w1, w2, w3, w4 = w[0, o], w[1, o], w[2, o], w[3, o], w[4, o]
                     y[0, o] = ((((y[0, o] + w0 * a0) + w1 * a1) + w2 * a2) + w3 * a3) + w4 * a4
@@ -93,21 +95,19 @@ def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records
 
 @equation
 def put_pair(field: PackedField, n: int, at: int, scratch: Scratch) -> None:
-    """Put pair `at` into the next row, if network `n` is applied to it."""
-    measured, desk, pair = field.constants[0]["pair_range"], scratch.desk[0], scratch.pairs[at]
-    here, there = scratch.drones[pair["i"]], scratch.drones[pair["j"]]
-    own, used = field.layout[n, OWN], desk["used"]
-    if there["type"] != field.layout[n, NEIGHBOUR] or not (own == ANY or here["type"] == own):
+    """Put the motion of pair `at` into the next row, if network `n` is applied to it."""
+    desk, pair, own = scratch.desk[0], scratch.pairs[at], field.layout[n, OWN]
+    if scratch.drones[pair["j"]]["type"] != field.layout[n, NEIGHBOUR]:
         return
-    two, s, blocks = scratch.rows[used // 2]["v"], used % 2, field.layout[n, FIRST_LAYER + BLOCKS]
-    for k in range(3):
-        apart = there["position"][k] - here["position"][k]
-        moving = there["velocity"][k] - here["velocity"][k]
-        two[s, k] = min(max(apart, measured[0, k]), measured[1, k])
-        two[s, k + 3] = min(max(moving, measured[0, k + 3]), measured[1, k + 3])
-    for k in range(6, INPUTS * blocks):
-        two[s, k] = 0.0
-    desk["slot"][used], desk["share"][used], desk["used"] = 2 * pair["i"], pair["weight"], used + 1
+    if own == ANY or scratch.drones[pair["i"]]["type"] == own:
+        used = desk["used"]
+        row = scratch.rows[used // 2]["v"][used % 2]
+        for k in range(6):
+            row[k] = pair["motion"][k]
+        for k in range(6, 2 * INPUTS):
+            row[k] = 0.0
+        desk["slot"][used], desk["share"][used] = 2 * pair["i"], pair["weight"]
+        desk["used"] = used + 1
 
 
 @equation
@@ -120,66 +120,49 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
         slot: 2 i of drone i as it flies, 2 i + 1 alone at the anchor height.
         scratch: working memory.
     """
-    model, desk, drone = field.constants[0], scratch.desk[0], scratch.drones[slot // 2]
-    own, source, anchor = field.layout[n, OWN], field.layout[n, SOURCE], model["anchor_height"]
-    measured, used, free = model["environment_range"], desk["used"], slot % 2 == FREE
-    if source == CODES or (free and field.layout[n, TARGET] == TO_CODES):
-        wanted = drone["felt"]
-    else:
-        wanted = drone["low"]
-    if wanted == 0 or (free and anchor == 0.0) or not (own == ANY or drone["type"] == own):
-        return
-    two, s, blocks = scratch.rows[used // 2]["v"], used % 2, field.layout[n, FIRST_LAYER + BLOCKS]
-    if source == ENVIRONMENT:
-        height = anchor if free else drone["position"][2]
-        two[s, 0] = min(max(-height, measured[0, 0]), measured[1, 0])
-        for k in range(1, 4):
-            two[s, k] = min(max(-drone["velocity"][k - 1], measured[0, k]), measured[1, k])
-        for k in range(4, INPUTS * blocks):
-            two[s, k] = 0.0
-    else:
-        code = scratch.rows[SAMPLES + slot // 2]["v"]
-        for k in range(INPUTS * blocks):
-            two[s, k] = code[slot % 2, k]
-    desk["slot"][used], desk["share"][used], desk["used"] = slot, 1.0, used + 1
+    layout, desk, drone = field.layout, scratch.desk[0], scratch.drones[slot // 2]
+    free, own, anchor = slot % 2, layout[n, OWN], field.constants[0]["anchor_height"]
+    wanted = (own == ANY or drone["type"] == own) and not (free == FREE and anchor == 0.0)
+    if layout[n, SOURCE] == ENVIRONMENT and not (free == FREE and layout[n, TARGET] == TO_CODES):
+        wanted = wanted and drone["low"] != 0  # high up, the ground does nothing
+    if wanted:
+        used = desk["used"]
+        row = scratch.rows[used // 2]["v"][used % 2]
+        if layout[n, SOURCE] == ENVIRONMENT:
+            for k in range(4):
+                row[k] = drone["motion"][k]
+            row[0], row[4] = -anchor if free == FREE else row[0], 0.0
+        else:
+            code = scratch.rows[SAMPLES + slot // 2]["v"]
+            for k in range(INPUTS * layout[n, FIRST_LAYER + BLOCKS]):
+                row[k] = code[free, k]
+        desk["slot"][used], desk["share"][used], desk["used"] = slot, 1.0, used + 1
 
 
 @equation
-def network_forces(field: PackedField, total: int, scratch: Scratch) -> None:
-    """Add the networks' vertical forces on the first `total` drones, whose pairs are known."""
-    rows, desk, hidden = scratch.rows, scratch.desk[0], field.constants[0]["hidden"]
-    for i in range(total):
-        if scratch.drones[i]["felt"] != 0:
-            code = rows[SAMPLES + i]["v"]
-            for k in range(hidden):
-                code[0, k] = code[1, k] = 0.0
+def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> None:
+    """Add the outputs of network `n` to codes or forces, and clear the desk.
+
+    Args:
+        field: the model.
+        n: which of its networks.
+        rows: they lie there.
+        scratch: working memory.
+    """
+    desk, hidden = scratch.desk[0], field.constants[0]["hidden"]
+    for s in range(desk["used"]):
+        slot, share, output = desk["slot"][s], desk["share"][s], rows[s // 2]["v"]
+        drone, free = scratch.drones[slot // 2], slot % 2
+        if field.layout[n, TARGET] == TO_CODES:
+            code = scratch.rows[SAMPLES + slot // 2]["v"]
+            # High up a drone feels the ground no more as it flies than alone at the anchor height.
+            for part in range(free if drone["low"] != 0 else 0, free + 1):
+                for k in range(hidden):
+                    code[part, k] += share * output[s % 2, k]
+        else:
+            force = output[s % 2, 0] * GRAM_FORCE
+            drone["force"][2] += -force if free == FREE else share * force
     desk["used"] = 0
-    for n in range(field.layout.shape[0]):
-        of_pairs, to_codes = field.layout[n, SOURCE] == PAIRS, field.layout[n, TARGET] == TO_CODES
-        end = desk["pairs"] if of_pairs else 2 * total
-        for at in range(end):
-            if of_pairs:
-                put_pair(field, n, at, scratch)
-            else:
-                put_drone(field, n, at, scratch)
-            used = desk["used"]
-            if used < SAMPLES and at < end - 1:
-                continue
-            result = network(field.layout, n, field.weights, used, rows)
-            for s in range(used):
-                slot, share, output = desk["slot"][s], desk["share"][s], rows[result + s // 2]["v"]
-                drone, free = scratch.drones[slot // 2], slot % 2 == FREE
-                if to_codes:
-                    code = rows[SAMPLES + slot // 2]["v"]
-                    for k in range(hidden):
-                        code[slot % 2, k] += share * output[s % 2, k]
-                    if free and drone["low"] == 0:  # as it flies, it feels no more of the ground
-                        for k in range(hidden):
-                            code[0, k] += share * output[s % 2, k]
-                else:
-                    force = output[s % 2, 0] * GRAM_FORCE
-                    drone["force"][2] += -force if free else share * force
-            desk["used"] = 0
 
 
 def pairwise_names(types: tuple[str, ...]) -> list[str]:

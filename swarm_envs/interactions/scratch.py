@@ -21,6 +21,7 @@ DRONE = np.dtype(
         ("position", np.float64, (3,)),  # m, world frame; the first of all, see `Scratch.columns`
         ("velocity", np.float64, (3,)),  # m/s, world frame
         ("force", np.float64, (3,)),  # N, world frame
+        ("motion", np.float64, (4,)),  # its -z and -v, kept within what was measured
         ("type", np.int64),  # interaction type
         ("outside", np.int64),  # whether the force is an extrapolation past what was measured
         ("low", np.int64),  # whether it feels the ground
@@ -30,12 +31,21 @@ DRONE = np.dtype(
     align=True,
 )
 """A drone of the crowd. Its type, position and velocity are set by the caller."""
-PAIR = np.dtype([("i", np.int64), ("j", np.int64), ("weight", np.float64)], align=True)
-"""Drone `j` is felt by drone `i`, with a weight that the window leaves of it."""
+PAIR = np.dtype(
+    [
+        ("i", np.int64),
+        ("j", np.int64),
+        ("weight", np.float64),  # what the window leaves of it
+        ("motion", np.float64, (6,)),  # p_j - p_i and v_j - v_i, kept within what was measured
+    ],
+    align=True,
+)
+"""Drone `j` is felt by drone `i`."""
 DESK = np.dtype(
     [
         ("pairs", np.int64),  # how many there are
-        ("used", np.int64),  # rows that hold samples
+        ("feeling", np.int64),  # how many drones are listed in `Scratch.felt`
+        ("used", np.int64),  # how many samples the rows hold
         ("x", np.float64, (CROWD,)),  # m: of all environments' first drones, then all second
         ("y", np.float64, (CROWD,)),
         ("z", np.float64, (CROWD,)),
@@ -54,10 +64,12 @@ class Scratch(NamedTuple):
     drones: Records
     """(M,) records of `DRONE`."""
     columns: FloatArray
-    """(M, 14) the same memory as plain numbers; the first three are the position."""
-    order: IntArray
+    """(M, 18) the same memory as plain numbers; the first three are the position."""
+    order: IntArray | None
     """(2, M) the drones of each environment, by their index there, as last sorted along x; and
-    indices for a moment."""
+    indices for a moment. None if they are few."""
+    felt: IntArray
+    """(M,) the drones that feel more than drag."""
     pairs: Records
     """(P,) records of `PAIR`."""
     desk: Records
@@ -85,7 +97,8 @@ def scratch_for(field: PackedField, places: int, drones: int) -> Scratch:
     return Scratch(
         memory,
         memory.view(np.float64).reshape(total, -1),
-        order,
+        order if drones > FEW else None,
+        np.zeros(total, np.int64),
         np.zeros(max(1, total * (drones - 1)), PAIR),
         np.zeros(1, DESK),
         aligned(SAMPLES + total, row),

@@ -259,7 +259,7 @@ def fly(  # noqa: C901  # one step, on one screen
                     swarm_forces(belief, count, size, belief_scratch)
                     spread(count, size, believed, environments, work, belief_scratch)
                 track(work.blocks, full, settings)
-            elif phases & CONTROL and s.level == RATES:
+            if phases & CONTROL and controlled:
                 hold_rates(work.blocks, full, settings)
             if phases & SPIN:
                 believed = size == 0
