@@ -79,9 +79,7 @@ _CONTROLLER = (
     Field("setpoint_position", (3,), "m", None, "Set-point of the tracking loop."),
     Field("setpoint_velocity", (3,), "m/s", 0.0, "Its derivative."),
     Field("setpoint_acceleration", (3,), "m/s^2", 0.0, "Its second derivative."),
-    Field("setpoint_jerk", (3,), "m/s^3", 0.0, "Its third derivative, constant in a decision."),
     Field("setpoint_yaw", (), "rad", 0.0, "Turn about the thrust axis, from the world x axis."),
-    Field("setpoint_yaw_rate", (), "rad/s", 0.0, "Its derivative."),
     Field("velocity_integral", (3,), "m", 0.0, "Integral of the velocity error, world frame."),
     Field("rate_integral", (3,), "rad", 0.0, "Integral of the body-rate error, body frame."),
     Field("desired_thrust", (), "N", 0.0, "Desired thrust T_d of the last step."),
@@ -91,7 +89,6 @@ _CONTROLLER = (
     Field("desired_attitude", (4,), "", 0.0, "Desired tilt of the last step, before the yaw."),
     Field("desired_rate", (3,), "rad/s", 0.0, "Low-passed angular velocity of the desired tilt."),
     Field("started", (), "", 0.0, "1 once the controller has made a step."),
-    Field("asked", (4,), "N, rad/s", None, "Thrust and body rates that the rate loop gives."),
     Field("believed_force", (3,), "N", 0.0, "Interaction force that the controller compensates."),
 )
 """What the tracking loop remembers; rotor commands alone do without it."""
@@ -114,8 +111,11 @@ _VEHICLE = (
     Field("type", (), "", None, "Interaction type in the force model of the environment."),
     Field("believed_type", (), "", None, "Interaction type in the model that it compensates."),
     Field("external", (3,), "N", 0.0, "Further force: gusts, or what `step` was given."),
+    Field("setpoint_jerk", (3,), "m/s^3", 0.0, "Third derivative of the set-point."),
+    Field("setpoint_yaw_rate", (), "rad/s", 0.0, "Derivative of the set-point's yaw."),
+    Field("asked", (4,), "N, rad/s", None, "Thrust and body rates that action `ctbr` asks for."),
 )
-"""What each drone is made of."""
+"""What each drone is made of, and what stays as it is in a decision."""
 
 _EPISODE = (
     Field("battery_capacity", (), "A s", None, "Charge of a full battery."),
