@@ -23,6 +23,18 @@ Quaternion = tuple[float, float, float, float]
 
 
 @equation
+def three(field: Record, lane: int) -> Vector:
+    """The three numbers that a field of a block has in a lane."""
+    return field[0, lane], field[1, lane], field[2, lane]
+
+
+@equation
+def four(field: Record, lane: int) -> Quaternion:
+    """The four numbers that a field of a block has in a lane."""
+    return field[0, lane], field[1, lane], field[2, lane], field[3, lane]
+
+
+@equation
 def rotate_back(q: Quaternion, v: Vector) -> Vector:
     """Components, in a frame of attitude q = (x, y, z, w), of a vector given outside it: R^T v."""
     tx = 2.0 * (q[1] * v[2] - q[2] * v[1])
@@ -44,14 +56,6 @@ def relative_rotation(a: Quaternion, b: Quaternion) -> Quaternion:
     w = a[3] * b[3] + a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
     sign = -1.0 if w < 0.0 else 1.0
     return sign * x, sign * y, sign * z, sign * w
-
-
-@equation
-def attitude_and_rates(b: Record, lane: int) -> tuple[Quaternion, Vector]:
-    """Attitude of the drone in a lane of a block, and its body rates, rad/s."""
-    q = b.quaternion[0, lane], b.quaternion[1, lane], b.quaternion[2, lane], b.quaternion[3, lane]
-    w = b.angular_velocity[0, lane], b.angular_velocity[1, lane], b.angular_velocity[2, lane]
-    return q, rotate_back(q, w)
 
 
 @equation
@@ -151,14 +155,13 @@ def track(blocks: Records, count: int, settings: Records) -> None:
                 b.velocity_integral[k, lane] = integral
                 feedback = reference_rate - (kv + ki) * error - kv * ki * integral
                 b.desired_force[k, lane] = b.nominal_mass[lane] * feedback
-            q, omega = attitude_and_rates(b, lane)
+            q = four(b.quaternion, lane)
+            omega = rotate_back(q, three(b.angular_velocity, lane))
             started, weight = b.started[lane], b.nominal_mass[lane] * GRAVITY
 
             # The vertical part of the force is kept positive: it always points up.
-            fx = b.desired_force[0, lane] - b.believed_force[0, lane]
-            fy = b.desired_force[1, lane] - b.believed_force[1, lane]
-            fz = b.desired_force[2, lane] + weight - b.believed_force[2, lane]
-            fz = max(fz, least * weight)
+            (fx, fy, fz), known = three(b.desired_force, lane), three(b.believed_force, lane)
+            fx, fy, fz = fx - known[0], fy - known[1], max(fz + weight - known[2], least * weight)
 
             # The thrust along the body's axis, with the lead of eq. (22).
             thrust = (
@@ -178,10 +181,8 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             half_cos = math.sqrt(0.5 * (1.0 + fz / length))
             tilt_scale = 0.5 / (half_cos * length)
             tilt = -fy * tilt_scale, fx * tilt_scale, 0.0, half_cos
-            last = b.desired_attitude
-            last = last[0, lane], last[1, lane], last[2, lane], last[3, lane]
-            change = relative_rotation(last, tilt)
-            dx, dy, dz = b.desired_rate[0, lane], b.desired_rate[1, lane], b.desired_rate[2, lane]
+            change = relative_rotation(four(b.desired_attitude, lane), tilt)
+            dx, dy, dz = three(b.desired_rate, lane)
             dx += started * rate_blend * (2.0 * change[0] * per_step - dx)
             dy += started * rate_blend * (2.0 * change[1] * per_step - dy)
             dz += started * rate_blend * (2.0 * change[2] * per_step - dz)
@@ -240,8 +241,8 @@ def hold_rates(blocks: Records, count: int, settings: Records) -> None:
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
-            _, omega = attitude_and_rates(b, lane)
-            b.body_rate[0, lane], b.body_rate[1, lane], b.body_rate[2, lane] = omega
+            q, w = four(b.quaternion, lane), three(b.angular_velocity, lane)
+            b.body_rate[0, lane], b.body_rate[1, lane], b.body_rate[2, lane] = rotate_back(q, w)
             for k in range(3):
                 gain, integral_gain = (tilt, tilt_integral) if k < 2 else (yaw, yaw_integral)
                 error, last = b.body_rate[k, lane] - b.asked[1 + k, lane], b.rate_error[k, lane]
@@ -254,17 +255,16 @@ def hold_rates(blocks: Records, count: int, settings: Records) -> None:
                 proportional = gain * (error + lead / b.nominal_motor_rate[lane] * rate)
                 change = b.asked_change[k, lane] + (-proportional - integral_gain * integral)
                 b.torque[k, lane] = b.nominal_inertia[k, lane] * change
-            lx = b.nominal_inertia[0, lane] * b.body_rate[0, lane]
-            ly = b.nominal_inertia[1, lane] * b.body_rate[1, lane]
-            lz = b.nominal_inertia[2, lane] * b.body_rate[2, lane]
-            x, y, z = b.asked[1, lane], b.asked[2, lane], b.asked[3, lane]
+            j, w = three(b.nominal_inertia, lane), three(b.body_rate, lane)
+            lx, ly, lz = j[0] * w[0], j[1] * w[1], j[2] * w[2]
+            (thrust, x, y, z), torque = four(b.asked, lane), three(b.torque, lane)
             b.started[lane] = 1.0
             (b.commands[0, lane], b.commands[1, lane], b.commands[2, lane], b.commands[3, lane]) = (
                 mix_rotors(
-                    b.asked[0, lane],
-                    b.torque[0, lane] - (ly * z - lz * y),
-                    b.torque[1, lane] - (lz * x - lx * z),
-                    b.torque[2, lane] - (lx * y - ly * x),
+                    thrust,
+                    torque[0] - (ly * z - lz * y),
+                    torque[1] - (lz * x - lx * z),
+                    torque[2] - (lx * y - ly * x),
                     b.nominal_max_rotor_thrust[lane],
                     b.rotor_offset[lane],
                     b.thrust_to_torque[lane],

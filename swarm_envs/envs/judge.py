@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import equation, kernel
+from swarm_envs.compiled import kernel
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records, World
@@ -35,13 +35,6 @@ def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]
         "hold_s": float(hold_s),
         "settle_s": float(settle_s),
     }
-
-
-@equation
-def squared_distance(a: FloatArray, b: FloatArray) -> float:
-    """Squared distance of two points (3,)."""
-    x, y, z = a[0] - b[0], a[1] - b[1], a[2] - b[2]
-    return x * x + y * y + z * z
 
 
 @kernel
@@ -78,12 +71,14 @@ def judge(
                 for k in range(actions.shape[2]):
                     square += actions[e, i, k] * actions[e, i, k]
                 d.effort = square / actions.shape[2]
-            if rules.tracks:
-                for k in range(3):
+            to_reference = to_goal = 0.0
+            for k in range(3):
+                if rules.tracks:
                     d.goal[k] = d.reference_position[k]
-            to_reference = squared_distance(d.position, d.reference_position)
-            d.distance = math.sqrt(squared_distance(d.position, d.goal))
-            d.tracking_error = math.sqrt(to_reference)
+                error, way = d.position[k] - d.reference_position[k], d.position[k] - d.goal[k]
+                to_reference += error * error
+                to_goal += way * way
+            d.distance, d.tracking_error = math.sqrt(to_goal), math.sqrt(to_reference)
             d.least_separation = min(d.least_separation, d.separation)
             d.least_clearance = min(d.least_clearance, d.clearance)
             d.least_obstacle_clearance = min(d.least_obstacle_clearance, d.obstacle_clearance)
@@ -119,9 +114,11 @@ def judge(
                 environment.stage, environment.held = stage, False
                 for i in range(size):  # they have the goals of the next stage from now on
                     d = drones[e, i]
+                    to_goal = 0.0
                     for k in range(3):
                         d.goal[k] = goals[e, stage, i, k]
-                    d.distance = math.sqrt(squared_distance(d.position, d.goal))
+                        to_goal += (d.position[k] - d.goal[k]) * (d.position[k] - d.goal[k])
+                    d.distance = math.sqrt(to_goal)
                     d.arrival = time if d.distance < rules.success_radius else np.inf
 
 

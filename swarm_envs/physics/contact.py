@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import part
+from swarm_envs.control.loop import three
 from swarm_envs.neighbors import sort_along_x
 from swarm_envs.physics.obstacles import distance_to
 from swarm_envs.physics.rigid_body import TUMBLING_RATE
@@ -96,12 +97,7 @@ def touch(blocks: Records, count: int, settings: Records) -> None:
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
-            x, y, z, r = (
-                b.position[0, lane],
-                b.position[1, lane],
-                b.position[2, lane],
-                b.radius[lane],
-            )
+            (x, y, z), r = three(b.position, lane), b.radius[lane]
             floor = 1.0 if z < r else 0.0
             left = 1.0 if x - r < low_x else 0.0
             right = 1.0 if x + r > high_x else 0.0
@@ -111,11 +107,7 @@ def touch(blocks: Records, count: int, settings: Records) -> None:
             wall = max(max(left, right), max(max(front, back), above))
             b.touched_floor[lane] = max(b.touched_floor[lane], floor)
             b.touched_wall[lane] = max(b.touched_wall[lane], wall)
-            x, y, z = (
-                b.angular_velocity[0, lane],
-                b.angular_velocity[1, lane],
-                b.angular_velocity[2, lane],
-            )
+            x, y, z = three(b.angular_velocity, lane)
             fast = 1.0 if x * x + y * y + z * z > fastest else 0.0
             b.tumbling[lane] = max(b.tumbling[lane], fast)
 
@@ -126,7 +118,7 @@ def touch_obstacles(blocks: Records, slots: int, obstacles: FloatArray) -> None:
     for slot in range(slots):
         b, lane = blocks[slot // LANES], slot % LANES
         for k in range(obstacles.shape[0]):
-            x, y, z = b.position[0, lane], b.position[1, lane], b.position[2, lane]
+            x, y, z = three(b.position, lane)
             ratio = distance_to(obstacles, k, x, y, z) / b.radius[lane]
             if ratio < b.obstacle_clearance[lane]:
                 b.obstacle_clearance[lane] = ratio
@@ -152,8 +144,8 @@ def meet(blocks: Records, count: int, drones: int, spots: Records) -> None:
         for i in range(drones):
             slot = place * drones + i
             b, lane, s = blocks[slot // LANES], slot % LANES, spots[i]
-            p, r = b.position, b.radius[lane]
-            s.x[place], s.y[place], s.z[place] = p[0, lane], p[1, lane], p[2, lane]
+            r = b.radius[lane]
+            s.x[place], s.y[place], s.z[place] = three(b.position, lane)
             s.radius[place], s.distance[place], s.ratio[place] = r, np.inf, np.inf
             smallest, largest = min(smallest, r), max(largest, r)
     for i in range(drones):

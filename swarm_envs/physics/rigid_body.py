@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 from swarm_envs.compiled import equation, part
+from swarm_envs.control.loop import four, three
 from swarm_envs.tables import LANES, Records
 from swarm_envs.vehicles import GRAVITY
 
@@ -47,9 +48,10 @@ def rotation_entries(
 
 @equation
 def rotor_wrench(
-    f1: float, f2: float, f3: float, f4: float, offset: float, thrust_to_torque: float
+    rotors: tuple[float, float, float, float], offset: float, thrust_to_torque: float
 ) -> tuple[float, float, float, float]:
     """Total thrust T (N) and body torque tau (N m) of four rotor thrusts (N): eta = B_0 u."""
+    f1, f2, f3, f4 = rotors
     return (
         f1 + f2 + f3 + f4,
         offset * (-f1 - f2 + f3 + f4),
@@ -109,7 +111,7 @@ def spin_rotors(blocks: Records, count: int) -> None:
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
-            x, y, z = b.force[0, lane], b.force[1, lane], b.force[2, lane]
+            x, y, z = three(b.force, lane)
             b.worst_force[lane] = max(b.worst_force[lane], math.sqrt(x * x + y * y + z * z))
             b.outside_steps[lane] += b.outside[lane]
             b.steps[lane] += 1.0
@@ -131,20 +133,15 @@ def integrate(blocks: Records, count: int) -> None:
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
-            q, w = b.quaternion, b.angular_velocity
-            qx, qy, qz, qw = q[0, lane], q[1, lane], q[2, lane], q[3, lane]
+            qx, qy, qz, qw = four(b.quaternion, lane)
             r = rotation_entries(qx, qy, qz, qw)
+            rotors = four(b.rotor_thrust, lane)
             thrust, tx, ty, tz = rotor_wrench(
-                b.rotor_thrust[0, lane],
-                b.rotor_thrust[1, lane],
-                b.rotor_thrust[2, lane],
-                b.rotor_thrust[3, lane],
-                b.rotor_offset[lane],
-                b.thrust_to_torque[lane],
+                rotors, b.rotor_offset[lane], b.thrust_to_torque[lane]
             )
             # Euler's equations in the body frame.
-            jx, jy, jz = b.inertia[0, lane], b.inertia[1, lane], b.inertia[2, lane]
-            x, y, z = w[0, lane], w[1, lane], w[2, lane]
+            jx, jy, jz = three(b.inertia, lane)
+            x, y, z = three(b.angular_velocity, lane)
             bx = r[0] * x + r[3] * y + r[6] * z
             by = r[1] * x + r[4] * y + r[7] * z
             bz = r[2] * x + r[5] * y + r[8] * z
@@ -157,17 +154,16 @@ def integrate(blocks: Records, count: int) -> None:
             x = r[0] * cx + r[1] * cy + r[2] * cz
             y = r[3] * cx + r[4] * cy + r[5] * cz
             z = r[6] * cx + r[7] * cy + r[8] * cz
+            w = b.angular_velocity
             w[0, lane], w[1, lane], w[2, lane] = x, y, z
             # Newton's, with the thrust along the old attitude.
             per_mass = dt / b.mass[lane]
-            fx, fy = b.force[0, lane] + b.external[0, lane], b.force[1, lane] + b.external[1, lane]
-            fz = b.force[2, lane] + b.external[2, lane]
-            b.velocity[0, lane] += per_mass * (r[2] * thrust + fx)
-            b.velocity[1, lane] += per_mass * (r[5] * thrust + fy)
-            b.velocity[2, lane] += per_mass * (r[8] * thrust + fz) - dt * GRAVITY
-            b.position[0, lane] += dt * b.velocity[0, lane]
-            b.position[1, lane] += dt * b.velocity[1, lane]
-            b.position[2, lane] += dt * b.velocity[2, lane]
+            (fx, fy, fz), (ex, ey, ez) = three(b.force, lane), three(b.external, lane)
+            b.velocity[0, lane] += per_mass * (r[2] * thrust + (fx + ex))
+            b.velocity[1, lane] += per_mass * (r[5] * thrust + (fy + ey))
+            b.velocity[2, lane] += per_mass * (r[8] * thrust + (fz + ez)) - dt * GRAVITY
+            for k in range(3):
+                b.position[k, lane] += dt * b.velocity[k, lane]
             # The attitude turns by the new angular velocity: q <- exp(w dt) q.
             half = 0.5 * math.sqrt(x * x + y * y + z * z) * dt
             s, aw = sinc_cos(half)
@@ -178,5 +174,6 @@ def integrate(blocks: Records, count: int) -> None:
             nz = aw * qz + ax * qy - ay * qx + az * qw
             nw = aw * qw - ax * qx - ay * qy - az * qz
             scale = 1.0 / math.sqrt(nx * nx + ny * ny + nz * nz + nw * nw)
+            q = b.quaternion
             q[0, lane], q[1, lane] = nx * scale, ny * scale
             q[2, lane], q[3, lane] = nz * scale, nw * scale

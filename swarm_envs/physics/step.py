@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import kernel, part
-from swarm_envs.control.loop import hold_rates, track
+from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.interactions.packed import PackedField
@@ -311,23 +311,13 @@ def write_wrenches(count: int, drones: Records, work: Work) -> None:
     for slot in range(count * size):
         b, lane = work.blocks[slot // LANES], slot % LANES
         out = drones[work.members[slot // size], slot % size].wrench
+        rotors, (qx, qy, qz, qw) = four(b.rotor_thrust, lane), four(b.quaternion, lane)
         thrust, out[3], out[4], out[5] = rotor_wrench(
-            b.rotor_thrust[0, lane],
-            b.rotor_thrust[1, lane],
-            b.rotor_thrust[2, lane],
-            b.rotor_thrust[3, lane],
-            b.rotor_offset[lane],
-            b.thrust_to_torque[lane],
+            rotors, b.rotor_offset[lane], b.thrust_to_torque[lane]
         )
-        r = rotation_entries(
-            b.quaternion[0, lane],
-            b.quaternion[1, lane],
-            b.quaternion[2, lane],
-            b.quaternion[3, lane],
-        )
-        x = b.force[0, lane] + b.external[0, lane]
-        y = b.force[1, lane] + b.external[1, lane]
-        z = b.force[2, lane] + b.external[2, lane]
+        r = rotation_entries(qx, qy, qz, qw)
+        (x, y, z), (ex, ey, ez) = three(b.force, lane), three(b.external, lane)
+        x, y, z = x + ex, y + ey, z + ez
         out[0] = r[0] * x + r[3] * y + r[6] * z
         out[1] = r[1] * x + r[4] * y + r[7] * z
         out[2] = r[2] * x + r[5] * y + r[8] * z + thrust

@@ -99,7 +99,7 @@ def write_rest(
         drones: (E, N) records; their `reference_...` fields are written.
         environments: (E,) records.
         goals: (E, S, N, 3) goals of every stage, m.
-        settings: (1,) how the reference moves: `ramp`, `stage_s`.
+        settings: (1,) how the reference moves: `stage_s`, and `ramp` on lines.
     """
     stage_s, stages = settings[0].stage_s, goals.shape[1]
     for e in range(drones.shape[0]):
@@ -107,14 +107,8 @@ def write_rest(
         for i in range(drones.shape[1]):
             d = drones[e, i]
             for k in range(3):
-                goal = goals[e, stage, i, k]
-                start = d.start[k] if stage == 0 else goals[e, stage - 1, i, k]
-                # As `write_lines` does where they take no time, to the sign of a zero.
-                still = 0.0 * (goal - start)
-                d.reference_position[k] = start * 0.0 + goal
-                d.reference_velocity[k] = still
-                d.reference_acceleration[k] = still
-                d.reference_jerk[k] = still
+                d.reference_position[k] = goals[e, stage, i, k]
+                d.reference_velocity[k] = d.reference_acceleration[k] = d.reference_jerk[k] = 0.0
 
 
 @kernel
