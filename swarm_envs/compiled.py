@@ -44,34 +44,19 @@ _EMPTY = hashlib.sha256().hexdigest()
 _DAY = 86400.0  # s
 
 
-@overload
-def kernel(function: F) -> F: ...
-@overload
-def kernel(*, fastmath: bool | set[str] = False) -> Callable[[F], F]: ...
-def kernel(function: Any = None, *, fastmath: bool | set[str] = False) -> Any:
+def kernel(function: F) -> F:
     """Compile a function to machine code at its first call and keep the result on disk.
 
     Division by zero follows IEEE arithmetic. Sums are not reordered, so the same input gives the
     same bytes on the same machine. Called from Python, a kernel lets other threads run meanwhile.
-
-    Args:
-        function: what to compile; leave it out to pass an option, as `@kernel(fastmath=...)`.
-        fastmath: the freedoms of LLVM's floating-point arithmetic, such as `{"contract"}`.
     """
-    if function is None:
-        return lambda decorated: _compiled(decorated, fastmath)
-    return _compiled(function, fastmath)
-
-
-def _compiled(function: F, fastmath: bool | set[str]) -> F:
     if numba.config.DISABLE_JIT:
         silent: F = np.errstate(all="ignore")(function)  # as in machine code: integers wrap around
         return silent
-    options = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True}
-    decorate = partial(numba.njit, **options, fastmath=fastmath)
     folder = _folder(function)
     settings = {"CACHE_DIR": str(folder), "CACHE_LOCATOR_CLASSES": "UserProvidedCacheLocator"}
     before = {name: getattr(numba.config, name, "") for name in settings}
+    decorate = partial(numba.njit, error_model="numpy", nogil=True, no_cfunc_wrapper=True)
     try:
         for name, value in settings.items():  # numba reads them while it decorates
             setattr(numba.config, name, value)
@@ -96,7 +81,7 @@ def part(function: Any = None, *, fastmath: bool | set[str] = False) -> Any:
 
     Args:
         function: what to compile; leave it out to pass an option, as `@part(fastmath=...)`.
-        fastmath: as of `kernel`.
+        fastmath: the freedoms of LLVM's floating-point arithmetic, such as `{"contract"}`.
     """
     if function is None:
         return lambda decorated: _within_kernels(decorated, fastmath=fastmath)

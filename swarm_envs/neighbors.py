@@ -41,10 +41,10 @@ def sort_along_x(position: FloatArray, order: IntArray) -> None:
 
 
 @part
-def insert_sorted(value: int, count: int, values: IntArray, first: int) -> None:
-    """Insert a value among `count` ascending ones in `values`, which begin at `first`."""
-    place = first + count
-    while place > first and values[place - 1] > value:
+def insert_sorted(value: int, count: int, values: IntArray) -> None:
+    """Insert a value among the first `count` of `values`, which ascend."""
+    place = count
+    while place > 0 and values[place - 1] > value:
         values[place] = values[place - 1]
         place -= 1
     values[place] = value
@@ -58,7 +58,6 @@ def within_box(
     lateral: float,
     vertical: float,
     found: IntArray,
-    first: int,
 ) -> int:
     """List the drones inside a box around the drone at a place of the order.
 
@@ -68,8 +67,7 @@ def within_box(
         place: in that order.
         lateral: half the box's size in x and y, m.
         vertical: half its height, m.
-        found: their indices, ascending, written from `first` on.
-        first: where to begin.
+        found: their indices, ascending, written.
 
     Returns:
         How many there are.
@@ -84,7 +82,7 @@ def within_box(
             beside = abs(position[j, 1] - position[i, 1]) < lateral
             level = abs(position[j, 2] - position[i, 2]) < vertical
             if beside & level:  # one branch, seldom taken
-                insert_sorted(j, count, found, first)
+                insert_sorted(j, count, found)
                 count += 1
             b += step
     return count
@@ -183,9 +181,3 @@ def squared_distance(position: FloatArray, i: int, j: int) -> float:
     dy = position[j, 1] - position[i, 1]
     dz = position[j, 2] - position[i, 2]
     return dx * dx + dy * dy + dz * dz
-
-
-@part
-def distance_between(position: FloatArray, i: int, j: int) -> float:
-    """Distance of two drones' centres, m."""
-    return math.sqrt(squared_distance(position, i, j))

@@ -110,7 +110,9 @@ _VEHICLE = (
     Field("force_bound", (), "N", None, "Bound on the vertical force, for metrics."),
     Field("type", (), "", None, "Interaction type in the force model of the environment."),
     Field("believed_type", (), "", None, "Interaction type in the model that it compensates."),
-    Field("external", (3,), "N", 0.0, "Further force: gusts, or what `step` was given."),
+    Field(
+        "external", (3,), "N", 0.0, "Further force: that given to `step`; in a block also gusts."
+    ),
     Field("setpoint_jerk", (3,), "m/s^3", 0.0, "Third derivative of the set-point."),
     Field("setpoint_yaw_rate", (), "rad/s", 0.0, "Derivative of the set-point's yaw."),
     Field("asked", (4,), "N, rad/s", None, "Thrust and body rates that action `ctbr` asks for."),
@@ -268,7 +270,7 @@ BODY_END = _columns((*_BODY, *_CONTACT, *_TALLY))
 CONTROLLER_END = BODY_END + _columns(_CONTROLLER)
 """Columns from `BODY_END` to this one belong to the tracking loop."""
 VEHICLE_END = CONTROLLER_END + _columns(_VEHICLE)
-"""Columns from `CONTROLLER_END` to this one are only read by physics steps."""
+"""Columns from `CONTROLLER_END` to this one are never written back by physics steps."""
 
 
 LINE = 64

@@ -318,9 +318,13 @@ def test_an_equation_becomes_part_of_the_loop_that_calls_it() -> None:
         assert "vsqrtpd" in code
 
 
-def test_a_kernel_takes_the_freedoms_of_arithmetic_that_it_is_given() -> None:
-    @kernel(fastmath={"contract"})
-    def combine(a: float, b: float, c: float) -> float:
+def test_a_part_takes_the_freedoms_of_arithmetic_that_it_is_given() -> None:
+    @part(fastmath={"contract"})
+    def fused(a: float, b: float, c: float) -> float:
         return a * b + c
+
+    @kernel
+    def combine(a: float, b: float, c: float) -> float:
+        return fused(a, b, c)
 
     assert combine(2.0, 3.0, 4.0) == 10.0

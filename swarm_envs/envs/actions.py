@@ -117,7 +117,7 @@ def approach_velocity(
 
 @part
 def write_command(drone: Record, code: int, u: FloatArray) -> None:
-    """Write an action (width,) that is no acceleration into a drone's record, as it is meant."""
+    """Write an action (width,), neither acceleration nor velocity, into a drone's record."""
     most = drone.nominal_max_rotor_thrust
     if code == _CTBR:
         drone.asked[0] = 0.5 * (u[0] + 1.0) * (4.0 * most)

@@ -47,7 +47,8 @@ class StepResult(NamedTuple):
     rewards: FloatArray
     """(E, N)."""
     reward_terms: FloatArray
-    """(T, E, N) each bounded term before its weight, in the order of the task's `reward_names`."""
+    """(T, E, N) each bounded term before its weight, in the order of the task's `reward_names`.
+    Those of an environment that no longer flies stay as they were last."""
     terminated: BoolArray
     """(E,) ended by a crash or by success."""
     truncated: BoolArray
@@ -63,7 +64,8 @@ class Snapshot:
     """
 
     kind: dict[str, object]
-    """What it fits: task, team, engine, action, number of environments."""
+    """What it fits: task, team, engine, action, and numbers of environments, stages, neighbours and
+    obstacles."""
     world: World
     """The tables of drones and environments, and the goals."""
     observations: Float32Array
@@ -350,7 +352,8 @@ class SwarmCore:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""
-        return _rebuilt, (type(self), self.task, self.config, self.num_envs, self.get_state())
+        made = type(self), self.task, self.config, self.num_envs
+        return _rebuilt, (*made, self.get_state(), self._weights.copy())
 
     def get_state(self) -> Snapshot:
         """Everything that changes, copied: see `Snapshot`."""
@@ -374,17 +377,17 @@ class SwarmCore:
                 f"state is a {type(snapshot).__name__}, but must be what get_state() returned"
             )
         for name, value in self._kind().items():
-            if snapshot.kind[name] != value:
+            theirs = snapshot.kind.get(name)
+            if theirs != value:
                 raise ValueError(
-                    f"the state was taken of an environment whose {name} is "
-                    f"{snapshot.kind[name]!r}, but here it is {value!r}; make an environment with "
-                    "the same options"
+                    f"the state was taken of an environment whose {name} is {theirs!r}, but here "
+                    f"it is {value!r}; make an environment with the same options"
                 )
         tasks = {team: self._task_for(team) for team in set(snapshot.teams)}
         for e, team in enumerate(snapshot.teams):
             self._fly_task(e, tasks[team])
-        for mine, theirs in zip(self.world, snapshot.world, strict=True):
-            mine[...] = theirs
+        for mine, kept in zip(self.world, snapshot.world, strict=True):
+            mine[...] = kept
         self.rows[...] = snapshot.observations
         for e, state in enumerate(snapshot.generators):
             self.generators[e] = np.random.default_rng(0)
@@ -400,15 +403,22 @@ class SwarmCore:
             "num_neighbors": self.config.num_neighbors,
             "num_obstacles": self.num_obstacles,
             "number of environments": self.num_envs,
+            "number of stages": self.world.goals.shape[1],
         }
 
 
 def _rebuilt(
-    kind: type[SwarmCore], task: Task, config: EnvConfig, num_envs: int, snapshot: Snapshot
+    kind: type[SwarmCore],
+    task: Task,
+    config: EnvConfig,
+    num_envs: int,
+    snapshot: Snapshot,
+    weights: FloatArray,
 ) -> SwarmCore:
     """Make a core anew where another stood; what `pickle` and `copy` call."""
     core = kind(task, config, num_envs)
     core.set_state(snapshot)
+    core._weights[:] = weights
     return core
 
 

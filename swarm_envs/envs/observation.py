@@ -83,12 +83,12 @@ def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[Fiel
 
     `self.position` is absolute; `self.attitude` the rotation matrix from body to world, row by
     row; `self.body_rate` in the body frame; `self.setpoint_offset` from the drone to the
-    controller's set-point (zero for `rotors`). Neighbours' and task positions are relative to the
-    drone, a neighbour's velocity too; its `goal` is relative to itself. Where there are fewer than
-    K neighbours, `mask` is 0 and the rest zero. `obstacle_k.offset` leads from the drone to the
-    nearest point of an obstacle, for the nearest M of them; with M = 0 there are no such fields.
-    Where a task gives no reference, it rests at the
-    goal; that of a stacked swap never moves vertically.
+    controller's set-point (zero for `ctbr` and `rotors`). Neighbours' and task positions are
+    relative to the drone, a neighbour's velocity too; its `goal` is relative to itself. Where there
+    are fewer than K neighbours, `mask` is 0 and the rest zero. `obstacle_k.offset` leads from the
+    drone to the nearest point of an obstacle, for the nearest M of them; with M = 0 there are no
+    such fields. Where a task gives no reference, it rests at the goal; that of a stacked swap never
+    moves vertically.
     """
     groups: list[tuple[str, _Entries]] = [("self", _SELF)]
     groups += [(f"neighbor_{k}", _NEIGHBOR) for k in range(num_neighbors)]

@@ -50,10 +50,14 @@ class InteractionModel:
     def type_indices(self, team: Sequence[Vehicle]) -> IntArray:
         """Index (N,) of each vehicle's interaction type among the model's types.
 
+        `none` takes every type, since nothing blows on any.
+
         Raises:
             ValueError: a vehicle's type is unknown to the model.
         """
         names = tuple(vehicle.interaction_type for vehicle in team)
+        if self.field.kind == NONE:
+            return np.zeros(len(names), np.int64)
         return types_array(names, self.types, f"in interaction model {self.name!r}")
 
     def with_precision(self, precision: str) -> InteractionModel:

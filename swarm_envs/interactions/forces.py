@@ -67,7 +67,7 @@ def find_pairs(
             sort_along_x(here, sorted_here)
             for place in range(drones):
                 i = sorted_here[place]
-                close = within_box(here, sorted_here, place, lateral, vertical, order[1], 0)
+                close = within_box(here, sorted_here, place, lateral, vertical, order[1])
                 for c in range(close):
                     j = order[1, c]
                     x, y, z = (

@@ -37,14 +37,14 @@ from swarm_envs.interactions.packed import (
     TO_CODES,
     UNITS,
     PackedField,
-    Records,
 )
 from swarm_envs.interactions.scratch import SAMPLES, Scratch
 from swarm_envs.state import IntArray
+from swarm_envs.tables import Records
 from swarm_envs.vehicles import GRAM_FORCE
 
 FREE = 1
-"""The odd slots: a drone alone at the anchor height. The even ones: as it flies."""
+"""Slot 2 i is drone i as it flies, slot 2 i + 1 what it would feel alone at the anchor height."""
 
 
 @part(fastmath={"contract"})

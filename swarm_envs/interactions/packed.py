@@ -10,14 +10,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from swarm_envs.interactions.field import LEARNED, PAIRWISE, ForceField, Numbers
 from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.tables import aligned
-
-Records = npt.NDArray[np.void]
-"""An array of records."""
+from swarm_envs.tables import Records, aligned
 
 MOST_TYPES = 8
 """Largest number of interaction types that a model may have."""

@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.interactions.packed import PackedField, Records
+from swarm_envs.interactions.packed import PackedField
 from swarm_envs.neighbors import FEW
 from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.tables import aligned
+from swarm_envs.tables import Records, aligned
 
 CROWD = 128
 """Drones whose forces are evaluated together: enough to fill blocks, few enough for the cache."""
-SAMPLES = 16
+SAMPLES = 32
 """Samples to which a network is applied at once."""
 
 DRONE = np.dtype(
@@ -49,13 +49,13 @@ DESK = np.dtype(
         ("x", np.float64, (CROWD,)),  # m: of all environments' first drones, then all second
         ("y", np.float64, (CROWD,)),
         ("z", np.float64, (CROWD,)),
-        ("near", np.int64, (CROWD,)),  # whether this drone and another are
+        ("near", np.int64, (CROWD,)),  # 1 where a pair is inside the interaction volume
         ("slot", np.int64, (SAMPLES,)),  # 2 i + part: to which drone's sum a sample is added
         ("share", np.float64, (SAMPLES,)),  # with which factor
     ],
     align=True,
 )
-"""What is held for a moment."""
+"""Counters and lists of one evaluation."""
 
 
 class Scratch(NamedTuple):

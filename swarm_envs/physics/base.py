@@ -340,8 +340,11 @@ class Physics:
                 "external_force", external_force, shape, "(E, N, 3), newton"
             )
         drones["commands"] = u
-        drones["external"] = 0.0 if external_force is None else external_force
+        if external_force is not None:
+            drones["external"] = external_force
         self._advance()
+        if external_force is not None:
+            drones["external"] = 0.0  # it pushes in this step alone
         return self.state
 
     def _advance(self) -> None:

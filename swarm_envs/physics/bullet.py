@@ -58,7 +58,8 @@ class BulletPhysics(Physics):
     """Rigid bodies in Bullet, built once for a team; a reset sets poses and velocities.
 
     Bullet's contacts give the response after a collision; collisions themselves are decided by
-    `find_contacts`, as on the compiled engine. Call `close()` when done, or use it in `with`.
+    the phase `TOUCH` of `fly`, as on the compiled engine. Call `close()` when done, or use it in
+    `with`.
 
     Raises:
         ImportError: pybullet is not installed, or broken.

@@ -65,7 +65,7 @@ def sinc_cos(angle: float) -> tuple[float, float]:
     """sin(angle) / angle and cos(angle), within 1e-13 for angles of up to 8 rad.
 
     Library functions are no vector instructions. This takes Taylor's series at an eighth of the
-    angle, where twelve terms are exact, and doubles it three times: sin 2a = 2 sin a cos a and
+    angle, where eight terms are exact, and doubles it three times: sin 2a = 2 sin a cos a and
     1 - cos 2a = 2 (sin a)^2. The second is kept in place of the cosine, which loses digits near 1.
     """
     a = 0.125 * angle

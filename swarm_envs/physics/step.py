@@ -222,7 +222,7 @@ def fly(  # noqa: C901  # one step, on one screen
         belief: the one in which the controller believes; None if it compensates nothing.
         work: working memory of this thread.
         scratch: working memory of the first force model.
-        belief_scratch: of the second.
+        belief_scratch: of the second; None if there is none.
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0

@@ -9,8 +9,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swarm_envs import swap_v0
+from swarm_envs import formation_v0, swap_v0
 from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import load
@@ -139,6 +140,26 @@ def test_refuses_what_does_not_fit(options, message):
         env.set_state(snapshot)
     with pytest.raises(TypeError, match=r"state is a dict, but must be what get_state\(\)"):
         env.set_state({})  # type: ignore[arg-type]
+
+
+def test_refuses_another_number_of_stages():
+    short, long = (formation_v0.parallel_env(letters=name, num_drones=8) for name in ("LM", "LMNO"))
+    for env in (short, long):
+        env.reset(seed=1)
+    with pytest.raises(ValueError, match="number of stages is 1, but here it is 3"):
+        long.set_state(short.get_state())
+
+
+def test_copies_keep_the_weights_that_were_set():
+    blueprint = swap_v0.blueprint(num_drones=2, physics="batch")
+    core = SwarmCore(blueprint.task, blueprint.config)
+    core.set_reward_weights({"effort": -9.0})
+    twin, still = copy.deepcopy(core), np.ones((1, 2, 3))
+    for env in (core, twin):
+        env.reset(seeds=[3])
+    np.testing.assert_array_equal(core.step(still).rewards, twin.step(still).rewards)
+    core.set_reward_weights({"effort": -0.1})
+    assert (core.step(still).rewards != twin.step(still).rewards).all()
 
 
 def test_a_closed_environment_has_no_state():

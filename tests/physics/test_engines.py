@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import resource
 from pathlib import Path
 from typing import Any, cast
@@ -9,10 +10,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.interactions.field import WAKE, empty_field
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics, bullet_available
 from swarm_envs.state import hover_state
-from swarm_envs.vehicles import parse_team
+from swarm_envs.vehicles import SMALL, parse_team
 
 ENGINES = [BatchPhysics] + ([BulletPhysics] if bullet_available() else [])
 TEAM = parse_team("LS")
@@ -124,6 +127,35 @@ def test_lower_drone_is_pushed_down_and_upper_is_not() -> None:
     upper, lower = physics.force[0, :, 2]
     assert lower < -0.05
     assert abs(upper) < 0.3 * abs(lower)
+
+
+def test_an_external_force_pushes_in_its_step_alone(engine: type[Physics]) -> None:
+    everywhere, hover = (
+        np.ones(1, np.bool_),
+        hover_state(parse_team("S"), np.array([[[0, 0, 1.0]]])),
+    )
+    physics, speeds = engine("S", interactions="none"), []
+    for force in (None, np.array([[[0.1, 0.0, 0.0]]])):
+        physics.reset(hover)
+        physics.step(hover.rotor_thrust, external_force=force)
+        first = physics.state.velocity[0, 0, 0]
+        physics.fly(3, everywhere)
+        speeds.append((first, physics.state.velocity[0, 0, 0]))
+    physics.close()
+    assert speeds[0] == (0.0, 0.0)
+    assert speeds[1][0] > 0.01
+    assert speeds[1][1] == pytest.approx(speeds[1][0], rel=1e-9)
+
+
+def test_a_model_of_other_vehicles_is_flown(engine: type[Physics]) -> None:
+    """Where the controller compensates nothing, nothing has to know what types they are."""
+    fitted = InteractionModel("fitted", ("X",), empty_field(1)._replace(kind=WAKE))
+    team = (dataclasses.replace(SMALL, interaction_type="X"),) * 2
+    for model in (fitted, "none"):
+        physics = engine(team, interactions=model)
+        physics.step(physics.state.rotor_thrust)
+        assert np.isfinite(physics.state.velocity).all()
+        physics.close()
 
 
 def test_batteries_empty_and_weaken_the_rotors() -> None:
