@@ -131,7 +131,10 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
         if layout[n, SOURCE] == ENVIRONMENT:
             for k in range(4):
                 row[k] = drone["motion"][k]
-            row[0], row[4] = -anchor if free == FREE else row[0], 0.0
+            if free == FREE:
+                measured = field.constants[0]["environment_range"]
+                row[0] = min(max(-anchor, measured[0, 0]), measured[1, 0])
+            row[4] = 0.0
         else:
             code = scratch.rows[SAMPLES + slot // 2]["v"]
             for k in range(INPUTS * layout[n, FIRST_LAYER + BLOCKS]):

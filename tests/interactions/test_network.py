@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from itertools import pairwise
 
 import numpy as np
@@ -107,6 +108,17 @@ def test_nan_goes_through_a_network() -> None:
     found = evaluated(field, 0, x)
     assert np.isnan(found[2]).all()
     assert np.isfinite(np.delete(found, 2, axis=0)).all()
+
+
+def test_an_anchor_above_what_was_measured_is_brought_to_its_edge() -> None:
+    """So is the drone's own height: high up, both inputs are the same, and nothing is felt."""
+    model = load("learned")
+    high = dataclasses.replace(model, field=model.field._replace(anchor_height=5.0))
+    assert model.field.environment_range[0, 0] > -3.0
+    force = high.forces([[[0.0, 0.0, 3.0]]], np.zeros((1, 1, 3)), "S")
+    assert force[0, 0, 2] == 0.0
+    near_the_ground = high.forces([[[0.0, 0.0, 0.1]]], np.zeros((1, 1, 3)), "S")
+    assert near_the_ground[0, 0, 2] != 0.0
 
 
 def test_more_types_than_there_is_room_for_are_refused() -> None:
