@@ -219,7 +219,7 @@ def test_bad_teams(engine, team, message):
 
 
 WEAK = replace(SMALL, token="W", max_thrust=1.15 * SMALL.mass * 9.80665)
-ONLY_SMALL = replace(load("none"), name="small", types=("S",))
+ONLY_SMALL = replace(load("wake"), name="small", types=("S",))
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.problem import shortest_time
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.field import empty_field
+from swarm_envs.interactions.field import WAKE, empty_field
 
 STARTS = [[0.0, -1.0, 1.0], [0.0, 0.0, 1.0], [0.0, 1.0, 1.0]]
 GOALS = [[0.0, 1.0, 1.0], [0.0, 0.0, 1.5], [0.0, -1.0, 1.0]]
@@ -57,7 +57,7 @@ def test_refused(changes, message):
 
 
 def test_a_model_without_a_type_of_the_team_is_refused():
-    model = InteractionModel("small only", ("S",), empty_field(1))
+    model = InteractionModel("small only", ("S",), empty_field(1)._replace(kind=WAKE))
     with pytest.raises(ValueError, match=r"unknown interaction type 'L'.*'small only'"):
         problem(model=model)
 
