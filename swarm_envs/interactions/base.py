@@ -50,7 +50,7 @@ class InteractionModel:
     def type_indices(self, team: Sequence[Vehicle]) -> IntArray:
         """Index (N,) of each vehicle's interaction type among the model's types.
 
-        `none` takes every type, since nothing blows on any.
+        The model `none` accepts every type, because it exerts no force on any vehicle.
 
         Raises:
             ValueError: a vehicle's type is unknown to the model.
