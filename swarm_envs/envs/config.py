@@ -213,14 +213,14 @@ class ResetOptions(NamedTuple):
     """What of `start` and `goal`, (N, 3) m, was given."""
 
 
-def check_reset_options(options: Mapping[str, Any], num_drones: int) -> ResetOptions:
+def check_reset_options(options: Mapping[str, Any] | None, num_drones: int) -> ResetOptions:
     """Reset options in the form that environments take.
 
     Raises:
         TypeError: the options are no mapping.
         ValueError: an option is unknown, an array of wrong shape or not finite, or a team unknown.
     """
-    if not options:
+    if options is None:
         return ResetOptions(None, {})
     check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}

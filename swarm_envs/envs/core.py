@@ -218,7 +218,7 @@ class SwarmCore:
         """
         where = self._everywhere if mask is None else check_mask(mask, self.num_envs)
         check_seeds(seeds, self.num_envs)
-        team, given = check_reset_options(options or {}, self.num_drones)
+        team, given = check_reset_options(options, self.num_drones)
         task, (begun,) = self._task_for(team), where.nonzero()
         for e, placement in self._draw(task, begun.tolist(), seeds, given).items():
             self._fly_task(e, task)

@@ -208,7 +208,8 @@ def calls(folder: Path) -> dict[str, Call]:
     """Public functions in valid calls; what they write goes into the folder."""
     shared = dict.fromkeys(EnvOptions.__annotations__)
     shared |= {"physics": "batch", "interactions": "none", "action": "acceleration"}
-    shared |= {"decision_rate": 48, "force_rate": 240, "observation": "flat", "num_neighbors": 1}
+    shared |= {"precision": "float64", "decision_rate": 48, "force_rate": 240}
+    shared |= {"observation": "flat", "num_neighbors": 1}
     shared |= {"end_on_success": True, "deterministic": False, "force_bounds_g": {"S": 5.0}}
     shared |= {"num_drones": 2, "team": None, "obstacles": (), "reward_weights": None}
     shared |= {"render_mode": None}

@@ -54,7 +54,14 @@ QUICK: tuple[str, ...] = (
     "buildings",
     "agents.load",
 )
-QUICK += ("TrackingAgent", "SafetyFilter", "read_trajectory", "read_table", "read_rows")
+QUICK += (
+    "env.reset options",
+    "TrackingAgent",
+    "SafetyFilter",
+    "read_trajectory",
+    "read_table",
+    "read_rows",
+)
 
 
 @pytest.mark.parametrize("name", QUICK)
