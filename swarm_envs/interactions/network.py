@@ -121,7 +121,9 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
         scratch: working memory.
     """
     layout, desk, drone = field.layout, scratch.desk[0], scratch.drones[slot // 2]
-    free, own, anchor = slot % 2, layout[n, OWN], field.constants[0]["anchor_height"]
+    free, own, model = slot % 2, layout[n, OWN], field.constants[0]
+    # Read here and not where it is used: arrays in a branch are counted as referenced, which locks.
+    anchor, anchor_motion = model["anchor_height"], model["anchor_motion"]
     wanted = (own == ANY or drone["type"] == own) and not (free == FREE and anchor == 0.0)
     if layout[n, SOURCE] == ENVIRONMENT and not (free == FREE and layout[n, TARGET] == TO_CODES):
         wanted = wanted and drone["low"] != 0  # high up, the ground does nothing
@@ -131,10 +133,7 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
         if layout[n, SOURCE] == ENVIRONMENT:
             for k in range(4):
                 row[k] = drone["motion"][k]
-            if free == FREE:
-                measured = field.constants[0]["environment_range"]
-                row[0] = min(max(-anchor, measured[0, 0]), measured[1, 0])
-            row[4] = 0.0
+            row[0], row[4] = anchor_motion if free == FREE else row[0], 0.0
         else:
             code = scratch.rows[SAMPLES + slot // 2]["v"]
             for k in range(INPUTS * layout[n, FIRST_LAYER + BLOCKS]):

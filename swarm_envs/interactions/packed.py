@@ -31,6 +31,7 @@ CONSTANTS = np.dtype(
         ("kind", np.int64),
         ("hidden", np.int64),  # numbers of a code, filled up
         ("anchor_height", np.float64),
+        ("anchor_motion", np.float64),  # -z of a drone there, kept within the measured range
         ("window", np.float64, (4,)),
         ("environment_range", np.float64, (2, 4)),
         ("pair_range", np.float64, (2, 6)),
@@ -81,10 +82,12 @@ def packed(field: ForceField) -> PackedField:
         )
     constants = np.zeros(1, CONSTANTS)
     for name in CONSTANTS.names or ():
-        if name != "hidden":
+        if name not in ("hidden", "anchor_motion"):
             value = np.asarray(getattr(field, name))
             place = tuple(slice(size) for size in value.shape)
             constants[name][(slice(1), *place)] = value
+    low, high = field.environment_range[:, 0]
+    constants["anchor_motion"] = np.clip(-field.anchor_height, low, high)
     if field.kind not in (LEARNED, PAIRWISE):
         empty = np.zeros((0, FIRST_LAYER + 3), np.int64)
         row = np.dtype([("v", np.float64, (INPUTS, WIDTH))])

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from swarm_envs.control.loop import hold_rates, track
+from swarm_envs.interactions import load
+from swarm_envs.interactions.forces import write_forces
 from swarm_envs.physics.contact import SPOT_TYPE, meet, touch
 from swarm_envs.physics.rigid_body import integrate, sinc_cos, spin_rotors
 from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
@@ -60,6 +62,18 @@ def test_controller_and_walls_are_vector_instructions(part):
 def test_pairs_of_environments_are_compared_side_by_side():
     packed, _ = instructions(meet, blocks(), 4, 4, aligned(4, SPOT_TYPE))
     assert packed >= 8  # scalar ones do the environments that are left over
+
+
+def test_forces_count_few_references():
+    """Numba counts references to arrays that are found in a branch, by an atomic instruction each.
+
+    In the loop over samples that doubles the time of the forces. What stays is outside of loops,
+    or in the sweep of many drones.
+    """
+    load("learned").forces(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), "SS")
+    code = "".join(write_forces.inspect_llvm(s) for s in write_forces.signatures)
+    body = next(f for f in re.split(r"^define ", code, flags=re.M) if "swarm_forces" in f[:200])
+    assert body.count("@NRT_incref(") <= 12
 
 
 def test_a_row_of_a_block_is_a_cache_line():
