@@ -6,15 +6,17 @@ import ast
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
 
 import pytest
 
 from tests.helpers.documented import count, unexplained
 from tests.helpers.imports import OUTER, ROOT, SOURCES, imported_modules, imports, level, parsed
 
-every_module = pytest.mark.parametrize("name", SOURCES)
+
+def text_of(name: str) -> str:
+    """The text of a module."""
+    return SOURCES[name].read_text(encoding="utf-8")
 
 
 def banned_calls(source: str) -> set[str]:
@@ -90,32 +92,36 @@ def test_the_package_was_found():
     assert {"swarm_envs.baselines", "swarm_envs.training"} <= set(SOURCES)
 
 
-@every_module
-def test_imports_only_what_stands_below(name):
-    above = {m for m in imported_modules(parsed(name), name) if level(m) > level(name)}
-    assert not above, f"{name} imports {sorted(above)}, which stand above it in the house"
+def offenders(finder: Callable[[str], object]) -> dict[str, object]:
+    """The modules in which a finder finds something, and what."""
+    return {name: found for name in SOURCES if (found := finder(name))}
 
 
-@every_module
-def test_torch_loads_only_where_networks_are_trained(name):
-    modules = {target.split(".")[0] for _, target in imports(parsed(name), name, deep=False)}
-    if not re.match(r"swarm_envs\.(training|agents\.networks)\b", name):
-        assert "torch" not in modules, f"{name} imports torch at module level"
+def test_modules_import_only_what_stands_below():
+    assert not offenders(
+        lambda name: {m for m in imported_modules(parsed(name), name) if level(m) > level(name)}
+    )
 
 
-@every_module
-def test_nothing_unpickles_or_uses_a_global_generator(name):
-    assert not banned_calls(SOURCES[name].read_text(encoding="utf-8"))
+def test_torch_loads_only_where_networks_are_trained():
+    heavy = offenders(
+        lambda name: (
+            "torch" in {full.split(".")[0] for _, full in imports(parsed(name), name, deep=False)}
+        )
+    )
+    assert not [n for n in heavy if not re.match(r"swarm_envs\.(training|agents\.networks)\b", n)]
 
 
-@every_module
-def test_nothing_takes_what_numba_keeps_to_itself(name):
-    assert not numba_internals(SOURCES[name].read_text(encoding="utf-8"))
+def test_nothing_unpickles_or_uses_a_global_generator():
+    assert not offenders(lambda name: banned_calls(text_of(name)))
 
 
-@every_module
-def test_every_public_thing_has_a_docstring(name):
-    assert not list(undocumented(parsed(name))), f"{name}: without docstring"
+def test_nothing_takes_what_numba_keeps_to_itself():
+    assert not offenders(lambda name: numba_internals(text_of(name)))
+
+
+def test_every_public_thing_has_a_docstring():
+    assert not offenders(lambda name: list(undocumented(parsed(name))))
 
 
 def test_fields_and_constants_say_what_they_are():
@@ -137,16 +143,12 @@ def undocumented(node: ast.AST, name: str = "module") -> Iterator[str]:
                 yield from undocumented(child, child_name)
 
 
-def python_files() -> list[Path]:
-    return [*SOURCES.values(), *sorted((ROOT / "tests").rglob("*.py"))]
-
-
-@pytest.mark.parametrize("file", python_files(), ids=lambda f: str(f.relative_to(ROOT)))
-def test_files_are_short_and_finished(file):
-    text = file.read_text(encoding="utf-8")
-    most = 750 if (ROOT / "tests") in file.parents else 500
-    assert text.count("\n") <= most  # 100 to 300 as a habit; one idea is not cut in two for it
-    assert not re.search(r"\b(TO" r"DO|FIX" r"ME)\b", text)
+def test_files_are_short_and_finished():
+    tests = sorted((ROOT / "tests").rglob("*.py"))
+    texts = {file: file.read_text(encoding="utf-8") for file in (*SOURCES.values(), *tests)}
+    most = dict.fromkeys(texts, 500) | dict.fromkeys(tests, 750)  # 100 to 300 as a habit
+    assert not [file for file, text in texts.items() if text.count("\n") > most[file]]
+    assert not [f for f, text in texts.items() if re.search(r"\b(TO" r"DO|FIX" r"ME)\b", text)]
 
 
 @pytest.mark.parametrize("bare", OUTER)
