@@ -20,7 +20,7 @@ from swarm_envs.errors import unknown_name
 from tests.helpers.imports import ROOT, SOURCES
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
 
-WRITTEN = [ROOT / "README.md", ROOT / "CHANGELOG.md", *PAGES]
+WRITTEN = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *PAGES]
 
 
 def test_links_lead_somewhere():
