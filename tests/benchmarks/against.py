@@ -121,8 +121,8 @@ class Tree:
         line = process.stdout.readline()
         if not line:
             self._errors.seek(0)
-            told = self._errors.read().strip().splitlines()[-20:]
-            raise RuntimeError(f"the process of {self._folder} ended:\n" + "\n".join(told))
+            last = self._errors.read().strip().splitlines()[-20:]
+            raise RuntimeError(f"the process of {self._folder} ended:\n" + "\n".join(last))
         answer: dict[str, Any] = json.loads(line)
         return answer
 
@@ -130,8 +130,8 @@ class Tree:
         """CPU time of a fresh process without cached kernels, s, by stage."""
         with tempfile.TemporaryDirectory() as empty:
             command = [sys.executable, "-P", str(WORKER), "first"]
-            told = self.environ(Path(empty))
-            done = subprocess.run(command, env=told, capture_output=True, text=True, check=False)
+            env = self.environ(Path(empty))
+            done = subprocess.run(command, env=env, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError((done.stderr.strip().splitlines() or ["no first step"])[-1])
         found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])

@@ -1,4 +1,4 @@
-"""One tree's side of `tests.benchmarks.against`: measures when it is told to.
+"""One tree's side of `tests.benchmarks.against`: measures when it is asked to.
 
     PYTHONPATH=TREE python -P tests/benchmarks/against_worker.py            answers on a pipe
     PYTHONPATH=TREE python -P tests/benchmarks/against_worker.py first      first steps, once
@@ -54,8 +54,8 @@ def reset(engine: str, drones: int) -> Call:
 def hovering(envs: int, drones: int, **options: Any) -> Any:
     """Many environments, on one thread, that have hovered for a while, and zeros as actions."""
     blueprint = importlib.import_module("swarm_envs.swap_v0").blueprint
-    told = {"physics": "batch", "threads": 1, "horizon_s": 1e6, "end_on_success": False}
-    task, config, _ = blueprint(num_drones=drones, **told, **options)
+    fixed = {"physics": "batch", "threads": 1, "horizon_s": 1e6, "end_on_success": False}
+    task, config, _ = blueprint(num_drones=drones, **fixed, **options)
     core = importlib.import_module("swarm_envs.envs.core").SwarmCore(task, config, envs)
     core.reset(list(range(envs)))
     still = np.zeros((envs, drones, 3))

@@ -63,11 +63,11 @@ def _measured(python: str, peer: str, *arguments: object) -> Row:
     row: Row = {"unit": "agent-steps/s"}
     found = Path(shutil.which(python) or python).absolute()
     command = [str(found), "-I", str(Path(__file__).absolute()), peer, *map(str, arguments)]
-    told = os.environ | ONE_THREAD
+    environ = os.environ | ONE_THREAD
     try:
         with tempfile.TemporaryDirectory() as folder:  # for the logs that peers write
             done = subprocess.run(
-                command, env=told, cwd=folder, capture_output=True, text=True, check=False
+                command, env=environ, cwd=folder, capture_output=True, text=True, check=False
             )
     except OSError as error:
         return row | {"value": None, "note": str(error)}

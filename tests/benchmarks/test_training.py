@@ -16,5 +16,5 @@ def test_parts_are_shares_of_the_whole(threads, unit):
     speed, *parts = measure(small, repetitions=1, rollouts=1)
     assert speed["value"] > 0.0 and speed["unit"] == f"agent-steps per {unit}"
     assert [row["what"].strip() for row in parts] == list(PARTS)
-    whole, told, flown = (row["value"] for row in parts)
-    assert 0.0 < told + flown < whole < 100.0
+    whole, features, flown = (row["value"] for row in parts)
+    assert 0.0 < features + flown < whole < 100.0

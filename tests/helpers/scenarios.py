@@ -32,7 +32,7 @@ Arrays = dict[str, FloatArray]
 
 
 def fly(task: str, decisions: int = 4, physics: str = "batch", **options: Any) -> Arrays:
-    """A short flight with actions drawn from a seed, and what is told of it."""
+    """A short flight with actions drawn from a seed, and what becomes of it."""
     env = swarm_envs.make(task, physics=physics, **options)
     observations, _ = env.reset(seed=1)
     rng, rows, rewards = np.random.default_rng(2), [], []
@@ -46,8 +46,8 @@ def fly(task: str, decisions: int = 4, physics: str = "batch", **options: Any) -
         rewards.append([reward[name] for name in reward])
     state = env.core.physics.state
     found = {name: getattr(state, name).copy() for name in state._fields}
-    told = env.core.metrics().values()
-    found["metrics"] = np.array([x for x in told if isinstance(x, int | float)], np.float64)
+    values = env.core.metrics().values()
+    found["metrics"] = np.array([x for x in values if isinstance(x, int | float)], np.float64)
     env.close()
     return {**found, "observations": np.array(rows), "rewards": np.array(rewards)}
 
