@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import platform
 import re
 import sys
 from collections import deque
@@ -10,15 +13,25 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from tqdm import tqdm
+
+from swarm_envs import __version__
+from swarm_envs.agents.evaluation import frozen_seeds
+from swarm_envs.agents.policy import FILE
+from swarm_envs.agents.policy_file import read_policy
+from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean
 from swarm_envs.commands import train
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
 from swarm_envs.errors import check_integer
+from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.scale_out.jobs import Job, Outcome
 from swarm_envs.training.scale_out.options import ScaleOptions
 
-REPORT, MARKER = "sweep.json", "options.json"
-"""Files of a sweep: its report, and the options that it was begun with."""
+REPORT, MARKER, SCORES = "sweep.json", "options.json", "scores.json"
+"""Files of a sweep: its report, the options that it was begun with, and in each run's folder what
+was measured on the seeds for reporting."""
 _OURS = ("out", "json", "seed", "progress")
 """Options of `train` that the sweep itself gives."""
 
@@ -60,15 +73,10 @@ class SweepOptions:
         check_integer("--report-seed", self.report_seed, 0)
         folders = [_folder(variant) for variant in self.compare]
         for name, given in (("--seeds", self.seeds), ("--compare", folders)):
-            if len(set_of(given)) < len(given) or not given:
+            if not given or len(dict.fromkeys(given)) < len(given):
                 raise ValueError(f"{name} is {given}; name one or more, each once")
         for seed in self.seeds:
             check_integer("--seeds", seed, 0)
-
-
-def set_of(values: Sequence[Any]) -> frozenset[Any]:
-    """The different ones among values (`set` is an option here)."""
-    return frozenset(values)
 
 
 def train_arguments(settings: Sequence[str]) -> list[str]:
@@ -108,18 +116,81 @@ def parse(arguments: Sequence[str]) -> TrainConfig:
 def train_one(
     arguments: list[str], marker: str, digest: str, episodes: int, seed: int
 ) -> dict[str, Any]:
-    """One run of a sweep, wherever that is; a job.
+    """Train a run, or find it finished, and judge its policy on seeds that nothing was chosen on.
+
+    A job of the sweep, done wherever that is; killed, it goes on where it was.
+
+    Args:
+        arguments: of `swarm-envs train`.
+        marker: the file of `write_marker`.
+        digest: of its content.
+        episodes: on each layout, at the force rate of flights.
+        seed: the episodes' seeds are drawn from it, as by `swarm-envs evaluate --seed`.
+
+    Returns:
+        `measured`, such as `random_success`; `steps`, `cpu_s` and `wall_s` of the training.
 
     Raises:
+        ImportError: Stable-Baselines3 is not installed.
         Misuse: the options make no run.
-        OSError: this machine does not see the sweep's folder.
-        ValueError: the run's folder holds another run.
+        OSError: this machine does not see the sweep's folder, or another process writes into it.
+        ValueError: the run's folder holds another run, or a damaged one.
     """
-    from swarm_envs.training.scale_out.sweep import check_marker, train_and_judge
+    from swarm_envs.training.rl.run import finished_report
+    from swarm_envs.training.rl.run import train as train_run
 
     check_marker(Path(marker), digest)
     config = parse(arguments)
-    return train_and_judge(config, train.check(config), episodes, seed)
+    task = train.check(config)
+    report = finished_report(config, task) or train_run(config, task)
+    measured = _judged(config, task, episodes, seed)
+    return {"measured": measured, **{name: report[name] for name in ("steps", "cpu_s", "wall_s")}}
+
+
+def _judged(config: TrainConfig, task: str, episodes: int, seed: int) -> dict[str, float]:
+    """Measures on the seeds for reporting, as they were written, if of this policy and seeds."""
+    from swarm_envs.training.rl.judging import Judges
+    from swarm_envs.training.rl.recipes import RECIPES, completed
+
+    policy, path = read_policy(config.out / FILE), config.out / SCORES
+    about = {"episodes": episodes, "seed": seed, "policy": policy.digest, "version": __version__}
+    if path.is_file():
+        written = json.loads(path.read_text(encoding="utf-8"))
+        if all(written.get(name) == value for name, value in about.items()):
+            found: dict[str, float] = written["measured"]
+            return found
+    layouts = RECIPES[task].judged_on(str(completed(config, task).layout))
+    options = {"interactions": config.interactions}
+    judges = Judges(task, layouts, frozen_seeds(seed, episodes), options, config.teams)
+    try:
+        measured = judges.judge(policy)
+    finally:
+        judges.close()
+    write_json(path, {**about, "measured": measured})
+    return measured
+
+
+def write_marker(path: Path, content: object) -> str:
+    """Write the file by which workers know that they see the same folder; give its digest.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    write_json(path, content)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def check_marker(path: Path, digest: str) -> None:
+    """Refuse a machine that does not see what `write_marker` wrote.
+
+    Raises:
+        OSError: it does not; the message names the machine.
+    """
+    if not path.is_file() or hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        raise OSError(
+            f"machine {platform.node()!r} does not see {str(path)!r} as the one that began the "
+            "sweep wrote it; choose a folder by --out on storage that all machines share"
+        )
 
 
 def run(options: SweepOptions) -> int:
@@ -129,8 +200,6 @@ def run(options: SweepOptions) -> int:
         BlockingIOError: another process has this sweep's folder.
         Misuse: the options make no sweep; nothing was trained.
     """
-    from swarm_envs.files import claimed, write_json
-
     check_folder("--out", options.out)
     if options.json is not None:
         check_file("--json", options.json, (".json",))
@@ -167,10 +236,6 @@ def _train(
     options: SweepOptions, runs: dict[tuple[str, int], list[str]]
 ) -> dict[tuple[str, int], dict[str, Any]]:
     """What came of every run: its result, or an error."""
-    from tqdm import tqdm
-
-    from swarm_envs.training.scale_out.sweep import write_marker
-
     marker = options.out.absolute() / MARKER
     given = {name: value for name, value in asdict(options).items() if name not in _NOT_RESULT}
     about: dict[str, Any] = {"marker": str(marker), "digest": write_marker(marker, given)}
@@ -186,7 +251,7 @@ def _train(
         tqdm(total=len(jobs), unit="run", desc="sweep", disable=options.scale.alone) as bar,
     ):
         for outcome in workers.run(deque(jobs)):
-            found[labels[outcome.job.label]] = _told(outcome)
+            found[labels[outcome.job.label]] = _result_of(outcome)
             bar.update()
     return {name: found[name] for name in runs}
 
@@ -194,7 +259,7 @@ def _train(
 _NOT_RESULT = ("out", "json", "scale")
 
 
-def _told(outcome: Outcome) -> dict[str, Any]:
+def _result_of(outcome: Outcome) -> dict[str, Any]:
     if outcome.error is None:
         result: dict[str, Any] = outcome.result
         return result
@@ -203,18 +268,32 @@ def _told(outcome: Outcome) -> dict[str, Any]:
 
 
 def _report(options: SweepOptions, found: dict[tuple[str, int], dict[str, Any]]) -> dict[str, Any]:
-    from swarm_envs import __version__
-    from swarm_envs.training.scale_out.sweep import summary
-
     variants = []
     for variant in options.compare:
         runs = [{"seed": seed, **found[variant, seed]} for seed in options.seeds]
         whole = [entry for entry in runs if "error" not in entry]
-        measured = summary(whole) if whole else {}
+        measured = over_seeds(whole) if whole else {}
         folder = str(options.out / _folder(variant))
         variants.append({"options": variant, "folder": folder, "measured": measured, "runs": runs})
     about = {"set": options.set, "episodes": options.episodes, "report_seed": options.report_seed}
     return {**about, "version": __version__, "variants": variants}
+
+
+def over_seeds(runs: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Interquartile mean over training seeds of each measure, with its bootstrap interval.
+
+    Args:
+        runs: as `train_one` gives them, one a seed; at least one.
+    """
+    found = {}
+    for name in runs[0]["measured"]:
+        values = np.array([run["measured"][name] for run in runs])
+        found[name] = {
+            "iqm": float(interquartile_mean(values)),
+            "interval": bootstrap_interval(values),
+            "each": values.tolist(),
+        }
+    return found
 
 
 def _table(report: dict[str, Any]) -> str:

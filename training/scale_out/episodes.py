@@ -6,7 +6,11 @@ takes long gives what it has, and the rest is handed out anew, so that little is
 
 from __future__ import annotations
 
+import base64
+import functools
+import hashlib
 import json
+import tempfile
 import time
 import traceback
 from collections import deque
@@ -22,8 +26,8 @@ from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, 
 from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.registry import FILTER, SHIPPED, load
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.training.scale_out.jobs import Job, Outcome, Workers
-from swarm_envs.training.scale_out.shipping import SentFile, receive, send
+from swarm_envs.files import written_whole
+from swarm_envs.training.scale_out.jobs import Job, Outcome, WorkerPool
 
 FUNCTION = f"{__name__}:fly_chunk"
 """What a job calls, as `module:function`."""
@@ -31,6 +35,10 @@ PATIENCE_S = 5.0
 """After so long a chunk begins no further episode."""
 _CHUNKS, _LARGEST = 4, 256
 """Chunks for each worker, so that all end at about the same time; and seeds in one, at most."""
+LARGEST_BYTES = 64 * 2**20
+"""Of a file that is sent: it goes along with every job."""
+SentFile = dict[str, str]
+"""A file, ready for JSON: its absolute `path`, the `sha256` of its content, and that in base64."""
 
 
 @dataclass
@@ -86,7 +94,7 @@ class Leg:
 
 def fly_apart(
     legs: Sequence[Leg],
-    workers: Workers,
+    workers: WorkerPool,
     watch: Callable[[Entrant, Episode], None] = lambda entrant, episode: None,
 ) -> None:
     """Fly every agent on every seed that it has no episode of yet.
@@ -238,3 +246,45 @@ def _load(agent: Mapping[str, Any]) -> Agent:
 
 def _trace(error: BaseException) -> str:
     return "".join(traceback.format_exception(error.__cause__ or error))
+
+
+def send(path: Path) -> SentFile:
+    """Read a file to be sent.
+
+    Raises:
+        OSError: it cannot be read.
+        ValueError: it is too large.
+    """
+    content = path.read_bytes()
+    if len(content) > LARGEST_BYTES:
+        raise ValueError(
+            f"{str(path)!r} has {len(content)} bytes, but at most {LARGEST_BYTES} are sent to "
+            "other machines"
+        )
+    return {
+        "path": str(path.absolute()),
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "content": base64.b64encode(content).decode(),
+    }
+
+
+def receive(sent: SentFile) -> Path:
+    """Where the file is on this machine: where it was, or a copy that this process keeps.
+
+    Raises:
+        OSError: the copy cannot be written.
+    """
+    path, digest = Path(sent["path"]), sent["sha256"]
+    if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == digest:
+        return path
+    copy = Path(_folder().name) / digest / path.name
+    if not copy.is_file():
+        with written_whole(copy) as partial:
+            partial.write_bytes(base64.b64decode(sent["content"]))
+    return copy
+
+
+@functools.cache
+def _folder() -> tempfile.TemporaryDirectory[str]:
+    """Of this process; removed when it ends in good order."""
+    return tempfile.TemporaryDirectory(prefix="swarm-envs-")

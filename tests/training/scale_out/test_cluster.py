@@ -19,8 +19,8 @@ import ray
 from ray.cluster_utils import Cluster
 
 from swarm_envs.cli import main
-from swarm_envs.training.scale_out.cluster import RayWorkers
 from swarm_envs.training.scale_out.jobs import Job, Serial
+from swarm_envs.training.scale_out.options import RayWorkers
 from tests.helpers import small_jobs
 from tests.training.scale_out.test_sweep import SWEEP
 

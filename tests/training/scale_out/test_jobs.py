@@ -13,10 +13,16 @@ from typing import Any
 
 import pytest
 
-from swarm_envs.training.scale_out.jobs import Job, Outcome, Serial, Workers, answer
-from swarm_envs.training.scale_out.local import LocalWorkers
+from swarm_envs.training.scale_out.episodes import receive, send
+from swarm_envs.training.scale_out.jobs import (
+    Job,
+    LocalWorkers,
+    Outcome,
+    Serial,
+    WorkerPool,
+    answer,
+)
 from swarm_envs.training.scale_out.options import ScaleOptions
-from swarm_envs.training.scale_out.shipping import receive, send
 
 HERE = "tests.helpers.small_jobs"
 
@@ -25,7 +31,7 @@ def job(function: str, label: str = "", **arguments: Any) -> Job:
     return Job(f"{HERE}:{function}", arguments, label or function)
 
 
-def done(workers: Workers, *jobs: Job) -> dict[str, Outcome]:
+def done(workers: WorkerPool, *jobs: Job) -> dict[str, Outcome]:
     """Outcomes by label; each is there once."""
     outcomes = list(workers.run(deque(jobs)))
     found = {outcome.job.label: outcome for outcome in outcomes}
@@ -115,8 +121,7 @@ DRIVER = f"""
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it
 from collections import deque
-from swarm_envs.training.scale_out.jobs import Job
-from swarm_envs.training.scale_out.local import LocalWorkers
+from swarm_envs.training.scale_out.jobs import Job, LocalWorkers
 given = {{"folder": sys.argv[1], "name": "a", "seconds": 600.0}}
 with LocalWorkers(2) as workers:
     list(workers.run(deque([Job("{HERE}:slow", given), Job("{HERE}:slow", given)])))

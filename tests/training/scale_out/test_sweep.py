@@ -11,8 +11,13 @@ pytest.importorskip("stable_baselines3")
 
 from swarm_envs.cli import main
 from swarm_envs.commands.checks import Misuse
-from swarm_envs.commands.train_sweep import parse, train_arguments
-from swarm_envs.training.scale_out.sweep import check_marker, summary, write_marker
+from swarm_envs.commands.train_sweep import (
+    check_marker,
+    over_seeds,
+    parse,
+    train_arguments,
+    write_marker,
+)
 
 TINY = [
     *("drones=2", "environments=8", "rollout=8", "batch_size=64", "hidden=8,8", "steps=500"),
@@ -118,7 +123,7 @@ def test_a_machine_that_does_not_see_the_folder_is_named(tmp_path):
 
 def test_the_summary_leaves_out_a_quarter_at_each_end():
     rates = [0.0, 0.5, 0.6, 0.7, 1.0]
-    found = summary([{"measured": {"success": rate}} for rate in rates])["success"]
+    found = over_seeds([{"measured": {"success": rate}} for rate in rates])["success"]
     assert found["iqm"] == pytest.approx(0.6)
     low, high = found["interval"]
     assert 0.0 <= low < 0.6 < high <= 1.0
