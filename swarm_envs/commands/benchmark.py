@@ -14,7 +14,7 @@ from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.tasks import SEED
 
 if TYPE_CHECKING:
-    from swarm_envs.training.scoreboard.runner import Plan
+    from swarm_envs.training.scoreboard.runner import BenchmarkPlan
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,29 +85,29 @@ def run(options: BenchmarkOptions) -> int:
 
 def _fly(options: BenchmarkOptions, out: Path) -> int:
     from swarm_envs.files import claimed, write_json
+    from swarm_envs.training.scoreboard.board import FILE
     from swarm_envs.training.scoreboard.manifest import OtherBenchmark
-    from swarm_envs.training.scoreboard.runner import SCORES
-    from swarm_envs.training.scoreboard.runner import run as fly
+    from swarm_envs.training.scoreboard.runner import run_benchmark
 
     check_folder("--out", out)
     plan = _plan(options)
     with claimed(out):
         try:
-            content = fly(plan, out, options.scale, options.table)
+            content = run_benchmark(plan, out, options.scale, options.table)
         except OtherBenchmark as error:
             raise Misuse(str(error)) from error
         if options.json is not None:
             write_json(options.json, content)
         problems, page = _show(options, out)
     print(_standings(content))
-    _tell(problems, out / SCORES, options.json, page)
+    _tell(problems, out / FILE, options.json, page)
     return len(problems) + sum(cell["status"] == "failed" for cell in content["cells"])
 
 
 def _rewrite(options: BenchmarkOptions, folder: Path) -> int:
     """Write the pages of a benchmark that was flown; return how many are missing."""
     from swarm_envs.files import claimed, write_json
-    from swarm_envs.training.scoreboard.reading import FILE, read
+    from swarm_envs.training.scoreboard.board import FILE, read
 
     try:
         read(folder)
@@ -123,10 +123,10 @@ def _rewrite(options: BenchmarkOptions, folder: Path) -> int:
 
 def _show(options: BenchmarkOptions, folder: Path) -> tuple[list[str], Path]:
     """Write the replay pages and the report; give what went wrong, and the report."""
-    from swarm_envs.training.scoreboard.replays import record
+    from swarm_envs.training.scoreboard.replays import record_replays
     from swarm_envs.training.scoreboard.report import write
 
-    problems = record(folder, options.scale.workers) if options.replays else []
+    problems = record_replays(folder, options.scale.workers) if options.replays else []
     return problems, write(folder)
 
 
@@ -137,15 +137,15 @@ def _tell(problems: list[str], *written: Path | None) -> None:
         print(f"wrote {path}")
 
 
-def _plan(options: BenchmarkOptions) -> Plan:
+def _plan(options: BenchmarkOptions) -> BenchmarkPlan:
     from swarm_envs.training.scoreboard import roster, tasks
-    from swarm_envs.training.scoreboard.runner import Plan
+    from swarm_envs.training.scoreboard.runner import BenchmarkPlan
 
     try:
-        chosen, agents = tasks.choose(options.tasks), roster.choose(options.agents)
+        chosen, agents = tasks.choose_tasks(options.tasks), roster.choose_agents(options.agents)
     except ValueError as error:
         raise Misuse(str(error)) from error
-    return Plan(
+    return BenchmarkPlan(
         tasks=chosen,
         agents=agents,
         seed=options.seed,
@@ -156,9 +156,9 @@ def _plan(options: BenchmarkOptions) -> Plan:
 
 def _standings(content: dict[str, Any]) -> str:
     """The agents' scores in a few columns, and who failed."""
-    from swarm_envs.training.scoreboard.standings import NOTE, aligned, standings
+    from swarm_envs.training.scoreboard.standings import NOTE, align_columns, standings
 
-    lines = [*aligned(standings(content)), NOTE]
+    lines = [*align_columns(standings(content)), NOTE]
     lines += [
         f"{cell['agent']} FAILED {cell['task']}: {cell['reason']}"
         for cell in content["cells"]

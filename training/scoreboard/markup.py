@@ -1,13 +1,22 @@
-"""HTML and SVG out of elements: whatever text a user chose, it is written as text."""
+"""HTML out of elements, and numbers as the scoreboard's page writes them.
+
+Whatever text a user chose, it is written as text.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import TypeAlias
 from xml.etree.ElementTree import Element, tostring
 
+from swarm_envs.training.scoreboard.board import Interval
+
 Content: TypeAlias = "Element | str | Iterable[Content] | None"
 """What stands in an element: others, text, lists of both; None is nothing."""
+NONE = "\N{EN DASH}"
+"""Where there is no number."""
+_THIN = "\N{NARROW NO-BREAK SPACE}"
 
 
 def tag(name: str, *content: Content, **attributes: str | float | bool | None) -> Element:
@@ -23,7 +32,8 @@ def tag(name: str, *content: Content, **attributes: str | float | bool | None) -
     for key, value in attributes.items():
         if value is None or value is False:
             continue
-        element.set(key.rstrip("_").replace("_", "-"), _text(value))
+        text = value if isinstance(value, str) else "" if value is True else f"{value:.5g}"
+        element.set(key.rstrip("_").replace("_", "-"), text)
     _fill(element, content)
     return element
 
@@ -34,24 +44,46 @@ def html(*content: Content) -> str:
     return tostring(holder, encoding="unicode", method="html")[len("<x>") : -len("</x>")]
 
 
-def _text(value: str | float) -> str:
-    if value is True:
-        return ""
-    return value if isinstance(value, str) else f"{value:.5g}"
-
-
 def _fill(element: Element, content: Iterable[Content]) -> None:
     for each in content:
         if isinstance(each, str):
-            _write(element, each)
+            if len(element):
+                element[-1].tail = (element[-1].tail or "") + each
+            else:
+                element.text = (element.text or "") + each
         elif isinstance(each, Element):
             element.append(each)
         elif each is not None:
             _fill(element, each)
 
 
-def _write(element: Element, text: str) -> None:
-    if len(element):
-        element[-1].tail = (element[-1].tail or "") + text
-    else:
-        element.text = (element.text or "") + text
+def format_number(value: float, unit: str = "") -> str:
+    """Three digits, or so; a rate in per cent, without the sign."""
+    if unit == "%":
+        return f"{100.0 * value:.{0 if value in (0.0, 1.0) else 1}f}"
+    if value == 0.0:
+        return "0"
+    places = max(0, 2 - math.floor(math.log10(abs(value))))
+    text = f"{value:,.{min(places, 6)}f}".replace(",", _THIN)
+    return text.rstrip("0").rstrip(".") if "." in text else text
+
+
+def format_interval(ends: Interval | None, unit: str = "") -> str:
+    """The ends of an interval; empty where there is none."""
+    return "" if ends is None else NONE.join(format_number(end, unit) for end in ends)
+
+
+def format_duration(seconds: float) -> str:
+    """Such as `12 s`, `3.4 min`, `1.2 h`."""
+    for size, unit in ((3600.0, "h"), (60.0, "min")):
+        if seconds >= size:
+            return f"{seconds / size:.1f}".removesuffix(".0") + f" {unit}"
+    return f"{seconds:.3g} s"
+
+
+def format_micros(value: float) -> str:
+    """A time in microseconds, with the unit that reads best."""
+    for size, unit in ((1e6, "s"), (1e3, "ms")):
+        if value >= size:
+            return f"{value / size:.3g} {unit}"
+    return f"{value:.3g} µs"

@@ -15,8 +15,7 @@ from swarm_envs import make
 from swarm_envs.agents import load, record_episode
 from swarm_envs.training.scale_out.jobs import Job, Outcome
 from swarm_envs.training.scale_out.options import ScaleOptions
-from swarm_envs.training.scoreboard.board import Board, Cell
-from swarm_envs.training.scoreboard.reading import read
+from swarm_envs.training.scoreboard.board import Board, CellResult, read
 from swarm_envs.viewing.replay import check_replay_path, share_script, write_replay
 
 FOLDER = "replays"
@@ -27,7 +26,9 @@ MOST_SAMPLES = 6_000
 """Drones times frames in a page: 16 drones for 8 s are shown 47 times a second."""
 
 
-def choose(task: str, agent: str, episodes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def choose_episode(
+    task: str, agent: str, episodes: Sequence[Mapping[str, Any]]
+) -> dict[str, Any] | None:
     """The episode of a cell that teaches most.
 
     If some succeed and some fail, the first that failed, with a collision if any did; if all
@@ -46,7 +47,7 @@ def choose(task: str, agent: str, episodes: Sequence[Mapping[str, Any]]) -> dict
     flown = [(k, each) for k, each in enumerate(episodes) if not each.get("refused")]
     if not flown:
         return None
-    index, why = _choose(flown)
+    index, why = _chosen(flown)
     chosen = episodes[index]
     return {
         "seed": int(chosen["seed"]),
@@ -57,7 +58,7 @@ def choose(task: str, agent: str, episodes: Sequence[Mapping[str, Any]]) -> dict
     }
 
 
-def _choose(flown: Sequence[tuple[int, Mapping[str, Any]]]) -> tuple[int, str]:
+def _chosen(flown: Sequence[tuple[int, Mapping[str, Any]]]) -> tuple[int, str]:
     failed = [(k, each) for k, each in flown if not each["success"]]
     if len(failed) == len(flown):
         return flown[0][0], "the first; all fail"
@@ -80,7 +81,7 @@ def file_of(task: str, agent: str) -> str:
     return f"{FOLDER}/{task}--{short}.html"
 
 
-def record(folder: Path, workers: int = 1) -> list[str]:
+def record_replays(folder: Path, workers: int = 1) -> list[str]:
     """Record every replay that a scoreboard's folder names and lacks, with a progress bar.
 
     Killed and called again, it goes on with those that are not there. A page of another episode
@@ -106,8 +107,8 @@ def record(folder: Path, workers: int = 1) -> list[str]:
         return []
     share_script(folder / FOLDER)
     problems = []
-    with scale.open() as crew, tqdm(total=len(jobs), desc="replays", unit="page") as bar:
-        for outcome in crew.run(jobs):
+    with scale.open() as pool, tqdm(total=len(jobs), desc="replays", unit="page") as bar:
+        for outcome in pool.run(jobs):
             problem = _problem(outcome)
             problems += [problem] if problem else []
             bar.update()
@@ -118,7 +119,7 @@ def _jobs(folder: Path, board: Board) -> list[Job]:
     """Those that cost most first: at the end all workers are busy."""
     missing = [
         cell
-        for cell in board.cells.values()
+        for cell in board.cells
         if cell.replay is not None and not _is_there(folder / cell.replay.file, cell.replay.seed)
     ]
     cost = {id(cell): _cost(cell) for cell in missing}
@@ -131,13 +132,13 @@ def _is_there(page: Path, seed: int) -> bool:
     return page.is_file() and f", seed {seed};" in page.read_text(encoding="utf-8")
 
 
-def _cost(cell: Cell) -> float:
+def _cost(cell: CellResult) -> float:
     """What a decision takes at most, about."""
     slow = cell.values.get("act_us_p99")
     return (slow.value or 0.0) if slow is not None else 0.0
 
 
-def _job(folder: Path, board: Board, cell: Cell) -> Job:
+def _job(folder: Path, board: Board, cell: CellResult) -> Job:
     assert cell.replay is not None
     task = next(task for task in board.tasks if task.id == cell.task)
     arguments = {

@@ -9,22 +9,31 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import re
+from collections.abc import Callable, Iterator, Mapping
 from html import escape
 from importlib import resources
 from pathlib import Path
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from swarm_envs.files import written_whole
-from swarm_envs.training.scoreboard import plots, sections
-from swarm_envs.training.scoreboard.board import Board
-from swarm_envs.training.scoreboard.colors import Palette, legend, palette
-from swarm_envs.training.scoreboard.markup import html, tag
-from swarm_envs.training.scoreboard.reading import read
-from swarm_envs.training.scoreboard.tables import Linked, Rows, every_number, matrix, short_label
+from swarm_envs.training.scoreboard import charts
+from swarm_envs.training.scoreboard.board import AgentInfo, Board, Standing, read
+from swarm_envs.training.scoreboard.charts import Palette, color_class, palette, swatch
+from swarm_envs.training.scoreboard.markup import (
+    Content,
+    format_duration,
+    format_number,
+    html,
+    tag,
+)
+from swarm_envs.training.scoreboard.tables import PRIVILEGED, Tables, short_label
 
 FILE = "report.html"
 """The page's name in a scoreboard's folder."""
+_BETTER = {"higher": "more is better", "lower": "less is better", "neither": ""}
 
 
 def write(folder: Path) -> Path:
@@ -41,67 +50,190 @@ def write(folder: Path) -> Path:
         ValueError: it is of another format or version, or damaged; the message says where.
         OSError: the page cannot be written.
     """
-    text = page(read(folder), lambda file: (folder / file).is_file())
+    text = _page(read(folder), lambda file: (folder / file).is_file())
     with written_whole(folder / FILE) as partial:
         partial.write_text(text, encoding="utf-8")
     return folder / FILE
 
 
-def page(board: Board, linked: Linked) -> str:
-    """The page as text.
-
-    Args:
-        board: what it shows.
-        linked: whether a replay's page is there.
-    """
-    colors, rows, script = palette(board), Rows(board, linked), _asset("report.js")
+def _page(board: Board, linked: Callable[[str], bool]) -> str:
+    colors, tables, script = palette(board), Tables(board, linked), _asset("report.js")
+    parts: dict[str, Content] = {
+        "facts": tag("dl", [_defined(*pair) for pair in _facts(board.manifest)], class_="facts"),
+        "leaderboards": _leaderboards(board, colors),
+        "families": [tag("option", family, value=family) for family in board.families],
+        "metrics": [tag("option", metric.label, value=metric.name) for metric in board.metrics],
+        "matrix": tables.matrix(),
+        "not_flown": _not_flown(board),
+        "legend": _legend(board, colors),
+        "profiles": _profiles(board, colors),
+        "compute": _compute(board, colors),
+        "numbers": tables.every_number(),
+        "reproduce": _reproduce(board),
+        "glossary": _glossary(board),
+    }
     texts = {
         "title": "swarm-envs scoreboard",
         "script_hash": base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
         "css": _asset("report.css"),
         "script": script,
-        "summary": escape(sections.summary(board)),
-        "facts": html(sections.facts(board)),
-        "leaderboards": html(sections.leaderboards(board, colors)),
-        "families": html(_options(board)),
-        "metrics": html([tag("option", m.label, value=m.name) for m in board.metrics]),
-        "matrix": html(matrix(rows)),
-        "not_flown": html(sections.not_flown(board)),
-        "legend": html(legend(board, colors)),
-        "profiles": html(_profiles(board, colors)),
-        "compute": html(_compute(board, colors)),
-        "numbers": html(every_number(rows)),
-        "reproduce": html(sections.reproduce(board)),
-        "glossary": html(sections.glossary(board)),
+        "summary": escape(_summary(board)),
+        **{name: html(content) for name, content in parts.items()},
     }
     return re.sub(r"\{\{(\w+)\}\}", lambda found: texts[found[1]], _asset("report.html"))
 
 
-def _options(board: Board) -> list[Element]:
-    return [tag("option", family, value=family) for family in board.families]
+def _asset(name: str) -> str:
+    folder = resources.files("swarm_envs.training.scoreboard").joinpath("page")
+    return folder.joinpath(name).read_text(encoding="utf-8")
+
+
+def _summary(board: Board) -> str:
+    """What the page is about, in a line."""
+    flown = [cell for cell in board.cells if cell.status == "flown"]
+    episodes = sum(cell.episodes for cell in flown)
+    return (
+        f"{len(board.agents)} agents on {len(board.tasks)} tasks: {len(flown)} pairs flown, "
+        f"{format_number(episodes)} episodes. On each task all fly the "
+        "same frozen seeds, slow agents the first of them."
+    )
+
+
+def _facts(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """When, where and with what it was run."""
+    started = str(manifest.get("started") or "")
+    if started:
+        yield "Started", started[:16].replace("T", " ") + " UTC"
+    times = ((manifest.get(key), word) for key, word in (("wall_s", "wall"), ("cpu_s", "CPU")))
+    taken = [f"{format_duration(t)} {word}" for t, word in times if type(t) in (int, float)]
+    if taken:
+        yield "Took", ", ".join(taken)
+    machine = manifest.get("machine")
+    if isinstance(machine, dict):
+        cores = machine.get("cores")
+        parts = [machine.get("cpu"), f"{cores} cores" if cores else None, machine.get("system")]
+        yield "Machine", ", ".join(str(part) for part in parts if part)
+    versions = manifest.get("versions")
+    if isinstance(versions, dict):
+        yield "Versions", ", ".join(f"{name} {v}" for name, v in versions.items() if v)
+    if manifest.get("commit"):
+        yield "Commit", str(manifest["commit"])[:12]
+    yield "Configuration", str(manifest.get("config_hash", "unknown"))[:12]
+
+
+def _leaderboards(board: Board, colors: Palette) -> list[Element]:
+    """A card for each family: its agents, the best first, with their intervals."""
+    agents = {agent.name: agent for agent in board.agents}
+    cards = []
+    for family in board.families:
+        names, standings = board.ranked(family), board.aggregates.get(family, {})
+        if not names:
+            continue
+        tasks = [task.id for task in board.tasks if task.task == family]
+        rows = []
+        for place, name in enumerate(names, 1):
+            cells = (board.pairs.get((task, name)) for task in tasks)
+            flown = sum(cell is not None and cell.status == "flown" for cell in cells)
+            part = f"{flown}/{len(tasks)}" if flown < len(tasks) else ""
+            rows.append(_place(place, agents[name], standings[name], part, colors))
+        what = standings[names[0]].metric
+        about = tag("p", what[:1].upper() + what[1:], class_="quiet")
+        ranking = tag("ol", rows, _scale(), class_="board")
+        cards.append(tag("article", tag("h3", family), about, ranking))
+    return cards
+
+
+def _place(place: int, agent: AgentInfo, standing: Standing, part: str, colors: Palette) -> Element:
+    low, high = standing.interval or (standing.value, standing.value)
+    text = format_number(standing.value, "%")
+    ends = f"{format_number(low, '%')} to {format_number(high, '%')} %"
+    said = f"{text} %, 95 % interval {ends}"
+    whisker = tag("i", style=f"left:{100 * low:.2f}%;width:{100 * (high - low):.2f}%")
+    dot = tag("b", style=f"left:{100 * standing.value:.2f}%")
+    who = (
+        swatch(colors, agent.name),
+        tag("span", agent.label, class_="label", title=agent.label),
+        tag("abbr", "◆", title=PRIVILEGED) if agent.privileged else None,
+        tag("small", part, title="tasks flown, of those of this family") if part else None,
+    )
+    return tag(
+        "li",
+        tag("span", str(place), class_="rank"),
+        tag("span", who, class_="who"),
+        tag("span", whisker, dot, class_="bar", title=said),
+        tag("span", text, class_="score", title=said),
+        class_=color_class(colors, agent.name),
+        data_agent=agent.name,
+    )
+
+
+def _scale() -> Element:
+    ticks = [tag("i", text, style=f"left:{text}%") for text in ("0", "50", "100")]
+    axis = tag("span", ticks, class_="bar axis")
+    name = tag("span", "score, %", class_="score")
+    return tag("li", tag("span"), name, axis, class_="axis", aria_hidden="true")
+
+
+def _not_flown(board: Board) -> Element | None:
+    """What has no numbers, or not all, and why: each agent and reason once, with the tasks."""
+    labels = {agent.name: agent.label for agent in board.agents}
+    tasks = {task.id: f"{task.task} {short_label(task)}" for task in board.tasks}
+    groups: dict[tuple[str, str, str], list[str]] = {}
+    for cell in board.cells:
+        if cell.status != "flown" or cell.reason:
+            key = cell.status, cell.agent, cell.reason
+            groups.setdefault(key, []).append(tasks[cell.task])
+    if not groups:
+        return None
+    rows = []
+    for (status, name, reason), where in sorted(groups.items()):
+        said = "in part" if status == "flown" else status
+        word, who = tag("span", said, class_=f"word {status}"), tag("strong", labels[name])
+        why = f": {reason or 'no reason was given'} "
+        rows.append(
+            tag("li", word, " ", who, why, tag("span", f"({', '.join(where)})", class_="quiet"))
+        )
+    count = sum(map(len, groups.values()))
+    title = f"Why {count} of {len(board.cells)} pairs have no numbers, or (†) not of all episodes"
+    return tag("details", tag("summary", title), tag("ul", rows, class_="reasons"))
+
+
+def _legend(board: Board, colors: Palette) -> Element:
+    """All agents of the charts; a script makes each a switch that brings it out."""
+    shown = {name for family in board.families for name in board.ranked(family)}
+    labels = {agent.name: agent.label for agent in board.agents}
+    names = [*colors, *(name for name in labels if name in shown and name not in colors)]
+    return tag(
+        "ul",
+        [tag("li", tag("span", swatch(colors, n), labels[n], data_key=n)) for n in names],
+        class_="legend",
+    )
 
 
 def _profiles(board: Board, colors: Palette) -> list[Element]:
-    families = [family for family in board.families if family in board.profiles]
-    return [_figure(family, plots.profile(board, colors, family)) for family in families]
+    return [
+        _figure(family, charts.profile_chart(board, colors, family))
+        for family in board.families
+        if family in board.profiles
+    ]
 
 
 def _compute(board: Board, colors: Palette) -> list[Element]:
-    """A plot for each family, and behind a fold one for each task."""
+    """A chart for each family, and behind a fold one for each task."""
     figures, single = [], []
     for family in board.families:
-        points = plots.family_points(board, family)
+        points = charts.family_points(board, family)
         if points:
-            drawn = plots.scatter(
-                board, colors, points, f"Score over compute, {family}", "score, %"
-            )
-            figures.append(_figure(family, drawn))
+            said = f"Score over compute, {family}"
+            chart = charts.compute_chart(board, colors, points, said, "score, %")
+            figures.append(_figure(family, chart))
     for task in board.tasks:
-        points = plots.task_points(board, task)
+        points = charts.task_points(board, task)
         if points:
-            name = f"{task.family} {short_label(task)}"
+            name = f"{task.task} {short_label(task)}"
             said = f"Success over compute, {name}"
-            single.append(_figure(name, plots.scatter(board, colors, points, said, "success, %")))
+            chart = charts.compute_chart(board, colors, points, said, "success, %")
+            single.append(_figure(name, chart))
     fold = tag("summary", "Task by task: success rate"), tag("div", single, class_="cards")
     return [tag("div", figures, class_="cards"), tag("details", *fold)]
 
@@ -110,6 +242,64 @@ def _figure(name: str, drawn: Element) -> Element:
     return tag("figure", tag("figcaption", name), drawn)
 
 
-def _asset(name: str) -> str:
-    folder = resources.files("swarm_envs.training.scoreboard").joinpath("page")
-    return folder.joinpath(name).read_text(encoding="utf-8")
+def _reproduce(board: Board) -> list[Element]:
+    """How to get the same numbers again."""
+    manifest = board.manifest
+    command = str(manifest.get("command") or "swarm-envs benchmark --out scoreboard")
+    config = json.dumps(manifest.get("config", {}), indent=1, ensure_ascii=False)
+    seed = manifest.get("seed", "unknown")
+    return [
+        tag("pre", tag("code", command)),
+        tag(
+            "p",
+            f"The seeds of all episodes follow from seed {seed}; the first of many are those of "
+            "few. The same configuration gives the same numbers on the same machine; times of "
+            "compute are those of this machine. SHA-256 of the configuration: ",
+            tag("code", str(manifest.get("config_hash", "unknown")), class_="hash"),
+        ),
+        tag(
+            "p",
+            "Each episode's numbers are in ", tag("code", "episodes.parquet"), " (or ",
+            tag("code", ".csv"), "), what this page shows in ", tag("code", "scores.json"),
+            ", what was run where in ",
+            tag("code", "manifest.json"), ".",
+        ),
+        tag("details", tag("summary", "The configuration"), tag("pre", tag("code", config))),
+    ]  # fmt: skip
+
+
+def _glossary(board: Board) -> list[Element]:
+    """What each metric, task and agent is."""
+    metrics, tasks = [], []
+    for metric in board.metrics:
+        words = filter(None, (metric.unit, _BETTER[metric.better], metric.name))
+        about = tag("small", "; ".join(words))
+        metrics.append(_defined(metric.label, [metric.help, " ", about]))
+    options = [task.options for task in board.tasks]
+    common = {k: v for k, v in options[0].items() if all(o.get(k) == v for o in options)}
+    for task in board.tasks:
+        own = {name: value for name, value in task.options.items() if name not in common}
+        about = tag("small", f"{_as_text(own)}; {task.episodes} episodes")
+        tasks.append(_defined(task.label, [tag("code", task.id), f" {task.help} ", about]))
+    agents = [
+        _defined(a.label, [a.help, " ", tag("em", f"◆ {PRIVILEGED}") if a.privileged else None])
+        for a in board.agents
+    ]
+    for_all = tag("p", f"Each with {_as_text(common)}." if common else None, class_="quiet")
+    return [
+        tag("h3", "Metrics"), tag("dl", metrics, class_="terms"),
+        tag("h3", "Tasks"), for_all, tag("dl", tasks, class_="terms"),
+        tag("h3", "Agents"), tag("dl", agents, class_="terms"),
+    ]  # fmt: skip
+
+
+def _defined(name: str, content: Content) -> Element:
+    return tag("div", tag("dt", name), tag("dd", content))
+
+
+def _as_text(options: Mapping[str, Any]) -> str:
+    """Options in a line."""
+    return ", ".join(
+        f"{name} {value if isinstance(value, str) else json.dumps(value)}"
+        for name, value in options.items()
+    )

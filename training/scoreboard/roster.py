@@ -91,7 +91,7 @@ def seconds_of(name: str, task: ScoredTask) -> float:
     return place_of(name).cost * task.drones * task.clock_s
 
 
-def choose(patterns: Sequence[str]) -> list[str]:
+def choose_agents(patterns: Sequence[str]) -> list[str]:
     """Names of the agents that are meant: those of the roster first, in its order.
 
     Args:

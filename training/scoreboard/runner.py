@@ -1,8 +1,9 @@
 """The benchmark: every agent on every task, resumed where it was cut off.
 
-`run` flies what is missing and writes `manifest.json`, `episodes.parquet`, `timing.parquet` and
-`scores.json` into a folder. But for times, the results follow from the config alone, however often
-the run was killed and whoever flew: `episodes.parquet` is the same to the byte.
+`run_benchmark` flies what is missing and writes `manifest.json`, `episodes.parquet`,
+`timing.parquet` and `scores.json` into a folder. But for times, the results follow from the config
+alone, however often the run was killed and whoever flew: `episodes.parquet` is the same to the
+byte.
 """
 
 from __future__ import annotations
@@ -11,32 +12,118 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from tqdm import tqdm
 
+import swarm_envs
 from swarm_envs import __version__
-from swarm_envs.agents.evaluation import Episode, frozen_seeds
+from swarm_envs.agents import Agent, load
+from swarm_envs.agents.batch import flies_batches
+from swarm_envs.agents.evaluation import Episode, EpisodeFile, frozen_seeds, source_digest
+from swarm_envs.agents.protocol import check_wishes
 from swarm_envs.files import write_json
 from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart
 from swarm_envs.training.scale_out.options import ScaleOptions
-from swarm_envs.training.scoreboard import roster, scores
-from swarm_envs.training.scoreboard.cells import Cell, Contender, enter, prepare
+from swarm_envs.training.scoreboard import roster, standings
+from swarm_envs.training.scoreboard.board import FILE
 from swarm_envs.training.scoreboard.manifest import Manifest, command_line
-from swarm_envs.training.scoreboard.metrics import Row, row_of
-from swarm_envs.training.scoreboard.normalised import fastest_times
-from swarm_envs.training.scoreboard.rows import Form, check_form, write_rows
+from swarm_envs.training.scoreboard.metrics import (
+    EpisodeRow,
+    TableForm,
+    check_table_form,
+    fastest_times,
+    row_of,
+    write_rows,
+)
 from swarm_envs.training.scoreboard.tasks import COMMON, SEED, ScoredTask, digest
 
-EPISODES, TIMING, SCORES = "episodes", "timing", "scores.json"
-"""Names of what is written; the first two end as the form of the tables says."""
+FOLDER = "episodes"
+"""Where episodes are kept, in a benchmark's folder."""
 _QUICK = 16
 """A quick benchmark flies so many times fewer episodes."""
 
 
+@dataclass(frozen=True)
+class Contender:
+    """An agent that was asked for."""
+
+    name: str
+    """As of `swarm_envs.agents.load`."""
+    agent: Agent | None
+    """None if it could not be made."""
+    digest: str
+    """Of its source; empty if it could not be made."""
+    error: str = ""
+    """Why it could not."""
+
+    @property
+    def privileged(self) -> bool:
+        """Whether it sees the true state."""
+        return self.agent is not None and self.agent.privileged
+
+
+@dataclass
+class Evaluation:
+    """An agent on a task."""
+
+    task: ScoredTask
+    """What is flown."""
+    contender: Contender
+    """Who flies."""
+    seeds: Sequence[int]
+    """Of its episodes."""
+    leg: Leg | None = None
+    """Its flights; None if there can be none."""
+    refusal: str = ""
+    """Why there can be none, found before anything flew."""
+
+    @property
+    def episodes(self) -> list[Episode]:
+        """Those that count, in the order of the seeds: none after the first that failed."""
+        if self.leg is None:
+            return []
+        entrant = self.leg.entrant
+        last = len(self.seeds) if entrant.failure is None else int(entrant.failed_at)
+        return entrant.flown(self.seeds[:last])
+
+    @property
+    def refused(self) -> list[str]:
+        """Why the agent refused, one for each episode that it did."""
+        found = (episode["metrics"].get("refused") for episode in self.episodes)
+        return [why for why in found if why is not None]
+
+    @property
+    def status(self) -> Literal["flown", "failed", "unsupported"]:
+        """What became of it: an agent that refuses every episode does not support the task."""
+        if self.contender.error or (self.leg is not None and self.leg.entrant.failure is not None):
+            return "failed"
+        if self.leg is None or len(self.refused) == len(self.seeds):
+            return "unsupported"
+        return "flown"
+
+    @property
+    def reason(self) -> str:
+        """Why it was not flown, or some of it not; empty if all was."""
+        failure = self.leg.entrant.failure if self.leg is not None else None
+        if self.contender.error or failure is not None:
+            return self.contender.error or str(failure)
+        refused = self.refused
+        if self.leg is None or len(refused) == len(self.seeds):
+            return self.refusal or refused[0]
+        if refused:
+            return f"refused {len(refused)} of {len(self.seeds)} episodes: {refused[0]}"
+        return ""
+
+    @property
+    def act_us(self) -> list[int]:
+        """Times of the decisions that were timed, microseconds."""
+        return [spent for episode in self.episodes for spent in episode["act_us"]]
+
+
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class BenchmarkPlan:
     """What is to be flown."""
 
     tasks: Sequence[ScoredTask]
@@ -71,7 +158,9 @@ class Plan:
         }
 
 
-def run(plan: Plan, out: Path, scale: ScaleOptions, form: Form = "parquet") -> dict[str, Any]:
+def run_benchmark(
+    plan: BenchmarkPlan, out: Path, scale: ScaleOptions, form: TableForm = "parquet"
+) -> dict[str, Any]:
     """Fly what is missing, and write everything; give what `scores.json` holds.
 
     The folder must be claimed (`swarm_envs.files.claimed`).
@@ -89,26 +178,64 @@ def run(plan: Plan, out: Path, scale: ScaleOptions, form: Form = "parquet") -> d
         OtherBenchmark: the folder holds the benchmark of another config.
         ValueError: a file in the folder is damaged.
     """
-    check_form(form)
-    contenders = [enter(name) for name in plan.agents]
+    check_table_form(form)
+    contenders = [_enter(name) for name in plan.agents]
     manifest = Manifest(out, plan.config(contenders))
     manifest.begin(command_line())
     pairs = [(task, contender) for task in plan.tasks for contender in contenders]
     cells = [
-        prepare(task, contender, frozen_seeds(plan.seed, plan.count(contender.name, task)), out)
+        _prepare(task, contender, frozen_seeds(plan.seed, plan.count(contender.name, task)), out)
         for task, contender in tqdm(pairs, desc="cells", unit="cell", mininterval=0.5)
     ]
     _fly(cells, scale)
-    rows = rows_of(cells)
-    for name, table in ((EPISODES, [r for part in rows for r in part]), (TIMING, _times(cells))):
+    rows = _rows(cells)
+    for name, table in (
+        ("episodes", [r for part in rows for r in part]),
+        ("timing", _times(cells)),
+    ):
         write_rows(out / f"{name}.{form}", table)
     manifest.end()
-    content = scores.content(manifest.content(), cells, rows)
-    write_json(out / SCORES, content)
+    content = standings.scores_of(manifest.content(), cells, rows)
+    write_json(out / FILE, content)
     return content
 
 
-def _fly(cells: Sequence[Cell], scale: ScaleOptions) -> None:
+def _enter(name: str) -> Contender:
+    """Make an agent, or say why it cannot be made."""
+    try:
+        agent = load(name)
+        return Contender(name, agent, source_digest(agent))
+    except (Exception, SystemExit) as error:
+        return Contender(name, None, "", f"cannot be made: {type(error).__name__}: {error}")
+
+
+def _prepare(task: ScoredTask, contender: Contender, seeds: Sequence[int], out: Path) -> Evaluation:
+    """An agent on a task, with the episodes that were flown before."""
+    agent, cell = contender.agent, Evaluation(task, contender, seeds)
+    if agent is None:
+        return cell
+    try:
+        check_wishes(agent, task.setting)
+        env = swarm_envs.make(task.environment, **{**task.setting, **agent.requires})
+    except (ValueError, TypeError, ImportError) as error:
+        cell.refusal = str(error)
+        return cell
+    batched = flies_batches(env, agent)
+    env.close()
+    depends_on = {
+        "task": task.id,
+        "definition": digest(task),
+        "version": __version__,
+        "agent": contender.name,
+        "source": contender.digest,
+    }
+    kept = EpisodeFile(out / FOLDER / task.id, contender.name, depends_on)
+    entrant = Entrant(contender.name, contender.digest, batched, kept)
+    cell.leg = Leg(entrant, task.environment, task.setting, seeds, refusals=True)
+    return cell
+
+
+def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
     """Fly all that is missing, what costs most first, with one bar of expected CPU seconds."""
     costs: dict[int, float] = {}
     legs: list[Leg] = []
@@ -117,7 +244,7 @@ def _fly(cells: Sequence[Cell], scale: ScaleOptions) -> None:
             costs[id(cell.leg.entrant)] = roster.seconds_of(cell.contender.name, cell.task)
             legs.append(cell.leg)
     left = [leg for leg in legs if leg.missing]
-    _tell_before(legs)
+    _report_resumed(legs)
     if not left:
         return
     left.sort(key=lambda leg: -costs[id(leg.entrant)])
@@ -144,41 +271,37 @@ def _fly(cells: Sequence[Cell], scale: ScaleOptions) -> None:
     sys.stderr.write("".join(traces.values()))  # whoever wrote a file needs to see where it failed
 
 
-def _tell_before(legs: Sequence[Leg]) -> None:
+def _report_resumed(legs: Sequence[Leg]) -> None:
     wanted = sum(len(leg.seeds) for leg in legs)
     missing = sum(len(leg.missing) for leg in legs)
     if missing < wanted:
         sys.stderr.write(f"{wanted - missing:,} of {wanted:,} episodes were flown before\n")
 
 
-def rows_of(cells: Sequence[Cell]) -> list[list[Row]]:
+def _rows(cells: Sequence[Evaluation]) -> list[list[EpisodeRow]]:
     """The rows of each cell's episodes, in order."""
-    fastest: Mapping[str, Mapping[int, float]] = {
-        task.id: fastest_times(task, _longest(cells, task))
-        for task in {cell.task.id: cell.task for cell in cells}.values()
-        if task.score == "time"
-    }
+    fastest: dict[str, Mapping[int, float]] = {}
+    for cell in cells:
+        task = cell.task
+        if task.score == "time" and task.id not in fastest:
+            flown = (c.seeds[: len(c.episodes)] for c in cells if c.task is task)
+            fastest[task.id] = fastest_times(task, max(flown, key=len))  # others fly the first
     return [
         [
-            row_of(cell.task, cell.contender.name, k, episode, _of_seed(fastest, cell, episode))
+            row_of(cell.task, cell.contender.name, k, episode, _fastest(fastest, cell, episode))
             for k, episode in enumerate(cell.episodes)
         ]
         for cell in cells
     ]
 
 
-def _longest(cells: Sequence[Cell], task: ScoredTask) -> Sequence[int]:
-    """The most seeds of which a task was flown: all others are the first of these."""
-    return max((cell.seeds[: len(cell.episodes)] for cell in cells if cell.task is task), key=len)
-
-
-def _of_seed(
-    fastest: Mapping[str, Mapping[int, float]], cell: Cell, episode: Episode
+def _fastest(
+    fastest: Mapping[str, Mapping[int, float]], cell: Evaluation, episode: Episode
 ) -> float | None:
     return fastest[cell.task.id][episode["seed"]] if cell.task.id in fastest else None
 
 
-def _times(cells: Sequence[Cell]) -> list[Row]:
+def _times(cells: Sequence[Evaluation]) -> list[EpisodeRow]:
     """A row for each episode whose decisions were timed: no two runs measure the same."""
     return [
         {

@@ -1,8 +1,14 @@
-"""A scoreboard in a few tables of text, for terminals and for pages.
+"""What all episodes add up to: `scores.json`, and its standings as tables of text.
 
     python -m swarm_envs.training.scoreboard.standings DIR --into docs/benchmark.md
 
-puts those of a benchmark's folder into a page, between two marks.
+puts the tables of a benchmark's folder into a page, between two marks.
+
+Scores over the tasks of a family are aggregated as Agarwal et al. propose (Deep reinforcement
+learning at the edge of the statistical precipice, NeurIPS 2021, and its library rliable): the
+interquartile mean of the scores of all episodes of all tasks, and the share of them above each
+threshold; intervals by the stratified bootstrap, which draws anew within each task. Tasks weigh
+the same, however many episodes were flown of each.
 """
 
 from __future__ import annotations
@@ -11,15 +17,205 @@ import argparse
 import json
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+from tqdm import tqdm
+
+from swarm_envs.agents.scores import CONFIDENCE, RESAMPLES
 from swarm_envs.files import written_whole
+from swarm_envs.state import FloatArray
+from swarm_envs.training.scoreboard.board import FILE, FORMAT, VERSION
+from swarm_envs.training.scoreboard.metrics import LABELS, METRICS, EpisodeRow, values_of
+from swarm_envs.training.scoreboard.replays import choose_episode
+from swarm_envs.training.scoreboard.roster import place_of
+from swarm_envs.training.scoreboard.tasks import ScoredTask
 
+if TYPE_CHECKING:
+    from swarm_envs.training.scoreboard.runner import Contender, Evaluation
+
+THRESHOLDS = tuple(float(k) / 50.0 for k in range(51))
+"""Scores at which profiles are given."""
+_AT_ONCE = 4_000_000
+"""Numbers that a bootstrap holds at once."""
+_METRIC_KEYS = ("name", "label", "unit", "better", "help")
+"""What the file says of a metric."""
 NOTE = "* sees the true state; (k of n): of the tasks it supports, all where nothing stands"
 """What the marks in the tables mean."""
 _NOT_FLOWN = {"unsupported": "-", "failed": "failed"}
+BEGIN, END = "<!-- results -->", "<!-- end -->"
+"""Marks of the place for results in a page."""
+_MARKED = re.compile(f"({BEGIN})(.*?)({END})", re.DOTALL)
+
+
+def weighted_interquartile_mean(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """Mean of the middle half by weight of values (..., n) with weights (n,), not negative.
+
+    Where a quarter of the weight ends within a value, that part of the value counts.
+    """
+    order = np.argsort(values, axis=-1, kind="stable")
+    share = weights[order] / weights.sum()
+    end = np.cumsum(share, axis=-1)
+    inside = np.minimum(end, 0.75) - np.maximum(end - share, 0.25)
+    return (np.take_along_axis(values, order, -1) * np.maximum(inside, 0.0)).sum(axis=-1) / 0.5
+
+
+def aggregate(scores: Sequence[FloatArray]) -> tuple[float, list[float]]:
+    """Interquartile mean of scores, one array (n,) for each task, and its interval.
+
+    Raises:
+        ValueError: there is no task, or one without episodes.
+    """
+    weights = _weights(scores)
+    value = float(weighted_interquartile_mean(np.concatenate(scores), weights))
+    drawn = [weighted_interquartile_mean(part, weights) for part in _resamples(scores)]
+    return value, _interval(np.concatenate(drawn)[:, None])[:, 0].tolist()
+
+
+def performance_profile(scores: Sequence[FloatArray]) -> dict[str, list[float]]:
+    """Share of episodes that score more than each of `THRESHOLDS`, or as much at the last.
+
+    Returns:
+        `fraction`, and `low` and `high`, the ends of its pointwise interval.
+
+    Raises:
+        ValueError: there is no task, or one without episodes.
+    """
+    weights = _weights(scores)
+    fraction = _above(np.concatenate(scores)[None], weights)[0]
+    drawn = np.concatenate([_above(part, weights) for part in _resamples(scores)])
+    low, high = _interval(drawn)
+    return {"fraction": fraction.tolist(), "low": low.tolist(), "high": high.tolist()}
+
+
+def _above(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """(B, T) weighted share of values (B, n) above each threshold, in [0, 1]."""
+    share = weights / weights.sum()
+    last = np.nextafter(THRESHOLDS[-1], 0.0)
+    columns = [(values > min(t, last)) @ share for t in THRESHOLDS]
+    return np.clip(np.stack(columns, axis=1), 0.0, 1.0)
+
+
+def _weights(scores: Sequence[FloatArray]) -> FloatArray:
+    """(n,) of all episodes, so that each task weighs 1."""
+    if not scores or any(len(part) == 0 for part in scores):
+        raise ValueError("there is no score to put together: name a task, and fly an episode of it")
+    return np.concatenate([np.full(len(part), 1.0 / len(part)) for part in scores])
+
+
+def _resamples(scores: Sequence[FloatArray]) -> Iterator[FloatArray]:
+    """`RESAMPLES` resamples (B, n), drawn within each task, in parts; the same in every run."""
+    rng = np.random.default_rng(0)
+    size = max(1, _AT_ONCE // sum(map(len, scores)))
+    for done in range(0, RESAMPLES, size):
+        rows = min(size, RESAMPLES - done)
+        drawn = [part[rng.integers(0, len(part), (rows, len(part)))] for part in scores]
+        yield np.concatenate(drawn, axis=1)
+
+
+def _interval(drawn: FloatArray) -> FloatArray:
+    """(2, T) percentile interval of draws (B, T)."""
+    tail = 50.0 * (1.0 - CONFIDENCE)
+    return np.asarray(np.percentile(drawn, [tail, 100.0 - tail], axis=0))
+
+
+def scores_of(
+    manifest: Mapping[str, Any], cells: Sequence[Evaluation], rows: Sequence[Sequence[EpisodeRow]]
+) -> dict[str, Any]:
+    """Everything that the report is made of, ready for JSON.
+
+    Args:
+        manifest: of the benchmark.
+        cells: every agent on every task.
+        rows: each cell's episodes, as of `row_of`.
+    """
+    tasks = list({cell.task.id: cell.task for cell in cells}.values())
+    contenders = list({cell.contender.name: cell.contender for cell in cells}.values())
+    standings, profiles = _families(cells, rows)
+    shown = zip(cells, rows, strict=True)
+    bar = tqdm(shown, total=len(cells), desc="intervals", unit="cell", mininterval=0.5)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "manifest": dict(manifest),
+        "metrics": [{name: getattr(metric, name) for name in _METRIC_KEYS} for metric in METRICS],
+        "tasks": [_task(task, cells) for task in tasks],
+        "agents": [_agent(contender) for contender in contenders],
+        "cells": [_cell(cell, part) for cell, part in bar],
+        "aggregates": standings,
+        "profiles": profiles,
+    }
+
+
+def _task(task: ScoredTask, cells: Sequence[Evaluation]) -> dict[str, Any]:
+    most = max(len(cell.seeds) for cell in cells if cell.task is task)
+    return {
+        "id": task.id,
+        "task": task.family,
+        "environment": task.environment,
+        "label": task.label,
+        "drones": task.drones,
+        "options": task.setting,
+        "episodes": most,
+        "help": task.help,
+    }
+
+
+def _agent(contender: Contender) -> dict[str, Any]:
+    place = place_of(contender.name)
+    about = {"name": contender.name, "privileged": contender.privileged}
+    return {**about, "label": place.label, "help": place.help}
+
+
+def _cell(cell: Evaluation, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
+    flown = cell.status == "flown"
+    return {
+        "task": cell.task.id,
+        "agent": cell.contender.name,
+        "status": cell.status,
+        "reason": cell.reason,
+        "episodes": len(rows) - len(cell.refused),
+        "refused": len(cell.refused),
+        "values": values_of(rows, cell.act_us) if flown else {},
+        "replay": choose_episode(cell.task.id, cell.contender.name, rows) if flown else None,
+    }
+
+
+def _families(
+    cells: Sequence[Evaluation], rows: Sequence[Sequence[EpisodeRow]]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Aggregates and profiles of each family of tasks.
+
+    Of the tasks that an agent supports: `tasks` of `of` says how many. One on which it failed
+    counts as nothing reached.
+    """
+    scores: dict[str, dict[str, list[FloatArray]]] = {}
+    kinds: dict[str, set[str]] = {}
+    for cell, part in zip(cells, rows, strict=True):
+        agents = scores.setdefault(cell.task.family, {})
+        kinds.setdefault(cell.task.family, set()).add(cell.task.id)
+        if cell.status != "unsupported":
+            failed = cell.status == "failed"
+            reached = np.zeros(1) if failed else np.array([row["score"] for row in part])
+            agents.setdefault(cell.contender.name, []).append(reached)
+    labels = {cell.task.family: LABELS[cell.task.score] for cell in cells}
+    standings: dict[str, Any] = {}
+    profiles: dict[str, Any] = {}
+    for family, agents in scores.items():
+        label, of = labels[family], len(kinds[family])
+        standings[family] = {name: _aggregate(parts, label, of) for name, parts in agents.items()}
+        curves = {name: performance_profile(parts) for name, parts in agents.items()}
+        about = {"metric": "score", "label": label, "thresholds": list(THRESHOLDS)}
+        profiles[family] = {**about, "agents": curves}
+    return standings, profiles
+
+
+def _aggregate(parts: Sequence[FloatArray], label: str, of: int) -> dict[str, Any]:
+    value, interval = aggregate(parts)
+    about = {"metric": f"interquartile mean of the {label}", "tasks": len(parts), "of": of}
+    return {"value": value, "interval": interval, **about}
 
 
 def standings(content: Mapping[str, Any]) -> list[list[str]]:
@@ -55,14 +251,14 @@ def success_rates(content: Mapping[str, Any], family: str) -> list[list[str]]:
     return rows
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table whose columns stand below each other."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
     lines = ("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows)
     return [line.rstrip() for line in lines]
 
 
-def markdown(rows: Sequence[Sequence[str]]) -> list[str]:
+def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table in Markdown."""
     head, *others = (f"| {' | '.join(row)} |" for row in rows)
     lines = [head, "|" + "---|" * len(rows[0]), *others]
@@ -92,7 +288,7 @@ def _rate(cell: Mapping[str, Any]) -> str:
     return f"{100.0 * cell['values']['success_rate']['value']:.0f}"
 
 
-def told(content: Mapping[str, Any]) -> str:
+def results_text(content: Mapping[str, Any]) -> str:
     """What was run, and all tables as Markdown, each after the name of what it shows."""
     manifest, flown = content["manifest"], sum(cell["episodes"] for cell in content["cells"])
     machine, minutes = manifest["machine"], manifest["cpu_s"] / 60.0
@@ -103,9 +299,9 @@ def told(content: Mapping[str, Any]) -> str:
         f"{machine['cores']} processors ({machine['cpu']}), swarm-envs "
         f"{manifest['versions']['swarm_envs']}. {NOTE[0].replace('*', chr(92) + '*')}{NOTE[1:]}."
     ]
-    parts.append("Score [95 % interval]\n\n" + "\n".join(markdown(standings(content))))
+    parts.append("Score [95 % interval]\n\n" + "\n".join(_markdown(standings(content))))
     for family in content["aggregates"]:
-        rows = markdown(success_rates(content, family))
+        rows = _markdown(success_rates(content, family))
         parts.append(f"Success in {family}, % of episodes\n\n" + "\n".join(rows))
     return "\n\n".join(parts)
 
@@ -124,19 +320,14 @@ def put_into(page: str, text: str) -> str:
     return new
 
 
-BEGIN, END = "<!-- results -->", "<!-- end -->"
-"""Marks of the place for results in a page."""
-_MARKED = re.compile(f"({BEGIN})(.*?)({END})", re.DOTALL)
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Put a benchmark's tables into a page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder", type=Path, help="of a benchmark")
     parser.add_argument("--into", type=Path, required=True, help="page with the marks")
     options = parser.parse_args(arguments)
-    content = json.loads((options.folder / "scores.json").read_text(encoding="utf-8"))
-    text = put_into(options.into.read_text(encoding="utf-8"), told(content))
+    content = json.loads((options.folder / FILE).read_text(encoding="utf-8"))
+    text = put_into(options.into.read_text(encoding="utf-8"), results_text(content))
     with written_whole(options.into) as partial:
         partial.write_text(text, encoding="utf-8")
 

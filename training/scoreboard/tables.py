@@ -2,128 +2,177 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Callable, Sequence
 from itertools import groupby
 from xml.etree.ElementTree import Element
 
-from swarm_envs.training.scoreboard.board import Board, Cell, Entry, Metric, Task
-from swarm_envs.training.scoreboard.figures import NONE, goodness, interval, number
-from swarm_envs.training.scoreboard.markup import tag
+from swarm_envs.training.scoreboard.board import AgentInfo, Board, CellResult, Metric, TaskInfo
+from swarm_envs.training.scoreboard.markup import NONE, format_interval, format_number, tag
 
-Linked = Callable[[str], bool]
-"""Whether a replay's page is there."""
 PRIVILEGED = "sees the true state"
 """What the mark beside an agent means."""
 _WORDS = {"failed": "failed", "unsupported": "n/a"}
 
 
-@dataclass(frozen=True)
-class Rows:
-    """What the tables share: the board, and each value's colour."""
+class Tables:
+    """The tables of a board.
 
-    board: Board
-    """What is shown."""
-    linked: Linked
-    """Whether a replay's page is there."""
-    tints: Mapping[tuple[str, str, str], float] = field(init=False)
-    """How good a value is, in [0, 1], by task, agent and metric."""
+    Args:
+        board: what is shown.
+        linked: whether a replay's page is there.
+    """
 
-    def __post_init__(self) -> None:
-        """Compare what belongs into one column."""
-        found = {}
-        for task in self.board.tasks:
-            cells = [c for (id_, _), c in self.board.cells.items() if id_ == task.id]
-            flown = [cell for cell in cells if cell.status == "flown"]
-            for metric in self.board.metrics:
-                column = [
-                    c.values[metric.name].value if metric.name in c.values else None for c in flown
-                ]
-                for cell, tint in zip(flown, goodness(metric, column), strict=True):
+    def __init__(self, board: Board, linked: Callable[[str], bool]) -> None:
+        self._board, self._linked = board, linked
+        self._tasks = {task.id: k for k, task in enumerate(board.tasks)}
+        self._agents = {agent.name: k for k, agent in enumerate(board.agents)}
+        self._tints: dict[tuple[str, str, str], float] = {}
+        for task in board.tasks:
+            flown = [c for c in board.cells if c.task == task.id and c.status == "flown"]
+            for metric in board.metrics:
+                values = [getattr(c.values.get(metric.name), "value", None) for c in flown]
+                for cell, tint in zip(flown, goodness(metric, values), strict=True):
                     if tint is not None:
-                        found[task.id, cell.agent, metric.name] = tint
-        object.__setattr__(self, "tints", found)
+                        self._tints[task.id, cell.agent, metric.name] = tint
 
-    def number(self, cell: Cell, metric: Metric) -> list[Element | str]:
+    def matrix(self) -> Element:
+        """Agents by tasks, of one metric: a script puts in another."""
+        board = self._board
+        over = [tag("td")]
+        for family, tasks in groupby(board.tasks, lambda task: task.task):
+            over.append(
+                tag(
+                    "th",
+                    tag("span", family),
+                    colspan=len(list(tasks)),
+                    scope="colgroup",
+                    data_family=family,
+                )
+            )
+        heads = [_sortable("agent")] + [
+            _sortable(short_label(task), data_task=task.id, data_family=task.task, title=task.id)
+            for task in board.tasks
+        ]
+        agents = sorted(board.agents, key=lambda agent: -self._total(agent.name))
+        return tag(
+            "table",
+            tag("caption", f"{board.metrics[0].label} of every agent on every task"),
+            tag("thead", tag("tr", over), tag("tr", heads)),
+            tag("tbody", [self._matrix_row(agent) for agent in agents]),
+            id="matrix",
+            data_metric=board.metrics[0].name,
+        )
+
+    def every_number(self) -> Element:
+        """A row for each flown cell, with all metrics."""
+        board = self._board
+        heads = [_sortable("task"), _sortable("agent"), tag("th", "replay", scope="col")]
+        heads += [_sortable("episodes")]
+        for metric in board.metrics:
+            text = f"{metric.label}, {metric.unit}" if metric.unit else metric.label
+            about = {"data_metric": metric.name, "data_better": metric.better}
+            heads.append(_sortable(text, **about, title=metric.help))
+        body = []
+        for task in board.tasks:
+            for agent in board.agents:
+                cell = board.pairs.get((task.id, agent.name))
+                if cell is not None and cell.status == "flown":
+                    body.append(self._number_row(task, agent, cell))
+        caption = tag("caption", "Every number, with its 95 % interval")
+        return tag(
+            "table", caption, tag("thead", tag("tr", heads)), tag("tbody", body), id="numbers"
+        )
+
+    def _total(self, agent: str) -> float:
+        """Of all leaderboards together."""
+        boards = self._board.aggregates.values()
+        return sum(standings[agent].value for standings in boards if agent in standings)
+
+    def _matrix_row(self, agent: AgentInfo) -> Element:
+        cells = [self._matrix_cell(task, agent) for task in self._board.tasks]
+        privileged = "yes" if agent.privileged else "no"
+        return tag("tr", _head(agent), cells, data_agent=agent.name, data_privileged=privileged)
+
+    def _matrix_cell(self, task: TaskInfo, agent: AgentInfo) -> Element:
+        cell = self._board.pairs.get((task.id, agent.name))
+        if cell is None:
+            return tag("td", NONE, data_family=task.task)
+        if cell.status != "flown":
+            text = tag("abbr", _WORDS[cell.status], title=cell.reason or None)
+            return tag("td", text, class_=cell.status, data_family=task.task)
+        metric = self._board.metrics[0]
+        part = tag("abbr", "†", title=cell.reason, class_="part") if cell.reason else None
+        shown = tag("a", self._number(cell, metric), class_="n", href=f"#{self._row_id(cell)}")
+        return tag(
+            "td",
+            self._replay(cell),
+            part,
+            shown,
+            class_="flown",
+            data_family=task.task,
+            **self._data(cell, metric),
+        )
+
+    def _number_row(self, task: TaskInfo, agent: AgentInfo, cell: CellResult) -> Element:
+        values = [
+            tag("td", self._number(cell, metric), **self._data(cell, metric))
+            for metric in self._board.metrics
+        ]
+        replay = tag("td", self._replay(cell))
+        if cell.replay is not None:
+            why = f"Episode {cell.replay.episode + 1} of {cell.episodes}, seed {cell.replay.seed}"
+            replay.set("data-why", f"{why}: {cell.replay.why}." if cell.replay.why else f"{why}.")
+        return tag(
+            "tr",
+            tag("th", tag("code", task.id), scope="row"),
+            _head(agent, scope=None),
+            replay,
+            tag("td", str(cell.episodes), data_v=cell.episodes),
+            values,
+            id=self._row_id(cell),
+            data_task=task.id,
+            data_agent=agent.name,
+            data_label=self._label(cell),
+            data_note=cell.reason or None,
+        )
+
+    def _number(self, cell: CellResult, metric: Metric) -> list[Element | str]:
         """A value as text, with its interval."""
         given = cell.values.get(metric.name)
         if given is None or given.value is None:
             return [NONE]
-        ends = interval(given, metric.unit)
-        text = number(given.value, metric.unit)
-        return [text, " ", tag("small", ends)] if ends else [text]
+        text, ends = format_number(given.value, metric.unit), given.interval
+        return [text, " ", tag("small", format_interval(ends, metric.unit))] if ends else [text]
 
-    def data(self, cell: Cell, metric: Metric) -> dict[str, float | str | None]:
+    def _data(self, cell: CellResult, metric: Metric) -> dict[str, float | str | None]:
         """Attributes of the cell of a table that shows a value: by what to sort, how good it is."""
         given = cell.values.get(metric.name)
-        tint = self.tints.get((cell.task, cell.agent, metric.name))
+        tint = self._tints.get((cell.task, cell.agent, metric.name))
         return {
             "data_v": None if given is None else given.value,
             "style": None if tint is None else f"--t:{tint:.3f}",
         }
 
-    def replay(self, cell: Cell) -> Element | None:
+    def _replay(self, cell: CellResult) -> Element | None:
         """A link to a cell's replay, if it is there."""
-        if cell.replay is None or not self.linked(cell.replay.file):
+        if cell.replay is None or not self._linked(cell.replay.file):
             return None
-        said = f"Replay: {self.label(cell)}"
+        said = f"Replay: {self._label(cell)}"
         return tag("a", class_="play", href=cell.replay.file, aria_label=said, title=said)
 
-    def label(self, cell: Cell) -> str:
-        """An agent on a task, for people."""
-        agent = next(a.label for a in self.board.agents if a.name == cell.agent)
-        return f"{agent}, {next(t.label for t in self.board.tasks if t.id == cell.task)}"
+    def _label(self, cell: CellResult) -> str:
+        agent = self._board.agents[self._agents[cell.agent]]
+        return f"{agent.label}, {self._board.tasks[self._tasks[cell.task]].label}"
+
+    def _row_id(self, cell: CellResult) -> str:
+        """The place of a cell's row among all numbers: free of what a user wrote."""
+        return f"n{self._tasks[cell.task]}-{self._agents[cell.agent]}"
 
 
-def row_id(board: Board, cell: Cell) -> str:
-    """The place of a cell's row among all numbers: free of what a user wrote."""
-    tasks, agents = [t.id for t in board.tasks], [a.name for a in board.agents]
-    return f"n{tasks.index(cell.task)}-{agents.index(cell.agent)}"
-
-
-def agent_head(agent: Entry, scope: str | None = "row") -> Element:
-    """An agent's name at the head of its row."""
-    mark = tag("abbr", "◆", title=PRIVILEGED) if agent.privileged else None
-    return tag("th", tag("span", agent.label), mark, scope=scope, title=agent.help or None)
-
-
-def matrix(rows: Rows) -> Element:
-    """Agents by tasks, of one metric: a script puts in another."""
-    board = rows.board
-    families = [(name, list(tasks)) for name, tasks in groupby(board.tasks, lambda t: t.family)]
-    over = [tag("td")] + [
-        tag("th", tag("span", name), colspan=len(tasks), scope="colgroup", data_family=name)
-        for name, tasks in families
-    ]
-    heads = [_sortable("agent"), *(_task_head(task) for task in board.tasks)]
-    body = [_matrix_row(rows, agent) for agent in sorted(board.agents, key=_order(board))]
-    return tag(
-        "table",
-        tag("caption", f"{board.metrics[0].label} of every agent on every task"),
-        tag("thead", tag("tr", over), tag("tr", heads)),
-        tag("tbody", body),
-        id="matrix",
-        data_metric=board.metrics[0].name,
-    )
-
-
-def _order(board: Board) -> Callable[[Entry], float]:
-    """Puts the agents with the most in all leaderboards together first."""
-
-    def key(agent: Entry) -> float:
-        boards = board.standings.values()
-        return -sum(standings[agent.name].value for standings in boards if agent.name in standings)
-
-    return key
-
-
-def short_label(task: Task) -> str:
+def short_label(task: TaskInfo) -> str:
     """A task's label without its family."""
-    return task.label.removeprefix(task.family).strip(" ,:") or task.label
-
-
-def _task_head(task: Task) -> Element:
-    return _sortable(short_label(task), data_task=task.id, data_family=task.family, title=task.id)
+    return task.label.removeprefix(task.task).strip(" ,:") or task.label
 
 
 def _sortable(text: str, **attributes: str) -> Element:
@@ -131,70 +180,31 @@ def _sortable(text: str, **attributes: str) -> Element:
     return tag("th", tag("span", text), scope="col", data_sort=True, **attributes)
 
 
-def _matrix_row(rows: Rows, agent: Entry) -> Element:
-    cells = [_matrix_cell(rows, task, agent) for task in rows.board.tasks]
-    told = "yes" if agent.privileged else "no"
-    return tag("tr", agent_head(agent), cells, data_agent=agent.name, data_privileged=told)
+def _head(agent: AgentInfo, scope: str | None = "row") -> Element:
+    """An agent's name at the head of its row."""
+    mark = tag("abbr", "◆", title=PRIVILEGED) if agent.privileged else None
+    return tag("th", tag("span", agent.label), mark, scope=scope, title=agent.help or None)
 
 
-def _matrix_cell(rows: Rows, task: Task, agent: Entry) -> Element:
-    cell = rows.board.cells.get((task.id, agent.name))
-    if cell is None:
-        return tag("td", NONE, data_family=task.family)
-    if cell.status != "flown":
-        text = tag("abbr", _WORDS[cell.status], title=cell.reason or None)
-        return tag("td", text, class_=cell.status, data_family=task.family)
-    metric = rows.board.metrics[0]
-    target = f"#{row_id(rows.board, cell)}"
-    shown = tag("a", rows.number(cell, metric), class_="n", href=target)
-    data = rows.data(cell, metric)
-    replay = rows.replay(cell)
-    part = tag("abbr", "†", title=cell.reason, class_="part") if cell.reason else None
-    return tag("td", replay, part, shown, class_="flown", data_family=task.family, **data)
+def goodness(metric: Metric, values: Sequence[float | None]) -> list[float | None]:
+    """How good each value of a column is, in [0, 1]; None where nothing can be said.
+
+    Rates stand on their own; other values lie between the worst and the best of the column, by
+    their logarithm where that is more than a factor of 30 away.
+    """
+    found = [value for value in values if value is not None]
+    if metric.better == "neither" or not found:
+        return [None] * len(values)
+    low, high = (0.0, 1.0) if metric.unit == "%" else (min(found), max(found))
+    if low == high:
+        return [None if value is None else 0.5 for value in values]
+    logarithmic = low > 0.0 and high / low > 30.0
+    shares = [None if value is None else _share(value, low, high, logarithmic) for value in values]
+    higher = metric.better == "higher"
+    return [None if share is None else share if higher else 1.0 - share for share in shares]
 
 
-def every_number(rows: Rows) -> Element:
-    """A row for each flown cell, with all metrics."""
-    board = rows.board
-    heads = [_sortable("task"), _sortable("agent"), tag("th", "replay", scope="col")]
-    heads += [_sortable("episodes")]
-    heads += [_metric_head(metric) for metric in board.metrics]
-    body = [
-        _number_row(rows, task, agent)
-        for task in board.tasks
-        for agent in board.agents
-        if (task.id, agent.name) in board.cells
-        and board.cells[task.id, agent.name].status == "flown"
-    ]
-    caption = tag("caption", "Every number, with its 95 % interval")
-    head = tag("thead", tag("tr", heads))
-    return tag("table", caption, head, tag("tbody", body), id="numbers")
-
-
-def _metric_head(metric: Metric) -> Element:
-    unit = f", {metric.unit}" if metric.unit else ""
-    head = _sortable(metric.label + unit, data_metric=metric.name, data_better=metric.better)
-    head.set("title", metric.help)
-    return head
-
-
-def _number_row(rows: Rows, task: Task, agent: Entry) -> Element:
-    cell = rows.board.cells[task.id, agent.name]
-    values = [tag("td", rows.number(cell, m), **rows.data(cell, m)) for m in rows.board.metrics]
-    replay = tag("td", rows.replay(cell))
-    if cell.replay is not None:
-        chosen = f"Episode {cell.replay.episode + 1} of {cell.episodes}, seed {cell.replay.seed}"
-        replay.set("data-why", f"{chosen}: {cell.replay.why}." if cell.replay.why else f"{chosen}.")
-    return tag(
-        "tr",
-        tag("th", tag("code", task.id), scope="row"),
-        agent_head(agent, None),
-        replay,
-        tag("td", str(cell.episodes), data_v=cell.episodes),
-        values,
-        id=row_id(rows.board, cell),
-        data_task=task.id,
-        data_agent=agent.name,
-        data_label=rows.label(cell),
-        data_note=cell.reason or None,
-    )
+def _share(value: float, low: float, high: float, logarithmic: bool) -> float:
+    if logarithmic:
+        return math.log(value / low) / math.log(high / low)
+    return (value - low) / (high - low)

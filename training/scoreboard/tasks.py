@@ -46,7 +46,7 @@ class ScoredTask:
     help: str
     """What it asks for, in a sentence."""
     score: Score
-    """What an episode's score in [0, 1] says: see `swarm_envs.training.scoreboard.normalised`."""
+    """What an episode's score in [0, 1] says: see `swarm_envs.training.scoreboard.metrics`."""
     clock_s: float
     """How long an episode lasts at most, s."""
     episodes: int
@@ -169,7 +169,7 @@ TASKS: Mapping[str, ScoredTask] = MappingProxyType({task.id: task for task in _T
 """Every task by its id, in the order in which they are shown."""
 
 
-def choose(patterns: Sequence[str]) -> list[ScoredTask]:
+def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
     """The tasks whose ids match any of the patterns, in the table's order.
 
     Args:

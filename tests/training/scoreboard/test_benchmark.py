@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from swarm_envs.cli import main
-from swarm_envs.training.scoreboard.rows import write_rows
+from swarm_envs.training.scoreboard.metrics import write_rows
 from tests.helpers.users_agents import FAILING, FINE
 
 MINE = (

@@ -6,8 +6,7 @@ import json
 
 import pytest
 
-from swarm_envs.training.scoreboard.board import Value
-from swarm_envs.training.scoreboard.reading import read
+from swarm_envs.training.scoreboard.board import Estimate, read
 from tests.helpers.scoreboards import AGENTS, EVIL, TASKS, scores, write_scores
 
 
@@ -18,15 +17,15 @@ def test_a_scoreboard_is_read_as_it_was_written(tmp_path):
     assert board.families == ["swap", "ring", "formation"]
     assert len(board.cells) == len(TASKS) * len(AGENTS) == len(content["cells"])
     for cell in content["cells"]:
-        read_one = board.cells[cell["task"], cell["agent"]]
+        read_one = board.pairs[cell["task"], cell["agent"]]
         assert (read_one.status, read_one.episodes) == (cell["status"], cell["episodes"])
         assert (read_one.replay is None) == (cell["replay"] is None)
         for name, given in cell["values"].items():
             ends = given["interval"]
-            assert read_one.values[name] == Value(given["value"], ends and tuple(ends))
-    assert board.standings["swap"][EVIL].value == content["aggregates"]["swap"][EVIL]["value"]
+            assert read_one.values[name] == Estimate(given["value"], ends and tuple(ends))
+    assert board.aggregates["swap"][EVIL].value == content["aggregates"]["swap"][EVIL]["value"]
     curve = content["profiles"]["ring"]["agents"]["rth3d"]
-    assert list(board.profiles["ring"].curves["rth3d"].low) == curve["low"]
+    assert list(board.profiles["ring"].agents["rth3d"].low) == curve["low"]
 
 
 def change(content, path, value):
@@ -57,7 +56,7 @@ def change(content, path, value):
         (["cells", 3, "agent"], "nobody", r"cells\[3\].agent is 'nobody', but must be one of"),
         (["cells", 3, "status"], "lost", r"cells\[3\].status is 'lost'"),
         (["cells", 3, "episodes"], -1, r"cells\[3\].episodes is -1, but must be a whole number"),
-        (["cells", 3, "values", "speed"], {}, r"cells\[3\].values names 'speed'"),
+        (["cells", 3, "values", "speed"], {"value": 1.0}, r"cells\[3\].values names 'speed'"),
         (["cells", 3, "values", "energy_j", "value"], "x", r"energy_j.value is 'x'.*a number"),
         (["cells", 3, "values", "energy_j", "value"], float("nan"), "it holds NaN.*null says"),
         (["cells", 3, "values", "energy_j", "interval"], [2, 1], "two numbers in order"),

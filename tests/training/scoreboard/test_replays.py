@@ -43,7 +43,7 @@ REFUSED = {"success": False, "collided": False, "minimum_separation_m": None, "r
 )
 def test_the_rule_of_choice(episodes, index, why):
     seeded = [{**episode, "seed": 100 + k} for k, episode in enumerate(episodes)]
-    chosen = replays.choose("swap-2-v1", "hover", seeded)
+    chosen = replays.choose_episode("swap-2-v1", "hover", seeded)
     assert chosen is not None
     assert chosen["seed"] == 100 + index
     assert chosen["episode"] == index
@@ -53,7 +53,7 @@ def test_the_rule_of_choice(episodes, index, why):
 
 
 def test_what_was_not_flown_has_no_replay():
-    assert replays.choose("swap-2-v1", "hover", [{**REFUSED, "seed": 1}]) is None
+    assert replays.choose_episode("swap-2-v1", "hover", [{**REFUSED, "seed": 1}]) is None
 
 
 def test_no_two_agents_share_a_page():
@@ -72,7 +72,7 @@ def small_board(folder, *agents):
     cells = [
         {
             "task": task["id"], "agent": name, "status": "flown", "episodes": 2, "values": {},
-            "replay": replays.choose(
+            "replay": replays.choose_episode(
                 task["id"], name, [{**flown(False), "seed": 11}, {**flown(False), "seed": 12}]
             ),
         }
@@ -93,7 +93,7 @@ def shown(path):
 def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_path):
     pytest.importorskip("plotly")
     folder = small_board(tmp_path, "hover", "random")
-    assert replays.record(folder) == []
+    assert replays.record_replays(folder) == []
     pages = sorted((folder / "replays").glob("*.html"))
     assert [p.name for p in pages] == [
         "swap-circle-2-v1--hover.html", "swap-circle-2-v1--random.html"
@@ -110,11 +110,11 @@ def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_pat
     pages[0].write_text("kept: hover, seed 11; ...")
     before = pages[1].read_bytes()
     pages[1].unlink()
-    assert replays.record(folder) == []
+    assert replays.record_replays(folder) == []
     assert pages[0].read_text().startswith("kept")
     assert pages[1].read_bytes() == before
     pages[0].write_text("of another episode: hover, seed 12; ...")
-    assert replays.record(folder) == []
+    assert replays.record_replays(folder) == []
     assert len(shown(pages[0])["time"]) > 5
 
 
@@ -124,7 +124,7 @@ def test_what_goes_wrong_is_said_and_the_others_are_there(tmp_path):
     scored = json.loads((folder / "scores.json").read_text())
     scored["cells"][0]["replay"]["success"] = True
     write_scores(folder, scored)
-    unlike, unknown = sorted(replays.record(folder), key=lambda line: "hoover" in line)
+    unlike, unknown = sorted(replays.record_replays(folder), key=lambda line: "hoover" in line)
     assert re.match(r"hover on swap-circle-2-v1: .* seed 11 fails now, unlike", unlike)
     assert re.match(r"hoover on swap-circle-2-v1: ValueError: .*'hover'", unknown)
     assert (folder / "replays" / "swap-circle-2-v1--hover.html").is_file()
@@ -133,4 +133,4 @@ def test_what_goes_wrong_is_said_and_the_others_are_there(tmp_path):
 def test_without_plotly_it_is_said_how_to_get_it(tmp_path, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "plotly.offline", None)
     with pytest.raises(ImportError, match=r"swarm-envs\[viz\]"):
-        replays.record(small_board(tmp_path, "hover"))
+        replays.record_replays(small_board(tmp_path, "hover"))

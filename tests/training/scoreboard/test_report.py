@@ -11,17 +11,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs.training.scoreboard import report
-from swarm_envs.training.scoreboard.axes import HEIGHT, WIDTH
-from swarm_envs.training.scoreboard.board import Metric, Value
-from swarm_envs.training.scoreboard.colors import palette, ranked
-from swarm_envs.training.scoreboard.figures import goodness, interval, micros, number
-from swarm_envs.training.scoreboard.labels import Label, placed
-from swarm_envs.training.scoreboard.markup import html, tag
-from swarm_envs.training.scoreboard.plots import profile
-from swarm_envs.training.scoreboard.reading import read
+from swarm_envs.training.scoreboard import charts, report
+from swarm_envs.training.scoreboard.board import Metric, read
+from swarm_envs.training.scoreboard.charts import palette
+from swarm_envs.training.scoreboard.markup import (
+    format_interval,
+    format_micros,
+    format_number,
+    html,
+    tag,
+)
+from swarm_envs.training.scoreboard.tables import goodness
 from tests.helpers.scoreboards import AGENTS, EVIL, scores, write_scores
 
+WIDTH, HEIGHT = charts.WIDTH, charts.HEIGHT
 VOID = {"meta", "link", "input", "br", "img"}
 
 
@@ -158,54 +161,67 @@ def test_the_same_scores_give_the_same_page(folder, text):
 def test_leaderboards_have_the_best_first_and_its_colours_are_the_best_s(folder):
     board = read(folder)
     for family in board.families:
-        values = [board.standings[family][name].value for name in ranked(board, family)]
+        values = [board.aggregates[family][name].value for name in board.ranked(family)]
         assert values == sorted(values, reverse=True)
     colors = palette(board)
     assert sorted(colors.values()) == list(range(8))
-    assert {ranked(board, family)[0] for family in board.families} <= set(colors)
+    assert {board.ranked(family)[0] for family in board.families} <= set(colors)
 
 
 def test_lines_of_a_profile_are_its_numbers(folder):
     """Read back from the drawing: the frame's ends are the scales' ends."""
     board = read(folder)
-    drawn = profile(board, palette(board), "ring")
-    left, right, top, bottom = 40.0, WIDTH - 18.0, 10.0, HEIGHT - 40.0
-    for group in drawn.iter("g"):
-        line = next(e for e in group if e.get("class") == "line")
-        pairs = line.attrib["d"][1:].split("L")
-        points = np.array([[float(c) for c in pair.split()] for pair in pairs])
-        curve = board.profiles["ring"].curves[group.attrib["data-agent"]]
-        fraction = (bottom - points[:, 1]) / (bottom - top)
+    drawn = charts.profile_chart(board, palette(board), "ring")
+    left, bottom, width, height = np.array(charts.FRAME) * (WIDTH, HEIGHT, WIDTH, HEIGHT)
+    lines = [group for group in drawn.iter("g") if group.get("class", "").startswith("line ")]
+    assert {group.get("data-agent") for group in lines} == set(board.profiles["ring"].agents)
+    for group in lines:
+        (line,) = group.iter("path")
+        numbers = [float(number) for number in re.findall(r"[\d.]+", line.attrib["d"])]
+        across, down = np.array(numbers).reshape(-1, 2).T
+        fraction = (HEIGHT - down - bottom) / height
+        curve = board.profiles["ring"].agents[group.attrib["data-agent"]]
         np.testing.assert_allclose(fraction, curve.fraction, atol=3e-4)
-        threshold = (points[:, 0] - left) / (right - left)
+        threshold = (across - left) / width
         np.testing.assert_allclose(threshold, board.profiles["ring"].thresholds, atol=3e-4)
 
 
-def test_names_in_a_plot_cover_neither_marks_nor_each_other():
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        x, y = rng.uniform(60, 370, 12), rng.uniform(20, 230, 12)
-        marks = [(a - 5, b - 5, a + 5, b + 5) for a, b in zip(x, y, strict=True)]
-        labels = [Label("n" * rng.integers(3, 30), a, b, "") for a, b in zip(x, y, strict=True)]
-        found = [(c, d - 9, c + 6 * len(a.text), d + 2) for a, c, d in placed(labels, marks)]
-        assert len(found) > 4
-        boxes = [*found, *marks]
-        for k, one in enumerate(found):
-            assert one[0] > 40
-            assert one[2] < 382
-            for other in boxes[k + 1 :]:
-                apart = one[2] < other[0] or other[2] < one[0]
-                assert apart or one[3] < other[1] or other[3] < one[1]
+@pytest.mark.parametrize("seed", range(3))
+def test_names_in_a_chart_are_told_from_each_other(folder, seed):
+    """Those of the same place find places of their own, or none; each stands in the legend."""
+    board, rng = read(folder), np.random.default_rng(seed)
+    colors = palette(board)
+    points = [
+        charts.Point(name, micros, 3 * micros, rng.uniform(), None)
+        for name, micros in zip(colors, 10 ** rng.uniform(1, 2, 8), strict=True)
+    ]
+    drawn = charts.compute_chart(board, colors, points, "A chart", "score, %")
+    names = [g for g in drawn.iter("g") if g.get("class", "").startswith("name ")]
+    boxes = []
+    for group in names:
+        (text,) = group.iter("text")
+        anchor = re.search(r"text-anchor: (\w+)", text.attrib["style"])
+        width = 5.0 * len(text.text or "")  # narrower than any letters are
+        shift = {"start": 0.0, "middle": width / 2, "end": width}[anchor[1] if anchor else "start"]
+        x, y = float(text.attrib["x"]) - shift, float(text.attrib["y"])
+        boxes.append((x, y - 8, x + width, y))
+        assert x > 0
+        assert x + width < WIDTH
+    assert len(boxes) > 3
+    for k, one in enumerate(boxes):
+        for other in boxes[k + 1 :]:
+            apart = one[2] < other[0] or other[2] < one[0]
+            assert apart or one[3] < other[1] or other[3] < one[1]
 
 
 def test_numbers_as_people_read_them():
     given = {0.0: "0", 0.03124: "0.0312", 1.5: "1.5", 12.345: "12.3", 12345.6: "12\u202f346"}
-    assert {value: number(value) for value in given} == given
-    assert [number(v, "%") for v in (0.0, 0.123, 0.88, 1.0)] == ["0", "12.3", "88.0", "100"]
-    assert number(-0.5) == "-0.5"
-    assert interval(Value(0.5, (0.25, 0.75)), "%") == "25.0–75.0"
-    assert interval(Value(0.5, None)) == ""
-    assert [micros(t) for t in (12.0, 3400.0, 2.5e6)] == ["12 µs", "3.4 ms", "2.5 s"]
+    assert {value: format_number(value) for value in given} == given
+    assert [format_number(v, "%") for v in (0.0, 0.123, 0.88, 1.0)] == ["0", "12.3", "88.0", "100"]
+    assert format_number(-0.5) == "-0.5"
+    assert format_interval((0.25, 0.75), "%") == "25.0–75.0"
+    assert format_interval(None) == ""
+    assert [format_micros(t) for t in (12.0, 3400.0, 2.5e6)] == ["12 µs", "3.4 ms", "2.5 s"]
 
 
 @pytest.mark.parametrize(

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
-from swarm_envs.training.scoreboard.statistics import (
+from swarm_envs.training.scoreboard.standings import (
     THRESHOLDS,
     aggregate,
-    interquartile_mean,
-    profile,
+    performance_profile,
+    weighted_interquartile_mean,
 )
 
 
@@ -21,9 +21,13 @@ def draws(seed: int, *sizes: int) -> list[np.ndarray]:
 
 def test_of_equal_weights_it_is_the_trimmed_mean():
     (values,) = draws(0, 40)
-    assert interquartile_mean(values, np.ones(40)) == pytest.approx(trim_mean(values, 0.25))
+    assert weighted_interquartile_mean(values, np.ones(40)) == pytest.approx(
+        trim_mean(values, 0.25)
+    )
     both = np.stack([values, values[::-1] ** 2])
-    assert interquartile_mean(both, np.ones(40)) == pytest.approx(trim_mean(both, 0.25, axis=1))
+    assert weighted_interquartile_mean(both, np.ones(40)) == pytest.approx(
+        trim_mean(both, 0.25, axis=1)
+    )
 
 
 def test_a_weight_of_three_is_a_value_that_occurs_three_times():
@@ -31,7 +35,7 @@ def test_a_weight_of_three_is_a_value_that_occurs_three_times():
     weights = np.array([3, 1, 1, 2, 1, 1, 1, 4, 1, 1, 2, 1, 1])
     repeated = np.repeat(values, weights)
     assert len(repeated) % 4 == 0
-    assert interquartile_mean(values, weights.astype(float)) == pytest.approx(
+    assert weighted_interquartile_mean(values, weights.astype(float)) == pytest.approx(
         trim_mean(repeated, 0.25)
     )
 
@@ -39,7 +43,7 @@ def test_a_weight_of_three_is_a_value_that_occurs_three_times():
 def test_values_that_end_a_quarter_count_in_part():
     values = np.array([0.0, 1.0, 2.0])  # quarters end within the outer two
     expected = (0.0 * (1 / 3 - 1 / 4) + 1.0 / 3 + 2.0 * (1 / 3 - 1 / 4)) / 0.5
-    assert interquartile_mean(values, np.ones(3)) == pytest.approx(expected)
+    assert weighted_interquartile_mean(values, np.ones(3)) == pytest.approx(expected)
 
 
 def test_tasks_weigh_the_same_however_many_episodes_were_flown():
@@ -69,7 +73,7 @@ def test_the_bootstrap_draws_within_tasks():
 
 def test_a_profile_counts_what_is_above_each_threshold():
     parts = draws(4, 24, 48)
-    found = profile(parts)
+    found = performance_profile(parts)
     for threshold, fraction in zip(THRESHOLDS, found["fraction"], strict=True):
         counted = np.mean([(part > threshold).mean() for part in parts])
         assert fraction == pytest.approx(counted if threshold < 1.0 else 0.0)
@@ -79,13 +83,13 @@ def test_a_profile_counts_what_is_above_each_threshold():
 
 
 def test_perfect_scores_reach_the_last_threshold():
-    assert profile([np.ones(5)])["fraction"] == [1.0] * len(THRESHOLDS)
-    assert profile([np.zeros(5)])["fraction"] == [0.0] * len(THRESHOLDS)
+    assert performance_profile([np.ones(5)])["fraction"] == [1.0] * len(THRESHOLDS)
+    assert performance_profile([np.zeros(5)])["fraction"] == [0.0] * len(THRESHOLDS)
 
 
 def test_the_same_scores_give_the_same_bytes():
     assert aggregate(draws(5, 30, 9)) == aggregate(draws(5, 30, 9))
-    assert profile(draws(5, 30, 9)) == profile(draws(5, 30, 9))
+    assert performance_profile(draws(5, 30, 9)) == performance_profile(draws(5, 30, 9))
 
 
 @pytest.mark.parametrize("scores", [[], [np.ones(3), np.ones(0)]])

@@ -10,10 +10,10 @@ import pytest
 import swarm_envs
 from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.registry import FILTER, SHIPPED
-from swarm_envs.training.scoreboard import roster, tasks
+from swarm_envs.training.scoreboard import tasks
 from swarm_envs.training.scoreboard.metrics import METRICS
-from swarm_envs.training.scoreboard.roster import LEAST, ROSTER, episodes_of
-from swarm_envs.training.scoreboard.tasks import SEED, TASKS, digest
+from swarm_envs.training.scoreboard.roster import LEAST, ROSTER, choose_agents, episodes_of
+from swarm_envs.training.scoreboard.tasks import SEED, TASKS, choose_tasks, digest
 from tests.helpers.pages import DOCS
 
 DIGESTS = {
@@ -107,22 +107,22 @@ def test_slow_agents_fly_the_first_of_the_episodes_of_fast_ones():
 
 
 def test_patterns_choose_in_the_table_s_order():
-    chosen = tasks.choose(["ring-*", "swap-circle-4-v1"])
+    chosen = choose_tasks(["ring-*", "swap-circle-4-v1"])
     assert [task.id for task in chosen] == [
         "swap-circle-4-v1",
         *(name for name in TASKS if name.startswith("ring")),
     ]
-    assert tasks.choose(["*"]) == list(TASKS.values())
-    names = roster.choose(["a/b.py:Mine", "swap-ppo*", "hover", "a/b.py:Mine", "detour+filter"])
+    assert choose_tasks(["*"]) == list(TASKS.values())
+    names = choose_agents(["a/b.py:Mine", "swap-ppo*", "hover", "a/b.py:Mine", "detour+filter"])
     wanted = ["hover", "swap-ppo", "swap-ppo+filter", "swap-ppo-8", "swap-ppo-8+filter"]
     assert names == [*wanted, "a/b.py:Mine", "detour+filter"]
 
 
-@pytest.mark.parametrize("choose", [tasks.choose, roster.choose])
+@pytest.mark.parametrize("choose", [choose_tasks, choose_agents])
 def test_what_is_no_name_is_refused_with_the_nearest(choose):
     wrong, right = {
-        tasks.choose: ("swap-circle-4", "swap-circle-4-v1"),
-        roster.choose: ("swap-pop", "swap-ppo"),
+        choose_tasks: ("swap-circle-4", "swap-circle-4-v1"),
+        choose_agents: ("swap-pop", "swap-ppo"),
     }[choose]
     with pytest.raises(ValueError, match=f"did you mean '{right}'"):
         choose(["*", wrong])
