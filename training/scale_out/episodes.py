@@ -27,7 +27,7 @@ from swarm_envs.agents.policy import FILE
 from swarm_envs.agents.registry import FILTER, SHIPPED, load
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.files import written_whole
-from swarm_envs.training.scale_out.jobs import Job, Outcome, WorkerPool
+from swarm_envs.training.scale_out.jobs import Job, WorkerPool
 
 FUNCTION = f"{__name__}:fly_chunk"
 """What a job calls, as `module:function`."""
@@ -125,8 +125,12 @@ def fly_apart(
             watch(entrant, episode)
         rest = chunk[len(flown) :]
         if rest and place[rest[0]] < entrant.failed_at:
-            why, trace = _failure(outcome, rest)
-            if why is None:
+            if outcome.error is not None:
+                why, trace = outcome.error, outcome.trace
+                why = f"in the episodes of seeds {rest[0]} and on: {why}"
+            else:
+                why, trace = outcome.result["error"], outcome.result["trace"]
+            if why is None:  # it was slow
                 jobs.appendleft(_of_seeds(outcome.job, rest, by_label[label].seeds))
                 continue
             entrant.failure, entrant.trace, entrant.failed_at = why, trace, place[rest[0]]
@@ -158,13 +162,6 @@ def _jobs(leg: Leg, label: str, workers: int) -> list[Job]:
 def _of_seeds(job: Job, seeds: list[int], order: Sequence[int]) -> Job:
     timed = sum(seed in order[:TIMED] for seed in seeds)
     return Job(job.function, {**job.arguments, "seeds": seeds, "timed": timed}, job.label)
-
-
-def _failure(outcome: Outcome, rest: Sequence[int]) -> tuple[str | None, str]:
-    """Why an agent's chunk ended early, if not for being slow, and where."""
-    if outcome.error is None:
-        return outcome.result["error"], outcome.result["trace"]
-    return f"in the episodes of seeds {rest[0]} and on: {outcome.error}", outcome.trace
 
 
 def _sent_agent(entrant: Entrant) -> dict[str, Any]:
@@ -206,7 +203,8 @@ def fly_chunk(
                 break
     except Exception as error:
         _close()
-        return {"episodes": flown, "error": str(error), "trace": _trace(error)}
+        trace = "".join(traceback.format_exception(error.__cause__ or error))
+        return {"episodes": flown, "error": str(error), "trace": trace}
     return {"episodes": flown, "error": None, "trace": ""}
 
 
@@ -242,10 +240,6 @@ def _load(agent: Mapping[str, Any]) -> Agent:
             "the same packages everywhere"
         )
     return made
-
-
-def _trace(error: BaseException) -> str:
-    return "".join(traceback.format_exception(error.__cause__ or error))
 
 
 def send(path: Path) -> SentFile:

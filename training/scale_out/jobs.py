@@ -22,7 +22,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass
 from queue import SimpleQueue
-from types import TracebackType
 from typing import Any, Self, TextIO
 
 from swarm_envs import __version__
@@ -114,12 +113,7 @@ class WorkerPool(ABC):
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def run(self, jobs: deque[Job]) -> Iterator[Outcome]:
@@ -137,7 +131,12 @@ class WorkerPool(ABC):
                 job = jobs.popleft()
                 flying[self.submit(job.request())] = job
             for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                yield _outcome(flying.pop(future), future)
+                job = flying.pop(future)
+                try:
+                    outcome = Outcome(job, **json.loads(future.result()))
+                except Exception as error:  # no worker outlived the job
+                    outcome = Outcome(job, error=f"{type(error).__name__}: {error}")
+                yield outcome
 
 
 class Serial(WorkerPool):
@@ -154,14 +153,6 @@ class Serial(WorkerPool):
 
     def close(self) -> None:
         """Nothing is under way."""
-
-
-def _outcome(job: Job, future: Future[str]) -> Outcome:
-    try:
-        said = json.loads(future.result())
-    except Exception as error:
-        return Outcome(job, error=f"{type(error).__name__}: {error}")
-    return Outcome(job, said.get("result"), said.get("error"), said.get("trace", ""))
 
 
 class _Process:
@@ -196,8 +187,12 @@ class _Process:
             raise WorkerDied(_cause(self._process.returncode))
         return line
 
+    @property
+    def ended(self) -> bool:
+        return self._process.returncode is not None
+
     def kill(self) -> None:
-        """End the process whatever it does; who waits for its answer is told."""
+        """End the process whatever it does: whoever waits for its answer gets none."""
         self._process.kill()
 
     def end(self) -> None:
@@ -227,8 +222,7 @@ class LocalWorkers(WorkerPool):
         self._count = check_integer("workers", count, 1)
         self._retries = check_integer("retries", retries, 0)
         self._threads = ThreadPoolExecutor(self._count)
-        self._own = threading.local()  # the process of each thread
-        self._processes: set[_Process] = set()
+        self._processes: dict[int, _Process] = {}  # by the thread that waits for its answers
         self._lock = threading.Lock()
         self._closed = False
 
@@ -245,40 +239,34 @@ class LocalWorkers(WorkerPool):
         """Kill the processes."""
         with self._lock:
             self._closed = True
-            for process in self._processes:
+            for process in self._processes.values():
                 process.kill()
         self._threads.shutdown(cancel_futures=True)
-        for process in self._processes:
+        for process in self._processes.values():
             process.end()
         self._processes.clear()
 
     def _ask(self, request: str) -> str:
         why = ""
         for _ in range(1 + self._retries):
-            process = self._process()
             try:
-                return process.ask(request)
+                return self._process().ask(request)
             except WorkerDied as death:
                 why = str(death)
-                with self._lock:
-                    self._processes.discard(process)
-                    self._own.process = None
         raise WorkerDied(f"the process that did it died, {1 + self._retries} times: {why}")
 
     def _process(self) -> _Process:
-        """This thread's process, begun if it has none."""
+        """This thread's process, begun if it has none that lives."""
         with self._lock:
             if self._closed:
                 raise WorkerDied("the workers were closed")
-            process: _Process | None = getattr(self._own, "process", None)
-            if process is None:
-                process = self._own.process = _Process()
-                self._processes.add(process)
+            process = self._processes.get(threading.get_ident())
+            if process is None or process.ended:
+                process = self._processes[threading.get_ident()] = _Process()
             return process
 
 
 def _cause(code: int) -> str:
-    """An exit code in words."""
     if code >= 0:
         return f"it ended with exit code {code}"
     name = signal.Signals(-code).name

@@ -26,30 +26,27 @@ _REPLAY = re.compile(r"replays/[A-Za-z0-9][A-Za-z0-9._+-]*\.html")
 
 @dataclass(frozen=True)
 class Metric:
-    """One thing that is measured."""
+    """One thing that is measured, with a label for people, and what it means, in a sentence."""
 
     name: str
     """In the files, with its unit."""
     label: str
-    """For people."""
     unit: str
     """`%` for fractions in [0, 1]; empty for counts."""
     better: Literal["higher", "lower", "neither"]
     """Which values are."""
     help: str
-    """What it means, in a sentence."""
 
 
 @dataclass(frozen=True)
 class TaskInfo:
-    """One thing that is flown: a versioned setting of a task."""
+    """One thing that is flown, a versioned setting of a task; label and help are for people."""
 
     id: str
     """Such as `swap-circle-4-v1`; another meaning has another version."""
     task: str
     """Its family: `swap`, `ring`, `formation`."""
     label: str
-    """For people."""
     options: Mapping[str, Any]
     """Of `swarm_envs.make`, beside what an agent requires."""
     episodes: int
@@ -57,12 +54,11 @@ class TaskInfo:
     environment: str | None = None
     """First argument of `swarm_envs.make`; the first version of the task where there is none."""
     help: str = ""
-    """What it is, in a sentence."""
 
 
 @dataclass(frozen=True)
 class AgentInfo:
-    """An agent."""
+    """An agent, and what it is, in a sentence."""
 
     name: str
     """As of `swarm_envs.agents.load`."""
@@ -71,7 +67,6 @@ class AgentInfo:
     label: str = ""
     """For people; its name where there is none."""
     help: str = ""
-    """What it is, in a sentence."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ import os
 import platform
 import shlex
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -24,7 +23,6 @@ from swarm_envs.training.scoreboard.tasks import COMMON
 
 FILE = "manifest.json"
 """Its name in a benchmark's folder."""
-_MORE = ("torch", "pyarrow", "ray")
 _SHOWN = 8
 
 
@@ -121,10 +119,11 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any], where: str = "")
 
 def _surroundings() -> dict[str, Any]:
     found = versions()
-    for package in _MORE:
+    for package in ("torch", "pyarrow", "ray"):
         with suppress(metadata.PackageNotFoundError):
             found[package] = metadata.version(package)
-    machine = {"cpu": _processor(), "cores": _cores(), "system": platform.platform()}
+    allowed = getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count() or 1))
+    machine = {"cpu": _processor(), "cores": len(allowed(0)), "system": platform.platform()}
     return {"versions": found, "machine": machine, "commit": _commit()}
 
 
@@ -136,36 +135,24 @@ def _processor() -> str:
     return platform.processor() or platform.machine()
 
 
-def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
-
 def _commit() -> str | None:
     """Of the checkout that is imported, if it is one; `+` behind it says that files differ."""
     root = Path(swarm_envs.__file__).parent.parent
     if not (root / ".git").exists():
         return None
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(root), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+        return done.stdout.strip()
+
     try:
-        head = _git(root, "rev-parse", "HEAD")
-        return head + ("+" if _git(root, "status", "--porcelain", "-uno") else "")
+        return git("rev-parse", "HEAD") + ("+" if git("status", "--porcelain", "-uno") else "")
     except (OSError, subprocess.SubprocessError):
         return None
-
-
-def _git(root: Path, *arguments: str) -> str:
-    command = ["git", "-C", str(root), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
-    return done.stdout.strip()
 
 
 def _cpu_s() -> float:
     """CPU time of this process and of its workers that have ended, s."""
     spent = os.times()
     return spent.user + spent.system + spent.children_user + spent.children_system
-
-
-def command_line() -> list[str]:
-    """The command that this process was called with, as one would type it."""
-    return ["swarm-envs", *sys.argv[1:]]

@@ -146,7 +146,7 @@ def row_of(
 
 def _makespan(task: ScoredTask, metrics: Mapping[str, Any]) -> float | None:
     """When the team was done, s; nobody is in a ring before the clock ends."""
-    if task.family == "ring":
+    if task.task == "ring":
         return None
     found: float = metrics["length_s" if task.score == "shapes" else "time_to_goal_s"]
     return found

@@ -13,9 +13,9 @@ from tqdm import tqdm
 
 from swarm_envs import make
 from swarm_envs.agents import load, record_episode
-from swarm_envs.training.scale_out.jobs import Job, Outcome
+from swarm_envs.training.scale_out.jobs import Job
 from swarm_envs.training.scale_out.options import ScaleOptions
-from swarm_envs.training.scoreboard.board import Board, CellResult, read
+from swarm_envs.training.scoreboard.board import Board, read
 from swarm_envs.viewing.replay import check_replay_path, share_script, write_replay
 
 FOLDER = "replays"
@@ -109,52 +109,37 @@ def record_replays(folder: Path, workers: int = 1) -> list[str]:
     problems = []
     with scale.open() as pool, tqdm(total=len(jobs), desc="replays", unit="page") as bar:
         for outcome in pool.run(jobs):
-            problem = _problem(outcome)
-            problems += [problem] if problem else []
+            problem = outcome.result if outcome.error is None else outcome.error
+            if problem is not None:
+                problems.append(f"{outcome.job.label}: {problem}")
             bar.update()
     return sorted(problems)
 
 
 def _jobs(folder: Path, board: Board) -> list[Job]:
     """Those that cost most first: at the end all workers are busy."""
-    missing = [
-        cell
-        for cell in board.cells
-        if cell.replay is not None and not _is_there(folder / cell.replay.file, cell.replay.seed)
-    ]
-    cost = {id(cell): _cost(cell) for cell in missing}
-    missing.sort(key=lambda cell: -cost[id(cell)])
-    return [_job(folder, board, cell) for cell in missing]
+    tasks = {task.id: task for task in board.tasks}
+    found: list[tuple[float, Job]] = []
+    for cell in board.cells:
+        if cell.replay is None or _is_there(folder / cell.replay.file, cell.replay.seed):
+            continue
+        arguments = {
+            "file": str(folder / cell.replay.file),
+            "environment": tasks[cell.task].environment,
+            "options": dict(tasks[cell.task].options),
+            "agent": cell.agent,
+            "seed": cell.replay.seed,
+            "success": cell.replay.success,
+        }
+        slow = cell.values.get("act_us_p99")
+        cost = (slow.value if slow is not None else None) or 0.0
+        found.append((cost, Job(FUNCTION, arguments, f"{cell.agent} on {cell.task}")))
+    return [job for _, job in sorted(found, key=lambda pair: -pair[0])]
 
 
 def _is_there(page: Path, seed: int) -> bool:
     """Whether a page is there, and of the episode that was chosen."""
     return page.is_file() and f", seed {seed};" in page.read_text(encoding="utf-8")
-
-
-def _cost(cell: CellResult) -> float:
-    """What a decision takes at most, about."""
-    slow = cell.values.get("act_us_p99")
-    return (slow.value or 0.0) if slow is not None else 0.0
-
-
-def _job(folder: Path, board: Board, cell: CellResult) -> Job:
-    assert cell.replay is not None
-    task = next(task for task in board.tasks if task.id == cell.task)
-    arguments = {
-        "file": str(folder / cell.replay.file),
-        "environment": task.environment,
-        "options": dict(task.options),
-        "agent": cell.agent,
-        "seed": cell.replay.seed,
-        "success": cell.replay.success,
-    }
-    return Job(FUNCTION, arguments, f"{cell.agent} on {cell.task}")
-
-
-def _problem(outcome: Outcome) -> str | None:
-    why = outcome.error if outcome.error is not None else outcome.result
-    return None if why is None else f"{outcome.job.label}: {why}"
 
 
 def record_one(

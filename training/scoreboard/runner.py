@@ -28,7 +28,7 @@ from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart
 from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard import roster, standings
 from swarm_envs.training.scoreboard.board import FILE
-from swarm_envs.training.scoreboard.manifest import Manifest, command_line
+from swarm_envs.training.scoreboard.manifest import Manifest
 from swarm_envs.training.scoreboard.metrics import (
     EpisodeRow,
     TableForm,
@@ -95,26 +95,20 @@ class Evaluation:
         return [why for why in found if why is not None]
 
     @property
-    def status(self) -> Literal["flown", "failed", "unsupported"]:
-        """What became of it: an agent that refuses every episode does not support the task."""
-        if self.contender.error or (self.leg is not None and self.leg.entrant.failure is not None):
-            return "failed"
-        if self.leg is None or len(self.refused) == len(self.seeds):
-            return "unsupported"
-        return "flown"
+    def outcome(self) -> tuple[Literal["flown", "failed", "unsupported"], str]:
+        """What became of it, and why it was not flown, or some of it not; empty if all was.
 
-    @property
-    def reason(self) -> str:
-        """Why it was not flown, or some of it not; empty if all was."""
+        An agent that refuses every episode does not support the task.
+        """
         failure = self.leg.entrant.failure if self.leg is not None else None
         if self.contender.error or failure is not None:
-            return self.contender.error or str(failure)
+            return "failed", self.contender.error or str(failure)
         refused = self.refused
         if self.leg is None or len(refused) == len(self.seeds):
-            return self.refusal or refused[0]
+            return "unsupported", self.refusal or refused[0]
         if refused:
-            return f"refused {len(refused)} of {len(self.seeds)} episodes: {refused[0]}"
-        return ""
+            return "flown", f"refused {len(refused)} of {len(self.seeds)} episodes: {refused[0]}"
+        return "flown", ""
 
     @property
     def act_us(self) -> list[int]:
@@ -181,7 +175,7 @@ def run_benchmark(
     check_table_form(form)
     contenders = [_enter(name) for name in plan.agents]
     manifest = Manifest(out, plan.config(contenders))
-    manifest.begin(command_line())
+    manifest.begin(["swarm-envs", *sys.argv[1:]])
     pairs = [(task, contender) for task in plan.tasks for contender in contenders]
     cells = [
         _prepare(task, contender, frozen_seeds(plan.seed, plan.count(contender.name, task)), out)
@@ -189,11 +183,8 @@ def run_benchmark(
     ]
     _fly(cells, scale)
     rows = _rows(cells)
-    for name, table in (
-        ("episodes", [r for part in rows for r in part]),
-        ("timing", _times(cells)),
-    ):
-        write_rows(out / f"{name}.{form}", table)
+    write_rows(out / f"episodes.{form}", [row for part in rows for row in part])
+    write_rows(out / f"timing.{form}", _times(cells))
     manifest.end()
     content = standings.scores_of(manifest.content(), cells, rows)
     write_json(out / FILE, content)
@@ -237,19 +228,17 @@ def _prepare(task: ScoredTask, contender: Contender, seeds: Sequence[int], out: 
 
 def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
     """Fly all that is missing, what costs most first, with one bar of expected CPU seconds."""
-    costs: dict[int, float] = {}
-    legs: list[Leg] = []
-    for cell in cells:
-        if cell.leg is not None:
-            costs[id(cell.leg.entrant)] = roster.seconds_of(cell.contender.name, cell.task)
-            legs.append(cell.leg)
-    left = [leg for leg in legs if leg.missing]
-    _report_resumed(legs)
-    if not left:
+    flights = [(cell, cell.leg) for cell in cells if cell.leg is not None]
+    cells_of = {id(leg.entrant): cell for cell, leg in flights}
+    wanted = sum(len(leg.seeds) for _, leg in flights)
+    total, done = sum(len(leg.missing) for _, leg in flights), 0
+    if total < wanted:
+        sys.stderr.write(f"{wanted - total:,} of {wanted:,} episodes were flown before\n")
+    if not total:
         return
+    left = [leg for _, leg in flights if leg.missing]
+    costs = {key: roster.seconds_of(c.contender.name, c.task) for key, c in cells_of.items()}
     left.sort(key=lambda leg: -costs[id(leg.entrant)])
-    total, done = sum(len(leg.missing) for leg in left), 0
-    tasks = {id(cell.leg.entrant): cell.task.id for cell in cells if cell.leg is not None}
     work = sum(len(leg.missing) * costs[id(leg.entrant)] for leg in left)
     bar_format = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
     with scale.open() as workers, tqdm(total=work, bar_format=bar_format, mininterval=0.5) as bar:
@@ -257,7 +246,8 @@ def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
         def watch(entrant: Entrant, episode: Episode) -> None:
             nonlocal done
             done += 1
-            bar.set_description_str(f"{tasks[id(entrant)]} {entrant.name[-24:]}", refresh=False)
+            task = cells_of[id(entrant)].task
+            bar.set_description_str(f"{task.id} {entrant.name[-24:]}", refresh=False)
             bar.set_postfix_str(f"{done:,} of {total:,} episodes", refresh=False)
             if "refused" in episode["metrics"]:
                 bar.total -= costs[id(entrant)]  # it took no time
@@ -271,13 +261,6 @@ def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
     sys.stderr.write("".join(traces.values()))  # whoever wrote a file needs to see where it failed
 
 
-def _report_resumed(legs: Sequence[Leg]) -> None:
-    wanted = sum(len(leg.seeds) for leg in legs)
-    missing = sum(len(leg.missing) for leg in legs)
-    if missing < wanted:
-        sys.stderr.write(f"{wanted - missing:,} of {wanted:,} episodes were flown before\n")
-
-
 def _rows(cells: Sequence[Evaluation]) -> list[list[EpisodeRow]]:
     """The rows of each cell's episodes, in order."""
     fastest: dict[str, Mapping[int, float]] = {}
@@ -288,17 +271,17 @@ def _rows(cells: Sequence[Evaluation]) -> list[list[EpisodeRow]]:
             fastest[task.id] = fastest_times(task, max(flown, key=len))  # others fly the first
     return [
         [
-            row_of(cell.task, cell.contender.name, k, episode, _fastest(fastest, cell, episode))
+            row_of(
+                cell.task,
+                cell.contender.name,
+                k,
+                episode,
+                fastest.get(cell.task.id, {}).get(episode["seed"]),
+            )
             for k, episode in enumerate(cell.episodes)
         ]
         for cell in cells
     ]
-
-
-def _fastest(
-    fastest: Mapping[str, Mapping[int, float]], cell: Evaluation, episode: Episode
-) -> float | None:
-    return fastest[cell.task.id][episode["seed"]] if cell.task.id in fastest else None
 
 
 def _times(cells: Sequence[Evaluation]) -> list[EpisodeRow]:

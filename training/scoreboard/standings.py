@@ -150,17 +150,10 @@ def scores_of(
 
 
 def _task(task: ScoredTask, cells: Sequence[Evaluation]) -> dict[str, Any]:
+    names = ("id", "task", "environment", "label", "drones")
     most = max(len(cell.seeds) for cell in cells if cell.task is task)
-    return {
-        "id": task.id,
-        "task": task.family,
-        "environment": task.environment,
-        "label": task.label,
-        "drones": task.drones,
-        "options": task.setting,
-        "episodes": most,
-        "help": task.help,
-    }
+    about = {name: getattr(task, name) for name in names}
+    return {**about, "options": task.setting, "episodes": most, "help": task.help}
 
 
 def _agent(contender: Contender) -> dict[str, Any]:
@@ -170,12 +163,13 @@ def _agent(contender: Contender) -> dict[str, Any]:
 
 
 def _cell(cell: Evaluation, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
-    flown = cell.status == "flown"
+    status, reason = cell.outcome
+    flown = status == "flown"
     return {
         "task": cell.task.id,
         "agent": cell.contender.name,
-        "status": cell.status,
-        "reason": cell.reason,
+        "status": status,
+        "reason": reason,
         "episodes": len(rows) - len(cell.refused),
         "refused": len(cell.refused),
         "values": values_of(rows, cell.act_us) if flown else {},
@@ -194,13 +188,14 @@ def _families(
     scores: dict[str, dict[str, list[FloatArray]]] = {}
     kinds: dict[str, set[str]] = {}
     for cell, part in zip(cells, rows, strict=True):
-        agents = scores.setdefault(cell.task.family, {})
-        kinds.setdefault(cell.task.family, set()).add(cell.task.id)
-        if cell.status != "unsupported":
-            failed = cell.status == "failed"
+        agents = scores.setdefault(cell.task.task, {})
+        kinds.setdefault(cell.task.task, set()).add(cell.task.id)
+        status, _ = cell.outcome
+        if status != "unsupported":
+            failed = status == "failed"
             reached = np.zeros(1) if failed else np.array([row["score"] for row in part])
             agents.setdefault(cell.contender.name, []).append(reached)
-    labels = {cell.task.family: LABELS[cell.task.score] for cell in cells}
+    labels = {cell.task.task: LABELS[cell.task.score] for cell in cells}
     standings: dict[str, Any] = {}
     profiles: dict[str, Any] = {}
     for family, agents in scores.items():
@@ -322,7 +317,9 @@ def put_into(page: str, text: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Put a benchmark's tables into a page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description="A scoreboard in a few tables of text, for terminals and for pages."
+    )
     parser.add_argument("folder", type=Path, help="of a benchmark")
     parser.add_argument("--into", type=Path, required=True, help="page with the marks")
     options = parser.parse_args(arguments)

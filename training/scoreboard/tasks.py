@@ -18,6 +18,7 @@ from types import MappingProxyType
 from typing import Any, Literal
 
 from swarm_envs.errors import unknown_name
+from swarm_envs.training.scoreboard.board import TaskInfo
 from swarm_envs.vehicles import parse_team
 
 SEED = 2026
@@ -29,33 +30,22 @@ COMMON: Mapping[str, Any] = MappingProxyType(
 """Options of every task's environments."""
 
 Score = Literal["time", "shapes", "tracking"]
+"""What an episode's score says: see `swarm_envs.training.scoreboard.metrics`."""
 
 
-@dataclass(frozen=True)
-class ScoredTask:
-    """A row of the table."""
+@dataclass(frozen=True, kw_only=True)
+class ScoredTask(TaskInfo):
+    """A row of the table; its options are those beside `COMMON`, ready for JSON.
 
-    id: str
-    """Such as `swap-circle-4-v1`."""
+    Slow agents fly the first so many of its episodes.
+    """
+
     environment: str
     """First argument of `swarm_envs.make`."""
-    options: Mapping[str, Any]
-    """Its options beside `COMMON`, ready for JSON."""
-    label: str
-    """For people."""
-    help: str
-    """What it asks for, in a sentence."""
     score: Score
-    """What an episode's score in [0, 1] says: see `swarm_envs.training.scoreboard.metrics`."""
+    """What an episode is scored by."""
     clock_s: float
     """How long an episode lasts at most, s."""
-    episodes: int
-    """Of an agent that costs next to nothing; slow ones fly the first so many of these."""
-
-    @property
-    def family(self) -> str:
-        """The task without its setting: `swap`, `ring` or `formation`."""
-        return self.environment.rpartition("_v")[0]
 
     @property
     def drones(self) -> int:
@@ -97,42 +87,32 @@ def _force_model(name: str) -> str:
     return describe_model(load(name))["sha256"]
 
 
-def _swap(layout: str, size: int | str, help_: str, about: str | None = None) -> ScoredTask:
-    """A swap of so many small drones, or of a team."""
-    who = {"num_drones": size} if isinstance(size, int) else {"team": size}
+_KINDS: Mapping[str, tuple[Score, float, int]] = MappingProxyType(
+    {
+        "swap": ("time", 8.0, 256),
+        "ring": ("tracking", 12.0, 128),
+        "formation tour": ("shapes", 24.0, 64),
+        "formation shuffle": ("shapes", 8.0, 128),
+    }
+)
+"""Score, clock in seconds, and episodes."""
+
+
+def _task(
+    family: str, layout: str | None, size: int | str, help_: str, team: str | None = None
+) -> ScoredTask:
+    """A task of so many small drones, or of a team, which is said in words too."""
+    score, clock_s, episodes = _KINDS.get(family) or _KINDS[f"{family} {layout}"]
+    options = {"layout": layout} if layout else {}
+    about = filter(None, (family, layout, team or f"{size} drones"))
     return ScoredTask(
-        id=f"swap-{layout}-{size}-v1",
-        environment="swap_v0",
-        options={"layout": layout, **who},
-        label=f"swap, {layout}, {about or f'{size} drones'}",
+        id="-".join(filter(None, (family, layout, f"{size}-v1"))),
+        task=family,
+        environment=f"{family}_v0",
+        options={**options, "num_drones" if isinstance(size, int) else "team": size},
+        label=", ".join(about),
         help=help_,
-        score="time",
-        clock_s=8.0,
-        episodes=256,
-    )
-
-
-def _ring(size: int, help_: str) -> ScoredTask:
-    return ScoredTask(
-        id=f"ring-{size}-v1",
-        environment="ring_v0",
-        options={"num_drones": size},
-        label=f"ring, {size} drones",
-        help=help_,
-        score="tracking",
-        clock_s=12.0,
-        episodes=128,
-    )
-
-
-def _formation(layout: str, size: int, clock_s: float, episodes: int, help_: str) -> ScoredTask:
-    return ScoredTask(
-        id=f"formation-{layout}-{size}-v1",
-        environment="formation_v0",
-        options={"layout": layout, "num_drones": size},
-        label=f"formation, {layout}, {size} drones",
-        help=help_,
-        score="shapes",
+        score=score,
         clock_s=clock_s,
         episodes=episodes,
     )
@@ -144,25 +124,37 @@ _TOUR = "Plane, pyramid, cube, sphere and plane again, each drone to the place n
 _SHUFFLE = "From a plane into a cube, places drawn: ways cross, above and below others."
 
 _TABLE = (
-    _swap("random", 2, _RANDOM),
-    _swap("random", 4, _RANDOM),
-    _swap("random", "SSLL", f"{_RANDOM} Two small drones and two large ones.", "2 small + 2 large"),
-    _swap("random", 8, _RANDOM),
-    _swap("random", 16, _RANDOM),
-    _swap("circle", 2, "Two drones change places head on."),
-    _swap("circle", 4, _CIRCLE),
-    _swap("circle", 8, _CIRCLE),
-    _swap("circle", 16, _CIRCLE),
-    _swap("stacked", "L2S", "A small drone passes right below a large one.", "large above small"),
-    _swap("stacked", 4, "Four planes of one small drone each, aligned half way."),
-    _ring(4, "Two small drones on an upright circle, two on a level one."),
-    _ring(5, "The paper's: three strong small drones upright, two large ones level."),
-    _ring(8, "Eight small drones: five upright, three level."),
-    _ring(16, "The paper's sixteen: three rings, three vehicle types."),
-    _formation("tour", 8, 24.0, 64, _TOUR),
-    _formation("tour", 16, 24.0, 64, _TOUR),
-    _formation("shuffle", 8, 8.0, 128, _SHUFFLE),
-    _formation("shuffle", 16, 8.0, 128, _SHUFFLE),
+    _task("swap", "random", 2, _RANDOM),
+    _task("swap", "random", 4, _RANDOM),
+    _task(
+        "swap",
+        "random",
+        "SSLL",
+        f"{_RANDOM} Two small drones and two large ones.",
+        "2 small + 2 large",
+    ),
+    _task("swap", "random", 8, _RANDOM),
+    _task("swap", "random", 16, _RANDOM),
+    _task("swap", "circle", 2, "Two drones change places head on."),
+    _task("swap", "circle", 4, _CIRCLE),
+    _task("swap", "circle", 8, _CIRCLE),
+    _task("swap", "circle", 16, _CIRCLE),
+    _task(
+        "swap",
+        "stacked",
+        "L2S",
+        "A small drone passes right below a large one.",
+        "large above small",
+    ),
+    _task("swap", "stacked", 4, "Four planes of one small drone each, aligned half way."),
+    _task("ring", None, 4, "Two small drones on an upright circle, two on a level one."),
+    _task("ring", None, 5, "The paper's: three strong small drones upright, two large ones level."),
+    _task("ring", None, 8, "Eight small drones: five upright, three level."),
+    _task("ring", None, 16, "The paper's sixteen: three rings, three vehicle types."),
+    _task("formation", "tour", 8, _TOUR),
+    _task("formation", "tour", 16, _TOUR),
+    _task("formation", "shuffle", 8, _SHUFFLE),
+    _task("formation", "shuffle", 16, _SHUFFLE),
 )
 
 TASKS: Mapping[str, ScoredTask] = MappingProxyType({task.id: task for task in _TABLE})
@@ -178,10 +170,9 @@ def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
     Raises:
         ValueError: a pattern matches none; the message names the nearest id.
     """
+    if not patterns:
+        raise ValueError("no task is named; '*' names all")
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in TASKS):
             raise ValueError(unknown_name("task", pattern, TASKS, "of the benchmark"))
-    matched = [t for t in _TABLE if any(fnmatchcase(t.id, pattern) for pattern in patterns)]
-    if not matched:
-        raise ValueError("no task is named; '*' names all")
-    return matched
+    return [t for t in _TABLE if any(fnmatchcase(t.id, pattern) for pattern in patterns)]

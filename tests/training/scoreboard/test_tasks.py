@@ -78,7 +78,7 @@ def test_the_frozen_seeds_are_the_same_everywhere():
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
 def test_every_row_says_what_flies(task):
-    assert re.fullmatch(rf"{task.family}-([a-z]+-)?[0-9LS]+-v[1-9]\d*", task.id)
+    assert re.fullmatch(rf"{task.task}-([a-z]+-)?[0-9LS]+-v[1-9]\d*", task.id)
     env = swarm_envs.make(task.environment, **task.setting)
     env.reset(seed=0)
     assert len(env.agents) == task.drones <= 16
