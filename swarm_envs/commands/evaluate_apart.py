@@ -18,7 +18,11 @@ from swarm_envs.commands.evaluate import (
     tell_before,
     unflyable,
 )
-from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart
+from swarm_envs.training.scale_out.episodes import (
+    AgentEpisodes,
+    EvaluationSpec,
+    evaluate_distributed,
+)
 
 
 def reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, Any]]:
@@ -30,21 +34,21 @@ def reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, A
         OSError: an episode cannot be kept.
     """
     found: dict[str, dict[str, Any]] = {}
-    entrants: dict[str, Entrant] = {}
+    agents: dict[str, AgentEpisodes] = {}
     for name in options.agent:
-        found[name], entrant = _enter(name, options, about)
-        if entrant is not None:
-            entrants[name] = entrant
-    _fly([*entrants.values()], options, about["task"])
-    for name, entrant in entrants.items():
-        found[name] |= _scores(entrant, options)
+        found[name], record = _enter(name, options, about)
+        if record is not None:
+            agents[name] = record
+    _fly([*agents.values()], options, about["task"])
+    for name, record in agents.items():
+        found[name] |= _scores(record, options)
     return [found[name] for name in options.agent]
 
 
 def _enter(
     name: str, options: EvaluateOptions, about: dict[str, Any]
-) -> tuple[dict[str, Any], Entrant | None]:
-    """What is known of an agent before it flies; no entrant if it cannot."""
+) -> tuple[dict[str, Any], AgentEpisodes | None]:
+    """What is known of an agent before it flies; no record if it cannot."""
     report: dict[str, Any] = {"agent": name}
     try:
         agent, env = prepare(name, options, about["task"])
@@ -57,16 +61,16 @@ def _enter(
         kept = open_episodes(name, agent, options, about)
     except Exception as error:
         return {**report, "error": str(error)}, None
-    return report, Entrant(name, source_digest(agent), batched, kept)
+    return report, AgentEpisodes(name, source_digest(agent), batched, kept)
 
 
-def _fly(entrants: list[Entrant], options: EvaluateOptions, task: str) -> None:
+def _fly(agents: list[AgentEpisodes], options: EvaluateOptions, task: str) -> None:
     """Every episode of all agents that is not there yet, with one progress bar."""
     seeds = frozen_seeds(options.seed, options.episodes)
-    before = {e.name: sum(seed in e.episodes for seed in seeds) for e in entrants}
+    before = {e.name: sum(seed in e.episodes for seed in seeds) for e in agents}
     for name, count in before.items():
         tell_before(name, count, len(seeds))
-    total = len(seeds) * len(entrants)
+    total = len(seeds) * len(agents)
     if sum(before.values()) == total:
         return
     with (
@@ -74,17 +78,19 @@ def _fly(entrants: list[Entrant], options: EvaluateOptions, task: str) -> None:
         tqdm(total=total, initial=sum(before.values()), unit="episode", mininterval=0.5) as bar,
     ):
 
-        def watch(entrant: Entrant, episode: Episode) -> None:
-            bar.set_description_str(entrant.name[-30:], refresh=False)
+        def watch(record: AgentEpisodes, episode: Episode) -> None:
+            bar.set_description_str(record.name[-30:], refresh=False)
             bar.update()
 
         setting = options.setting()
-        fly_apart([Leg(e, task, setting, seeds) for e in entrants], workers, watch)
+        evaluate_distributed(
+            [EvaluationSpec(e, task, setting, seeds) for e in agents], workers, watch
+        )
 
 
-def _scores(entrant: Entrant, options: EvaluateOptions) -> dict[str, Any]:
-    if entrant.failure is None:
-        return score(entrant.flown(frozen_seeds(options.seed, options.episodes)))
-    if ":" in entrant.name:  # whoever wrote the file needs to see where it failed
-        sys.stderr.write(entrant.trace)
-    return {"error": entrant.failure}
+def _scores(record: AgentEpisodes, options: EvaluateOptions) -> dict[str, Any]:
+    if record.failure is None:
+        return score(record.flown(frozen_seeds(options.seed, options.episodes)))
+    if ":" in record.name:  # whoever wrote the file needs to see where it failed
+        sys.stderr.write(record.trace)
+    return {"error": record.failure}

@@ -42,7 +42,7 @@ SentFile = dict[str, str]
 
 
 @dataclass
-class Entrant:
+class AgentEpisodes:
     """An agent to be evaluated, and what came out so far."""
 
     name: str
@@ -72,10 +72,10 @@ class Entrant:
 
 
 @dataclass(frozen=True)
-class Leg:
+class EvaluationSpec:
     """An agent on a task: what is to be flown."""
 
-    entrant: Entrant
+    record: AgentEpisodes
     """who flies; what comes out is in it"""
     task: str
     """versioned name"""
@@ -89,21 +89,21 @@ class Leg:
     @property
     def missing(self) -> list[int]:
         """Seeds of which there is no episode yet."""
-        return [seed for seed in self.seeds if seed not in self.entrant.episodes]
+        return [seed for seed in self.seeds if seed not in self.record.episodes]
 
 
-def fly_apart(
-    legs: Sequence[Leg],
+def evaluate_distributed(
+    specs: Sequence[EvaluationSpec],
     workers: WorkerPool,
-    watch: Callable[[Entrant, Episode], None] = lambda entrant, episode: None,
+    watch: Callable[[AgentEpisodes, Episode], None] = lambda record, episode: None,
 ) -> None:
     """Fly every agent on every seed that it has no episode of yet.
 
-    An agent that fails a leg is given up on there; the episodes before its failure are flown
+    An agent that fails is given up on for this task; the episodes before its failure are flown
     still, so that it is the first, as it would be if they were flown in order. The others go on.
 
     Args:
-        legs: their entrants are changed: what came out is in them. Begun in this order.
+        specs: their agents are changed: what came out is in them. Begun in this order.
         workers: who flies.
         watch: called with each new episode, once it is kept.
 
@@ -111,20 +111,20 @@ def fly_apart(
         OSError: an agent's file cannot be read, or an episode not be kept.
         ValueError: an agent's file is too large to be sent.
     """
-    by_label = {str(k): leg for k, leg in enumerate(legs)}
-    places = {k: {seed: i for i, seed in enumerate(leg.seeds)} for k, leg in by_label.items()}
-    jobs = deque(job for k, leg in by_label.items() for job in _jobs(leg, k, workers.size))
+    by_label = {str(k): spec for k, spec in enumerate(specs)}
+    places = {k: {seed: i for i, seed in enumerate(spec.seeds)} for k, spec in by_label.items()}
+    jobs = deque(job for k, spec in by_label.items() for job in _jobs(spec, k, workers.size))
     for outcome in workers.run(jobs):
         label, chunk = outcome.job.label, outcome.job.arguments["seeds"]
-        entrant, place = by_label[label].entrant, places[label]
+        record, place = by_label[label].record, places[label]
         flown = outcome.result["episodes"] if outcome.error is None else []
-        if flown and entrant.kept is not None:
-            entrant.kept.add(*flown)
+        if flown and record.kept is not None:
+            record.kept.add(*flown)
         for episode in flown:
-            entrant.episodes[episode["seed"]] = episode
-            watch(entrant, episode)
+            record.episodes[episode["seed"]] = episode
+            watch(record, episode)
         rest = chunk[len(flown) :]
-        if rest and place[rest[0]] < entrant.failed_at:
+        if rest and place[rest[0]] < record.failed_at:
             if outcome.error is not None:
                 why, trace = outcome.error, outcome.trace
                 why = f"in the episodes of seeds {rest[0]} and on: {why}"
@@ -133,28 +133,28 @@ def fly_apart(
             if why is None:  # it was slow
                 jobs.appendleft(_of_seeds(outcome.job, rest, by_label[label].seeds))
                 continue
-            entrant.failure, entrant.trace, entrant.failed_at = why, trace, place[rest[0]]
+            record.failure, record.trace, record.failed_at = why, trace, place[rest[0]]
             for job in [job for job in jobs if job.label == label]:
-                if place[job.arguments["seeds"][0]] > entrant.failed_at:
+                if place[job.arguments["seeds"][0]] > record.failed_at:
                     jobs.remove(job)
 
 
-def _jobs(leg: Leg, label: str, workers: int) -> list[Job]:
-    """Chunks of a leg's missing seeds."""
+def _jobs(spec: EvaluationSpec, label: str, workers: int) -> list[Job]:
+    """Chunks of a spec's missing seeds."""
     files = {
         name: send(Path(value))
-        for name, value in leg.setting.items()
+        for name, value in spec.setting.items()
         if isinstance(value, str) and value.endswith(".safetensors") and Path(value).is_file()
     }
-    missing, entrant = leg.missing, leg.entrant
+    missing, record = spec.missing, spec.record
     if not missing:
         return []
     fair = -(-len(missing) // (_CHUNKS * workers))
-    size = min(_LARGEST, max(fair, AT_ONCE if entrant.batched else 1))
-    about = {"agent": _sent_agent(entrant), "task": leg.task, "setting": dict(leg.setting)}
-    whole = Job(FUNCTION, {**about, "files": files, "refusals": leg.refusals}, label)
+    size = min(_LARGEST, max(fair, AT_ONCE if record.batched else 1))
+    about = {"agent": _sent_agent(record), "task": spec.task, "setting": dict(spec.setting)}
+    whole = Job(FUNCTION, {**about, "files": files, "refusals": spec.refusals}, label)
     return [
-        _of_seeds(whole, missing[first : first + size], leg.seeds)
+        _of_seeds(whole, missing[first : first + size], spec.seeds)
         for first in range(0, len(missing), size)
     ]
 
@@ -164,10 +164,10 @@ def _of_seeds(job: Job, seeds: list[int], order: Sequence[int]) -> Job:
     return Job(job.function, {**job.arguments, "seeds": seeds, "timed": timed}, job.label)
 
 
-def _sent_agent(entrant: Entrant) -> dict[str, Any]:
+def _sent_agent(record: AgentEpisodes) -> dict[str, Any]:
     """An agent as another machine can load it: its file, if it has one, by value."""
-    sent: dict[str, Any] = {"name": entrant.name, "digest": entrant.digest}
-    name = entrant.name.removesuffix(FILTER)
+    sent: dict[str, Any] = {"name": record.name, "digest": record.digest}
+    name = record.name.removesuffix(FILTER)
     if name in SHIPPED:
         return sent
     file, colon, part = name.rpartition(":")
@@ -184,7 +184,7 @@ def fly_chunk(
     timed: int,
     refusals: bool = False,
 ) -> dict[str, Any]:
-    """Fly one agent on some seeds, in order, the first `timed` one by one; `fly_apart`'s job.
+    """A job of `evaluate_distributed`: some seeds of an agent, the first `timed` one by one.
 
     Returns:
         `episodes`, of fewer seeds if it took long or the agent failed; `error` and `trace` if it

@@ -24,7 +24,11 @@ from swarm_envs.agents.batch import flies_batches
 from swarm_envs.agents.evaluation import Episode, EpisodeFile, frozen_seeds, source_digest
 from swarm_envs.agents.protocol import check_wishes
 from swarm_envs.files import write_json
-from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart
+from swarm_envs.training.scale_out.episodes import (
+    AgentEpisodes,
+    EvaluationSpec,
+    evaluate_distributed,
+)
 from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard import roster, standings
 from swarm_envs.training.scoreboard.board import FILE
@@ -46,7 +50,7 @@ _QUICK = 16
 
 
 @dataclass(frozen=True)
-class Contender:
+class LoadedAgent:
     """An agent that was asked for."""
 
     name: str
@@ -70,11 +74,11 @@ class Evaluation:
 
     task: ScoredTask
     """What is flown."""
-    contender: Contender
+    loaded: LoadedAgent
     """Who flies."""
     seeds: Sequence[int]
     """Of its episodes."""
-    leg: Leg | None = None
+    spec: EvaluationSpec | None = None
     """Its flights; None if there can be none."""
     refusal: str = ""
     """Why there can be none, found before anything flew."""
@@ -82,11 +86,11 @@ class Evaluation:
     @property
     def episodes(self) -> list[Episode]:
         """Those that count, in the order of the seeds: none after the first that failed."""
-        if self.leg is None:
+        if self.spec is None:
             return []
-        entrant = self.leg.entrant
-        last = len(self.seeds) if entrant.failure is None else int(entrant.failed_at)
-        return entrant.flown(self.seeds[:last])
+        record = self.spec.record
+        last = len(self.seeds) if record.failure is None else int(record.failed_at)
+        return record.flown(self.seeds[:last])
 
     @property
     def refused(self) -> list[str]:
@@ -100,11 +104,11 @@ class Evaluation:
 
         An agent that refuses every episode does not support the task.
         """
-        failure = self.leg.entrant.failure if self.leg is not None else None
-        if self.contender.error or failure is not None:
-            return "failed", self.contender.error or str(failure)
+        failure = self.spec.record.failure if self.spec is not None else None
+        if self.loaded.error or failure is not None:
+            return "failed", self.loaded.error or str(failure)
         refused = self.refused
-        if self.leg is None or len(refused) == len(self.seeds):
+        if self.spec is None or len(refused) == len(self.seeds):
             return "unsupported", self.refusal or refused[0]
         if refused:
             return "flown", f"refused {len(refused)} of {len(self.seeds)} episodes: {refused[0]}"
@@ -139,7 +143,7 @@ class BenchmarkPlan:
         usual = roster.episodes_of(agent, task)
         return max(1, usual // _QUICK) if self.quick else usual
 
-    def config(self, contenders: Sequence[Contender]) -> dict[str, Any]:
+    def config(self, agents: Sequence[LoadedAgent]) -> dict[str, Any]:
         """Everything that the results depend on, ready for JSON."""
         return {
             "version": __version__,
@@ -148,7 +152,7 @@ class BenchmarkPlan:
             "quick": self.quick,
             "setting": dict(COMMON),
             "tasks": {task.id: digest(task) for task in self.tasks},
-            "agents": {c.name: c.digest or "cannot be made" for c in contenders},
+            "agents": {c.name: c.digest or "cannot be made" for c in agents},
         }
 
 
@@ -173,13 +177,13 @@ def run_benchmark(
         ValueError: a file in the folder is damaged.
     """
     check_table_form(form)
-    contenders = [_enter(name) for name in plan.agents]
-    manifest = Manifest(out, plan.config(contenders))
+    agents = [_enter(name) for name in plan.agents]
+    manifest = Manifest(out, plan.config(agents))
     manifest.begin(["swarm-envs", *sys.argv[1:]])
-    pairs = [(task, contender) for task in plan.tasks for contender in contenders]
+    pairs = [(task, loaded) for task in plan.tasks for loaded in agents]
     cells = [
-        _prepare(task, contender, frozen_seeds(plan.seed, plan.count(contender.name, task)), out)
-        for task, contender in tqdm(pairs, desc="cells", unit="cell", mininterval=0.5)
+        _prepare(task, loaded, frozen_seeds(plan.seed, plan.count(loaded.name, task)), out)
+        for task, loaded in tqdm(pairs, desc="cells", unit="cell", mininterval=0.5)
     ]
     _fly(cells, scale)
     rows = _rows(cells)
@@ -191,18 +195,18 @@ def run_benchmark(
     return content
 
 
-def _enter(name: str) -> Contender:
+def _enter(name: str) -> LoadedAgent:
     """Make an agent, or say why it cannot be made."""
     try:
         agent = load(name)
-        return Contender(name, agent, source_digest(agent))
+        return LoadedAgent(name, agent, source_digest(agent))
     except (Exception, SystemExit) as error:
-        return Contender(name, None, "", f"cannot be made: {type(error).__name__}: {error}")
+        return LoadedAgent(name, None, "", f"cannot be made: {type(error).__name__}: {error}")
 
 
-def _prepare(task: ScoredTask, contender: Contender, seeds: Sequence[int], out: Path) -> Evaluation:
+def _prepare(task: ScoredTask, loaded: LoadedAgent, seeds: Sequence[int], out: Path) -> Evaluation:
     """An agent on a task, with the episodes that were flown before."""
-    agent, cell = contender.agent, Evaluation(task, contender, seeds)
+    agent, cell = loaded.agent, Evaluation(task, loaded, seeds)
     if agent is None:
         return cell
     try:
@@ -217,47 +221,47 @@ def _prepare(task: ScoredTask, contender: Contender, seeds: Sequence[int], out: 
         "task": task.id,
         "definition": digest(task),
         "version": __version__,
-        "agent": contender.name,
-        "source": contender.digest,
+        "agent": loaded.name,
+        "source": loaded.digest,
     }
-    kept = EpisodeFile(out / FOLDER / task.id, contender.name, depends_on)
-    entrant = Entrant(contender.name, contender.digest, batched, kept)
-    cell.leg = Leg(entrant, task.environment, task.setting, seeds, refusals=True)
+    kept = EpisodeFile(out / FOLDER / task.id, loaded.name, depends_on)
+    record = AgentEpisodes(loaded.name, loaded.digest, batched, kept)
+    cell.spec = EvaluationSpec(record, task.environment, task.setting, seeds, refusals=True)
     return cell
 
 
 def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
     """Fly all that is missing, what costs most first, with one bar of expected CPU seconds."""
-    flights = [(cell, cell.leg) for cell in cells if cell.leg is not None]
-    cells_of = {id(leg.entrant): cell for cell, leg in flights}
-    wanted = sum(len(leg.seeds) for _, leg in flights)
-    total, done = sum(len(leg.missing) for _, leg in flights), 0
+    flights = [(cell, cell.spec) for cell in cells if cell.spec is not None]
+    cells_of = {id(spec.record): cell for cell, spec in flights}
+    wanted = sum(len(spec.seeds) for _, spec in flights)
+    total, done = sum(len(spec.missing) for _, spec in flights), 0
     if total < wanted:
         sys.stderr.write(f"{wanted - total:,} of {wanted:,} episodes were flown before\n")
     if not total:
         return
-    left = [leg for _, leg in flights if leg.missing]
-    costs = {key: roster.seconds_of(c.contender.name, c.task) for key, c in cells_of.items()}
-    left.sort(key=lambda leg: -costs[id(leg.entrant)])
-    work = sum(len(leg.missing) * costs[id(leg.entrant)] for leg in left)
+    left = [spec for _, spec in flights if spec.missing]
+    costs = {key: roster.seconds_of(c.loaded.name, c.task) for key, c in cells_of.items()}
+    left.sort(key=lambda spec: -costs[id(spec.record)])
+    work = sum(len(spec.missing) * costs[id(spec.record)] for spec in left)
     bar_format = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
     with scale.open() as workers, tqdm(total=work, bar_format=bar_format, mininterval=0.5) as bar:
 
-        def watch(entrant: Entrant, episode: Episode) -> None:
+        def watch(record: AgentEpisodes, episode: Episode) -> None:
             nonlocal done
             done += 1
-            task = cells_of[id(entrant)].task
-            bar.set_description_str(f"{task.id} {entrant.name[-24:]}", refresh=False)
+            task = cells_of[id(record)].task
+            bar.set_description_str(f"{task.id} {record.name[-24:]}", refresh=False)
             bar.set_postfix_str(f"{done:,} of {total:,} episodes", refresh=False)
             if "refused" in episode["metrics"]:
-                bar.total -= costs[id(entrant)]  # it took no time
+                bar.total -= costs[id(record)]  # it took no time
             else:
-                bar.update(costs[id(entrant)])
+                bar.update(costs[id(record)])
 
-        fly_apart(left, workers, watch)
+        evaluate_distributed(left, workers, watch)
         bar.total = bar.n  # agents that failed flew less
-    failed = [leg.entrant for leg in left if leg.entrant.failure is not None]
-    traces = {entrant.name: entrant.trace for entrant in failed if ":" in entrant.name}
+    failed = [spec.record for spec in left if spec.record.failure is not None]
+    traces = {record.name: record.trace for record in failed if ":" in record.name}
     sys.stderr.write("".join(traces.values()))  # whoever wrote a file needs to see where it failed
 
 
@@ -273,7 +277,7 @@ def _rows(cells: Sequence[Evaluation]) -> list[list[EpisodeRow]]:
         [
             row_of(
                 cell.task,
-                cell.contender.name,
+                cell.loaded.name,
                 k,
                 episode,
                 fastest.get(cell.task.id, {}).get(episode["seed"]),
@@ -289,7 +293,7 @@ def _times(cells: Sequence[Evaluation]) -> list[EpisodeRow]:
     return [
         {
             "task_id": cell.task.id,
-            "agent": cell.contender.name,
+            "agent": cell.loaded.name,
             "seed": episode["seed"],
             "episode": k,
             "decisions": len(episode["act_us"]),

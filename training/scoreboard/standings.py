@@ -34,7 +34,7 @@ from swarm_envs.training.scoreboard.roster import place_of
 from swarm_envs.training.scoreboard.tasks import ScoredTask
 
 if TYPE_CHECKING:
-    from swarm_envs.training.scoreboard.runner import Contender, Evaluation
+    from swarm_envs.training.scoreboard.runner import Evaluation, LoadedAgent
 
 THRESHOLDS = tuple(float(k) / 50.0 for k in range(51))
 """Scores at which profiles are given."""
@@ -132,7 +132,7 @@ def scores_of(
         rows: each cell's episodes, as of `row_of`.
     """
     tasks = list({cell.task.id: cell.task for cell in cells}.values())
-    contenders = list({cell.contender.name: cell.contender for cell in cells}.values())
+    agents = list({cell.loaded.name: cell.loaded for cell in cells}.values())
     standings, profiles = _families(cells, rows)
     shown = zip(cells, rows, strict=True)
     bar = tqdm(shown, total=len(cells), desc="intervals", unit="cell", mininterval=0.5)
@@ -142,7 +142,7 @@ def scores_of(
         "manifest": dict(manifest),
         "metrics": [{name: getattr(metric, name) for name in _METRIC_KEYS} for metric in METRICS],
         "tasks": [_task(task, cells) for task in tasks],
-        "agents": [_agent(contender) for contender in contenders],
+        "agents": [_agent(loaded) for loaded in agents],
         "cells": [_cell(cell, part) for cell, part in bar],
         "aggregates": standings,
         "profiles": profiles,
@@ -156,9 +156,9 @@ def _task(task: ScoredTask, cells: Sequence[Evaluation]) -> dict[str, Any]:
     return {**about, "options": task.setting, "episodes": most, "help": task.help}
 
 
-def _agent(contender: Contender) -> dict[str, Any]:
-    place = place_of(contender.name)
-    about = {"name": contender.name, "privileged": contender.privileged}
+def _agent(loaded: LoadedAgent) -> dict[str, Any]:
+    place = place_of(loaded.name)
+    about = {"name": loaded.name, "privileged": loaded.privileged}
     return {**about, "label": place.label, "help": place.help}
 
 
@@ -167,13 +167,13 @@ def _cell(cell: Evaluation, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
     flown = status == "flown"
     return {
         "task": cell.task.id,
-        "agent": cell.contender.name,
+        "agent": cell.loaded.name,
         "status": status,
         "reason": reason,
         "episodes": len(rows) - len(cell.refused),
         "refused": len(cell.refused),
         "values": values_of(rows, cell.act_us) if flown else {},
-        "replay": choose_episode(cell.task.id, cell.contender.name, rows) if flown else None,
+        "replay": choose_episode(cell.task.id, cell.loaded.name, rows) if flown else None,
     }
 
 
@@ -194,7 +194,7 @@ def _families(
         if status != "unsupported":
             failed = status == "failed"
             reached = np.zeros(1) if failed else np.array([row["score"] for row in part])
-            agents.setdefault(cell.contender.name, []).append(reached)
+            agents.setdefault(cell.loaded.name, []).append(reached)
     labels = {cell.task.task: LABELS[cell.task.score] for cell in cells}
     standings: dict[str, Any] = {}
     profiles: dict[str, Any] = {}

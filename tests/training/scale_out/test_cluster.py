@@ -9,7 +9,6 @@ import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -79,45 +78,6 @@ def test_where_nobody_listens_is_said_at_once():
         RayWorkers(address)
 
 
-AGENT = """
-import numpy as np
-class Mine:
-    requires, privileged = {'action': 'acceleration', 'decision_rate': 10}, False
-    def reset(self, env, seed): self.rng = np.random.default_rng(seed)
-    def act(self, observations, view):
-        return {name: self.rng.uniform(-0.2, 0.2, 3).astype(np.float32) for name in observations}
-class Nan(Mine):
-    def act(self, observations, view): return {n: np.full(3, np.nan) for n in observations}
-"""
-
-
-@pytest.mark.slow
-def test_evaluate_on_a_cluster_that_loses_a_node(cluster, tmp_path, capsys):
-    """The report is that of one process, though half of the nodes die, and the file is edited."""
-    file = tmp_path / "mine.py"
-    file.write_text(AGENT, encoding="utf-8")
-    agents = ["--agent", f"{file}:Mine", "straight-line", f"{file}:Nan", "detour"]
-    arguments = ["evaluate", "--episodes", "96", "--seed", "3", *agents]
-    assert main([*arguments, "--out", str(tmp_path / "one")]) == 1
-    victim = cluster.add_node(**NODE)
-    out = tmp_path / "many"
-
-    def kill_in_the_middle() -> None:
-        while len(kept_seeds(out)) < 8:
-            time.sleep(0.05)
-        cluster.remove_node(victim, allow_graceful=False)
-        file.write_text("raise RuntimeError('edited since')")
-
-    with ThreadPoolExecutor(1) as other:
-        killed = other.submit(kill_in_the_middle)
-        assert main([*arguments, "--out", str(out), "--ray", cluster.address]) == 1
-        killed.result()
-    one, many = (without_times(tmp_path / name / "report.json") for name in ("one", "many"))
-    assert many == one
-    kept = kept_seeds(out)
-    assert len(kept) == len(set(kept)) == 96 * 3
-
-
 @pytest.mark.slow
 def test_a_sweep_on_a_cluster_that_loses_a_node(cluster, tmp_path):
     """The policies and what they add up to are those of one process, though half the nodes die."""
@@ -139,32 +99,3 @@ def test_a_sweep_on_a_cluster_that_loses_a_node(cluster, tmp_path):
         assert (out / policy.relative_to(tmp_path / "one")).read_bytes() == policy.read_bytes()
     one, many = (json.loads((tmp_path / n / "sweep.json").read_text()) for n in ("one", "many"))
     assert many["variants"][0]["measured"] == one["variants"][0]["measured"]
-
-
-@pytest.mark.slow
-def test_a_benchmark_on_a_cluster_of_its_own(tmp_path):
-    """`--ray local` begins one, and the episodes are those of one process, to the byte."""
-    given = ["benchmark", "--agents", "straight-line", "detour", "--tasks", "swap-*-2-v1"]
-    given += ["--episodes", "12", "--table", "csv", "--no-replays"]
-    assert main([*given, "--out", str(tmp_path / "one")]) == 0
-    scale = ["--ray", "local", "--workers", "2"]
-    assert main([*given, *scale, "--out", str(tmp_path / "many")]) == 0
-    one, many = ((tmp_path / name / "episodes.csv").read_bytes() for name in ("one", "many"))
-    assert many == one
-
-
-def kept_seeds(out: Path) -> list[tuple[str, int]]:
-    """Agent's file and seed of every episode that was kept."""
-    return [
-        (file.name, json.loads(line)["seed"])
-        for file in out.glob("episodes/*.jsonl")
-        for line in file.read_text().splitlines(keepends=True)[1:]
-        if line.endswith("\n")
-    ]
-
-
-def without_times(report: Path) -> dict[str, Any]:
-    content = json.loads(report.read_text())
-    for agent in content["agents"]:
-        agent.pop("act_ms", None)
-    return content

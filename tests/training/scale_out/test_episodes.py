@@ -3,11 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +12,12 @@ from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import EpisodeFile, frozen_seeds, source_digest
 from swarm_envs.cli import main
 from swarm_envs.training.scale_out import episodes
-from swarm_envs.training.scale_out.episodes import Entrant, Leg, fly_apart, fly_chunk
+from swarm_envs.training.scale_out.episodes import (
+    AgentEpisodes,
+    EvaluationSpec,
+    evaluate_distributed,
+    fly_chunk,
+)
 from swarm_envs.training.scale_out.jobs import Serial
 from tests.helpers.users_agents import FINE
 
@@ -91,12 +91,10 @@ def test_a_chunk_that_takes_long_is_handed_out_in_parts(tmp_path, monkeypatch):
     monkeypatch.setattr(episodes, "PATIENCE_S", 0.0)
     assert len(chunk("hover", frozen_seeds(1, 5))["episodes"]) == 1
     kept = EpisodeFile(tmp_path, "hover", {})
-    entrant = Entrant("hover", source_digest(load("hover")), kept=kept)
+    record = AgentEpisodes("hover", source_digest(load("hover")), kept=kept)
     setting = {"num_drones": 2, "horizon_s": 0.5, "physics": "batch"}
-    fly_apart([Leg(entrant, "swap_v0", setting, frozen_seeds(1, 5))], Serial())
-    assert [e["metrics"] for e in entrant.flown(frozen_seeds(1, 5))] == [
-        e["metrics"] for e in whole
-    ]
+    evaluate_distributed([EvaluationSpec(record, "swap_v0", setting, frozen_seeds(1, 5))], Serial())
+    assert [e["metrics"] for e in record.flown(frozen_seeds(1, 5))] == [e["metrics"] for e in whole]
     assert EpisodeFile(tmp_path, "hover", {}).episodes.keys() == set(frozen_seeds(1, 5))
 
 
@@ -108,40 +106,8 @@ def test_another_agent_of_the_same_name_is_refused():
 @pytest.mark.parametrize("more", ["", "+filter"])
 def test_an_agent_s_file_may_vanish_once_it_was_sent(mine, more):
     name = f"{mine}:Fine{more}"
-    entrant = Entrant(name, source_digest(load(name)))
-    leg = Leg(entrant, "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, [3])
-    (job,) = episodes._jobs(leg, "0", 1)
+    record = AgentEpisodes(name, source_digest(load(name)))
+    spec = EvaluationSpec(record, "swap_v0", {"num_drones": 2, "horizon_s": 0.2}, [3])
+    (job,) = episodes._jobs(spec, "0", 1)
     mine.write_text("raise RuntimeError('edited since')")
     assert fly_chunk(**job.arguments)["episodes"][0]["seed"] == 3
-
-
-@pytest.mark.slow
-def test_killed_ten_times_nothing_is_lost_and_nothing_doubled(tmp_path):
-    """Each time at a random moment, between the start and some episodes after the last kill."""
-    rng = random.Random(0)
-    arguments = ["evaluate", "--agent", "straight-line", "detour", "--episodes", "120"]
-    arguments += ["--seed", "3", "--workers", "2"]
-    out, whole = tmp_path / "killed", tmp_path / "whole"
-    command = [sys.executable, "-m", "swarm_envs", *arguments, "--out", str(out)]
-    for kill in range(10):
-        before = kept_count(out)
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        deadline = time.monotonic() + 300
-        wanted = before + rng.randint(0, 12)
-        while kept_count(out) < wanted:
-            assert time.monotonic() < deadline
-            assert process.poll() is None, f"ended before kill {kill}"
-            time.sleep(0.001)
-        time.sleep(rng.uniform(0.0, 0.3))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-        assert kept_count(out) >= before
-    assert main([*arguments, "--out", str(out)]) == 0
-    assert main([*arguments, "--out", str(whole)]) == 0
-    assert report(out) == report(whole)
-    for seeds in kept_seeds(out).values():
-        assert sorted(seeds) == sorted(frozen_seeds(3, 120))
-
-
-def kept_count(out: Path) -> int:
-    return sum(max(0, file.read_bytes().count(b"\n") - 1) for file in out.glob("episodes/*.jsonl"))

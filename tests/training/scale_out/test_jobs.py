@@ -75,20 +75,16 @@ def test_a_job_that_fails_is_told_and_stops_no_other(where, pair):
     assert "missing 1 required" in str(found["wrong arguments"].error)
 
 
-def test_a_job_whose_process_dies_is_begun_anew(tmp_path):
-    jobs = [job("dies", folder=str(tmp_path), times=2), *squares()]
+@pytest.mark.parametrize(("times", "begun"), [(2, 3), (99, 4)])
+def test_a_job_whose_process_dies_is_begun_anew_until_it_is_given_up(times, begun, tmp_path):
     with LocalWorkers(2) as workers:
-        found = done(workers, *jobs)
-    assert found["dies"].result == 3
-    assert not any(outcome.error for outcome in found.values())
-
-
-def test_a_job_that_always_dies_is_given_up_and_the_others_are_done(tmp_path):
-    jobs = [job("dies", folder=str(tmp_path), times=99), *squares()]
-    with LocalWorkers(2, retries=1) as workers:
-        found = done(workers, *jobs)
-    assert "died, 2 times: killed by SIGKILL" in str(found.pop("dies").error)
-    assert len(list(tmp_path.iterdir())) == 2
+        found = done(workers, job("dies", folder=str(tmp_path), times=times), *squares())
+    died = found.pop("dies")
+    assert len(list(tmp_path.iterdir())) == begun
+    if times < begun:
+        assert died.result == begun
+    else:
+        assert f"died, {begun} times: killed by SIGKILL" in str(died.error)
     assert not any(outcome.error for outcome in found.values())
 
 
