@@ -78,13 +78,13 @@ def _fly(agents: list[AgentEpisodes], options: EvaluateOptions, task: str) -> No
         tqdm(total=total, initial=sum(before.values()), unit="episode", mininterval=0.5) as bar,
     ):
 
-        def watch(record: AgentEpisodes, episode: Episode) -> None:
+        def on_episode(record: AgentEpisodes, episode: Episode) -> None:
             bar.set_description_str(record.name[-30:], refresh=False)
             bar.update()
 
         setting = options.setting()
         evaluate_distributed(
-            [EvaluationSpec(e, task, setting, seeds) for e in agents], workers, watch
+            [EvaluationSpec(e, task, setting, seeds) for e in agents], workers, on_episode
         )
 
 

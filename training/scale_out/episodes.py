@@ -95,7 +95,7 @@ class EvaluationSpec:
 def evaluate_distributed(
     specs: Sequence[EvaluationSpec],
     workers: WorkerPool,
-    watch: Callable[[AgentEpisodes, Episode], None] = lambda record, episode: None,
+    on_episode: Callable[[AgentEpisodes, Episode], None] = lambda record, episode: None,
 ) -> None:
     """Fly every agent on every seed that it has no episode of yet.
 
@@ -105,7 +105,7 @@ def evaluate_distributed(
     Args:
         specs: their agents are changed: what came out is in them. Begun in this order.
         workers: who flies.
-        watch: called with each new episode, once it is kept.
+        on_episode: called with each new episode, once it is kept.
 
     Raises:
         OSError: an agent's file cannot be read, or an episode not be kept.
@@ -122,7 +122,7 @@ def evaluate_distributed(
             record.kept.add(*flown)
         for episode in flown:
             record.episodes[episode["seed"]] = episode
-            watch(record, episode)
+            on_episode(record, episode)
         rest = chunk[len(flown) :]
         if rest and place[rest[0]] < record.failed_at:
             if outcome.error is not None:

@@ -29,7 +29,7 @@ from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
 
 RETRIES = 3
-"""How often a job is begun anew after the process or the machine that did it died."""
+"""How often a job is restarted after the process or the machine that did it died."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -77,7 +77,7 @@ class Outcome:
 def answer(request: str) -> str:
     """Do a job, wherever this is, and give its answer as a line of JSON.
 
-    What the function raises is told, not raised: it would be raised again by every retry.
+    An exception of the function is part of the answer; raised, each retry would raise it again.
     """
     try:
         asked = json.loads(request)
@@ -125,13 +125,13 @@ class WorkerPool(ABC):
         Args:
             jobs: emptied.
         """
-        flying: dict[Future[str], Job] = {}
-        while jobs or flying:
-            while jobs and len(flying) < self.size:
+        running: dict[Future[str], Job] = {}
+        while jobs or running:
+            while jobs and len(running) < self.size:
                 job = jobs.popleft()
-                flying[self.submit(job.request())] = job
-            for future in wait(flying, return_when=FIRST_COMPLETED).done:
-                job = flying.pop(future)
+                running[self.submit(job.request())] = job
+            for future in wait(running, return_when=FIRST_COMPLETED).done:
+                job = running.pop(future)
                 try:
                     outcome = Outcome(job, **json.loads(future.result()))
                 except Exception as error:  # no worker outlived the job
@@ -206,13 +206,13 @@ class _Process:
 
 
 class LocalWorkers(WorkerPool):
-    """So many processes, each on one thread. One that dies is replaced, and its job begun anew.
+    """So many processes, each on one thread. One that dies is replaced, and its job restarted.
 
     They end with this process, even if it is killed.
 
     Args:
         count: of processes.
-        retries: how often a job is begun anew after the process that did it has died.
+        retries: how often a job is restarted after the process that did it has died.
 
     Raises:
         ValueError: the count is below one, or the retries negative.

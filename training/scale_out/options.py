@@ -1,4 +1,4 @@
-"""Who shares the work: processes of this machine, or a Ray cluster; as commands are told."""
+"""Who shares the work: processes of this machine, or a Ray cluster, by the options of a command."""
 
 from __future__ import annotations
 
@@ -67,14 +67,14 @@ class ScaleOptions:
 class RayWorkers(WorkerPool):
     """The processors of a Ray cluster, each job on one.
 
-    Jobs whose process or node dies are begun anew elsewhere by Ray. Nodes that join are used. All
+    Jobs whose process or node dies are restarted elsewhere by Ray. Nodes that join are used. All
     need swarm-envs of this version. A connection that the process has is used, and left as it was.
 
     Args:
         address: `auto`, the cluster that runs on this machine or that `RAY_ADDRESS` names; `local`,
             one of this machine alone, which ends with this; or host:port, or ray://host:port.
         cpus: processors of a local one; all if None.
-        retries: how often a job is begun anew after its process or node has died.
+        retries: how often a job is restarted after its process or node has died.
 
     Raises:
         ImportError: Ray is not installed.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cached_property
@@ -300,10 +301,9 @@ def _check_names(board: Board) -> None:
     agents = [agent.name for agent in board.agents]
     metrics = [metric.name for metric in board.metrics]
     pairs = [(cell.task, cell.agent) for cell in board.cells]
-    for what, names in (
-        ("metrics", metrics), ("tasks", tasks), ("agents", agents), ("cells", pairs),
-    ):  # fmt: skip
-        twice = [name for name in dict.fromkeys(names) if names.count(name) > 1]
+    listed: dict[str, list[Any]] = {"metrics": metrics, "tasks": tasks, "agents": agents}
+    for what, names in {**listed, "cells": pairs}.items():
+        twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
             raise ValueError(f"{what} has {twice[0]!r} twice")
     for k, cell in enumerate(board.cells):

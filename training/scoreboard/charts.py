@@ -70,7 +70,7 @@ Palette = dict[str, int]
 """Number of each agent's colour and marker, if it has one: the same all over the page."""
 
 
-class Point(NamedTuple):
+class ComputePoint(NamedTuple):
     """An agent in a chart of score over compute."""
 
     agent: str
@@ -184,7 +184,7 @@ def profile_chart(board: Board, colors: Palette, family: str) -> Element:
         return chart.element(label)
 
 
-def family_points(board: Board, family: str) -> list[Point]:
+def family_points(board: Board, family: str) -> list[ComputePoint]:
     """A family's agents: the score of the leaderboard, and the geometric mean of their times."""
     tasks = [task.id for task in board.tasks if task.task == family]
     points = []
@@ -194,11 +194,11 @@ def family_points(board: Board, family: str) -> list[Point]:
         if known:
             standing = board.aggregates[family][name]
             middle, slow = (math.exp(sum(map(math.log, each)) / len(each)) for each in zip(*known))
-            points.append(Point(name, middle, slow, standing.value, standing.interval))
+            points.append(ComputePoint(name, middle, slow, standing.value, standing.interval))
     return points
 
 
-def task_points(board: Board, task: TaskInfo) -> list[Point]:
+def task_points(board: Board, task: TaskInfo) -> list[ComputePoint]:
     """The agents that flew a task: their success rate and their times."""
     points = []
     for agent in board.agents:
@@ -206,7 +206,7 @@ def task_points(board: Board, task: TaskInfo) -> list[Point]:
         cell = board.pairs.get((task.id, agent.name))
         success = cell.values.get("success_rate") if cell is not None else None
         if times is not None and success is not None and success.value is not None:
-            points.append(Point(agent.name, *times, success.value, success.interval))
+            points.append(ComputePoint(agent.name, *times, success.value, success.interval))
     return points
 
 
@@ -220,7 +220,7 @@ def _times(board: Board, task: str, agent: str) -> tuple[float, float] | None:
 
 
 def compute_chart(
-    board: Board, colors: Palette, points: Sequence[Point], label: str, y_label: str
+    board: Board, colors: Palette, points: Sequence[ComputePoint], label: str, y_label: str
 ) -> Element:
     """Score over compute: up is better, left is cheaper. Whiskers: the interval, and the p99."""
     with mpl.rc_context({**_STYLE, "svg.hashsalt": label}):
@@ -239,7 +239,7 @@ def compute_chart(
         return chart.element(label)
 
 
-def _draw_point(chart: _Chart, point: Point) -> None:
+def _draw_point(chart: _Chart, point: ComputePoint) -> None:
     x, y, name = point.micros, point.score, point.agent
     low, high = point.interval or (y, y)
     whiskers = [x, point.slow, math.nan, x, x], [y, y, math.nan, low, high]
@@ -253,7 +253,7 @@ def _draw_point(chart: _Chart, point: Point) -> None:
     chart.belongs(mark, "mark", name, f"{said} (p99 {format_micros(point.slow)})")
 
 
-def _name_points(chart: _Chart, points: Sequence[Point]) -> None:
+def _name_points(chart: _Chart, points: Sequence[ComputePoint]) -> None:
     """Names beside the marks that have a colour, where there is room for one."""
     taken = [box for point in points for box in _boxes(chart, point)]
     inside = chart.axes.bbox
@@ -276,7 +276,7 @@ def _name_points(chart: _Chart, points: Sequence[Point]) -> None:
             name.remove()
 
 
-def _boxes(chart: _Chart, point: Point) -> list[Bbox]:
+def _boxes(chart: _Chart, point: ComputePoint) -> list[Bbox]:
     """What a mark and its whiskers take, in points from the left and from below."""
     low, high = point.interval or (point.score, point.score)
     places = [(point.micros, point.score), (point.slow, low), (point.micros, high)]

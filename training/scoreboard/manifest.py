@@ -33,11 +33,8 @@ class OtherBenchmark(ValueError):
 class Manifest:
     """The manifest of a folder: written when a run begins, and again when it ends.
 
-    Runs that were killed are in it with the time at which they began, and no more.
-
-    Args:
-        folder: of the benchmark.
-        config: everything that the results depend on, ready for JSON.
+    Runs that were killed are in it with the time at which they began, and no more. The config is
+    everything that the results depend on, ready for JSON.
 
     Raises:
         OtherBenchmark: the folder holds the benchmark of another config.
@@ -69,21 +66,13 @@ class Manifest:
         return runs
 
     def begin(self, command: Sequence[str]) -> None:
-        """Note that a run begins.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Note that a run begins, by this command."""
         self._runs.append({"started": datetime.now(UTC).isoformat(timespec="seconds")})
         self._about = {"command": shlex.join(command), **_surroundings()}
         write_json(self._path, self.content())
 
     def end(self) -> None:
-        """Note that the run is done, and what it took.
-
-        Raises:
-            OSError: the file cannot be written.
-        """
+        """Note that the run is done, and what it took."""
         spent = {"wall_s": time.monotonic() - self._began, "cpu_s": _cpu_s() - self._cpu}
         self._runs[-1] |= {name: round(value, 1) for name, value in spent.items()}
         write_json(self._path, self.content())

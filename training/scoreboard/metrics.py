@@ -153,11 +153,9 @@ def _makespan(task: ScoredTask, metrics: Mapping[str, Any]) -> float | None:
 
 
 def values_of(rows: Sequence[EpisodeRow], act_us: Sequence[int]) -> dict[str, dict[str, Any]]:
-    """What episodes add up to, by metric.
+    """What an agent's episodes of a task add up to, by metric; at least one.
 
-    Args:
-        rows: of one agent on one task, at least one.
-        act_us: times of its decisions, microseconds.
+    `act_us` are the times of its decisions, microseconds.
     """
     return {metric.name: _value(metric, rows, act_us) for metric in METRICS}
 

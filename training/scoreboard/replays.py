@@ -29,20 +29,11 @@ MOST_SAMPLES = 6_000
 def choose_episode(
     task: str, agent: str, episodes: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any] | None:
-    """The episode of a cell that teaches most.
+    """What `scores.json` says of the episode of a cell that teaches most; None if none was flown.
 
     If some succeed and some fail, the first that failed, with a collision if any did; if all
-    succeed, the one in which two drones came nearest; if all fail, the first.
-
-    Args:
-        task: id of the task.
-        agent: its name.
-        episodes: of the cell in the order of the seeds, each with `seed`, `success`, `collided`
-            and `minimum_separation_m`; `refused` ones, which were not flown, are passed over.
-
-    Returns:
-        What `scores.json` says of a replay: `seed`, `episode` (its index), `success`, `file`,
-        `why`. None if nothing was flown.
+    succeed, the one in which two drones came nearest; if all fail, the first. Episodes are rows in
+    the order of the seeds; `refused` ones, which were not flown, are passed over.
     """
     flown = [(k, each) for k, each in enumerate(episodes) if not each.get("refused")]
     if not flown:
@@ -150,23 +141,15 @@ def record_one(
     seed: int,
     success: bool | None,
 ) -> str | None:
-    """Fly an episode, and write its page.
-
-    Args:
-        file: the page.
-        environment: first argument of `swarm_envs.make`.
-        options: the others, beside what the agent requires.
-        agent: name, as of `swarm_envs.agents.load`.
-        seed: of the episode.
-        success: whether it succeeded when it was scored, if that is known.
+    """Fly an episode of an agent again, and write its page: a job of `record_replays`.
 
     Returns:
-        A warning, if it now ends in another way.
+        A warning, if it now ends in another way than when it was scored, where that is known.
     """
-    pilot = load(agent)
-    env = make(environment, **{**options, **pilot.requires})
+    loaded = load(agent)
+    env = make(environment, **{**options, **loaded.requires})
     try:
-        recording = record_episode(env, pilot, seed, name=agent)
+        recording = record_episode(env, loaded, seed, name=agent)
     finally:
         env.close()
     write_replay(Path(file), recording, shared=True, most_samples=MOST_SAMPLES)

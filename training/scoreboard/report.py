@@ -11,7 +11,7 @@ import base64
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from html import escape
 from importlib import resources
 from pathlib import Path
@@ -212,7 +212,7 @@ def _legend(board: Board, colors: Palette) -> Element:
 
 def _profiles(board: Board, colors: Palette) -> list[Element]:
     return [
-        _figure(family, charts.profile_chart(board, colors, family))
+        tag("figure", tag("figcaption", family), charts.profile_chart(board, colors, family))
         for family in board.families
         if family in board.profiles
     ]
@@ -220,26 +220,21 @@ def _profiles(board: Board, colors: Palette) -> list[Element]:
 
 def _compute(board: Board, colors: Palette) -> list[Element]:
     """A chart for each family, and behind a fold one for each task."""
-    figures, single = [], []
-    for family in board.families:
-        points = charts.family_points(board, family)
-        if points:
-            said = f"Score over compute, {family}"
-            chart = charts.compute_chart(board, colors, points, said, "score, %")
-            figures.append(_figure(family, chart))
-    for task in board.tasks:
-        points = charts.task_points(board, task)
-        if points:
-            name = f"{task.task} {short_label(task)}"
-            said = f"Success over compute, {name}"
-            chart = charts.compute_chart(board, colors, points, said, "success, %")
-            single.append(_figure(name, chart))
+
+    def figure(name: str, points: Sequence[charts.ComputePoint], what: str) -> list[Element]:
+        if not points:
+            return []
+        said, unit = f"{what} over compute, {name}", f"{what.lower()}, %"
+        chart = charts.compute_chart(board, colors, points, said, unit)
+        return [tag("figure", tag("figcaption", name), chart)]
+
+    figures = [figure(f, charts.family_points(board, f), "Score") for f in board.families]
+    single = [
+        figure(f"{task.task} {short_label(task)}", charts.task_points(board, task), "Success")
+        for task in board.tasks
+    ]
     fold = tag("summary", "Task by task: success rate"), tag("div", single, class_="cards")
     return [tag("div", figures, class_="cards"), tag("details", *fold)]
-
-
-def _figure(name: str, drawn: Element) -> Element:
-    return tag("figure", tag("figcaption", name), drawn)
 
 
 def _reproduce(board: Board) -> list[Element]:

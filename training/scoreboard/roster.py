@@ -123,3 +123,7 @@ def _may_be_loaded(name: str) -> bool:
     """Whether a name is that of a file, or of one that ships."""
     inner = name.removesuffix(FILTER)
     return inner in SHIPPED or ":" in inner or Path(inner).exists()
+
+
+choose = choose_agents
+"""Its name in 0.1.0."""

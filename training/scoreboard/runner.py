@@ -247,7 +247,7 @@ def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
     bar_format = "{l_bar}{bar}| {elapsed}<{remaining}{postfix}"
     with scale.open() as workers, tqdm(total=work, bar_format=bar_format, mininterval=0.5) as bar:
 
-        def watch(record: AgentEpisodes, episode: Episode) -> None:
+        def on_episode(record: AgentEpisodes, episode: Episode) -> None:
             nonlocal done
             done += 1
             task = cells_of[id(record)].task
@@ -258,7 +258,7 @@ def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
             else:
                 bar.update(costs[id(record)])
 
-        evaluate_distributed(left, workers, watch)
+        evaluate_distributed(left, workers, on_episode)
         bar.total = bar.n  # agents that failed flew less
     failed = [spec.record for spec in left if spec.record.failure is not None]
     traces = {record.name: record.trace for record in failed if ":" in record.name}
@@ -304,3 +304,7 @@ def _times(cells: Sequence[Evaluation]) -> list[EpisodeRow]:
         for k, episode in enumerate(cell.episodes)
         if episode["act_us"]
     ]
+
+
+Plan, run = BenchmarkPlan, run_benchmark
+"""Their names in 0.1.0."""

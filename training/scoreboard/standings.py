@@ -124,13 +124,7 @@ def _interval(drawn: FloatArray) -> FloatArray:
 def scores_of(
     manifest: Mapping[str, Any], cells: Sequence[Evaluation], rows: Sequence[Sequence[EpisodeRow]]
 ) -> dict[str, Any]:
-    """Everything that the report is made of, ready for JSON.
-
-    Args:
-        manifest: of the benchmark.
-        cells: every agent on every task.
-        rows: each cell's episodes, as of `row_of`.
-    """
+    """What `scores.json` holds, out of each evaluation and the rows of its episodes."""
     tasks = list({cell.task.id: cell.task for cell in cells}.values())
     agents = list({cell.loaded.name: cell.loaded for cell in cells}.values())
     standings, profiles = _families(cells, rows)
@@ -214,11 +208,7 @@ def _aggregate(parts: Sequence[FloatArray], label: str, of: int) -> dict[str, An
 
 
 def standings(content: Mapping[str, Any]) -> list[list[str]]:
-    """Rows of the agents' aggregates by family, a head first.
-
-    Args:
-        content: what `scores.json` holds.
-    """
+    """Rows of the agents' aggregates by family, a head first, out of a `scores.json`."""
     families = list(content["aggregates"])
     rows = [["agent", *families]]
     for agent in content["agents"]:
@@ -228,13 +218,9 @@ def standings(content: Mapping[str, Any]) -> list[list[str]]:
 
 
 def success_rates(content: Mapping[str, Any], family: str) -> list[list[str]]:
-    """Rows of the agents' success rates on the tasks of a family, percent, a head first.
+    """Rows of the agents' success rates on a family's tasks, percent, a head first.
 
     Agents that support none of them are left out.
-
-    Args:
-        content: what `scores.json` holds.
-        family: such as `swap`.
     """
     tasks = [task for task in content["tasks"] if task["task"] == family]
     cells = {(cell["task"], cell["agent"]): cell for cell in content["cells"]}
@@ -315,7 +301,7 @@ def put_into(page: str, text: str) -> str:
     return new
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def update_page(arguments: Sequence[str] | None = None) -> None:
     """Put a benchmark's tables into a page."""
     parser = argparse.ArgumentParser(
         description="A scoreboard in a few tables of text, for terminals and for pages."
@@ -329,5 +315,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         partial.write_text(text, encoding="utf-8")
 
 
+aligned = align_columns
+"""Its name in 0.1.0."""
+
+
 if __name__ == "__main__":
-    main()
+    update_page()

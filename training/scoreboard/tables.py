@@ -41,15 +41,8 @@ class Tables:
         board = self._board
         over = [tag("td")]
         for family, tasks in groupby(board.tasks, lambda task: task.task):
-            over.append(
-                tag(
-                    "th",
-                    tag("span", family),
-                    colspan=len(list(tasks)),
-                    scope="colgroup",
-                    data_family=family,
-                )
-            )
+            span = {"colspan": len(list(tasks)), "scope": "colgroup", "data_family": family}
+            over.append(tag("th", tag("span", family), **span))
         heads = [_sortable("agent")] + [
             _sortable(short_label(task), data_task=task.id, data_family=task.task, title=task.id)
             for task in board.tasks
@@ -104,15 +97,8 @@ class Tables:
         metric = self._board.metrics[0]
         part = tag("abbr", "†", title=cell.reason, class_="part") if cell.reason else None
         shown = tag("a", self._number(cell, metric), class_="n", href=f"#{self._row_id(cell)}")
-        return tag(
-            "td",
-            self._replay(cell),
-            part,
-            shown,
-            class_="flown",
-            data_family=task.task,
-            **self._data(cell, metric),
-        )
+        data = {"data_family": task.task, **self._data(cell, metric)}
+        return tag("td", self._replay(cell), part, shown, class_="flown", **data)
 
     def _number_row(self, task: TaskInfo, agent: AgentInfo, cell: CellResult) -> Element:
         values = [

@@ -176,3 +176,7 @@ def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
         if not any(fnmatchcase(name, pattern) for name in TASKS):
             raise ValueError(unknown_name("task", pattern, TASKS, "of the benchmark"))
     return [t for t in _TABLE if any(fnmatchcase(t.id, pattern) for pattern in patterns)]
+
+
+choose = choose_tasks
+"""Its name in 0.1.0."""

@@ -100,19 +100,6 @@ def test_the_queue_may_be_changed_between_outcomes(pair):
     assert len(given) <= 4  # two were under way
 
 
-def test_leaving_gives_up_at_once(tmp_path):
-    jobs = deque(job("slow", folder=str(tmp_path), name=n, seconds=600.0) for n in "abc")
-    begun = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), LocalWorkers(2) as workers:
-        for request in jobs:
-            workers.submit(request.request())
-        while len(list(tmp_path.iterdir())) < 2:
-            time.sleep(0.01)
-        raise KeyboardInterrupt
-    assert time.monotonic() - begun < 300
-    assert not any(alive(file) for file in tmp_path.iterdir())
-
-
 DRIVER = f"""
 import signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a job in the background ignores it

@@ -192,7 +192,7 @@ def test_names_in_a_chart_are_told_from_each_other(folder, seed):
     board, rng = read(folder), np.random.default_rng(seed)
     colors = palette(board)
     points = [
-        charts.Point(name, micros, 3 * micros, rng.uniform(), None)
+        charts.ComputePoint(name, micros, 3 * micros, rng.uniform(), None)
         for name, micros in zip(colors, 10 ** rng.uniform(1, 2, 8), strict=True)
     ]
     drawn = charts.compute_chart(board, colors, points, "A chart", "score, %")

@@ -1,20 +1,26 @@
-"""The scoreboard as text: numbers are those of the cells, and a page keeps the rest of itself."""
+"""Aggregates and profiles against scipy and counting; tables of text against their cells."""
 
 from __future__ import annotations
 
 import json
 from typing import Any
 
+import numpy as np
 import pytest
+from scipy.stats import trim_mean
 
 from swarm_envs.training.scoreboard.standings import (
     BEGIN,
     END,
+    THRESHOLDS,
+    aggregate,
     align_columns,
-    main,
+    performance_profile,
     put_into,
     standings,
     success_rates,
+    update_page,
+    weighted_interquartile_mean,
 )
 from tests.helpers.pages import DOCS
 
@@ -71,13 +77,13 @@ def test_a_page_gets_the_results_and_keeps_the_rest(tmp_path):
     page = tmp_path / "page.md"
     page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     (tmp_path / "scores.json").write_text(json.dumps(CONTENT), encoding="utf-8")
-    main([str(tmp_path), "--into", str(page)])
+    update_page([str(tmp_path), "--into", str(page)])
     first = page.read_text(encoding="utf-8")
     assert first.startswith(f"before\n{BEGIN}\n") and first.endswith(f"\n{END}\nafter\n")
     assert "old" not in first
     assert "`swarm-envs benchmark --out board --workers 2`: 48 episodes, 2 CPU minutes" in first
     assert "| b | failed | 100 |" in first
-    main([str(tmp_path), "--into", str(page)])
+    update_page([str(tmp_path), "--into", str(page)])
     assert page.read_text(encoding="utf-8") == first
 
 
@@ -85,3 +91,74 @@ def test_a_page_without_a_place_for_results_is_refused():
     with pytest.raises(ValueError, match="must have one '<!-- results -->'"):
         put_into("nothing here", "x")
     assert put_into((DOCS / "benchmark.md").read_text(encoding="utf-8"), "x").count("\nx\n") == 1
+
+
+def draws(seed: int, *sizes: int) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [rng.beta(2.0, 3.0, size) for size in sizes]
+
+
+@pytest.mark.parametrize(
+    "weights", [np.ones(40), np.array([3, 1, 1, 2, 1, 1, 1, 4, 1, 1, 2, 1, 1])]
+)
+def test_whole_weights_are_values_that_occur_so_often(weights):
+    (values,) = draws(0, len(weights))
+    both = np.stack([values, values[::-1] ** 2])
+    repeated = np.repeat(both, weights.astype(int), axis=1)
+    assert repeated.shape[1] % 4 == 0  # else the trimmed mean leaves out other shares
+    found = weighted_interquartile_mean(both, weights.astype(float))
+    assert found == pytest.approx(trim_mean(repeated, 0.25, axis=1))
+
+
+def test_values_that_end_a_quarter_count_in_part():
+    values = np.array([0.0, 1.0, 2.0])  # quarters end within the outer two
+    expected = (0.0 * (1 / 3 - 1 / 4) + 1.0 / 3 + 2.0 * (1 / 3 - 1 / 4)) / 0.5
+    assert weighted_interquartile_mean(values, np.ones(3)) == pytest.approx(expected)
+
+
+def test_tasks_weigh_the_same_however_many_episodes_were_flown():
+    few, many = draws(2, 16, 64)
+    value, _ = aggregate([few, many])
+    assert value == pytest.approx(trim_mean(np.concatenate([np.repeat(few, 4), many]), 0.25))
+
+
+def test_an_interval_holds_the_truth_about_as_often_as_it_says():
+    """Of two tasks whose scores are alike but for a shift; the truth is that of 80,000 draws."""
+    first, second = draws(3, 40_000, 40_000)
+    truth = trim_mean(np.concatenate([first, second + 0.2]), 0.25)
+    held = 0
+    for seed in range(80):
+        first, second = draws(100 + seed, 40, 20)
+        _, (low, high) = aggregate([first, second + 0.2])
+        held += low <= truth <= high
+    assert 0.87 <= held / 80 <= 0.99  # 95 % give or take three standard errors
+
+
+def test_the_bootstrap_draws_within_tasks():
+    """Each task is constant: however it is drawn, nothing varies, and the interval is a point."""
+    value, interval = aggregate([np.full(10, 0.2), np.full(30, 0.8)])
+    assert [value, *interval] == pytest.approx([0.5, 0.5, 0.5])
+
+
+def test_a_profile_counts_what_is_above_each_threshold():
+    parts = draws(4, 24, 48)
+    found = performance_profile(parts)
+    for threshold, fraction in zip(THRESHOLDS, found["fraction"], strict=True):
+        counted = np.mean([(part > threshold).mean() for part in parts])
+        assert fraction == pytest.approx(counted if threshold < 1.0 else 0.0)
+    ends = zip(found["low"], found["fraction"], found["high"], strict=True)
+    assert all(low - 1e-9 <= fraction <= high + 1e-9 for low, fraction, high in ends)
+    for score in (0.0, 1.0):  # perfect scores reach the last threshold
+        fractions = performance_profile([np.full(5, score)])["fraction"]
+        assert fractions == [score] * len(THRESHOLDS)
+
+
+def test_the_same_scores_give_the_same_bytes():
+    for summary in (aggregate, performance_profile):
+        assert summary(draws(5, 30, 9)) == summary(draws(5, 30, 9))
+
+
+@pytest.mark.parametrize("scores", [[], [np.ones(3), np.ones(0)]])
+def test_nothing_to_put_together_is_refused(scores):
+    with pytest.raises(ValueError, match="no score to put together"):
+        aggregate(scores)
