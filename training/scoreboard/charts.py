@@ -11,10 +11,11 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from io import StringIO
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element, fromstring
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
@@ -40,7 +41,7 @@ _THEME = {
     _PAPER: "var(--paper)",
 }
 """What stands for a colour in a drawing, and the style sheet's name of that colour."""
-_STYLE = {
+_STYLE: Any = {
     "font.size": 12,
     "font.sans-serif": ["DejaVu Sans"],
     "text.color": _QUIET,
@@ -100,7 +101,8 @@ def color_class(colors: Palette, name: str) -> str:
 def swatch(colors: Palette, name: str) -> Element:
     """An agent's marker beside its name in a text."""
     style = MarkerStyle(_marker(colors, name))
-    outline = style.get_path().transformed(style.get_transform()).to_polygons()[0]
+    path = style.get_path().transformed(style.get_transform())
+    outline = np.asarray(path.to_polygons()[0]).tolist()
     points = "L".join(f"{7 + 9 * x:.1f} {7 - 9 * y:.1f}" for x, y in outline)
     of = color_class(colors, name)
     drawn = tag("path", d=f"M{points}Z")

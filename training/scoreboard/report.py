@@ -104,8 +104,11 @@ def _facts(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     started = str(manifest.get("started") or "")
     if started:
         yield "Started", started[:16].replace("T", " ") + " UTC"
-    times = ((manifest.get(key), word) for key, word in (("wall_s", "wall"), ("cpu_s", "CPU")))
-    taken = [f"{format_duration(t)} {word}" for t, word in times if type(t) in (int, float)]
+    taken = [
+        f"{format_duration(manifest[key])} {word}"
+        for key, word in (("wall_s", "wall"), ("cpu_s", "CPU"))
+        if type(manifest.get(key)) in (int, float)
+    ]
     if taken:
         yield "Took", ", ".join(taken)
     machine = manifest.get("machine")
