@@ -71,7 +71,8 @@ def test_forces_count_few_references():
     or in the sweep of many drones.
     """
     load("learned").forces(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), "SS")
-    code = "".join(write_forces.inspect_llvm(s) for s in write_forces.signatures)
+    compiled: Any = write_forces
+    code = "".join(compiled.inspect_llvm(s) for s in compiled.signatures)
     body = next(f for f in re.split(r"^define ", code, flags=re.M) if "swarm_forces" in f[:200])
     assert body.count("@NRT_incref(") <= 12
 
