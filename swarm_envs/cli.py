@@ -162,9 +162,9 @@ def _export(arguments: Sequence[str]) -> int:
 
 def _train(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train import check, run
-    from swarm_envs.training.rl.config import TrainConfig
+    from swarm_envs.training.rl.rl_config import RlConfig
 
-    config = _read("train", TrainConfig, arguments, prefixes=True)
+    config = _read("train", RlConfig, arguments, prefixes=True)
     check(config)
     _need_torch()
     run(config)

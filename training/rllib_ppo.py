@@ -32,7 +32,7 @@ from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_integer
 from swarm_envs.files import claimed, write_json
-from swarm_envs.training.rl.judging import Judges, choosing_seeds
+from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 
 TASK, ENVIRONMENT, SHARED = "swap_v0", "swarm-envs-swap", "all"
 """What is flown, the name under which RLlib knows it, and that of the one policy."""
@@ -57,7 +57,7 @@ class RllibConfig:
     layout: str = "random"
     """of the task"""
     interactions: str = "learned"
-    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
+    """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float = 3.5
     """the clock of training, s"""
     num_neighbors: int = 3
@@ -95,7 +95,7 @@ class RllibConfig:
 
 
 class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has no types
-    """Gives each drone the features of its observation row, which our policies are told."""
+    """Observes the features of each drone's row, as the policies of this package do."""
 
     def __init__(self, env: SwarmParallelEnv) -> None:
         super().__init__(env)
@@ -119,8 +119,8 @@ class FeatureEnv(BaseParallelWrapper):  # type: ignore[misc]  # PettingZoo has n
         return self._features(rows), *rest
 
     def _features(self, rows: Mapping[str, Float32Array]) -> dict[str, Float32Array]:
-        told = FEATURE_SETS[GOAL].make(np.stack(list(rows.values())), self._num_neighbors)
-        return dict(zip(rows, told, strict=True))
+        found = FEATURE_SETS[GOAL].make(np.stack(list(rows.values())), self._num_neighbors)
+        return dict(zip(rows, found, strict=True))
 
 
 def make_env(options: Mapping[str, Any]) -> Any:
@@ -185,7 +185,7 @@ def actor(module: Any, width: int) -> Layers:
     return (*hidden, (head[:width], bias[:width]))
 
 
-def train(config: RllibConfig) -> dict[str, Any]:
+def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
     """Train, write the policy after every batch, judge it at the end, and return the report.
 
     What was written stays if the training is ended early; RLlib's own checkpoints hold pickles,
@@ -206,9 +206,9 @@ def train(config: RllibConfig) -> dict[str, Any]:
         register_env(ENVIRONMENT, make_env)
         policy = _learn(config, algorithm_config(config).build_algo())
         options = {"num_drones": config.drones, "interactions": config.interactions}
-        judges = Judges(TASK, (config.layout,), choosing_seeds(config.judge_episodes), options)
-        report = {**policy.provenance, "chosen": judges.judge(policy)}
-        judges.close()
+        seeds = choosing_seeds(config.judge_episodes)
+        chosen = evaluate_policy(policy, TASK, (config.layout,), seeds, options)
+        report = {**policy.provenance, "chosen": chosen}
         report["wall_s"] = round(time.monotonic() - begun, 1)
         write_json(config.out / "report.json", report)
     return report
@@ -241,7 +241,7 @@ def main() -> None:
 
     config = tyro.cli(RllibConfig, prog="python -m swarm_envs.training.rllib_ppo")
     try:
-        report = train(config)
+        report = train_with_rllib(config)
     except (ImportError, OSError) as error:
         sys.exit(f"error: {error}")
     tqdm.write(f"{report['steps']:,} steps in {report['wall_s']:.0f} s")

@@ -6,18 +6,20 @@ One policy flies all of them (parameter sharing), and they fly in one batched ca
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
+from swarm_envs.agents.feature_sets import FEATURE_SETS
 from swarm_envs.envs.config import check_num_envs
-from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import split_teams
-from swarm_envs.envs.observation import observation_space, shaper
+from swarm_envs.envs.observation import Float32Array, observation_space, shaper
 from swarm_envs.envs.options import Blueprint, batch_of
-from swarm_envs.errors import check_integer
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import FloatArray
 
 try:
@@ -42,50 +44,77 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     Its copies and pickles have simulators of their own, and fly on as it would.
 
     Args:
-        task: name of the task, such as `swap_v0`; or a blueprint, made with a task of one's own.
-        num_envs: E.
+        task: name of the task, such as `swap_v0`; or a blueprint, made with a task of one's own; or
+            several blueprints, whose teams fly side by side: first all drones of the first, then
+            those of the next.
+        num_envs: E, of each team.
         seed: of environment 0, counted up for the others.
+        features: what a policy of `swarm_envs.agents` computes from an observation row, one of its
+            `FEATURE_SETS`, is observed instead of the row; None for the row itself.
         **options: as the task's `parallel_env()` takes them; the batched engine flies unless
             `physics` says otherwise. None with a blueprint, which has them already.
 
     Raises:
         TypeError: an option does not exist, or has a wrong type.
-        ValueError: there is no such task, or an option has an impossible value.
+        ValueError: there is no such task, an option has an impossible value, or teams differ in
+            what they observe or in how they act.
     """
 
     def __init__(
-        self, task: str | Blueprint, num_envs: int = 1, seed: int | None = None, **options: Any
+        self,
+        task: str | Blueprint | Sequence[Blueprint],
+        num_envs: int = 1,
+        seed: int | None = None,
+        *,
+        features: str | None = None,
+        **options: Any,
     ) -> None:
         count = check_num_envs(num_envs)
-        if not isinstance(task, str | Blueprint):
-            rule = "must be a task's name, such as 'swap_v0', or a blueprint"
-            raise TypeError(f"task is {task!r:.80}, but {rule}")
-        if not isinstance(task, str) and options:
-            raise TypeError(f"{', '.join(options)}: give options to the blueprint, not beside it")
-        blueprint = batch_of(task, **options) if isinstance(task, str) else task
-        self.core = SwarmCore(blueprint.task, blueprint.config, count)
-        drones, edge = self.core.num_drones, 1.0 if self.core.mode.bounded else np.inf
-        self._shape = shaper(*self.core.form)
+        blueprints = _blueprints(task, options)
+        if features is not None:
+            check_name("features", features, FEATURE_SETS)
+        self.cores = tuple(SwarmCore(found.task, found.config, count) for found in blueprints)
+        self.features = features
+        _check_alike(self.cores)
+        self._make_shape()
+        sizes = [count * core.num_drones for core in self.cores]
+        self._begins = list(accumulate(sizes, initial=0))
+        self._team_of = np.repeat(np.arange(len(sizes)), sizes)
         self.render_mode = None
-        super().__init__(
-            count * drones,
-            observation_space(*self.core.form),
-            spaces.Box(-edge, edge, (self.core.mode.width,), np.float32),
-        )
-        self._actions: FloatArray = np.zeros((count, drones, self.core.mode.width))
-        self._next_seeds: list[int | None] | None = None
+        edge = 1.0 if self.core.mode.bounded else np.inf
+        actions = spaces.Box(-edge, edge, (self.core.mode.width,), np.float32)
+        super().__init__(sum(sizes), self._observed_space(), actions)
+        self._actions: list[FloatArray] = []
+        self._next_seeds: list[list[int] | None] = [None] * len(self.cores)
         self._begun = self._closed = False
         if seed is not None:
             self.seed(seed)
 
+    @property
+    def core(self) -> SwarmCore:
+        """The environments of the first team."""
+        return self.cores[0]
+
+    def observe(self, rows: Float32Array) -> Any:
+        """Observations of a core's rows (..., width): in its form, or as features."""
+        return self._shape(rows)
+
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
-        """Seed the next reset: environment e by `seed` + e; every drone of it alike."""
+        """Seed the next reset: environment e by `seed` + e; every drone of it alike.
+
+        The first environment of a further team has `seed` plus the sub-environments before it.
+        """
         if seed is None:
-            self._next_seeds = None
+            self._next_seeds = [None] * len(self.cores)
             return [None] * self.num_envs
         first = check_integer("seed", seed, 0)
-        self._next_seeds = [first + e for e in range(self.core.num_envs)]
-        return [seed for seed in self._next_seeds for _ in range(self.core.num_drones)]
+        seeds = [
+            [first + begin + e for e in range(core.num_envs)]
+            for core, begin in zip(self.cores, self._begins, strict=False)
+        ]
+        self._next_seeds = [*seeds]
+        drones = [core.num_drones for core in self.cores]
+        return [s for own, n in zip(seeds, drones, strict=True) for s in own for _ in range(n)]
 
     def reset(self) -> Any:
         """Begin new episodes everywhere, with what `seed()` and `set_options()` were given.
@@ -96,7 +125,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         """
         self._check_open("reset")
         self._place()
-        self._next_seeds, self._begun = None, True
+        self._next_seeds, self._begun = [None] * len(self.cores), True
         self._reset_options()
         self.reset_infos: Infos = [{} for _ in range(self.num_envs)]
         return self._observations()
@@ -111,7 +140,12 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         self._check_open("step")
         if not self._begun:
             raise RuntimeError("step() was called, but no episode has begun; call reset() first")
-        self._actions = split_teams(actions, (self.num_envs, self.core.mode.width), self.core)
+        # np.split hands the last team all rows that are left, so too many are refused there
+        parts = np.split(actions, self._begins[1:-1]) if len(self.cores) > 1 else [actions]
+        self._actions = [
+            split_teams(part, (core.num_envs * core.num_drones, core.mode.width), core)
+            for core, part in zip(self.cores, parts, strict=True)
+        ]
 
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
         """Fly to the next decision, and begin new episodes where one has ended.
@@ -119,44 +153,53 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         Raises:
             ValueError: an action is not finite or outside its bounds; nothing has changed then.
         """
-        result = self.core.step(self._actions)
-        ended = result.terminated | result.truncated
+        rewards, dones = [], []
         infos: Infos = [{"TimeLimit.truncated": False}] * self.num_envs
-        if ended.any():
-            self._report_ends(result, ended, infos)
-            self.core.reset(mask=ended)
-        rewards = result.rewards.reshape(-1).astype(np.float32)
-        return self._observations(), rewards, np.repeat(ended, self.core.num_drones), infos
+        for core, actions, begin in zip(self.cores, self._actions, self._begins, strict=False):
+            result = core.step(actions)
+            ended = result.terminated | result.truncated
+            if ended.any():
+                over = np.flatnonzero(ended).tolist()
+                self._report_ends(core, over, result.truncated, infos, begin)
+                core.reset(mask=ended)
+            rewards.append(result.rewards.reshape(-1).astype(np.float32))
+            dones.append(np.repeat(ended, core.num_drones))
+        return self._observations(), np.concatenate(rewards), np.concatenate(dones), infos
 
-    def _report_ends(self, result: StepResult, ended: npt.NDArray[np.bool_], infos: Infos) -> None:
-        drones = self.core.num_drones
-        over = np.flatnonzero(ended)
-        environments, last = over.tolist(), self.core.rows[over]
-        told = self.core.metrics_of(environments)
-        for e, rows, metrics in zip(environments, last, told, strict=True):
+    def _report_ends(
+        self, core: SwarmCore, over: list[int], cut: npt.NDArray[np.bool_], infos: Infos, begin: int
+    ) -> None:
+        """Fill the infos, from number `begin` on, of the environments of a team that are over."""
+        drones, last = core.num_drones, core.rows[over]
+        shown = self.observe(last.reshape(len(over) * drones, -1))
+        for place, (e, metrics) in enumerate(zip(over, core.metrics_of(over), strict=True)):
             for i in range(drones):
-                infos[e * drones + i] = {
-                    "TimeLimit.truncated": bool(result.truncated[e]),
-                    "terminal_observation": self._shape(rows[i]),
+                infos[begin + e * drones + i] = {
+                    "TimeLimit.truncated": bool(cut[e]),
+                    "terminal_observation": _row(shown, place * drones + i),
                     "episode_metrics": metrics,
                 }
 
     def _observations(self) -> Any:
-        return self._shape(self.core.rows.reshape(self.num_envs, -1).copy())
+        width = self.core.rows.shape[-1]
+        return self.observe(np.concatenate([core.rows.reshape(-1, width) for core in self.cores]))
 
     def close(self) -> None:
         """Free what physics holds."""
         self._closed = True
-        self.core.close()
+        for core in self.cores:
+            core.close()
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
         """No pictures: fly an episode with `parallel_env(render_mode="rgb_array")` for those."""
         return [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """The core's attribute, once for each sub-environment."""
-        value = getattr(self.core, attr_name) if attr_name != "render_mode" else None
-        return [value] * len(self._indices(indices))
+        """An attribute of each sub-environment's core."""
+        if attr_name == "render_mode":
+            return [None for _ in self._get_indices(indices)]
+        values = [getattr(core, attr_name) for core in self.cores]
+        return [values[self._team_of[k]] for k in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refused: sub-environments are views of one core.
@@ -172,13 +215,17 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def env_method(
         self, method_name: str, *arguments: Any, indices: Any = None, **options: Any
     ) -> list[Any]:
-        """Call a method of the core once, and give its result for each sub-environment."""
-        value = getattr(self.core, method_name)(*arguments, **options)
-        return [value] * len(self._indices(indices))
+        """Call a method of each core that is meant once, and give its result where it is meant."""
+        teams = [int(self._team_of[k]) for k in self._get_indices(indices)]
+        values = {
+            team: getattr(self.cores[team], method_name)(*arguments, **options)
+            for team in sorted(set(teams))
+        }
+        return [values[team] for team in teams]
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
         """No sub-environment is wrapped: wrap this one, as with `VecMonitor`."""
-        return [False] * len(self._indices(indices))
+        return [False for _ in self._get_indices(indices)]
 
     def __getstate__(self) -> dict[str, Any]:
         """All but the function that shapes observations, which cannot be pickled."""
@@ -188,39 +235,92 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take what a pickle holds, and make the rest anew."""
         self.__dict__.update(state)
-        self._shape = shaper(*self.core.form)
+        self._make_shape()
+
+    def _make_shape(self) -> None:
+        form, neighbors = self.core.form, self.core.config.num_neighbors
+        self._shape = shaper(*form)
+        if self.features is not None:
+            make = FEATURE_SETS[self.features].make
+            self._shape = lambda rows: make(rows, neighbors)
+
+    def _observed_space(self) -> spaces.Space[Any]:
+        if self.features is None:
+            return observation_space(*self.core.form)
+        sizes = FEATURE_SETS[self.features].sizes(self.core.config.num_neighbors)
+        return spaces.Box(-np.inf, np.inf, (sizes.width,), np.float32)
 
     def _check_open(self, what: str) -> None:
         if self._closed:
             raise RuntimeError(f"{what}() was called on a closed environment; make a new one")
 
     def _place(self) -> None:
-        envs, drones = self.core.num_envs, self.core.num_drones
         if len(self._options) != self.num_envs:
             raise ValueError(
                 f"options has {len(self._options)} entries, but must have {self.num_envs}: one for "
                 "each drone of each environment, or be one dictionary for all"
             )
         if not any(self._options):
-            self.core.reset(self._next_seeds)
+            for core, seeds in zip(self.cores, self._next_seeds, strict=True):
+                core.reset(seeds)
             return
-        for e in range(envs):
-            first, *others = self._options[e * drones : (e + 1) * drones]
-            if not all(other is first or _equal(first, other) for other in others):
-                raise ValueError(
-                    f"options of environment {e} differ between its drones; give all "
-                    f"{drones} of them the same"
-                )
-        before = self.core.get_state()
+        options = self._options_of_environments()
+        before = [core.get_state() for core in self.cores]
         try:
-            for e in range(envs):
-                self.core.reset(self._next_seeds, np.arange(envs) == e, self._options[e * drones])
+            for core, seeds in zip(self.cores, self._next_seeds, strict=True):
+                for e in range(core.num_envs):
+                    core.reset(seeds, np.arange(core.num_envs) == e, options.pop(0))
         except Exception:  # one is refused: none has begun
-            self.core.set_state(before)
+            for core, state in zip(self.cores, before, strict=True):
+                core.set_state(state)
             raise
 
-    def _indices(self, indices: Any) -> list[int]:
-        return list(self._get_indices(indices))
+    def _options_of_environments(self) -> Infos:
+        """The reset options of every environment, which all of its drones must have."""
+        found: Infos = []
+        for core, begin in zip(self.cores, self._begins, strict=False):
+            drones = core.num_drones
+            for k in range(begin, begin + core.num_envs * drones, drones):
+                first, *others = self._options[k : k + drones]
+                if not all(other is first or _equal(first, other) for other in others):
+                    raise ValueError(
+                        f"options of environment {len(found)} differ between its drones; give all "
+                        f"{drones} of them the same"
+                    )
+                found.append(first)
+        return found
+
+
+def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:
+    if isinstance(task, str):
+        return (batch_of(task, **options),)
+    found = (task,) if isinstance(task, Blueprint) else task
+    if not isinstance(found, list | tuple) or not all(isinstance(b, Blueprint) for b in found):
+        rule = "must be a task's name, such as 'swap_v0', or a blueprint"
+        raise TypeError(f"task is {task!r:.80}, but {rule}")
+    if not found:
+        raise ValueError("task is empty; give at least one blueprint")
+    if options:
+        raise TypeError(f"{', '.join(options)}: give options to the blueprint, not beside it")
+    return tuple(found)
+
+
+def _check_alike(cores: Sequence[SwarmCore]) -> None:
+    """Refuse teams that one policy cannot fly."""
+    first = cores[0]
+    for k, core in enumerate(cores):
+        if (core.form, core.mode) != (first.form, first.mode):
+            raise ValueError(
+                f"team {k} observes {core.form} and acts by {core.mode}, but team 0 {first.form} "
+                f"and {first.mode}; make them with the same options but for the team"
+            )
+
+
+def _row(batch: Any, k: int) -> Any:
+    """Observation k of a batch, which may be a dictionary of arrays."""
+    if isinstance(batch, dict):
+        return {name: part[k] for name, part in batch.items()}
+    return batch[k]
 
 
 def _equal(first: dict[str, Any], second: dict[str, Any]) -> bool:

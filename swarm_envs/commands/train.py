@@ -10,10 +10,10 @@ from swarm_envs.commands.checks import Misuse, check_file, check_folder
 from swarm_envs.commands.fly import find_task
 
 if TYPE_CHECKING:
-    from swarm_envs.training.rl.config import TrainConfig
+    from swarm_envs.training.rl.rl_config import RlConfig
 
 
-def check(config: TrainConfig) -> str:
+def check(config: RlConfig) -> str:
     """The versioned name of the task, if the options make a run.
 
     Raises:
@@ -22,20 +22,17 @@ def check(config: TrainConfig) -> str:
     check_folder("--out", config.out)
     if config.json is not None:
         check_file("--json", config.json, (".json",))
-    try:
-        task = find_task(config.task)
-    except ValueError as error:
-        raise Misuse(str(error)) from error
-    from swarm_envs.training.rl.recipes import completed
+    from swarm_envs.training.rl.recipes import with_recipe
 
     try:
-        completed(config, task)
+        task = find_task(config.task)
+        with_recipe(config, task)
     except ValueError as error:
         raise Misuse(str(error)) from error
     return task
 
 
-def run(config: TrainConfig) -> None:
+def run(config: RlConfig) -> None:
     """Train, or say that it was done before; print what came out.
 
     Raises:
@@ -48,14 +45,19 @@ def run(config: TrainConfig) -> None:
             "training needs Stable-Baselines3; install it by: pip install 'swarm-envs[train]'"
         )
     from swarm_envs.files import write_json
-    from swarm_envs.training.rl.run import finished_report
+    from swarm_envs.training.rl.run import finished_report, train_policy
 
     task = check(config)
     report = finished_report(config, task)
     if report is not None:
         print(f"the run in {config.out} was finished before, and stays as it is")
     else:
-        report = _trained(config, task)
+        try:
+            report = train_policy(config, task)
+        except KeyboardInterrupt:
+            raise KeyboardInterrupt(
+                f"interrupted; the same command goes on from the last checkpoint in {config.out}"
+            ) from None
     if config.json is not None:
         write_json(config.json, report)
     print(_summary(report))
@@ -63,28 +65,15 @@ def run(config: TrainConfig) -> None:
     print("fly it by:", shlex.join(words))
 
 
-def setting(config: TrainConfig) -> list[str]:
+def setting(config: RlConfig) -> list[str]:
     """The largest team and the layout that the run was trained with, as `evaluate` takes them."""
     words = ["--task", config.task]
     if config.layout is not None:
         words += ["--layout", config.layout]
     largest = max(config.team_sizes)
     if config.team:
-        words += ["--team", config.team[config.team_sizes.index(largest)]]
-    else:
-        words += ["--drones", str(largest)]
-    return words
-
-
-def _trained(config: TrainConfig, task: str) -> dict[str, Any]:
-    from swarm_envs.training.rl.run import train
-
-    try:
-        return train(config, task)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(
-            f"interrupted; the same command goes on from the last checkpoint in {config.out}"
-        ) from None
+        return [*words, "--team", config.team[config.team_sizes.index(largest)]]
+    return [*words, "--drones", str(largest)]
 
 
 def _summary(report: dict[str, Any]) -> str:
@@ -93,8 +82,7 @@ def _summary(report: dict[str, Any]) -> str:
         f"{report['steps']:,} steps in {report['wall_s']:.0f} s ({report['cpu_s']:.0f} s of CPU)",
         f"kept: the policy at {chosen.pop('step'):,.0f} steps, on the seeds for choosing",
     ]
-    return "\n".join(lines + [f"  {name}: {_shown(name, value)}" for name, value in chosen.items()])
-
-
-def _shown(name: str, value: float) -> str:
-    return f"{100 * value:.1f} cm" if name.endswith("_m") else f"{value:.1%}"
+    for name, value in chosen.items():
+        shown = f"{100 * value:.1f} cm" if name.endswith("_m") else f"{value:.1%}"
+        lines.append(f"  {name}: {shown}")
+    return "\n".join(lines)

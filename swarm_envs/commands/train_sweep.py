@@ -25,7 +25,7 @@ from swarm_envs.commands import train
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
 from swarm_envs.errors import check_integer
 from swarm_envs.files import claimed, write_json
-from swarm_envs.training.rl.config import TrainConfig
+from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.scale_out.jobs import Job, Outcome
 from swarm_envs.training.scale_out.options import ScaleOptions
 
@@ -102,7 +102,7 @@ def train_arguments(settings: Sequence[str]) -> list[str]:
     return found
 
 
-def parse(arguments: Sequence[str]) -> TrainConfig:
+def parse(arguments: Sequence[str]) -> RlConfig:
     """Read the arguments of one run as `swarm-envs train` does.
 
     Raises:
@@ -110,7 +110,7 @@ def parse(arguments: Sequence[str]) -> TrainConfig:
     """
     import tyro
 
-    return tyro.cli(TrainConfig, args=list(arguments), prog="swarm-envs train")
+    return tyro.cli(RlConfig, args=list(arguments), prog="swarm-envs train")
 
 
 def train_one(
@@ -136,21 +136,19 @@ def train_one(
         OSError: this machine does not see the sweep's folder, or another process writes into it.
         ValueError: the run's folder holds another run, or a damaged one.
     """
-    from swarm_envs.training.rl.run import finished_report
-    from swarm_envs.training.rl.run import train as train_run
+    from swarm_envs.training.rl.run import finished_report, train_policy
 
     check_marker(Path(marker), digest)
     config = parse(arguments)
     task = train.check(config)
-    report = finished_report(config, task) or train_run(config, task)
+    report = finished_report(config, task) or train_policy(config, task)
     measured = _judged(config, task, episodes, seed)
     return {"measured": measured, **{name: report[name] for name in ("steps", "cpu_s", "wall_s")}}
 
 
-def _judged(config: TrainConfig, task: str, episodes: int, seed: int) -> dict[str, float]:
+def _judged(config: RlConfig, task: str, episodes: int, seed: int) -> dict[str, float]:
     """Measures on the seeds for reporting, as they were written, if of this policy and seeds."""
-    from swarm_envs.training.rl.judging import Judges
-    from swarm_envs.training.rl.recipes import RECIPES, completed
+    from swarm_envs.training.rl.recipes import RECIPES, evaluate_policy, with_recipe
 
     policy, path = read_policy(config.out / FILE), config.out / SCORES
     about = {"episodes": episodes, "seed": seed, "policy": policy.digest, "version": __version__}
@@ -159,13 +157,10 @@ def _judged(config: TrainConfig, task: str, episodes: int, seed: int) -> dict[st
         if all(written.get(name) == value for name, value in about.items()):
             found: dict[str, float] = written["measured"]
             return found
-    layouts = RECIPES[task].judged_on(str(completed(config, task).layout))
+    layouts = RECIPES[task].evaluation_layouts(str(with_recipe(config, task).layout))
     options = {"interactions": config.interactions}
-    judges = Judges(task, layouts, frozen_seeds(seed, episodes), options, config.teams)
-    try:
-        measured = judges.judge(policy)
-    finally:
-        judges.close()
+    seeds = frozen_seeds(seed, episodes)
+    measured = evaluate_policy(policy, task, layouts, seeds, options, config.teams)
     write_json(path, {**about, "measured": measured})
     return measured
 

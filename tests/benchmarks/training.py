@@ -20,9 +20,9 @@ from typing import Any
 
 import torch
 
-from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.ppo import PpoLearner
-from swarm_envs.training.rl.recipes import completed
+from swarm_envs.training.rl.recipes import with_recipe
+from swarm_envs.training.rl.rl_config import RlConfig
 from tests.benchmarks.rows import Job, Row, run, spread
 
 KINDS: dict[str, dict[str, Any]] = {
@@ -50,7 +50,7 @@ class Clocks:
         self.spent, self._now = dict.fromkeys(PARTS, 0.0), now
         env = learner.env
         env.step_wait = self._timed("environment", env.step_wait)  # type: ignore[method-assign]
-        env.told = self._timed("features", env.told)  # type: ignore[method-assign]
+        env.observe = self._timed("features", env.observe)  # type: ignore[method-assign]
         for core in env.cores:
             fly = self._timed("flight", core.physics.fly)
             core.physics.fly = fly  # type: ignore[method-assign]
@@ -74,7 +74,7 @@ def measure(options: dict[str, Any], repetitions: int, rollouts: int = ROLLOUTS)
         rollouts: of each of them.
     """
     given: dict[str, Any] = {"threads": 1, "checkpoint_rollouts": rollouts, **options}
-    config = completed(TrainConfig(out=Path("never"), **given), "swap_v0")
+    config = with_recipe(RlConfig(out=Path("never"), **given), "swap_v0")
     now, unit = (time.thread_time, "CPU s") if config.threads == 1 else (time.perf_counter, "s")
     learner = PpoLearner(config, "swap_v0")
     clocks, speed = Clocks(learner, now), []

@@ -84,7 +84,7 @@ def tiny(out: Path) -> RllibConfig:
 
 
 def test_our_trainer_leaves_a_policy_that_evaluate_flies(cluster, tmp_path):
-    report = rllib_ppo.train(tiny(tmp_path / "run"))
+    report = rllib_ppo.train_with_rllib(tiny(tmp_path / "run"))
     assert report["steps"] >= 300 and 0.0 <= report["chosen"]["random_success"] <= 1.0
     agent = load(str(tmp_path / "run"))
     assert isinstance(agent, PolicyAgent)

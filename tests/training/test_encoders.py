@@ -17,9 +17,9 @@ from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPED
 from swarm_envs.agents.networks import ANY, Network
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.policy_file import Policy, read_policy, write_policy
-from swarm_envs.training.rl.config import TrainConfig
 from swarm_envs.training.rl.ppo import PpoLearner
-from swarm_envs.training.rl.recipes import completed
+from swarm_envs.training.rl.recipes import with_recipe
+from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.run import policy_note
 
 SET = {"encoder": "deep-set", "num_neighbors": 4}
@@ -32,10 +32,10 @@ KINDS = {
 }
 
 
-def make(**given) -> tuple[TrainConfig, PpoLearner]:
+def make(**given) -> tuple[RlConfig, PpoLearner]:
     """A learner whose last layers are no longer small, so that actions tell networks apart."""
     options = {"environments": 4, "rollout": 16, "batch_size": 64, "hidden": (8, 8), **given}
-    config = completed(TrainConfig(out=Path("never"), interactions="none", **options), "swap_v0")
+    config = with_recipe(RlConfig(out=Path("never"), interactions="none", **options), "swap_v0")
     learner = PpoLearner(config, "swap_v0")
     with torch.no_grad():
         learner.model.policy.action_net.weight.mul_(50.0)
@@ -43,8 +43,8 @@ def make(**given) -> tuple[TrainConfig, PpoLearner]:
     return config, learner
 
 
-def policy_of(config: TrainConfig, learner: PpoLearner) -> Policy:
-    return Policy(policy_note(config, "swap_v0", learner.env), learner.actor(), {})
+def policy_of(config: RlConfig, learner: PpoLearner) -> Policy:
+    return Policy(policy_note(learner, "swap_v0"), learner.actor(), {})
 
 
 def told(learner: PpoLearner) -> np.ndarray:
@@ -64,7 +64,7 @@ def test_what_flies_is_what_was_trained(kind, tmp_path):
     write_policy(path, policy_of(config, learner))
     agent = PolicyAgent(read_policy(path))
     rows = told(learner)
-    actions, _ = learner.model.predict(learner.env.told(rows), deterministic=True)
+    actions, _ = learner.model.predict(learner.env.observe(rows), deterministic=True)
     np.testing.assert_allclose(agent.act_batch(rows), actions, atol=2e-6)
     assert np.ptp(actions, axis=0).min() > 0.01
     options = {**config.teams[0], "physics": "batch", "horizon_s": 0.5, "interactions": "none"}
@@ -77,8 +77,8 @@ def test_what_flies_is_what_was_trained(kind, tmp_path):
 @pytest.mark.parametrize("kind", ["mean", "max", "sum of each type"])
 def test_the_order_of_neighbours_changes_nothing(kind):
     learner = make(**KINDS[kind])[1]
-    sizes = learner.env.sizes
-    values = learner.env.told(told(learner))
+    sizes = learner.sizes
+    values = learner.env.observe(told(learner))
     own, around = sizes.split(values)
     swapped = np.concatenate([own, around[:, ::-1].reshape(len(own), -1)], axis=1)
     assert not np.array_equal(swapped, values)
@@ -96,8 +96,8 @@ def test_who_is_not_there_is_not_in_the_set():
     """Four slots with one neighbour act as one slot with the same neighbour, and none as none."""
     for pooling in ("mean", "max", "sum"):
         _, learner = make(drones=4, pooling=pooling, **SET)
-        sizes, network = learner.env.sizes, learner.actor()[ANY]
-        values = learner.env.told(told(learner))
+        sizes, network = learner.sizes, learner.actor()[ANY]
+        values = learner.env.observe(told(learner))
         own, around = sizes.split(values)
         alone = np.concatenate([own, around[:, 0]], axis=1)
         around[:, 1:] = 0.0
@@ -113,14 +113,14 @@ def test_who_is_not_there_is_not_in_the_set():
 
 def test_every_type_flies_and_sees_by_networks_of_its_own():
     """Whose network is broken, and of which neighbour's type, shows in who acts otherwise."""
-    config, learner = make(**KINDS["sum of each type"])
-    networks, sizes = learner.actor(), learner.env.sizes
+    _, learner = make(**KINDS["sum of each type"])
+    networks, sizes = learner.actor(), learner.sizes
     rows = told(learner)
-    large = learner.env.told(rows)[:, sizes.own_column("L")] == 1.0
+    large = learner.env.observe(rows)[:, sizes.own_column("L")] == 1.0
     assert large.mean() == 0.5
 
     def changed(other: dict[str, Network]) -> np.ndarray:
-        note = policy_note(config, "swap_v0", learner.env)
+        note = policy_note(learner, "swap_v0")
         first, second = (PolicyAgent(Policy(note, n, {})) for n in (networks, other))
         return (first.act_batch(rows) != second.act_batch(rows)).any(axis=1)
 
@@ -139,8 +139,8 @@ def test_two_types_learn_apart():
     """What only large drones have flown changes their network, and not the small ones'."""
     _, learner = make(team=("SSLL",), per_type=True)
     policy = learner.model.policy
-    values = torch.from_numpy(learner.env.told(told(learner)))
-    large = values[:, learner.env.sizes.own_column("L")] == 1.0
+    values = torch.from_numpy(learner.env.observe(told(learner)))
+    large = values[:, learner.sizes.own_column("L")] == 1.0
     small_before = policy.get_distribution(values[~large]).mode().detach()
     optimiser = torch.optim.SGD(policy.mlp_extractor.parameters(), lr=0.1)
     policy.get_distribution(values[large]).mode().square().sum().backward()
@@ -152,7 +152,7 @@ def test_two_types_learn_apart():
 def test_types_are_told_in_order():
     learner = make(team=("SL",), num_neighbors=1)[1]
     sizes, rows = FEATURE_SETS[TYPED].sizes(1), told(learner)
-    own, around = sizes.split(learner.env.told(rows))
+    own, around = sizes.split(learner.env.observe(rows))
     assert own[:2, sizes.own_type :].tolist() == [[1, 0, 0], [0, 1, 0]]
     assert around[:2, 0, sizes.neighbor_type :].tolist() == [[0, 1, 0], [1, 0, 0]]
     learner.close()
@@ -172,7 +172,7 @@ def test_types_are_told_in_order():
 )
 def test_impossible_teams_and_networks_are_refused(options, why):
     with pytest.raises(ValueError, match=why):
-        TrainConfig(out=Path("never"), **options)
+        RlConfig(out=Path("never"), **options)
 
 
 def test_a_policy_each_needs_types():

@@ -1,4 +1,4 @@
-"""Recipes: what is practised, what a policy is judged on, and what their options default to."""
+"""Recipes: curricula, on what policies are evaluated, and what their options default to."""
 
 from __future__ import annotations
 
@@ -11,10 +11,12 @@ import pytest
 
 from swarm_envs import formation_v0
 from swarm_envs.cli import main
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.swap_v0 import blueprint
 from swarm_envs.tasks.formation import LAYOUTS
-from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.formations import PracticeFormation
-from swarm_envs.training.rl.recipes import LOST_M, RECIPES, completed
+from swarm_envs.training.rl.curriculum_tasks import FormationCurriculum, SwapCurriculum
+from swarm_envs.training.rl.recipes import LOST_M, RECIPES, with_recipe
+from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.vehicles import parse_team
 
 TINY = [
@@ -24,24 +26,24 @@ TINY = [
 ]
 
 
-def options(**given) -> TrainConfig:
-    return TrainConfig(out=Path("never"), **given)
+def options(**given) -> RlConfig:
+    return RlConfig(out=Path("never"), **given)
 
 
 def test_what_is_not_given_is_the_recipes():
-    ring, swap = completed(options(), "ring_v0"), completed(options(), "swap_v0")
+    ring, swap = with_recipe(options(), "ring_v0"), with_recipe(options(), "swap_v0")
     assert (ring.layout, ring.horizon_s, ring.deviation) == ("rings", 5.0, 0.2)
     assert (ring.discount, swap.discount) == (0.95, 0.98)
     assert (swap.layout, swap.horizon_s, swap.deviation) == ("random", 3.5, np.exp(-0.5))
-    given = completed(options(layout="tour", horizon_s=9.0, deviation=0.5), "formation_v0")
+    given = with_recipe(options(layout="tour", horizon_s=9.0, deviation=0.5), "formation_v0")
     assert (given.layout, given.horizon_s, given.deviation) == ("tour", 9.0, 0.5)
-    assert completed(given, "formation_v0") == given
+    assert with_recipe(given, "formation_v0") == given
 
 
 @pytest.mark.parametrize("task", RECIPES)
 def test_layouts_are_refused_with_the_list(task):
     with pytest.raises(ValueError, match="unknown --layout 'spiral'") as error:
-        completed(options(layout="spiral"), task)
+        with_recipe(options(layout="spiral"), task)
     assert all(f"'{name}'" in str(error.value) for name in RECIPES[task].layouts)
     for layout in RECIPES[task].layouts:
         assert set(RECIPES[task].judged_on(layout)) <= set(RECIPES[task].layouts)
@@ -61,9 +63,61 @@ def test_the_better_policy_has_the_higher_quality():
     assert height({"worst_height_error_m": None, "success": False}) == LOST_M
 
 
-def test_practised_formations_are_shapes_in_turn_and_stretched():
+def test_episodes_are_of_every_kind_as_often_as_is_said():
+    task, rng = SwapCurriculum(team=parse_team("SSSS")), np.random.default_rng(0)
+    circles = crowds = 0
+    for _ in range(1000):
+        placement = task.place(rng)
+        start, goal = placement.start, placement.goals[0]
+        order = [int(np.linalg.norm(start - g, axis=1).argmin()) for g in goal]
+        np.testing.assert_allclose(start[order], goal, atol=1e-12)
+        assert all(order[i] != i for i in range(4))
+        circles += bool(np.ptp(start[:, 2]) == 0)
+        crowds += bool(np.ptp(start[:, 2]) > 0 and np.ptp(start, axis=0).max() <= 1.6)
+    assert circles == pytest.approx(250, abs=45)
+    # Four points of the random box, 3.4 m wide, lie within 1.6 m in x and in y by chance too: with
+    # r = 1.6 / 3.4 it happens in a share of (4 r^3 - 3 r^4)^2 = 0.07.
+    assert crowds == pytest.approx(500 + 0.07 * 250, abs=50)
+
+
+def test_crowded_episodes_are_apart_and_half_of_them_pairs():
+    task = SwapCurriculum(team=parse_team("SSSS"), circle_share=0.0, crowded_share=1.0)
+    rng, pairs = np.random.default_rng(1), 0
+    for _ in range(400):
+        placement = task.place(rng)
+        start, goal = placement.start, placement.goals[0]
+        gaps = np.linalg.norm(start[:, None] - start[None], axis=-1)[np.triu_indices(4, 1)]
+        assert gaps.min() >= 0.35
+        order = [int(np.linalg.norm(start - g, axis=1).argmin()) for g in goal]
+        pairs += all(order[order[i]] == i for i in range(4))
+    # of the nine derangements of four, three are pairs too
+    assert pairs / 400 == pytest.approx(0.5 + 0.5 * 3 / 9, abs=0.08)
+
+
+def test_given_starts_and_lone_drones_are_drawn_as_by_the_task():
+    start = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]])
+    placement = SwapCurriculum(team=parse_team("SS")).place(np.random.default_rng(0), start)
+    assert np.array_equal(placement.start, start)
+    assert len(SwapCurriculum(team=parse_team("S")).place(np.random.default_rng(0)).start) == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ({"circle_share": 0.6}, "sum to at most 1"),
+        ({"pairs_share": 1.5}, "pairs_share is 1.5"),
+        ({"layout": "circle"}, "needs layout='random'"),
+        ({"crowded_side_m": (0.05, 1.0)}, "crowded_side_m"),
+    ],
+)
+def test_impossible_curricula_are_refused(options, why):
+    with pytest.raises(ValueError, match=why):
+        SwapCurriculum(team=parse_team("SSSS"), **options)
+
+
+def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched():
     """Distances within start and goal are those of two of the shapes, times one factor."""
-    task = PracticeFormation(team=parse_team(8 * "S"), stretch=(0.8, 1.0), nearest_share=0.0)
+    task = FormationCurriculum(team=parse_team(8 * "S"), stretch=(0.8, 1.0), nearest_share=0.0)
     rng, seen = np.random.default_rng(0), set()
     shapes = [np.sort(_distances(points)) for points in task.places]
     for _ in range(60):
@@ -79,7 +133,7 @@ def test_practised_formations_are_shapes_in_turn_and_stretched():
         assert 0.8 <= found[0][1] <= 1.0
         seen.add((found[0][0], found[1][0]))
     assert len(seen) > 10  # of 16 pairs: planes count once
-    near = PracticeFormation(team=parse_team("SSSS"), nearest_share=1.0)
+    near = FormationCurriculum(team=parse_team("SSSS"), nearest_share=1.0)
     start, goals, *_ = near.draw(rng)
     least = min(np.square(start - goals[0][list(p)]).sum() for p in permutations(range(4)))
     assert np.square(start - goals[0]).sum() == pytest.approx(least)
@@ -117,3 +171,20 @@ def test_every_recipe_trains_and_what_comes_out_flies(task, tmp_path, capsys):
     assert main(["evaluate", *fly, "--interactions", "none", "--agent", str(out)]) == 0
     assert main(["evaluate", "--agent", str(out), "--episodes", "1", "--drones", "2"]) == 1
     assert "trained for task" in capsys.readouterr().out
+
+
+def test_rewards_follow_new_weights():
+    """The same flight, weighed otherwise: rewards differ by what the term's weight changed."""
+    found = blueprint(num_drones=2, physics="batch", layout="circle")
+    core, action = SwarmCore(found.task, found.config), np.full((1, 2, 3), 0.3)
+    core.reset([0])
+    before = core.step(action)
+    core.set_reward_weights({"effort": -2.0})
+    core.reset([0])
+    after = core.step(action)
+    place = core.task.reward_names.index("effort")
+    changed = (-2.0 - core.task.reward_weights["effort"]) * before.reward_terms[place]
+    np.testing.assert_allclose(after.rewards - before.rewards, changed, atol=1e-15)
+    with pytest.raises(ValueError, match="did you mean 'effort'"):
+        core.set_reward_weights({"efort": 1.0})
+    core.close()

@@ -1,14 +1,15 @@
-"""Training a policy: what it writes, that it goes on where it was killed, that it learns."""
+"""Training a policy by PPO, MAPPO and SAC: what is written, resumption, kills, refusals."""
 
 from __future__ import annotations
 
 import csv
 import json
-import signal
-import subprocess
-import sys
+import multiprocessing
+import os
 import time
+from multiprocessing.process import BaseProcess
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,66 +26,153 @@ from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.agents.policy_file import Policy, PolicyNote
 from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
-from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.judging import choosing_seeds
+from swarm_envs.files import claimed
+from swarm_envs.training.rl.learner import make_learner
+from swarm_envs.training.rl.mappo import MappoLearner
 from swarm_envs.training.rl.ppo import PpoLearner
-from swarm_envs.training.rl.recipes import completed
+from swarm_envs.training.rl.recipes import choosing_seeds
+from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.rl.sac import SacLearner
 
-TINY = [
-    *("--drones", "2", "--environments", "8", "--rollout", "8", "--batch-size", "64"),
-    *("--hidden", "8", "8", "--steps", "2000", "--checkpoint-rollouts", "3", "--judge-every", "2"),
-    *("--judge-episodes", "4", "--num-neighbors", "1", "--interactions", "none", "--passes", "2"),
-    *("--no-tensorboard", "--seed", "5"),
+COMMON = [
+    *("--drones", "2", "--environments", "8", "--hidden", "8", "8", "--num-neighbors", "1"),
+    *("--judge-every", "2", "--judge-episodes", "4", "--interactions", "none", "--seed", "5"),
+    *("--no-tensorboard", "--no-progress"),
 ]
-STEPS = 2048  # 2,000 rounded up to rollouts of 2 * 8 * 8
+ON_POLICY = ["--rollout", "8", "--batch-size", "64", "--passes", "2", "--checkpoint-rollouts", "3"]
+TINY = {
+    "ppo": [*ON_POLICY, "--steps", "2000"],
+    "mappo": [*ON_POLICY, "--steps", "1280"],
+    "sac": [
+        *("--steps", "1536", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"),
+        *("--sac.learning-starts", "200", "--sac.buffer-size", "1000", "--sac.batch-size", "32"),
+        *("--sac.rollout", "4"),
+    ],
+}
+STEPS = {"ppo": 2048, "mappo": 1280, "sac": 1536}  # rounded up to rollouts
+LEARNERS: dict[str, Any] = {"ppo": PpoLearner, "mappo": MappoLearner, "sac": SacLearner}
+SHORT = ["--drones", "2", "--episodes", "2", "--horizon-s", "0.5", "--interactions", "none"]
+every_algorithm = pytest.mark.parametrize("algo", TINY)
+
+
+def command(algo: str, out: Path, *more: str) -> list[str]:
+    return ["train", "--algo", algo, *COMMON, *TINY[algo], "--out", str(out), *more]
 
 
 def curve(folder: Path) -> list[dict[str, str]]:
-    with (folder / "curve.csv").open(encoding="utf-8") as file:
+    path = folder / "curve.csv"
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8") as file:
         return list(csv.DictReader(file))
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory) -> Path:
-    """A run that nothing interrupted."""
-    out = tmp_path_factory.mktemp("whole")
-    assert main(["train", *TINY, "--out", str(out)]) == 0
-    return out
+def whole(tmp_path_factory) -> dict[str, Path]:
+    """Runs that nothing interrupted."""
+    runs = {algo: tmp_path_factory.mktemp(algo) for algo in TINY}
+    for algo, out in runs.items():
+        assert main(command(algo, out)) == 0
+    return runs
 
 
-def test_a_run_is_written_and_its_policy_flies(whole, capsys):
-    report = json.loads((whole / "report.json").read_text())
-    assert report["steps"] == STEPS
-    assert [float(row["step"]) for row in curve(whole)][-1] == STEPS
-    assert all(row["random_success"] != "" for row in curve(whole)[-1:])
-    assert report["config"]["seed"] == 5
-    agent = load(whole)
+@every_algorithm
+def test_a_run_is_written_and_its_policy_flies(algo, whole, capsys):
+    report = json.loads((whole[algo] / "report.json").read_text())
+    assert (report["config"]["algo"], report["config"]["seed"]) == (algo, 5)
+    last = curve(whole[algo])[-1]
+    assert report["steps"] == float(last["step"]) == STEPS[algo]
+    assert last["random_success"] != ""
+    agent = load(whole[algo])
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.provenance["config"] == report["config"]
-    arguments = ["--drones", "2", "--episodes", "2", "--horizon-s", "0.5", "--interactions", "none"]
-    assert main(["evaluate", "--agent", str(whole), *arguments]) == 0
+    assert main(["evaluate", "--agent", str(whole[algo]), *SHORT]) == 0
     for count in ("3", "1"):
-        assert main(["evaluate", "--agent", str(whole), *arguments[2:], "--drones", count]) == 1
+        assert main(["evaluate", "--agent", str(whole[algo]), *SHORT, "--drones", count]) == 1
         said = capsys.readouterr().out
         assert f"trained for teams of 2 drones, but the environment has {count}" in said
 
 
-def test_killed_it_goes_on_and_ends_with_the_same_policy(whole, tmp_path, capsys):
-    out = tmp_path / "run"
-    command = [sys.executable, "-m", "swarm_envs", "train", *TINY, "--out", str(out)]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    deadline = time.monotonic() + 240
-    while not (out / "checkpoint.safetensors").is_file():
-        assert time.monotonic() < deadline
-        assert process.poll() is None
-        time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert not (out / "report.json").exists()
-    assert main(["train", *TINY, "--out", str(out)]) == 0
+@every_algorithm
+@pytest.mark.parametrize("segments", [1, 3])
+def test_stopped_after_a_segment_it_goes_on_to_the_same_policy(
+    algo, segments, whole, tmp_path, monkeypatch, capsys
+):
+    """A run that ends after some checkpoints, with another's random numbers in between."""
+    fly, flown = LEARNERS[algo].fly, list[range]()
+
+    def stopped(learner, segment, watch=None):
+        if len(flown) == segments:
+            raise KeyboardInterrupt
+        flown.append(segment)
+        return fly(learner, segment, watch)
+
+    monkeypatch.setattr(LEARNERS[algo], "fly", stopped)
+    assert main(command(algo, tmp_path)) == 130
+    monkeypatch.undo()
+    steps = [row["step"] for row in curve(tmp_path)]
+    assert steps == [row["step"] for row in curve(whole[algo])][:segments]
+    np.random.seed(99)  # noqa: NPY002  # what Stable-Baselines3 draws from
+    torch.manual_seed(99)
+    assert main(command(algo, tmp_path)) == 0
     assert "going on from the checkpoint at" in capsys.readouterr().out
-    assert (out / FILE).read_bytes() == (whole / FILE).read_bytes()
-    assert curve(out) == curve(whole)
+    assert (tmp_path / FILE).read_bytes() == (whole[algo] / FILE).read_bytes()
+    assert curve(tmp_path) == curve(whole[algo])
+    with (
+        safe_open(tmp_path / "checkpoint.safetensors", "np") as here,
+        safe_open(whole[algo] / "checkpoint.safetensors", "np") as there,
+    ):
+        names = set(there.keys())
+        assert set(here.keys()) == names
+        for name in names:
+            assert np.array_equal(here.get_tensor(name), there.get_tensor(name)), name
+
+
+def start(algo: str, out: Path) -> BaseProcess:
+    """A process that has begun to train: its folder is claimed."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tests.helpers.warm_training"])
+    process = context.Process(target=main, args=(command(algo, out),))
+    process.start()
+    while process.is_alive() and not (out / ".lock").is_file():
+        time.sleep(0.002)
+    return process
+
+
+def checkpoints(folder: Path) -> int:
+    """How many segments the checkpoint has behind it; it must be readable."""
+    path = folder / "checkpoint.safetensors"
+    if not path.is_file():
+        return 0
+    with safe_open(path, framework="np") as file:
+        return file.metadata()["progress"].count('"collision"')
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL on this system")
+@pytest.mark.parametrize("number", range(6))
+@every_algorithm
+def test_killed_at_a_random_moment_it_ends_as_if_nothing_had_happened(
+    algo, number, whole, tmp_path
+):
+    """Random are the segment and, up to that of about one segment, the time after its start."""
+    out, draws = tmp_path / "run", np.random.default_rng(number)
+    until, rest_s = draws.integers(checkpoints(whole[algo])), draws.uniform(0.0, 0.1)
+    process = start(algo, out)
+    while process.is_alive() and checkpoints(out) < until:
+        time.sleep(0.001)
+    time.sleep(rest_s)
+    process.kill()
+    process.join()
+    saved = checkpoints(out)
+    assert saved >= until
+    assert len(curve(out)) in (saved, saved - 1)  # the table follows the checkpoint
+    again = start(algo, out)
+    again.join()
+    assert again.exitcode == 0
+    assert curve(out) == curve(whole[algo])
+    assert (out / FILE).read_bytes() == (whole[algo] / FILE).read_bytes()
+    assert {file.name for file in out.iterdir()} == {file.name for file in whole[algo].iterdir()}
 
 
 @pytest.mark.parametrize(
@@ -96,22 +184,32 @@ def test_killed_it_goes_on_and_ends_with_the_same_policy(whole, tmp_path, capsys
     ],
 )
 def test_a_run_says_how_it_is_flown_as_it_was_trained(options, words):
-    assert setting(TrainConfig(out=Path("a"), **options)) == words.split()
+    assert setting(RlConfig(out=Path("a"), **options)) == words.split()
 
 
 def test_a_finished_run_stays_as_it_is(whole, capsys):
-    before = {file.name: file.read_bytes() for file in whole.iterdir()}
-    assert main(["train", *TINY, "--out", str(whole)]) == 0
+    out = whole["ppo"]
+    before = {file.name: file.read_bytes() for file in out.iterdir()}
+    assert main(command("ppo", out)) == 0
     assert "was finished before" in capsys.readouterr().out
-    assert main(["train", *TINY, "--out", str(whole), "--discount", "0.9"]) == 1
+    assert main(command("ppo", out, "--discount", "0.9")) == 1
     assert "discount is 0.98 there, 0.9 here" in capsys.readouterr().err
-    assert {file.name: file.read_bytes() for file in whole.iterdir()} == before
+    assert {file.name: file.read_bytes() for file in out.iterdir()} == before
+
+
+def test_a_run_from_before_there_was_a_choice_of_actions_is_the_same_run(whole, tmp_path, capsys):
+    report = json.loads((whole["ppo"] / "report.json").read_text())
+    assert report["config"].pop("action") == "acceleration"
+    (tmp_path / "report.json").write_text(json.dumps(report))
+    assert main(command("ppo", tmp_path)) == 0
+    assert "was finished before" in capsys.readouterr().out
+    assert main(command("ppo", tmp_path, "--action", "velocity")) == 1
+    assert "action is acceleration there, velocity here" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("action", "width"), [("velocity", 3), ("ctbr", 4)])
 def test_a_policy_of_another_action_flies_with_that_one_alone(action, width, tmp_path):
-    short = [*TINY, "--steps", "128", "--action", action, "--out", str(tmp_path)]
-    assert main(["train", *short]) == 0
+    assert main(command("ppo", tmp_path, "--steps", "128", "--action", action)) == 0
     agent = load(str(tmp_path))
     assert isinstance(agent, PolicyAgent)
     assert agent.policy.note.action == agent.requires["action"] == action
@@ -119,100 +217,101 @@ def test_a_policy_of_another_action_flies_with_that_one_alone(action, width, tmp
     observations, _ = env.reset(seed=0)
     agent.reset(env, 0)
     assert {row.shape for row in agent.act(observations, None).values()} == {(width,)}
-    env.close()
     other = swap_v0.parallel_env(num_drones=2, **{**agent.requires, "action": "acceleration"})
     other.reset(seed=0)
     with pytest.raises(ValueError, match=f"requires action='{action}'"):
         agent.reset(other, 0)
-    other.close()
-
-
-def test_a_run_from_before_there_was_a_choice_of_actions_is_the_same_run(whole, tmp_path, capsys):
-    report = json.loads((whole / "report.json").read_text())
-    assert report["config"].pop("action") == "acceleration"
-    (tmp_path / "report.json").write_text(json.dumps(report))
-    assert main(["train", *TINY, "--out", str(tmp_path)]) == 0
-    assert "was finished before" in capsys.readouterr().out
-    assert main(["train", *TINY, "--action", "velocity", "--out", str(tmp_path)]) == 1
-    assert "action is acceleration there, velocity here" in capsys.readouterr().err
 
 
 def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp_path, capsys):
     path = tmp_path / "checkpoint.safetensors"
-    path.write_bytes((whole / "checkpoint.safetensors").read_bytes())
-    assert main(["train", *TINY, "--out", str(tmp_path), "--seed", "6"]) == 1
+    path.write_bytes((whole["ppo"] / "checkpoint.safetensors").read_bytes())
+    assert main(command("ppo", tmp_path, "--seed", "6")) == 1
     assert "seed is 5 there, 6 here" in capsys.readouterr().err
+    assert main(command("sac", tmp_path)) == 1
+    assert "other options: algo is ppo there, sac here; choose" in capsys.readouterr().err
+    assert main(command("mappo", whole["sac"])) == 1
+    said = capsys.readouterr().err
+    assert "finished run with other options: algo is sac there, mappo here; choose" in said
     for content in (path.read_bytes()[:-7], b"\x80\x04K\x01."):
         path.write_bytes(content)
-        assert main(["train", *TINY, "--out", str(tmp_path)]) == 1
+        assert main(command("ppo", tmp_path)) == 1
         assert "checkpoint.safetensors' is damaged" in capsys.readouterr().err
+
+
+def test_a_folder_that_another_run_writes_into_is_refused(tmp_path, capsys):
+    with claimed(tmp_path):
+        assert main(command("mappo", tmp_path)) == 1
+    assert "writes into" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir()] == [".lock"]
 
 
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--task", "swop"], "did you mean 'swap_v0'"),
-        (["--layout", "stacked"], "valid: 'circle', 'random'"),
-        (["--task", "formation", "--layout", "cuba"], "did you mean 'cube'"),
-        (["--json", "a.txt"], "must end in .json"),
+        ("--task swop", "did you mean 'swap_v0'"),
+        ("--layout stacked", "valid: 'circle', 'random'"),
+        ("--task formation --layout cuba", "did you mean 'cube'"),
+        ("--json a.txt", "must end in .json"),
+        ("--steps 0", "--steps"),
+        ("--batch-size 1000", "--batch-size is 1000, but must divide the 16384 decisions"),
+        ("--discount 1.5", "--discount is 1.5, but must be from 0 to 1"),
+        ("--seed -1", "--seed"),
+        ("--decision-rate 7", "--decision-rate is 7"),
+        ("--second-stage 1", "--second-stage is 1.0"),
+        ("--horizon-s nan", "--horizon-s is nan"),
+        ("--fewest 5", "--fewest is 5, but must be from 1 to 4"),
+        ("--algo sac --clip 0.1", "--clip was given (0.1), but --algo sac has no such"),
+        ("--sac.rollout 2", "--sac.rollout was given (2), but --algo ppo has no such"),
+        ("--pooling max", "--pooling was given, but only --encoder deep-set has sets"),
+        ("--algo sac --sac.batch-size 0", "--sac.batch-size"),
+        ("--algo sac --sac.smoothing 2", "--sac.smoothing is 2.0"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(options, why, tmp_path, capsys):
-    assert main(["train", "--out", str(tmp_path / "run"), *options]) == 2
-    assert why in capsys.readouterr().err
+    try:
+        code: Any = main(["train", "--out", str(tmp_path / "run"), *options.split()])
+    except SystemExit as end:
+        code = end.code
+    assert code == 2
+    assert why in " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize(
-    ("option", "value"),
-    [
-        *[("--steps", "0"), ("--batch-size", "1000"), ("--discount", "1.5"), ("--seed", "-1")],
-        *[("--decision-rate", "7"), ("--second-stage", "1"), ("--horizon-s", "nan")],
-        ("--fewest", "5"),
-    ],
-)
-def test_impossible_numbers_are_refused(option, value, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["train", "--out", "never", option, value])
-    assert end.value.code == 2
-    assert option in capsys.readouterr().err
-
-
-def test_the_agent_acts_as_the_network_that_was_trained():
-    config = TrainConfig(out=Path("never"), drones=2, environments=4, batch_size=256)
-    learner = PpoLearner(completed(config, "swap_v0"), "swap_v0")
-    agent = PolicyAgent(
-        Policy(PolicyNote("swap_v0", 2, "acceleration", 10, 3), learner.actor(), {})
-    )
-    rows = learner.env.venv.reset()
-    told, _ = learner.model.predict(learner.env.reset(), deterministic=True)
-    rows = learner.env.cores[0].rows.reshape(8, -1)
-    np.testing.assert_allclose(agent.act_batch(rows), told, atol=1e-6)
-    assert learner.model.observation_space.shape == (18 + 17 * 3,)
+@every_algorithm
+def test_the_agent_acts_as_the_network_that_was_trained(algo):
+    """Of SAC the last layer's tanh too."""
+    sizes: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64}
+    config = RlConfig(out=Path("never"), algo=algo, drones=2, environments=4, **sizes)
+    learner: Any = make_learner(config, "swap_v0")
+    note = PolicyNote("swap_v0", 2, "acceleration", 10, 3)
+    agent = PolicyAgent(Policy(note, learner.actor(), {}))
+    observed = learner.env.reset()
+    assert observed.shape == (8, 18 + 17 * 3)
+    if algo == "mappo":
+        wanted = learner.networks.actor(torch.from_numpy(observed)).detach().numpy()
+    else:
+        wanted, _ = learner.model.predict(observed, deterministic=True)
+    assert np.abs(wanted).max() > 1e-3
+    rows = learner.env.core.rows.reshape(8, -1)
+    np.testing.assert_allclose(agent.act_batch(rows), wanted, atol=1e-6)
     learner.close()
 
 
 def test_a_checkpoint_holds_all_of_adam(whole):
-    with safe_open(whole / "checkpoint.safetensors", framework="pt") as file:
+    with safe_open(whole["ppo"] / "checkpoint.safetensors", framework="pt") as file:
         names = set(file.keys())
         steps = {float(file.get_tensor(name)) for name in names if name.endswith(".step")}
         moments = [file.get_tensor(n) for n in names if n.endswith(".exp_avg_sq")]
     assert len(moments) == sum(name.startswith("policy.") for name in names)
-    assert all(
-        bool((moment >= 0).all()) and bool(torch.isfinite(moment).all()) for moment in moments
-    )
-    second = (
-        STEPS // 128
-        - TrainConfig(
-            out=Path("never"), drones=2, environments=8, rollout=8, batch_size=64, steps=2000
-        ).first_stage
-    )
-    assert steps == {float(second * 2 * 2)}  # rollouts, passes, batches since Adam was fresh
+    assert all(bool((m >= 0).all()) and bool(torch.isfinite(m).all()) for m in moments)
+    second_stage = 4  # a quarter of the 16 rollouts, before which Adam is made anew
+    assert steps == {float(second_stage * 2 * 2)}  # rollouts, passes, batches
 
 
 def test_segments_cover_every_rollout_once_and_keep_the_stages_apart():
     for steps, stage, every in ((3_000_000, 0.25, 20), (16_384, 0.25, 20), (500_000, 0.0, 7)):
-        config = TrainConfig(
+        config = RlConfig(
             out=Path("never"), steps=steps, second_stage=stage, checkpoint_rollouts=every
         )
         segments = config.segments()
@@ -227,3 +326,16 @@ def test_segments_cover_every_rollout_once_and_keep_the_stages_apart():
 def test_policies_are_not_chosen_on_the_seeds_of_reports():
     chosen = set(choosing_seeds(4096))
     assert all(not chosen & set(frozen_seeds(seed, 4096)) for seed in range(20))
+
+
+def test_threads_change_no_byte_of_what_is_learned():
+    weights = []
+    small: dict[str, Any] = {"environments": 8, "rollout": 16, "batch_size": 128, "passes": 2}
+    for threads in (1, 2):
+        config = RlConfig(out=Path("never"), drones=(2, 4), threads=threads, steps=3000, **small)
+        learner = PpoLearner(config, "swap_v0")
+        learner.fly(range(2))
+        weights.append([p.detach().clone() for p in learner.model.policy.parameters()])
+        assert learner.env.core.physics.workers.threads == threads
+        learner.close()
+    assert all(torch.equal(one, two) for one, two in zip(*weights, strict=True))

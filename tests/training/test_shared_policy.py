@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from swarm_envs import TASKS, swap_v0
+from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
 from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.solo import make_solo
 
 pytest.importorskip("stable_baselines3")
@@ -182,6 +184,80 @@ def test_copies_fly_on_alike_and_apart(way):
         other = twin.step(each)
         assert np.array_equal(seen, other[0]) and np.array_equal(reward, other[1])
         assert np.array_equal(done, other[2]) and repr(infos) == repr(other[3])
+
+
+TEAMS = {"interactions": "none", "num_neighbors": 2, "horizon_s": 0.5, "decision_rate": 10}
+
+
+def test_teams_side_by_side_fly_as_they_would_alone():
+    blueprints = [batch_of("swap_v0", num_drones=n, **TEAMS) for n in (2, 3)]
+    both = SharedPolicyVecEnv(blueprints, 3)
+    alone = [SharedPolicyVecEnv(found, 3) for found in blueprints]
+    assert both.seed(5)[:2] + both.seed(5)[6:8] == [5, 5, 5 + 2 * 3, 5 + 2 * 3]
+    for env, seed in zip(alone, (5, 5 + 2 * 3), strict=True):
+        env.seed(seed)
+    assert np.array_equal(both.reset(), np.concatenate([env.reset() for env in alone]))
+    rng, ended = np.random.default_rng(0), 0
+    for _ in range(12):
+        actions = rng.uniform(-1, 1, (both.num_envs, both.action_space.shape[0]))
+        *arrays, infos = both.step(actions)
+        apart = [
+            env.step(part) for env, part in zip(alone, (actions[:6], actions[6:]), strict=True)
+        ]
+        for k, array in enumerate(arrays):
+            assert np.array_equal(array, np.concatenate([one[k] for one in apart]))
+        expected = [info for one in apart for info in one[3]]
+        assert [info.keys() for info in infos] == [info.keys() for info in expected]
+        ended += sum("episode_metrics" in info for info in infos)
+    assert ended == 2 * both.num_envs  # two episodes of half a second
+    assert both.get_attr("num_drones") == [2] * 6 + [3] * 9
+    (metrics,) = both.env_method("metrics", 0, indices=[7])
+    assert metrics["length_s"] == alone[1].core.metrics(0)["length_s"]
+    for wrong in (np.zeros((14, 3)), np.zeros((16, 3))):
+        with pytest.raises(ValueError, match="must be numbers of shape"):
+            both.step(wrong)
+    start = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    both.set_options([{"start": start}] * 2 + [{}] * 13)
+    both.reset()
+    assert np.array_equal(both.core.physics.state.position[0], start)
+
+
+def test_features_are_observed_in_place_of_rows():
+    """Of the last observation of an episode too."""
+    plain = quick(num_neighbors=1, physics="batch")
+    env = quick(num_neighbors=1, physics="batch", features=GOAL)
+    make = FEATURE_SETS[GOAL].make
+    assert np.array_equal(env.reset(), make(plain.reset(), 1))
+    assert env.observation_space.shape == (FEATURE_SETS[GOAL].sizes(1).width,)
+    rng, ends = np.random.default_rng(0), 0
+    for step in range(40):
+        actions = some_actions(rng, step)
+        rows, _, _, expected = plain.step(actions)
+        seen, _, _, infos = env.step(actions)
+        assert np.array_equal(seen, make(rows, 1))
+        for info, other in zip(infos, expected, strict=True):
+            if "terminal_observation" in info:
+                ends += 1
+                assert np.array_equal(
+                    info["terminal_observation"], make(other["terminal_observation"], 1)
+                )
+    assert ends
+
+
+def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
+    found = batch_of("swap_v0", num_drones=3, horizon_s=0.5)
+    env = SharedPolicyVecEnv(found, num_envs=2, seed=0)
+    assert env.core.task is found.task
+    assert env.reset().shape[0] == 6
+    with pytest.raises(TypeError, match=r"num_drones: give options to the blueprint"):
+        SharedPolicyVecEnv(found, num_drones=3)
+    other = batch_of("swap_v0", num_drones=3, num_neighbors=1)
+    with pytest.raises(ValueError, match="team 1 observes"):
+        SharedPolicyVecEnv([found, other])
+    with pytest.raises(ValueError, match="task is empty"):
+        SharedPolicyVecEnv([])
+    with pytest.raises(TypeError, match="must be a task's name"):
+        SharedPolicyVecEnv([other, "swap_v0"])  # type: ignore[list-item]
 
 
 def bad(k: int, value: float) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +16,8 @@ from gymnasium import spaces
 from torch import nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
-from swarm_envs.training.rl.soft_actor_critic import SoftActorCritic, TwinCritic
+from swarm_envs.training.rl.rl_config import RlConfig, SacConfig
+from swarm_envs.training.rl.sac import SacLearner, SoftActorCritic, TwinCritic
 
 DISCOUNT = 0.6
 
@@ -132,3 +134,24 @@ def test_twin_critics_are_two_networks():
         alone = nn.Sequential(*layers[:-2])
         torch.testing.assert_close(both[number], alone(rows)[:, 0])
     assert not torch.equal(both[0], both[1])
+
+
+def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none():
+    options = SacConfig(rollout=5, learning_starts=1000, buffer_size=120)
+    config = RlConfig(
+        out=Path("never"), algo="sac", drones=2, environments=4, steps=200, sac=options
+    )
+    learner = SacLearner(config, "swap_v0")
+    learner.fly(range(2))
+    first = learner.tensors()["memory.actions"].clone()
+    assert first.shape == (10, 8, 3)
+    learner.fly(range(2, 4))
+    memory = learner.tensors()["memory.actions"]
+    assert memory.shape == (15, 8, 3)  # 120 decisions, 8 at a time
+    assert torch.equal(memory[5:10], first[5:])  # the others were written over
+    assert not torch.equal(memory[:5], first[:5])
+    cut = learner.tensors()["memory.timeouts"]
+    assert cut[9].all() and not cut[5:9].any()  # no return reaches into the next segment
+    learner.fly(range(4, 5))
+    assert not any(name.startswith("memory") for name in learner.tensors())
+    learner.close()

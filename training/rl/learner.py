@@ -1,4 +1,4 @@
-"""What a run needs of an algorithm: the seam behind which `--algo` chooses.
+"""What PPO, SAC and MAPPO share: environments, episode statistics, segments, named tensors.
 
 Every algorithm flies in segments that can be repeated: each begins with new episodes, and with
 generators that follow from the run's seed and the segment's place. So a checkpoint between two
@@ -8,16 +8,22 @@ as if nothing had happened.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import Protocol, cast
+from typing import Any
 
-from torch import Tensor
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from torch import Tensor, nn
 
-from swarm_envs.agents.networks import Network
-from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.practice import Practice
-from swarm_envs.training.rl.recipes import completed
+from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPES
+from swarm_envs.agents.networks import Layers, Network
+from swarm_envs.envs.options import Blueprint, batch_of
+from swarm_envs.training.rl.recipes import RECIPES, with_recipe
+from swarm_envs.training.rl.rl_config import RlConfig
+from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
 Entry = dict[str, float]
 """What is noted of a point of the training curve, by name."""
@@ -28,18 +34,41 @@ _LEARNERS = {"ppo": "PpoLearner", "mappo": "MappoLearner", "sac": "SacLearner"}
 """The class of each algorithm, in the module of its name."""
 
 
-class Learner(Protocol):
-    """A policy in training."""
+class Learner(ABC):
+    """A policy in training.
 
-    @property
-    def env(self) -> Practice:
-        """What it flies, with the tally of how episodes end."""
+    Args:
+        config: of the run.
+        task: its versioned name.
 
+    Raises:
+        ValueError: an option has an impossible value.
+    """
+
+    def __init__(self, config: RlConfig, task: str) -> None:
+        torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+        self.config = config = with_recipe(config, task)
+        blueprints = [training_blueprint(config, task, team) for team in config.teams]
+        present = {vehicle.token for found in blueprints for vehicle in found.task.team}
+        flown, recipe = tuple(token for token in TYPES if token in present), RECIPES[task]
+        if config.per_type and len(flown) < 2:
+            raise ValueError(
+                f"--per-type needs vehicles of several types, but all here are {flown[0]}; name a "
+                "team such as --team SSLL"
+            )
+        self.features = recipe.features_of_types if len(flown) > 1 else recipe.features
+        self.sizes = FEATURE_SETS[self.features].sizes(config.num_neighbors)
+        self.types = flown if self.sizes.typed else ()
+        share = config.environments // len(blueprints)
+        self.env = SharedPolicyVecEnv(blueprints, share, config.seed, features=self.features)
+        self.start_counting()
+
+    @abstractmethod
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
         """Train for the rollouts of a segment.
 
         Args:
-            segment: of `TrainConfig.segments`; the one after those that were trained.
+            segment: of `RlConfig.segments`; the one after those that were trained.
             watch: called after every rollout.
 
         Returns:
@@ -47,12 +76,15 @@ class Learner(Protocol):
             of its episodes; and what the algorithm says of itself.
         """
 
+    @abstractmethod
     def actor(self) -> dict[str, Network]:
         """The networks whose output is the mean action, as `Policy` takes them."""
 
+    @abstractmethod
     def tensors(self) -> dict[str, Tensor]:
         """All that the next segments depend on, by names of the algorithm's own."""
 
+    @abstractmethod
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """Stand where another learner of the same options gave these tensors.
 
@@ -60,16 +92,150 @@ class Learner(Protocol):
             KeyError, RuntimeError, ValueError: they are of networks of another kind.
         """
 
+    def start_counting(self) -> None:
+        """Begin to count ends of episodes anew."""
+        self._episodes = self._successes = self._collisions = 0
+
+    def count(self, metrics: Mapping[str, Any]) -> None:
+        """Count how an episode has ended."""
+        self._episodes += 1
+        self._successes += metrics["success"]
+        self._collisions += metrics["collided_drones"] > 0
+
+    def rates(self) -> Entry:
+        """Shares of the episodes that have ended since the segment began."""
+        ended = max(self._episodes, 1)
+        return {"success": self._successes / ended, "collision": self._collisions / ended}
+
     def close(self) -> None:
         """Free the environments."""
+        self.env.close()
 
 
-def make_learner(config: TrainConfig, task: str) -> Learner:
-    """A fresh learner of the algorithm that the options name.
+class Sb3Learner(Learner):
+    """What the algorithms of Stable-Baselines3 share, which fly by `model.learn`."""
 
-    Args:
-        config: of the run.
-        task: its versioned name.
-    """
+    model: Any
+    """PPO or SAC."""
+    rollouts = 0
+    """How many were flown when the present one began; schedules follow it."""
+
+    def fly(self, segment: range, watch: Watch | None = None) -> Entry:
+        """Train for the rollouts of a segment."""
+        config, model = self.config, self.model
+        model.set_random_seed(config.segment_seed(segment))  # SB3's draws are global
+        model._last_obs = None  # begin new episodes
+        self.start_counting()
+        model.num_timesteps = segment.start * config.rollout_steps
+        model.learn(
+            len(segment) * config.rollout_steps,
+            callback=_RolloutCallback(self, watch),
+            log_interval=None,
+            reset_num_timesteps=False,
+        )
+        self.rollouts = segment.stop
+        return {"step": float(model.num_timesteps), **self.rates()}
+
+    def begin_rollout(self, steps: int) -> None:
+        """Set what depends on how many steps were flown."""
+        self.rollouts = steps // self.config.rollout_steps
+        weight = self.config.proximity_weight_after(self.rollouts)
+        for core in self.env.cores:
+            core.set_reward_weights({"proximity": weight})
+
+
+class _RolloutCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no types here
+    """Counts ends of episodes, and tells the learner and the run of rollouts."""
+
+    def __init__(self, learner: Sb3Learner, watch: Watch | None) -> None:
+        super().__init__()
+        self._learner, self._watch = learner, watch
+
+    def _on_step(self) -> bool:
+        infos = self.locals["infos"]
+        ends = [infos[k]["episode_metrics"] for k in np.flatnonzero(self.locals["dones"])]
+        for metrics in {id(metrics): metrics for metrics in ends}.values():  # one a team
+            self._learner.count(metrics)
+        return True
+
+    def _on_rollout_start(self) -> None:
+        self._learner.begin_rollout(self.num_timesteps)
+
+    def _on_rollout_end(self) -> None:
+        if self._watch is not None:
+            self._watch()
+
+
+def make_learner(config: RlConfig, task: str) -> Learner:
+    """A fresh learner of the algorithm that the options name, for a versioned task."""
     module = import_module(f"swarm_envs.training.rl.{config.algo}")
-    return cast(Learner, getattr(module, _LEARNERS[config.algo])(completed(config, task), task))
+    learner: Learner = getattr(module, _LEARNERS[config.algo])(config, task)
+    return learner
+
+
+def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> Blueprint:
+    """What a team, one of `config.teams`, trains in: the recipe's curriculum with a short clock.
+
+    Raises:
+        ValueError: an option has an impossible value.
+    """
+    recipe = RECIPES[task]
+    given = {**recipe.reward_weights, "crash": -config.crash}
+    found = batch_of(
+        task,
+        **recipe.layouts[str(config.layout)],
+        **team,
+        reward_weights={name: weight * config.reward_scale for name, weight in given.items()},
+        interactions=config.interactions,
+        action=config.action,
+        decision_rate=config.decision_rate,
+        force_rate=config.force_rate,
+        num_neighbors=config.num_neighbors,
+        horizon_s=config.horizon_s,
+        threads=config.threads,
+    )
+    return found._replace(task=recipe.curriculum(found.task, config))
+
+
+def layers_of(network: nn.Module) -> Layers:
+    """Weights and biases of the linear layers in numpy, in order."""
+    return tuple(
+        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
+        for layer in network.modules()
+        if isinstance(layer, nn.Linear)
+    )
+
+
+def optimiser_tensors(optimiser: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
+    """The state of an optimiser: `<prefix><parameter's place>.<entry>`."""
+    return {
+        f"{prefix}{place}.{name}": torch.as_tensor(value).clone()
+        for place, entries in optimiser.state_dict()["state"].items()
+        for name, value in entries.items()
+    }
+
+
+def load_optimiser(
+    optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor], prefix: str
+) -> None:
+    """Give an optimiser what `optimiser_tensors` took of another.
+
+    Raises:
+        RuntimeError, ValueError: that one had other parameters.
+    """
+    state: dict[int, dict[str, Tensor]] = {}
+    for name, tensor in without_prefix(tensors, prefix).items():
+        place, _, entry = name.partition(".")
+        state.setdefault(int(place), {})[entry] = tensor
+    groups = optimiser.state_dict()["param_groups"]
+    optimiser.load_state_dict({"state": state, "param_groups": groups})
+
+
+def with_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """The tensors by names that begin so."""
+    return {prefix + name: tensor for name, tensor in tensors.items()}
+
+
+def without_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Those whose names begin so, by what follows."""
+    return {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}

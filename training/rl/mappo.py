@@ -18,35 +18,40 @@ import torch
 from torch import Tensor, nn
 
 from swarm_envs.agents.networks import Network, plain
-from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.encoders import layers_of
-from swarm_envs.training.rl.learner import Entry, Watch
-from swarm_envs.training.rl.practice import Practice
-from swarm_envs.training.rl.schedules import learning_rate, proximity_weight, segment_seed
-from swarm_envs.training.rl.tensors import load_optimiser, optimiser_tensors, without_prefix
+from swarm_envs.training.rl.learner import (
+    Entry,
+    Learner,
+    Watch,
+    layers_of,
+    load_optimiser,
+    optimiser_tensors,
+    with_prefix,
+    without_prefix,
+)
+from swarm_envs.training.rl.rl_config import RlConfig
 
 _NETWORKS, _OPTIMISER = "networks.", "optimiser."
 _LARGEST_GRADIENT = 0.5
 _HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 
 
-class Networks(nn.Module):
-    """Actor, critic, and the spread of what the critic foresees.
+class ActorCriticNetworks(nn.Module):
+    """Actor, critic, and the spread of returns, in whose units the critic is trained.
 
     Args:
-        told: numbers that an actor is told.
-        seen: numbers that the critic sees of the team, from one drone.
+        observed: numbers that the actor observes.
+        state: numbers that the critic takes of the team, from one drone.
         hidden: widths of the hidden layers of both.
         actions: width of an action.
         deviation: of actions, at the start.
     """
 
     def __init__(
-        self, told: int, seen: int, hidden: tuple[int, ...], actions: int, deviation: float
+        self, observed: int, state: int, hidden: tuple[int, ...], actions: int, deviation: float
     ) -> None:
         super().__init__()
-        self.actor = perceptron((told, *hidden, actions), 0.01)
-        self.critic = perceptron((seen, *hidden, 1), 1.0)
+        self.actor = _mlp((observed, *hidden, actions), 0.01)
+        self.critic = _mlp((state, *hidden, 1), 1.0)
         self.log_deviation = nn.Parameter(torch.full((actions,), float(np.log(deviation))))
         self.register_buffer("moments", torch.tensor([0.0, 1.0, 0.0]))
         self.moments: Tensor
@@ -56,10 +61,10 @@ class Networks(nn.Module):
         away = (actions - means) / self.log_deviation.exp()
         return -(0.5 * away**2 + self.log_deviation + _HALF_LOG_TAU).sum(-1)
 
-    def value(self, seen: Tensor) -> Tensor:
-        """Returns that are foreseen, in units of reward."""
+    def value(self, states: Tensor) -> Tensor:
+        """Returns that are expected, in units of reward."""
         mean, deviation = self.spread()
-        return self.critic(seen).squeeze(-1) * deviation + mean
+        return self.critic(states).squeeze(-1) * deviation + mean
 
     def spread(self) -> tuple[Tensor, Tensor]:
         """Mean and deviation of returns so far."""
@@ -76,12 +81,12 @@ class Networks(nn.Module):
 
 
 class Rollout(NamedTuple):
-    """Decisions of every drone, one after another; after `learnable`, in one row each."""
+    """Decisions of every drone in a rollout, in one row each."""
 
-    told: Tensor
-    """What the actor was told."""
-    seen: Tensor
-    """What the critic was told."""
+    observations: Tensor
+    """Of the actor."""
+    states: Tensor
+    """Of the team, as the critic takes them."""
     actions: Tensor
     """What was done."""
     log_probs: Tensor
@@ -92,47 +97,39 @@ class Rollout(NamedTuple):
     """What the critic learns."""
 
 
-class MappoLearner:
-    """A policy in training by MAPPO; what its methods are for, see `Learner`.
+class MappoLearner(Learner):
+    """A policy in training by MAPPO; what its methods are for, see `Learner`."""
 
-    Args:
-        config: of the run.
-        task: its versioned name.
-    """
-
-    def __init__(self, config: TrainConfig, task: str) -> None:
-        torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+    def __init__(self, config: RlConfig, task: str) -> None:
+        super().__init__(config, task)
         torch.manual_seed(config.seed)
+        config = self.config
         assert config.deviation is not None  # the recipe has one
-        self.config = config
-        self.env = Practice(config, task)
-        (self.core,) = self.env.cores
-        told = self.env.observation_space.shape[0]
-        others = (self.core.num_drones - 1) * self.core.team_state().shape[-1]
-        width = self.core.mode.width
-        self.networks = Networks(told, told + others, config.hidden, width, config.deviation)
+        self.core = self.env.core
+        observed = self.env.observation_space.shape[0]
+        state = observed + (self.core.num_drones - 1) * self.core.team_state().shape[-1]
+        width, deviation = self.core.mode.width, config.deviation
+        self.networks = ActorCriticNetworks(observed, state, config.hidden, width, deviation)
         self._adam(config.learning_rate)
         self._draws = torch.Generator()
 
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
         """Train for the rollouts of a segment."""
-        config, seed = self.config, segment_seed(self.config, segment)
+        config, seed = self.config, self.config.segment_seed(segment)
         if segment.start == config.first_stage:
             self._begin_second_stage()
         self._draws.manual_seed(seed)
         self.core.reset([seed + e for e in range(self.core.num_envs)])
-        self.env.clear()
+        self.start_counting()
         for rollout in segment:
-            rate = learning_rate(config, rollout)
-            self.core.set_reward_weights({"proximity": proximity_weight(config, rollout)})
+            rate = config.learning_rate_after(rollout)
+            self.core.set_reward_weights({"proximity": config.proximity_weight_after(rollout)})
             kl, loss = self._learn(self._collect(), rate)
             if watch is not None:
                 watch()
-        ended = max(self.env.episodes, 1)
         return {
             "step": float(segment.stop * config.rollout_steps),
-            "success": self.env.successes / ended,
-            "collision": self.env.collisions / ended,
+            **self.rates(),
             "deviation": float(self.networks.log_deviation.detach().exp().mean()),
             "learning_rate": rate,
             "kl": kl,
@@ -145,24 +142,21 @@ class MappoLearner:
         discount = self.config.discount
         assert discount is not None  # the recipe has one
         steps = [self._step() for _ in range(self.config.rollout)]
-        told, seen, actions, log_probs, values, rewards, after, ended = map(
+        observations, states, actions, log_probs, values, rewards, after, ended = map(
             torch.stack, zip(*steps, strict=True)
         )
-        following = torch.cat([values[1:], self.networks.value(self._seen(self._told()))[None]])
-        following = torch.where(ended, after, following)
-        advantages = generalised_advantages(
-            rewards + discount * following - values,
-            ended,
-            discount * self.config.gae_lambda,
-        )
-        rows = (told, seen, actions, log_probs, advantages, advantages + values)
+        last = self.networks.value(self._states(self._observations()))
+        following = torch.where(ended, after, torch.cat([values[1:], last[None]]))
+        errors = rewards + discount * following - values
+        advantages = generalised_advantages(errors, ended, discount * self.config.gae_lambda)
+        rows = (observations, states, actions, log_probs, advantages, advantages + values)
         return Rollout(*(row.flatten(0, 2) for row in rows))
 
     def _step(self) -> tuple[Tensor, ...]:
-        """One decision of every drone: what it was told, what it did, what came of it."""
-        told = self._told()
-        seen = self._seen(told)
-        means = self.networks.actor(told)
+        """One decision of every drone: what it observed, what it did, what came of it."""
+        observations = self._observations()
+        states = self._states(observations)
+        means = self.networks.actor(observations)
         noise = torch.randn(means.shape, generator=self._draws)
         actions = means + self.networks.log_deviation.exp() * noise
         result = self.core.step(actions.clamp(-1.0, 1.0).numpy())
@@ -170,31 +164,32 @@ class MappoLearner:
         after, ended = torch.zeros_like(rewards), result.terminated | result.truncated
         if result.truncated.any():  # cut by the clock alone: what would follow has a value
             cut = torch.from_numpy(result.truncated & ~result.terminated)
-            after[cut] = self.networks.value(self._seen(self._told())[cut])
+            after[cut] = self.networks.value(self._states(self._observations())[cut])
         if ended.any():
             for e in np.flatnonzero(ended).tolist():
-                self.env.count(self.core.metrics(e))
+                self.count(self.core.metrics(e))
             self.core.reset(mask=ended)
         over = torch.from_numpy(ended)[:, None].expand(rewards.shape)
         log_probs = self.networks.log_probability(means, actions)
-        return told, seen, actions, log_probs, self.networks.value(seen), rewards, after, over
+        values = self.networks.value(states)
+        return observations, states, actions, log_probs, values, rewards, after, over
 
-    def _told(self) -> Tensor:
-        """(E, N, features) what every drone senses now."""
-        return torch.from_numpy(self.env.told(self.core.rows))
+    def _observations(self) -> Tensor:
+        """(E, N, features) of every drone now."""
+        return torch.from_numpy(self.env.observe(self.core.rows))
 
-    def _seen(self, told: Tensor) -> Tensor:
-        """(E, N, width) what the critic sees from every drone: features, the others' true states.
+    def _states(self, observations: Tensor) -> Tensor:
+        """(E, N, width) of the critic: a drone's features, then the others' true states.
 
         Its own state is left out: features say it already.
         """
         states = torch.from_numpy(self.core.team_state())
         others = [states.roll(-k, dims=1) for k in range(1, self.core.num_drones)]
-        return torch.cat([told, *others], dim=-1)
+        return torch.cat([observations, *others], dim=-1)
 
     def _learn(self, rollout: Rollout, rate: float) -> tuple[float, float]:
         """Update on a rollout; return the mean divergence from what flew it, and value loss."""
-        networks, told = self.networks, []
+        networks, losses = self.networks, []
         networks.note_returns(rollout.returns)
         self.adam.param_groups[0]["lr"] = rate
         for batch in self._batches(rollout):
@@ -204,9 +199,9 @@ class MappoLearner:
             for part in (networks.actor.parameters(), networks.critic.parameters()):
                 nn.utils.clip_grad_norm_(part, _LARGEST_GRADIENT)
             self.adam.step()
-            told.append((float(kl), float(value_loss)))
-        kls, losses = zip(*told, strict=True)
-        return float(np.mean(kls)), float(np.mean(losses))
+            losses.append((float(kl), float(value_loss)))
+        kls, value_losses = zip(*losses, strict=True)
+        return float(np.mean(kls)), float(np.mean(value_losses))
 
     def _batches(self, rollout: Rollout) -> Iterator[Rollout]:
         size = self.config.batch_size
@@ -217,14 +212,15 @@ class MappoLearner:
 
     def _losses(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
         config, networks = self.config, self.networks
-        log_probs = networks.log_probability(networks.actor(batch.told), batch.actions)
+        log_probs = networks.log_probability(networks.actor(batch.observations), batch.actions)
         change = log_probs - batch.log_probs
-        ratio, good = change.exp(), standardised(batch.advantages)
+        ratio, good = change.exp(), batch.advantages
+        good = (good - good.mean()) / (good.std() + 1e-8)
         clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
         gain = torch.minimum(ratio * good, clipped * good).mean()
         mean, deviation = networks.spread()
-        foreseen = networks.critic(batch.seen).squeeze(-1)
-        value_loss = nn.functional.huber_loss(foreseen, (batch.returns - mean) / deviation)
+        expected = networks.critic(batch.states).squeeze(-1)
+        value_loss = nn.functional.huber_loss(expected, (batch.returns - mean) / deviation)
         entropy = networks.log_deviation.sum()  # but for a constant
         kl = (ratio - 1.0 - change).mean().detach()
         return kl, value_loss.detach(), value_loss - gain - config.entropy * entropy
@@ -235,17 +231,13 @@ class MappoLearner:
 
     def tensors(self) -> dict[str, Tensor]:
         """Weights, the spread of returns, and Adam's averages."""
-        found = {_NETWORKS + name: t for name, t in self.networks.state_dict().items()}
-        return found | optimiser_tensors(self.adam, _OPTIMISER)
+        tensors = with_prefix(self.networks.state_dict(), _NETWORKS)
+        return tensors | optimiser_tensors(self.adam, _OPTIMISER)
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """Take what `tensors` gave."""
         self.networks.load_state_dict(without_prefix(tensors, _NETWORKS))
         load_optimiser(self.adam, tensors, _OPTIMISER)
-
-    def close(self) -> None:
-        """Free the environments."""
-        self.env.close()
 
     def _adam(self, rate: float) -> None:
         self.adam = torch.optim.Adam(self.networks.parameters(), lr=rate, eps=1e-5)
@@ -257,7 +249,7 @@ class MappoLearner:
         self._adam(self.config.second_rate)
 
 
-def perceptron(widths: tuple[int, ...], last_gain: float) -> nn.Sequential:
+def _mlp(widths: tuple[int, ...], last_gain: float) -> nn.Sequential:
     """Layers with tanh between them; weights orthogonal, biases 0."""
     layers: list[nn.Module] = []
     gains = [float(np.sqrt(2.0))] * (len(widths) - 2) + [last_gain]
@@ -285,8 +277,3 @@ def generalised_advantages(errors: Tensor, ended: Tensor, decay: float) -> Tenso
         last = errors[t] + decay * torch.where(ended[t], 0.0, last)
         advantages[t] = last
     return advantages
-
-
-def standardised(values: Tensor) -> Tensor:
-    """Less their mean, over their deviation."""
-    return (values - values.mean()) / (values.std() + 1e-8)

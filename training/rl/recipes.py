@@ -1,25 +1,32 @@
-"""What is particular to learning each task: practice, what counts as good, and defaults.
+"""What is particular to learning each task: its curriculum, its measures, and defaults.
 
-A recipe is data and two small functions. All that trains, judges and writes takes it as it comes,
+A recipe is data and a few small functions. What trains, evaluates and writes takes it as it comes,
 and asks no task by its name.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
+from swarm_envs.agents.batch import AT_ONCE, fly_batch
 from swarm_envs.agents.feature_sets import GOAL, REFERENCE, TYPED
+from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.policy_file import Policy
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.ring import REWARD_WEIGHTS as RING_REWARDS
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
-from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.formations import practise_formation
-from swarm_envs.training.rl.starts import practise_swap
+from swarm_envs.training.rl.curriculum_tasks import formation_curriculum, swap_curriculum
+from swarm_envs.training.rl.rl_config import RlConfig
 
 _REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "discount": 0.98}
 """Defaults where places are to be found: explored widely, rewarded late."""
@@ -52,34 +59,23 @@ class Recipe:
     layouts: Mapping[str, Mapping[str, Any]]
     """what `--layout` may name: options of the task's environment"""
     defaults: Mapping[str, Any]
-    """of those options of `TrainConfig` that are None unless they are given"""
+    """of those options of `RlConfig` that are None unless they are given"""
     judged: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    """layouts on which the policy of a layout is judged; itself alone where nothing is said"""
+    """layouts on which the policy of a layout is evaluated; itself alone where nothing is said"""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """of the practice; those of proximity and of a crash come from the options"""
-    practice: Callable[[Task, TrainConfig], Task] = lambda task, _: task
+    """of the reward in training; those of proximity and of a crash come from the options"""
+    curriculum: Callable[[Task, RlConfig], Task] = lambda task, _: task
     """the task that is flown in training, made from the layout's"""
     features: str = GOAL
-    """name of what the network is told of an observation row"""
+    """name of the features that the network takes of an observation row"""
     features_of_types: str = TYPED
     """the same where teams have vehicles of several types"""
     measures: Mapping[str, Callable[[Metrics], float]] = field(
         default_factory=lambda: {"success": success, "collision": collision}
     )
-    """what a judged episode is measured by; averaged over episodes"""
+    """what an episode of an evaluation is measured by; averaged over episodes"""
     cost: Mapping[str, float] = field(default_factory=dict)
     """what is taken off a layout's success for each measure, times this, to say how good it is"""
-
-    def completed(self, config: TrainConfig) -> TrainConfig:
-        """The options with this recipe's defaults for what was not given.
-
-        Raises:
-            ValueError: there is no such layout; the message lists those that exist.
-        """
-        missing = [k for k in self.defaults if config.uses(k) and getattr(config, k) is None]
-        whole = replace(config, **{k: self.defaults[k] for k in missing})
-        check_name("--layout", whole.layout, self.layouts)
-        return whole
 
     def judged_on(self, layout: str) -> tuple[str, ...]:
         """Layouts on which a policy trained on `layout` is judged."""
@@ -105,13 +101,13 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             layouts={name: {"layout": name} for name in ("random", "circle")},
             defaults={"layout": "random", **_REACH},
             judged={"random": ("random", "circle")},
-            practice=practise_swap,
+            curriculum=swap_curriculum,
         ),
         "formation_v0": Recipe(
             layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
             defaults={"layout": "shuffle", **_REACH},
             judged={"shuffle": ("shuffle", "cube", "tour")},
-            practice=practise_formation,
+            curriculum=formation_curriculum,
         ),
         "ring_v0": Recipe(
             layouts={"rings": {}},
@@ -131,10 +127,56 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
 """Every task that can be learned, by its versioned name."""
 
 
-def completed(config: TrainConfig, task: str) -> TrainConfig:
-    """The options of a run with the defaults of its task's recipe.
+def with_recipe(config: RlConfig, task: str) -> RlConfig:
+    """The options of a run, with the defaults of its task's recipe for what was not given.
 
     Raises:
-        ValueError: the task has no recipe, or no such layout.
+        ValueError: the task has no recipe, or no such layout; the message lists those that exist.
     """
-    return RECIPES[check_name("task with a recipe", task, RECIPES)].completed(config)
+    recipe = RECIPES[check_name("task with a recipe", task, RECIPES)]
+    missing = [k for k in recipe.defaults if config.uses(k) and getattr(config, k) is None]
+    whole = replace(config, **{k: recipe.defaults[k] for k in missing})
+    check_name("--layout", whole.layout, recipe.layouts)
+    return whole
+
+
+CHOOSING = (0x63686F6F, 0x73696E67)
+"""Entropy of the seeds on which policies are chosen: no `--seed` of `evaluate` draws the same."""
+
+
+def choosing_seeds(count: int) -> list[int]:
+    """Seeds of so many episodes, never trained on; fewer are the first of more."""
+    return [int(word) for word in np.random.SeedSequence(CHOOSING).generate_state(count)]
+
+
+def evaluate_policy(
+    policy: Policy,
+    task: str,
+    layouts: Sequence[str],
+    seeds: Sequence[int],
+    options: Mapping[str, Any],
+    teams: Sequence[Mapping[str, Any]] = (),
+) -> dict[str, float]:
+    """Averages of the recipe's measures on each layout, such as `random_success`.
+
+    Args:
+        policy: who flies.
+        task: versioned name.
+        layouts: of the task.
+        seeds: of the episodes, the same on each layout.
+        options: of the environments, beside what the policy requires.
+        teams: options of each team that flies; of several each has its own averages, such as
+            `random_8_success` of eight drones. With none the other options say who flies.
+    """
+    agent, recipe, found = PolicyAgent(policy), RECIPES[task], {}
+    for team, layout in product(teams or ({},), layouts):
+        given = {"threads": 1, **options, **team, **recipe.layouts[layout], **agent.requires}
+        blueprint = batch_of(task, **given)
+        core = SwarmCore(blueprint.task, blueprint.config, min(AT_ONCE, len(seeds)))
+        metrics = fly_batch(core, agent.act_batch, seeds)
+        core.close()
+        short = "_".join(map(str, team.values()))
+        flown = layout if len(teams) < 2 else f"{layout}_{short}"
+        for name, measure in recipe.measures.items():
+            found[f"{flown}_{name}"] = float(np.mean([measure(m) for m in metrics]))
+    return found

@@ -1,44 +1,192 @@
-"""A training run from its options to its report: begun, gone on with, or found finished."""
+"""A training run from its options to its report: begun, gone on with, or found finished.
+
+Read this first, then `learner` (what the algorithms share) and one of `ppo`, `sac` and `mappo`.
+"""
 
 from __future__ import annotations
 
 import importlib.util
 import json
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
 from tqdm import tqdm
 
 from swarm_envs import __version__
 from swarm_envs.agents.policy import CHECKPOINT, FILE
 from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
 from swarm_envs.files import claimed, write_json, write_table
+from swarm_envs.training.force_model.checkpoint import write_safetensors
 from swarm_envs.training.force_model.tensorboard import scalar_writer
-from swarm_envs.training.provenance import json_ready
-from swarm_envs.training.rl.checkpoint import differing_runs, load_checkpoint, save_checkpoint
-from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.judging import Judges, choosing_seeds
+from swarm_envs.training.provenance import differing, json_ready
 from swarm_envs.training.rl.learner import Learner, make_learner
-from swarm_envs.training.rl.practice import Practice
-from swarm_envs.training.rl.recipes import RECIPES, completed
+from swarm_envs.training.rl.recipes import RECIPES, choosing_seeds, evaluate_policy, with_recipe
+from swarm_envs.training.rl.rl_config import RlConfig
 
 REPORT, CURVE = "report.json", "curve.csv"
 """Files of a run: its report, where it goes on, and its curve."""
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
+_EARLIER = {"action": "acceleration"}
+"""What all runs did before there was an option for it."""
 
 
-def result_options(config: TrainConfig, task: str) -> dict[str, Any]:
+@dataclass
+class _Progress:
+    """Where a run stands: what its checkpoint holds beside tensors."""
+
+    config: dict[str, Any]
+    rollouts: int
+    history: list[dict[str, float]]
+    judged: list[dict[str, float]]
+    best: float | None
+    cpu_s: float
+    wall_s: float
+
+
+def train_policy(config: RlConfig, task: str) -> dict[str, Any]:
+    """Train to the end and return the report, which is also written.
+
+    Raises:
+        BlockingIOError: another process writes into the folder.
+        ImportError: Stable-Baselines3 is not installed.
+        OSError: the folder cannot be written.
+        ValueError: the folder holds another run, or a damaged one.
+    """
+    config = with_recipe(config, task)
+    with claimed(config.out):
+        learner = make_learner(config, task)
+        try:
+            progress = _begin(config, task, learner)
+            _train_segments(config, task, learner, progress)
+        finally:
+            learner.close()
+        report = {
+            "config": progress.config,
+            "steps": progress.rollouts * config.rollout_steps,
+            "chosen": max(reversed(progress.judged), key=RECIPES[task].quality),
+            "last": progress.judged[-1],
+            "cpu_s": round(progress.cpu_s, 1),
+            "wall_s": round(progress.wall_s, 1),
+            "version": __version__,
+        }
+        write_json(config.out / REPORT, report)
+    return report
+
+
+def _begin(config: RlConfig, task: str, learner: Learner) -> _Progress:
+    """A new run, or one that goes on from its checkpoint, and says so."""
+    options, path = result_options(config, task), config.out / CHECKPOINT
+    if not path.is_file():
+        return _Progress(options, 0, [], [], None, 0.0, 0.0)
+    progress = _Progress(**_load_checkpoint(path, learner, options))
+    steps = progress.rollouts * config.rollout_steps
+    tqdm.write(f"going on from the checkpoint at {steps:,} steps in {config.out}")
+    return progress
+
+
+def _train_segments(config: RlConfig, task: str, learner: Learner, progress: _Progress) -> None:
+    """Train what is left, with a checkpoint after each segment."""
+    wanted = config.tensorboard and importlib.util.find_spec("tensorboard") is not None
+    segments = config.segments()
+    bar = tqdm(
+        total=config.rollouts * config.rollout_steps,
+        initial=progress.rollouts * config.rollout_steps,
+        unit="step",
+        unit_scale=True,
+        desc="train",
+        disable=not config.progress,
+        mininterval=0.5,
+    )
+
+    def watch() -> None:
+        said = "success {success:.0%}, collisions {collision:.0%}".format(**learner.rates())
+        bar.set_postfix_str(said, refresh=False)
+        bar.update(config.rollout_steps)
+
+    with scalar_writer(config.out / "tensorboard" if wanted else None) as log, bar:
+        for number, segment in enumerate(segments, 1):
+            if segment.start < progress.rollouts:
+                continue
+            clocks = time.process_time(), time.monotonic()
+            entry = learner.fly(segment, watch)
+            progress.rollouts = segment.stop
+            progress.history.append(entry)
+            if number % config.judge_every == 0 or number == len(segments):
+                _evaluate(config, task, learner, progress)
+                entry = {**entry, **progress.judged[-1]}
+            progress.cpu_s += time.process_time() - clocks[0]
+            progress.wall_s += time.monotonic() - clocks[1]
+            _save_checkpoint(config.out / CHECKPOINT, learner, progress)
+            write_table(config.out / CURVE, _curve(progress))
+            if log is not None:
+                log(entry)
+
+
+def _evaluate(config: RlConfig, task: str, learner: Learner, progress: _Progress) -> None:
+    """Evaluate the policy, and keep it if none before was better."""
+    recipe, steps = RECIPES[task], progress.rollouts * config.rollout_steps
+    about = {"config": progress.config, "steps": steps, "version": __version__}
+    policy = Policy(policy_note(learner, task), learner.actor(), about)
+    rates = evaluate_policy(
+        policy,
+        task,
+        recipe.judged_on(str(config.layout)),
+        choosing_seeds(config.judge_episodes),
+        {"interactions": config.interactions, "force_rate": config.force_rate},
+        config.teams,
+    )
+    quality = recipe.quality(rates)
+    progress.judged.append({"step": float(steps), **rates})
+    if progress.best is None or quality >= progress.best:
+        progress.best = quality
+        chosen = Policy(policy.note, policy.networks, {**about, "chosen_by": rates})
+        write_policy(config.out / FILE, chosen)
+
+
+def policy_note(learner: Learner, task: str) -> PolicyNote:
+    """What a run's policy is trained for."""
+    config = learner.config
+    return PolicyNote(
+        task,
+        max(config.team_sizes),
+        config.action,
+        config.decision_rate,
+        config.num_neighbors,
+        features=learner.features,
+        encoder=config.encoder,
+        pooling=config.pooling,
+        types=learner.types,
+        per_type=config.per_type,
+        fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
+    )
+
+
+def _curve(progress: _Progress) -> list[dict[str, Any]]:
+    """History and evaluations in one table; empty where a checkpoint was not evaluated."""
+    judged = {entry["step"]: entry for entry in progress.judged}
+    names = [name for entry in progress.judged[:1] for name in entry if name != "step"]
+    return [
+        {**entry, **{name: judged.get(entry["step"], {}).get(name, "") for name in names}}
+        for entry in progress.history
+    ]
+
+
+def result_options(config: RlConfig, task: str) -> dict[str, Any]:
     """What the policy depends on, ready for JSON."""
-    config = completed(config, task)
+    config = with_recipe(config, task)
     names = [f.name for f in fields(config) if f.name not in _NO_RESULT and config.uses(f.name)]
     options = {name: getattr(config, name) for name in names}
     ready: dict[str, Any] = json.loads(json.dumps(json_ready({**options, "task": task})))
     return ready
 
 
-def finished_report(config: TrainConfig, task: str) -> dict[str, Any] | None:
+def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
     """The report of the same run, if it has ended; None if there is none.
 
     Raises:
@@ -54,7 +202,7 @@ def finished_report(config: TrainConfig, task: str) -> dict[str, Any] | None:
         raise ValueError(
             f"{str(path)!r} is no report of a training run ({error}); choose another folder"
         ) from error
-    differences = differing_runs(made, result_options(config, task))
+    differences = _differing_runs(made, result_options(config, task))
     if differences:
         raise ValueError(
             f"{str(path)!r} is of a finished run with other options: {differences}; choose another "
@@ -63,164 +211,54 @@ def finished_report(config: TrainConfig, task: str) -> dict[str, Any] | None:
     return report
 
 
-@dataclass
-class _Standing:
-    """Where a run stands; what its checkpoint says beside weights."""
-
-    config: dict[str, Any]
-    rollouts: int
-    history: list[dict[str, float]]
-    judged: list[dict[str, float]]
-    best: float | None
-    cpu_s: float
-    wall_s: float
+def _differing_runs(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
+    """Options in which two runs differ, in words; of two algorithms the names alone."""
+    there = {**_EARLIER, **there}
+    if there.get("algo") != here["algo"]:
+        return differing({"algo": there.get("algo")}, {"algo": here["algo"]})
+    return differing(there, here)
 
 
-def train(config: TrainConfig, task: str) -> dict[str, Any]:
-    """Train to the end and return the report, which is also written.
+def _save_checkpoint(path: Path, learner: Learner, progress: _Progress) -> None:
+    """Write all that a run needs to go on as safetensors, whole or not at all: no pickle."""
+    metadata = {"progress": json.dumps(vars(progress), allow_nan=False)}
+    write_safetensors(path, learner.tensors(), metadata)
+
+
+def _load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) -> dict[str, Any]:
+    """Put a fresh learner where the checkpoint stands, and return its progress.
 
     Raises:
-        BlockingIOError: another process writes into the folder.
-        ImportError: Stable-Baselines3 is not installed.
-        OSError: the folder cannot be written.
-        ValueError: the folder holds another run, or a damaged one.
+        ValueError: it is damaged, or of a run with another configuration.
     """
-    with claimed(config.out):
-        return _train(completed(config, task), task)
-
-
-def _train(config: TrainConfig, task: str) -> dict[str, Any]:
-    learner = make_learner(config, task)
-    judges = Judges(
-        task,
-        RECIPES[task].judged_on(str(config.layout)),
-        choosing_seeds(config.judge_episodes),
-        {"interactions": config.interactions, "force_rate": config.force_rate},
-        config.teams,
-    )
     try:
-        standing = _begin(config, task, learner)
-        _go_on(config, task, learner, judges, standing)
-    finally:
-        learner.close()
-        judges.close()
-    report = _report(config, task, standing)
-    write_json(config.out / REPORT, report)
-    return report
-
-
-def _begin(config: TrainConfig, task: str, learner: Learner) -> _Standing:
-    """A new run, or one that goes on from its checkpoint, and says so."""
-    depends, path = result_options(config, task), config.out / CHECKPOINT
-    if not path.is_file():
-        return _Standing(depends, 0, [], [], None, 0.0, 0.0)
-    standing = _Standing(**load_checkpoint(path, learner, depends))
-    steps = standing.rollouts * config.rollout_steps
-    tqdm.write(f"going on from the checkpoint at {steps:,} steps in {config.out}")
-    return standing
-
-
-def _go_on(
-    config: TrainConfig, task: str, learner: Learner, judges: Judges, standing: _Standing
-) -> None:
-    """Train what is left, with a checkpoint after each segment."""
-    events = config.out / "tensorboard" if config.tensorboard and _has_tensorboard() else None
-    total, done = config.rollouts * config.rollout_steps, standing.rollouts * config.rollout_steps
-    segments = config.segments()
-    with (
-        scalar_writer(events) as log,
-        tqdm(
-            total=total,
-            initial=done,
-            unit="step",
-            unit_scale=True,
-            desc="train",
-            disable=not config.progress,
-            mininterval=0.5,
-        ) as bar,
-    ):
-
-        def watch() -> None:
-            ended = max(learner.env.episodes, 1)
-            success, collision = learner.env.successes / ended, learner.env.collisions / ended
-            bar.set_postfix_str(f"success {success:.0%}, collisions {collision:.0%}", refresh=False)
-            bar.update(config.rollout_steps)
-
-        for number, segment in enumerate(segments, 1):
-            if segment.start < standing.rollouts:
-                continue
-            clocks = time.process_time(), time.monotonic()
-            entry = learner.fly(segment, watch)
-            standing.rollouts = segment.stop
-            standing.history.append(entry)
-            if number % config.judge_every == 0 or number == len(segments):
-                _judge(config, task, learner, judges, standing)
-                entry = {**entry, **standing.judged[-1]}
-            standing.cpu_s += time.process_time() - clocks[0]
-            standing.wall_s += time.monotonic() - clocks[1]
-            save_checkpoint(config.out / CHECKPOINT, learner, vars(standing))
-            write_table(config.out / CURVE, _curve(standing))
-            if log is not None:
-                log(entry)
-
-
-def _judge(
-    config: TrainConfig, task: str, learner: Learner, judges: Judges, standing: _Standing
-) -> None:
-    """Judge the policy, and keep it if none before was better."""
-    steps = standing.rollouts * config.rollout_steps
-    note = policy_note(config, task, learner.env)
-    about = {"config": standing.config, "steps": steps, "version": __version__}
-    policy = Policy(note, learner.actor(), about)
-    rates = judges.judge(policy)
-    quality = RECIPES[task].quality(rates)
-    standing.judged.append({"step": float(steps), **rates})
-    if standing.best is None or quality >= standing.best:
-        standing.best = quality
-        write_policy(
-            config.out / FILE, Policy(note, policy.networks, {**about, "chosen_by": rates})
+        tensors, progress = _read_checkpoint(path)
+    except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"checkpoint {str(path)!r} is damaged ({error}); delete the folder and train again"
+        ) from error
+    differences = _differing_runs(progress["config"], config)
+    if differences:
+        raise ValueError(
+            f"checkpoint {str(path)!r} is of a run with other options: {differences}; choose "
+            "another folder by --out, or delete that one"
         )
+    try:
+        learner.load(tensors)
+    except (KeyError, RuntimeError, ValueError) as error:
+        raise ValueError(
+            f"checkpoint {str(path)!r} does not fit the networks of its own options ({error}); "
+            "delete the folder and train again"
+        ) from error
+    return progress
 
 
-def policy_note(config: TrainConfig, task: str, env: Practice) -> PolicyNote:
-    """What a run's policy is trained for."""
-    return PolicyNote(
-        task,
-        max(config.team_sizes),
-        config.action,
-        config.decision_rate,
-        config.num_neighbors,
-        features=env.features,
-        encoder=config.encoder,
-        pooling=config.pooling,
-        types=env.types,
-        per_type=config.per_type,
-        fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
-    )
-
-
-def _has_tensorboard() -> bool:
-    return importlib.util.find_spec("tensorboard") is not None
-
-
-def _curve(standing: _Standing) -> list[dict[str, Any]]:
-    """History and judgements in one table; empty where a checkpoint was not judged."""
-    judged = {entry["step"]: entry for entry in standing.judged}
-    names = [name for entry in standing.judged[:1] for name in entry]
-    return [
-        {**entry, **{n: judged.get(entry["step"], {}).get(n, "") for n in names if n != "step"}}
-        for entry in standing.history
-    ]
-
-
-def _report(config: TrainConfig, task: str, standing: _Standing) -> dict[str, Any]:
-    best = max(reversed(standing.judged), key=RECIPES[task].quality)
-    return {
-        "config": standing.config,
-        "steps": standing.rollouts * config.rollout_steps,
-        "chosen": best,
-        "last": standing.judged[-1],
-        "cpu_s": round(standing.cpu_s, 1),
-        "wall_s": round(standing.wall_s, 1),
-        "version": __version__,
-    }
+def _read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata() or {}
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    progress = json.loads(metadata["progress"])
+    for name in ("config", "rollouts", "history", "judged"):
+        if name not in progress:
+            raise KeyError(name)
+    return tensors, progress

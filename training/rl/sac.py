@@ -1,51 +1,63 @@
 """Stable-Baselines3's SAC with parameter sharing: it learns from every decision many times.
 
-A checkpoint holds what it remembers too, which a run that goes on would otherwise have lost: at
+Stable-Baselines3 flies, remembers and draws; the update of Haarnoja et al. (Soft Actor-Critic
+Algorithms and Applications, 2018) is here, with three changes. Returns are of several steps, which
+carries a reward from the goal to the start in fewer gradient steps. Critics have layer
+normalisation, which keeps them from running away (Ball et al., Efficient Online Reinforcement
+Learning with Offline Data, 2023). The actor and the temperature follow every other step (Fujimoto
+et al., Addressing Function Approximation Error in Actor-Critic Methods, 2018).
+
+A checkpoint holds the replay buffer too, which a run that goes on would otherwise have lost: at
 most `--sac.buffer-size` decisions. That of a run's end holds none: nothing is learned after it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.buffers import ReplayBuffer
+from stable_baselines3 import SAC
+from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.sac.policies import SACPolicy
 from torch import Tensor, nn
+from torch.nn import functional
 
 from swarm_envs.agents.networks import Network, plain
-from swarm_envs.training.rl.config import TrainConfig
-from swarm_envs.training.rl.learner import Entry, Watch
-from swarm_envs.training.rl.practice import Practice
-from swarm_envs.training.rl.rollouts import Rollouts
-from swarm_envs.training.rl.schedules import falling_rate, proximity_weight, segment_seed
-from swarm_envs.training.rl.soft_actor_critic import SoftActorCritic
-from swarm_envs.training.rl.tensors import load_optimiser, optimiser_tensors, without_prefix
+from swarm_envs.training.rl.learner import (
+    Entry,
+    Sb3Learner,
+    Watch,
+    layers_of,
+    load_optimiser,
+    optimiser_tensors,
+    with_prefix,
+    without_prefix,
+)
+from swarm_envs.training.rl.rl_config import RlConfig
 
+ACTOR_EVERY = 2
+"""Gradient steps of the critics for each of the actor and of the temperature."""
+_HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 _POLICY, _MEMORY, _TEMPERATURE, _PLACE = "policy.", "memory.", "log_temperature", "memory_place"
 _REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
-class SacLearner:
-    """A policy in training by SAC; what its methods are for, see `Learner`.
+class SacLearner(Sb3Learner):
+    """A policy in training by SAC; what its methods are for, see `Learner`."""
 
-    Args:
-        config: of the run.
-        task: its versioned name.
-    """
-
-    def __init__(self, config: TrainConfig, task: str) -> None:
-        torch.set_num_threads(1)  # matrices are small: more threads wait for each other
+    def __init__(self, config: RlConfig, task: str) -> None:
+        super().__init__(config, task)
+        config, options = self.config, self.config.sac
         assert config.discount is not None  # the recipe has one
-        self.config = config
-        self.rollouts = 0
-        self.env = Practice(config, task)
-        widths, options = list(config.hidden), config.sac
         self.model = SoftActorCritic(
             self.env,
             lookahead=options.lookahead,
             gamma=config.discount,
-            learning_rate=lambda _: falling_rate(config, self.rollouts),
+            learning_rate=lambda _: config.learning_rate_after(self.rollouts),
             buffer_size=options.buffer_size,
             learning_starts=options.learning_starts,
             batch_size=options.batch_size,
@@ -56,7 +68,7 @@ class SacLearner:
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "net_arch": widths,
+                "net_arch": list(config.hidden),
                 "activation_fn": nn.Tanh,
                 "optimizer_kwargs": {"fused": True},
             },
@@ -64,22 +76,14 @@ class SacLearner:
 
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
         """Train for the rollouts of a segment."""
-        config, model = self.config, self.model
-        model.set_random_seed(segment_seed(config, segment))  # SB3's draws are global
-        model._last_obs = None  # begin new episodes
-        self.env.clear()
         _cut(self._memory())
-        model.num_timesteps = segment.start * config.rollout_steps
-        steps, rollouts = len(segment) * config.rollout_steps, Rollouts(self.begin_rollout, watch)
-        model.learn(steps, callback=rollouts, log_interval=None, reset_num_timesteps=False)
-        self.rollouts = segment.stop
-        return self._entry()
-
-    def begin_rollout(self, steps: int) -> None:
-        """Set what depends on how many steps were flown."""
-        self.rollouts = steps // self.config.rollout_steps
-        weight = proximity_weight(self.config, self.rollouts)
-        self.env.weigh({"proximity": weight})
+        entry, said = super().fly(segment, watch), self.model.logger.name_to_value
+        return {
+            **entry,
+            "temperature": float(self.model.log_ent_coef.detach().exp()),
+            "critic_loss": float(said.get("train/critic_loss", 0.0)),
+            "actor_loss": float(said.get("train/actor_loss", 0.0)),
+        }
 
     def actor(self) -> dict[str, Network]:
         """The network whose output is the mean action.
@@ -87,18 +91,13 @@ class SacLearner:
         SAC's last layer has a tanh, which a policy's has not: another follows, which changes
         nothing.
         """
-        actor = self.model.actor
-        linear = [layer for layer in actor.latent_pi if isinstance(layer, nn.Linear)]
-        layers = [
-            (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-            for layer in [*linear, actor.mu]
-        ]
-        width = len(layers[-1][1])
-        return plain((*layers, (np.eye(width, dtype=np.float32), np.zeros(width, np.float32))))
+        actor, width = self.model.actor, self.env.action_space.shape[0]
+        identity = (np.eye(width, dtype=np.float32), np.zeros(width, np.float32))
+        return plain((*layers_of(actor.latent_pi), *layers_of(actor.mu), identity))
 
     def tensors(self) -> dict[str, Tensor]:
-        """Weights, Adam's averages, the temperature; and while it learns, what it remembers."""
-        tensors = {_POLICY + name: t for name, t in self.model.policy.state_dict().items()}
+        """Weights, Adam's averages, the temperature; and while it learns, the replay buffer."""
+        tensors = with_prefix(self.model.policy.state_dict(), _POLICY)
         tensors[_TEMPERATURE] = self.model.log_ent_coef.detach()
         for name, optimiser in self._optimisers().items():
             tensors |= optimiser_tensors(optimiser, name)
@@ -116,10 +115,6 @@ class SacLearner:
         if _PLACE in tensors:
             _remember(self._memory(), tensors)
 
-    def close(self) -> None:
-        """Free the environments."""
-        self.env.close()
-
     def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
         model = self.model
         return {
@@ -131,18 +126,6 @@ class SacLearner:
     def _memory(self) -> ReplayBuffer:
         memory: ReplayBuffer = self.model.replay_buffer
         return memory
-
-    def _entry(self) -> Entry:
-        env, told = self.env, self.model.logger.name_to_value
-        ended = max(env.episodes, 1)
-        return {
-            "step": float(self.model.num_timesteps),
-            "success": env.successes / ended,
-            "collision": env.collisions / ended,
-            "temperature": float(self.model.log_ent_coef.detach().exp()),
-            "critic_loss": float(told.get("train/critic_loss", 0.0)),
-            "actor_loss": float(told.get("train/actor_loss", 0.0)),
-        }
 
 
 def _cut(memory: ReplayBuffer) -> None:
@@ -167,3 +150,133 @@ def _remember(memory: ReplayBuffer, tensors: Mapping[str, Tensor]) -> None:
         getattr(memory, name)[: len(held)] = held
     memory.pos = int(tensors[_PLACE])
     memory.full = len(held) == memory.buffer_size
+
+
+class TwinCritic(nn.Module):
+    """Two critics that share nothing but their calls: layers are stacked.
+
+    Args:
+        width: of an observation and an action together.
+        hidden: widths of the hidden layers.
+    """
+
+    optimizer: torch.optim.Optimizer
+    """Where Stable-Baselines3 keeps it."""
+
+    def __init__(self, width: int, hidden: Sequence[int]) -> None:
+        super().__init__()
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for into, out in pairwise((width, *hidden, 1)):
+            bound = 1.0 / math.sqrt(into)  # as torch's own linear layers begin
+            self.weights.append(nn.Parameter(torch.empty(2, into, out).uniform_(-bound, bound)))
+            self.biases.append(nn.Parameter(torch.empty(2, 1, out).uniform_(-bound, bound)))
+
+    def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
+        """What each expects, (2, B), of observations (B, width) and actions (B, width)."""
+        values = torch.cat([observations, actions], dim=1).expand(2, -1, -1)
+        *hidden, last = zip(self.weights, self.biases, strict=True)
+        for weight, bias in hidden:
+            values = torch.baddbmm(bias, values, weight)
+            values = torch.relu(functional.layer_norm(values, values.shape[-1:]))
+        expected: Tensor = torch.baddbmm(last[1], values, last[0])[..., 0]
+        return expected
+
+    def set_training_mode(self, mode: bool) -> None:
+        """As Stable-Baselines3 calls `train`."""
+        self.train(mode)
+
+
+class TwinPolicy(SACPolicy):  # type: ignore[misc]  # SB3's base has no types here
+    """Stable-Baselines3's actor, and `TwinCritic`."""
+
+    def make_critic(self, features_extractor: nn.Module | None = None) -> TwinCritic:
+        """A fresh critic; it sees observations as they are."""
+        width = self.observation_space.shape[0] + self.action_space.shape[0]
+        return TwinCritic(width, self.critic_kwargs["net_arch"])
+
+
+class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types here
+    """Stable-Baselines3's SAC with gradient steps of its own.
+
+    Args:
+        env: what is flown.
+        lookahead: rewards that are counted before the critic's word on the rest.
+        gamma: discount of a step.
+        **options: as SAC takes them.
+    """
+
+    def __init__(self, env: Any, lookahead: int, gamma: float, **options: Any) -> None:
+        super().__init__(
+            TwinPolicy,
+            env,
+            gamma=gamma,
+            replay_buffer_class=NStepReplayBuffer,
+            replay_buffer_kwargs={"n_steps": lookahead, "gamma": gamma},
+            **options,
+        )
+        self.critic_target.requires_grad_(False)
+
+    def train(self, gradient_steps: int, batch_size: int = 256) -> None:
+        """Take gradient steps, each on a batch of all that is remembered."""
+        actor, critic = self.actor.optimizer, self.critic.optimizer
+        self._update_learning_rate([actor, critic, self.ent_coef_optimizer])
+        drawn = self.replay_buffer.sample(gradient_steps * batch_size)
+        batches = zip(*(part.split(batch_size) for part in drawn), strict=True)
+        for step, batch in enumerate(batches, self._n_updates):
+            seen, done, after, ended, rewards, discounts = batch
+            discounts = discounts * (1.0 - ended)
+            critic_loss = self._teach_critic(seen, done, after, rewards, discounts)
+            if step % ACTOR_EVERY == 0:
+                actor_loss = self._teach_actor(seen)
+                self.logger.record("train/actor_loss", actor_loss)
+        self.logger.record("train/critic_loss", critic_loss)
+        self._n_updates += gradient_steps
+
+    def _teach_critic(
+        self, seen: Tensor, done: Tensor, after: Tensor, rewards: Tensor, discounts: Tensor
+    ) -> Tensor:
+        """Move the critics towards rewards and the targets' word, and the targets after them."""
+        with torch.no_grad():
+            actions, log_probability = self._drawn(after)
+            left = self.critic_target(after, actions).amin(0) - self._temperature * log_probability
+            wanted = rewards[:, 0] + discounts[:, 0] * left
+        expected = self.critic(seen, done)
+        loss = functional.mse_loss(expected, wanted.expand_as(expected))
+        _descend(self.critic.optimizer, loss, self.critic)
+        with torch.no_grad():
+            pairs = zip(self.critic_target.parameters(), self.critic.parameters(), strict=True)
+            for target, parameter in pairs:
+                target.lerp_(parameter, self.tau)
+        return loss.detach()
+
+    def _teach_actor(self, seen: Tensor) -> Tensor:
+        """Move the actor towards what the critics like, and the temperature to its entropy."""
+        actions, log_probability = self._drawn(seen)
+        liked = self.critic(seen, actions).amin(0)
+        loss = (self._temperature * log_probability - liked).mean()
+        _descend(self.actor.optimizer, loss, self.actor)
+        surplus = -(log_probability.detach().mean() + self.target_entropy)
+        self.log_ent_coef.grad = surplus.reshape(1)  # of log_ent_coef times the surplus
+        self.ent_coef_optimizer.step()
+        return loss.detach()
+
+    def _drawn(self, seen: Tensor) -> tuple[Tensor, Tensor]:
+        """Actions (B, width) that the actor draws, and their log probability (B,)."""
+        mean, log_deviation, _ = self.actor.get_action_dist_params(seen)
+        noise = torch.randn_like(mean)
+        before = mean + log_deviation.exp() * noise
+        density = -0.5 * noise.square() - log_deviation - _HALF_LOG_TAU
+        stretch = 2.0 * (math.log(2.0) - before - functional.softplus(-2.0 * before))
+        return torch.tanh(before), (density - stretch).sum(1)  # stretch: log of tanh's slope
+
+    @property
+    def _temperature(self) -> Tensor:
+        temperature: Tensor = self.log_ent_coef.detach().exp()
+        return temperature
+
+
+def _descend(optimiser: torch.optim.Optimizer, loss: Tensor, network: nn.Module) -> None:
+    """One step of the network's own parameters, and no gradient of any other."""
+    optimiser.zero_grad()
+    loss.backward(inputs=list(network.parameters()))  # type: ignore[no-untyped-call]
+    optimiser.step()

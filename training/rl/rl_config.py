@@ -1,4 +1,4 @@
-"""What a training run is told: options alone, readable where torch is not installed."""
+"""Options of a training run, and its schedules: readable where torch is not installed."""
 
 from __future__ import annotations
 
@@ -7,14 +7,65 @@ from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from swarm_envs.errors import check_integer
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.training.rl.sac_options import SacOptions
 from swarm_envs.vehicles import parse_team
 
 
+def _option(name: str) -> str:
+    """An option as the command line has it."""
+    return f"--{name.replace('_', '-')}"
+
+
+def _check_range(name: str, value: float, limits: tuple[float, float]) -> None:
+    low, high = limits
+    if not low <= value <= high:
+        raise ValueError(f"{_option(name)} is {value}, but must be from {low:g} to {high:g}")
+
+
+@dataclass(frozen=True)
+class SacConfig:
+    """Of `--algo sac`: how often it learns from what it remembers."""
+
+    rollout: int = 8
+    """decisions of each drone between two rounds of gradient steps"""
+    gradient_steps: int = 32
+    """of a round; each takes a batch from all that is remembered"""
+    batch_size: int = 1024
+    """decisions per gradient step"""
+    learning_rate: float = 1e-3
+    """of Adam at the start, for actor, critics and temperature; it falls linearly"""
+    last_rate: float = 0.1
+    """what is left of it at the end, as a share"""
+    lookahead: int = 5
+    """rewards that are counted before the critic estimates what follows (n-step returns)"""
+    learning_starts: int = 8192
+    """decisions of single drones, drawn at random, before the first gradient step"""
+    buffer_size: int = 300_000
+    """decisions that are remembered, the latest; checkpoints hold them, 0.6 kB each"""
+    smoothing: float = 0.02
+    """tau: share by which target critics follow the critics at each gradient step"""
+    temperature: float = 0.002
+    """weight of entropy beside reward at the start; it is learned. Far above what a decision's
+    reward is, drones are paid for trembling"""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which nothing could be learned.
+
+        Raises:
+            ValueError: naming the option, the value and the rule.
+        """
+        for name in ("rollout", "gradient_steps", "batch_size", "lookahead", "buffer_size"):
+            check_integer(_option(f"sac.{name}"), getattr(self, name), 1)
+        check_integer("--sac.learning-starts", self.learning_starts, 0)
+        for name in ("learning_rate", "last_rate", "smoothing", "temperature"):
+            _check_range(f"sac.{name}", getattr(self, name), (1e-7, 1.0))
+
+
 @dataclass(frozen=True, kw_only=True)
-class TrainConfig:
+class RlConfig:
     """Train one policy for all drones by reinforcement learning.
 
     Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
@@ -70,7 +121,7 @@ class TrainConfig:
     hidden: tuple[int, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
     encoder: Literal["mlp", "deep-set"] = "mlp"
-    """how neighbours are told: `mlp`, one after another, the nearest first; `deep-set`, each
+    """how neighbours are encoded: `mlp`, one after another, nearest first; `deep-set`, each
     through a small network of its type of vehicle, then pooled"""
     pooling: Literal["mean", "max", "sum"] = "mean"
     """of a deep set"""
@@ -102,7 +153,7 @@ class TrainConfig:
     num_neighbors: int = 3
     """K, how many neighbours a drone observes"""
     interactions: str = "learned"
-    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
+    """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     hard_starts: bool = True
     """with the layout `random`: crowded starts and circles among the episodes"""
     proximity: tuple[float, float] = (4.0, 2.0)
@@ -124,7 +175,7 @@ class TrainConfig:
     """write event files, where the package tensorboard is installed"""
     progress: bool = True
     """show a progress bar"""
-    sac: SacOptions = SacOptions()
+    sac: SacConfig = SacConfig()
     """of `--algo sac`, in place of those above that it has not: batches, rates, stages"""
 
     def __post_init__(self) -> None:
@@ -133,22 +184,12 @@ class TrainConfig:
         Raises:
             ValueError: naming the option, the value and the rule.
         """
-        check_integer("--seed", self.seed, 0)
-        for count in self.team_sizes:
-            check_integer("--drones", count, 1)
-        named = [str(team) for team in self.teams]
-        if not named or len(set(named)) < len(named):
-            raise ValueError(
-                f"--drones is {self.drones} and --team {self.team}; name teams, each once"
-            )
+        self._check_teams()
         for name in _COUNTS:
-            check_integer(f"--{name.replace('_', '-')}", getattr(self, name), 1)
-        for name, (low, high) in _RANGES.items():
-            value = getattr(self, name)
-            if value is not None and not low <= value <= high:
-                raise ValueError(
-                    f"--{name.replace('_', '-')} is {value}, but must be from {low:g} to {high:g}"
-                )
+            check_integer(_option(name), getattr(self, name), 1)
+        for name, limits in _RANGES.items():
+            if getattr(self, name) is not None:
+                _check_range(name, getattr(self, name), limits)
         if PHYSICS_RATE % self.decision_rate or PHYSICS_RATE % self.force_rate:
             raise ValueError(
                 f"--decision-rate is {self.decision_rate} and --force-rate {self.force_rate}, but "
@@ -157,45 +198,58 @@ class TrainConfig:
         for name in ("hidden", "set_hidden"):
             widths = getattr(self, name)
             if not widths or min(widths) < 1:
-                option = name.replace("_", "-")
-                raise ValueError(f"--{option} is {widths}, but must be one or more widths")
+                raise ValueError(f"{_option(name)} is {widths}, but must be one or more widths")
         if min(self.proximity) < 0:
             raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
+        self._check_belongs()
+        self._check_sizes()
+
+    def _check_teams(self) -> None:
+        check_integer("--seed", self.seed, 0)
+        for count in self.team_sizes:
+            check_integer("--drones", count, 1)
+        named = [str(team) for team in self.teams]
+        if not named or len(set(named)) < len(named):
+            raise ValueError(
+                f"--drones is {self.drones} and --team {self.team}; name teams, each once"
+            )
         if self.fewest is not None and not 1 <= self.fewest <= min(self.team_sizes):
             raise ValueError(
                 f"--fewest is {self.fewest}, but must be from 1 to {min(self.team_sizes)}, the "
                 "smallest team that is trained"
             )
-        self._check_belongs()
-        if self.environments % len(self.team_sizes):
+
+    def _check_belongs(self) -> None:
+        """Refuse options of another algorithm or encoder than the run's."""
+        for name, value in _changed(self):
+            if not self.uses(name):
+                nested = [(f"{name}.{n}", v) for n, v in _changed(value)]
+                named, given = (nested or [(name, value)])[0]
+                raise ValueError(
+                    f"{_option(named)} was given ({given}), but --algo {self.algo} has no such "
+                    "option"
+                )
+            if name in ("pooling", "set_hidden") and self.encoder != "deep-set":
+                raise ValueError(f"{_option(name)} was given, but only --encoder deep-set has sets")
+
+    def _check_sizes(self) -> None:
+        """Refuse environments and batches that do not divide among the teams and the rollout."""
+        teams, size = len(self.team_sizes), self.rollout_steps
+        if self.environments % teams:
             raise ValueError(
-                f"--environments is {self.environments}, but must be a multiple of the "
-                f"{len(self.team_sizes)} teams that fly side by side"
+                f"--environments is {self.environments}, but must be a multiple of the {teams} "
+                "teams that fly side by side"
             )
-        if self.algo == "mappo" and len(self.team_sizes) > 1:
+        if self.algo == "mappo" and teams > 1:
             raise ValueError(
-                f"--algo mappo trains one team, whose critic sees all of it, not "
-                f"{len(self.team_sizes)} side by side; take --algo ppo"
+                f"--algo mappo trains one team, whose critic sees all of it, not {teams} side by "
+                "side; take --algo ppo"
             )
-        size = self.rollout_steps
         if self.algo != "sac" and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
                 f"rollout: drones of all environments x rollout, such as {size}"
             )
-
-    def _check_belongs(self) -> None:
-        """Refuse options of another algorithm or encoder than the run's."""
-        for name, value in _changed(self):
-            option = name.replace("_", "-")
-            if not self.uses(name):
-                nested = [(f"{option}.{n.replace('_', '-')}", v) for n, v in _changed(value)]
-                named, given = (nested or [(option, value)])[0]
-                raise ValueError(
-                    f"--{named} was given ({given}), but --algo {self.algo} has no such option"
-                )
-            if name in ("pooling", "set_hidden") and self.encoder != "deep-set":
-                raise ValueError(f"--{option} was given, but only --encoder deep-set has sets")
 
     def uses(self, option: str) -> bool:
         """Whether the run's algorithm depends on an option."""
@@ -212,10 +266,9 @@ class TrainConfig:
     @property
     def team_sizes(self) -> tuple[int, ...]:
         """Number of drones of every team."""
-        return tuple(
-            len(parse_team(given["team"])) if "team" in given else given["num_drones"]
-            for given in self.teams
-        )
+        if self.team:
+            return tuple(len(parse_team(team)) for team in self.team)
+        return self.drones if isinstance(self.drones, tuple) else (self.drones,)
 
     @property
     def rollout_steps(self) -> int:
@@ -242,11 +295,27 @@ class TrainConfig:
                 found.append(range(begin, min(begin + self.checkpoint_rollouts, last)))
         return found
 
+    def segment_seed(self, segment: range) -> int:
+        """Seed of a segment's episodes and draws: the run's, and the segment's place."""
+        words = np.random.SeedSequence([self.seed, segment.start]).generate_state(1)
+        return int(words[0]) >> 1
 
-_ON_POLICY = (
-    *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
-    *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
-)
+    def learning_rate_after(self, rollouts: int) -> float:
+        """Adam's rate: it falls linearly over each stage, or over the whole run of SAC."""
+        if self.algo == "sac":
+            start, done, last = self.sac.learning_rate, rollouts / self.rollouts, self.sac.last_rate
+        elif rollouts < self.first_stage:
+            start, done, last = self.learning_rate, rollouts / self.first_stage, self.last_rate
+        else:
+            done = (rollouts - self.first_stage) / max(self.rollouts - self.first_stage, 1)
+            start, last = self.second_rate, self.last_rate
+        return start * max(1.0 - done, last)
+
+    def proximity_weight_after(self, rollouts: int) -> float:
+        """Weight of the term `proximity`, a cost: it changes in the middle of the first stage."""
+        first, last = self.proximity
+        share = np.clip(2.0 * rollouts / self.first_stage - 0.5, 0.0, 1.0)
+        return -self.reward_scale * float(first + share * (last - first))
 
 
 def _changed(settings: object) -> list[tuple[str, Any]]:
@@ -257,6 +326,10 @@ def _changed(settings: object) -> list[tuple[str, Any]]:
     return [(field.name, value) for field, value in given if value != field.default]
 
 
+_ON_POLICY = (
+    *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
+    *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
+)
 _NETWORKS = ("encoder", "pooling", "set_hidden", "per_type")
 _FOREIGN = {
     "ppo": ("sac",),
