@@ -116,7 +116,7 @@ def _collect(arguments: Sequence[str]) -> int:
 
 
 def _curriculum(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.curriculum.config import CurriculumConfig
+    from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 
     config = _read("curriculum", CurriculumConfig, arguments)
     _check_folder("--out", config.out)

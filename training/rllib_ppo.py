@@ -235,7 +235,7 @@ def _ready(config: RllibConfig) -> dict[str, Any]:
     return {**asdict(config), "out": str(config.out), "trainer": "rllib-ppo"}
 
 
-def main() -> None:
+def _main() -> None:
     """Read the options from the command line, train, and say what came out."""
     import tyro
 
@@ -251,4 +251,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

@@ -1,4 +1,4 @@
-"""The belief: what ships is worth following, goes to zero alone, and can be made again."""
+"""The model that is fed forward: what ships compensates, is zero alone, and can be made again."""
 
 import dataclasses
 import json
@@ -13,9 +13,12 @@ from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.interactions import load
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.belief import BeliefConfig, fit_belief, judge
-from swarm_envs.training.belief.fit import command
-from swarm_envs.training.belief.judge import SwapTrial
+from swarm_envs.training.belief import (
+    FeedforwardConfig,
+    compare_compensation,
+    fit_feedforward,
+)
+from swarm_envs.training.belief.feedforward import SwapTrial, feedforward_command
 from swarm_envs.training.collection import CollectionConfig, interaction_rows
 from swarm_envs.training.collection.collect import collect
 from swarm_envs.training.force_model import load_network
@@ -83,27 +86,29 @@ def test_what_ships_was_fitted_in_the_environment_that_ships(truth):
 
 @pytest.mark.parametrize("team", ["S2S", "L2S", "SS2S"])
 def test_compensation_more_than_halves_the_error_and_harms_nobody(team):
-    result = judge(SwapTrial(team, PAPER_SWAP, 6), load_belief())
+    result = compare_compensation(SwapTrial(team, PAPER_SWAP, 6), load_belief())
     assert result.uncompensated_median_cm > 5.0
     assert result.compensated_median_cm < 0.5 * result.uncompensated_median_cm
     assert result.worse == 0 and result.largest_ratio < 0.5
     assert result.upper_largest_growth_cm < 1.0
 
 
-def test_a_belief_in_what_does_not_blow_is_found_out():
-    result = judge(SwapTrial("L2S", PAPER_SWAP, 2), load("learned"), environment="none")
+def test_a_model_of_a_force_that_is_not_there_is_found_out():
+    result = compare_compensation(
+        SwapTrial("L2S", PAPER_SWAP, 2), load("learned"), environment="none"
+    )
     assert result.worse == 2 and result.largest_ratio > 2.0
 
 
 @pytest.mark.slow
 def test_compensation_in_every_layout_of_every_team():
     for team in ("S2S", "L2S", "SS2S", "S2L", "L2L", "SL2S", "LL2S", "SS2L", "SL2L", "LL2L"):
-        result = judge(SwapTrial(team, StackedLayout(), 30), load_belief())
+        result = compare_compensation(SwapTrial(team, StackedLayout(), 30), load_belief())
         assert result.worse == 0, team
         assert result.compensated_median_cm < 0.3 * result.uncompensated_median_cm, team
 
 
-TINY = BeliefConfig(
+TINY = FeedforwardConfig(
     out=Path(),
     seed=3,
     steps=40,
@@ -116,7 +121,7 @@ TINY = BeliefConfig(
 
 
 def test_a_belief_is_made_twice_the_same_and_says_from_what(tmp_path):
-    reports = [fit_belief(dataclasses.replace(TINY, out=tmp_path / name)) for name in "ab"]
+    reports = [fit_feedforward(dataclasses.replace(TINY, out=tmp_path / name)) for name in "ab"]
     one, two = ((tmp_path / name / "belief.safetensors").read_bytes() for name in "ab")
     assert one == two
     report = json.loads((tmp_path / "a" / "belief.json").read_text())
@@ -130,6 +135,6 @@ def test_a_belief_is_made_twice_the_same_and_says_from_what(tmp_path):
 
 
 def test_the_command_names_what_differs_from_the_default():
-    text = command(TINY)
+    text = feedforward_command(TINY)
     assert "--seed 3 --steps 40" in text and "--collection.teams S L SL" in text
     assert "motion" not in text and "collection.seed" not in text

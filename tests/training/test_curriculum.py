@@ -21,11 +21,22 @@ from swarm_envs.training.curriculum import (
 )
 from swarm_envs.training.curriculum import rounds as rounds_module
 from swarm_envs.training.curriculum import run as run_module
-from swarm_envs.training.curriculum.closeness import measure
-from swarm_envs.training.curriculum.config import STAGES, Stage, adds_drones, collection_config
-from swarm_envs.training.curriculum.report import goals_reached, rounds_table, sizes_as_json
-from swarm_envs.training.curriculum.run import command
-from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen, share
+from swarm_envs.training.curriculum.curriculum_config import (
+    STAGES,
+    Stage,
+    adds_drones,
+    collection_config,
+)
+from swarm_envs.training.curriculum.curriculum_report import (
+    Unseen,
+    goals_reached,
+    horizontal_share,
+    judge_unseen,
+    rounds_table,
+    sizes_as_json,
+)
+from swarm_envs.training.curriculum.rounds import measure_closeness
+from swarm_envs.training.curriculum.run import curriculum_command
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import SMALL
 
@@ -82,7 +93,7 @@ def test_closeness_is_measured_where_drones_pass():
         synthetic("SS-swap-000", gaps, 0.30, lateral),
         synthetic("SS-walk-000", np.full(60, 0.20), 0.20, 0.0),  # a walk, cut short
     ]
-    found = measure(flights, duration_s=1.0)
+    found = measure_closeness(flights, duration_s=1.0)
     assert found.gap_error_m == pytest.approx(0.05)
     assert found.least_clearance_m == pytest.approx(0.25 - 2 * SMALL.radius)
     assert found.least_distance_ratio == pytest.approx(0.20 / (2 * SMALL.radius), abs=1e-3)
@@ -93,7 +104,7 @@ def test_gap_errors_are_a_quantile_of_the_swaps():
     flights = [
         synthetic(f"SS-swap-{k:03d}", np.full(120, 0.3 - 0.001 * k), 0.3, 0.0) for k in range(21)
     ]
-    assert measure(flights, 1.0).gap_error_m == pytest.approx(0.019)
+    assert measure_closeness(flights, 1.0).gap_error_m == pytest.approx(0.019)
 
 
 def test_the_first_round_is_not_compensated_and_has_at_most_two_drones():
@@ -171,7 +182,7 @@ def kill(monkeypatch, module, name, call, config):
 def test_killed_at_every_stage_it_goes_on_and_ends_the_same(tiny, tmp_path, monkeypatch):
     config = dataclasses.replace(TINY, out=tmp_path)
     kill(monkeypatch, rounds_module, "fit", 2, config)  # of the second round, after its flights
-    kill(monkeypatch, rounds_module, "measure", 1, config)  # after its fit
+    kill(monkeypatch, rounds_module, "measure_closeness", 1, config)  # after its fit
     kill(monkeypatch, run_module, "judge_unseen", 2, config)
     assert not (tmp_path / "curriculum.json").exists()
     run_curriculum(config)
@@ -184,7 +195,7 @@ def test_what_is_done_is_not_done_again(tiny, monkeypatch):
     def forbidden(*_):
         raise AssertionError("done before")
 
-    for name in ("fit", "measure", "save_rows"):
+    for name in ("fit", "measure_closeness", "save_rows"):
         monkeypatch.setattr(rounds_module, name, forbidden)
     again = run_curriculum(dataclasses.replace(TINY, out=out))
     assert again.rounds == report.rounds and again.unseen == report.unseen
@@ -195,7 +206,7 @@ def test_a_round_in_which_nobody_passed_is_read_as_it_was_written(tiny, tmp_path
     unknown = dataclasses.replace(first.closeness, least_clearance_m=float("nan"))
     report = dataclasses.replace(first, closeness=unknown)
     write_json(tmp_path / "round.json", json_ready(report))
-    again = rounds_module.read_report(tmp_path / "round.json")
+    again = rounds_module.read_round(tmp_path / "round.json")
     assert np.isnan(again.closeness.least_clearance_m)
     assert rounds_table([again], []) == rounds_table([report], [])
 
@@ -214,13 +225,13 @@ def test_a_model_that_is_the_truth_explains_all_and_none_nothing():
     assert found.crashed == 0 and found.rms_force_g > 0.5
 
 
-def test_share_by_hand():
+def test_horizontal_share_by_hand():
     true = np.zeros((2, 1, 3))
     true[:, 0, 0] = 1.0, -1.0
     found = true.copy()
     found[:, 0, 0] *= 0.5
-    assert share(found, true) == pytest.approx(0.75)
-    assert share(true, np.zeros((2, 1, 3))) == 0.0
+    assert horizontal_share(found, true) == pytest.approx(0.75)
+    assert horizontal_share(true, np.zeros((2, 1, 3))) == 0.0
 
 
 def test_goals_are_of_the_worst_team_of_each_size():
@@ -241,7 +252,7 @@ def test_a_table_can_be_made_without_judgement(tiny):
 
 
 def test_the_command_names_what_differs_from_the_default():
-    text = command(dataclasses.replace(TINY, seed=3))
+    text = curriculum_command(dataclasses.replace(TINY, seed=3))
     assert text.startswith("swarm-envs curriculum --out DIR --seed 3")
     assert "--flights 2" in text and "--last-steps 40" in text and "stages" not in text
 

@@ -1,10 +1,14 @@
-"""The deep set that the compensated controller believes, from flights inside the environment.
+"""The force model that the compensated controller feeds forward, from simulated flights.
 
-Command: `python -m swarm_envs.training.belief --out DIR --seed 0`, and
-`--collection.interactions wake` for an environment with another force model.
+Its files are called `belief`. Command: `python -m swarm_envs.training.belief --out DIR --seed 0`,
+and `--collection.interactions wake` for an environment with another force model.
 """
 
-from swarm_envs.training.belief.fit import BeliefConfig, fit_belief
-from swarm_envs.training.belief.judge import SwapJudgement, judge
+from swarm_envs.training.belief.feedforward import (
+    CompensationResult,
+    FeedforwardConfig,
+    compare_compensation,
+    fit_feedforward,
+)
 
-__all__ = ["BeliefConfig", "SwapJudgement", "fit_belief", "judge"]
+__all__ = ["CompensationResult", "FeedforwardConfig", "compare_compensation", "fit_feedforward"]

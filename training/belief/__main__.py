@@ -1,16 +1,16 @@
-"""Command line of `swarm_envs.training.belief.fit_belief`."""
+"""Command line of `swarm_envs.training.belief.fit_feedforward`."""
 
 from __future__ import annotations
 
 import tyro
 
-from swarm_envs.training.belief.fit import BeliefConfig, fit_belief
+from swarm_envs.training.belief.feedforward import FeedforwardConfig, fit_feedforward
 
 
-def main() -> None:
-    """Make the belief and say how it does."""
-    config = tyro.cli(BeliefConfig, description="Fit the compensated controller's belief.")
-    report = fit_belief(config)
+def _main() -> None:
+    """Make the model and print how well it does."""
+    config = tyro.cli(FeedforwardConfig, description="Fit the compensated controller's belief.")
+    report = fit_feedforward(config)
     errors = report.fit.findings.errors
     print(f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f})")
     for j in report.judgements:
@@ -23,4 +23,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    _main()

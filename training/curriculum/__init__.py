@@ -3,9 +3,9 @@
 Drones that do not know the wakes are blown apart, so nobody can fly them close together to learn
 the wakes. So it is done in rounds: one and two drones fly far apart, without compensation, and a
 model is fitted; with it as the pilot's feed-forward they fly closer; then three drones. Order of
-reading: `config` (the rounds), `closeness` (how close drones came, and how close the next round may
-plan), `rounds` (one round), `unseen` (how much of the true force a model explains), `report`,
-`picture`, `run` (all of it).
+reading: `run` (all of it), `curriculum_config` (options and stages), `rounds` (one round: how close
+drones came, and how close the next may plan), `curriculum_report` (how much of the true force a
+model explains, table, picture).
 
 Command: `swarm-envs curriculum --out DIR --seed 0`; the page is docs/curriculum.md.
 """
@@ -13,17 +13,18 @@ Command: `swarm-envs curriculum --out DIR --seed 0`; the page is docs/curriculum
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from swarm_envs.training.curriculum.closeness import Closeness, next_clearance
-from swarm_envs.training.curriculum.config import CurriculumConfig
+from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 
 if TYPE_CHECKING:
+    from swarm_envs.training.curriculum.rounds import Closeness, next_clearance
     from swarm_envs.training.curriculum.run import run_curriculum
 
 __all__ = ["Closeness", "CurriculumConfig", "next_clearance", "run_curriculum"]
 
 
 def __getattr__(name: str) -> Any:
-    """Load the run when it is asked for: options are read without torch."""
-    if name == "run_curriculum":
-        return import_module(f"{__name__}.run").run_curriculum
+    """Load what flies when it is asked for: options are read without torch."""
+    if name in __all__:
+        module = "run" if name == "run_curriculum" else "rounds"
+        return getattr(import_module(f"{__name__}.{module}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

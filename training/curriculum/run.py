@@ -14,16 +14,22 @@ from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.collection.collect import begin_manifest
 from swarm_envs.training.collection.table import Flight
-from swarm_envs.training.curriculum.closeness import LARGEST_STEP, QUANTILE
-from swarm_envs.training.curriculum.config import CurriculumConfig, adds_drones
-from swarm_envs.training.curriculum.picture import draw
-from swarm_envs.training.curriculum.report import (
+from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig, adds_drones
+from swarm_envs.training.curriculum.curriculum_report import (
     CurriculumReport,
+    Unseen,
+    draw_curriculum,
     goals_reached,
+    judge_unseen,
     sizes_as_json,
 )
-from swarm_envs.training.curriculum.rounds import RoundReport, fly_round, weights_of
-from swarm_envs.training.curriculum.unseen import Unseen, judge_unseen
+from swarm_envs.training.curriculum.rounds import (
+    LARGEST_STEP,
+    QUANTILE,
+    CurriculumRound,
+    fly_round,
+    weights_of,
+)
 from swarm_envs.training.provenance import json_ready
 
 ORIGIN = "origin.json"
@@ -50,17 +56,17 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
         "interactions_sha256": truth.fingerprint,
     }
     begin_manifest(config.out / ORIGIN, origin)
-    rounds = fly_rounds(config)
-    unseen = judge_all(config, truth)
+    rounds = _fly_rounds(config)
+    unseen = _judge_all(config, truth)
     with written_whole(config.out / "learned.safetensors") as partial:
         shutil.copyfile(weights_of(config, len(config.stages)), partial)
     drag = {name: truth.field.drag[k].tolist() for k, name in enumerate(truth.types)}
     report = CurriculumReport(
-        command=command(config),
+        command=curriculum_command(config),
         config=origin["config"],
         interactions=truth.name,
         interactions_sha256=truth.fingerprint,
-        rule=rule(config),
+        rule=_rule(config),
         rounds=rounds,
         true_drag=drag,
         unseen=unseen,
@@ -71,14 +77,14 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
     for path in (config.out / "curriculum.json", config.json):
         if path is not None:
             write_json(path, json_ready(report))
-    draw(report, config.out / "curriculum.png")
+    draw_curriculum(report, config.out / "curriculum.png")
     return report
 
 
-def fly_rounds(config: CurriculumConfig) -> list[RoundReport]:
+def _fly_rounds(config: CurriculumConfig) -> list[CurriculumRound]:
     """Fly every round, each as close as the one before allows."""
     flights: list[Flight] = []
-    reports: list[RoundReport] = []
+    reports: list[CurriculumRound] = []
     clearance = config.first_clearance_m
     for number, stage in enumerate(config.stages, start=1):
         if adds_drones(config.stages, number):
@@ -93,7 +99,7 @@ def fly_rounds(config: CurriculumConfig) -> list[RoundReport]:
     return reports
 
 
-def judge_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
+def _judge_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
     """Judge the models of all rounds on unseen swaps, or read what was judged."""
     path = config.out / UNSEEN
     if path.exists():
@@ -105,7 +111,7 @@ def judge_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]
     return found
 
 
-def rule(config: CurriculumConfig) -> str:
+def _rule(config: CurriculumConfig) -> str:
     """The rule by which a round's clearance follows, in words."""
     first, least = (100 * v for v in (config.first_clearance_m, config.least_clearance_m))
     return (
@@ -119,7 +125,7 @@ def rule(config: CurriculumConfig) -> str:
     )
 
 
-def command(config: CurriculumConfig) -> str:
+def curriculum_command(config: CurriculumConfig) -> str:
     """Command line that makes this curriculum, with the folder left out."""
     words = ["swarm-envs curriculum --out DIR", f"--seed {config.seed}"]
     usual = CurriculumConfig(out=Path())

@@ -1,0 +1,372 @@
+"""Fit the force model that a controller feeds forward, from flights inside the environment.
+
+Flights are collected, a heterogeneous deep set is fitted to them and evaluated in flight: stacked
+swaps with and without compensation. What is written ships as `belief*.safetensors`: the force that
+the compensated controller believes, in an environment whose own model it never reads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import tyro
+
+from swarm_envs.arguments import typed
+from swarm_envs.baselines.neural_swarm.agent import BELIEFS
+from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, Flights, fly, swap_test
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.files import write_json, written_whole
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.swap import StackedLayout
+from swarm_envs.training.collection.collect import MANIFEST, collect
+from swarm_envs.training.collection.config import CollectionConfig
+from swarm_envs.training.collection.table import ROW_RATE, interaction_rows
+from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
+from swarm_envs.training.force_model import fit as fit_force_model
+from swarm_envs.training.force_model.network import InputRange
+from swarm_envs.training.interaction_rows import save_rows
+from swarm_envs.training.provenance import file_sha256, json_ready
+
+
+@dataclass(frozen=True)
+class SwapTrial:
+    """Randomised stacked swaps of one team."""
+
+    team: str
+    """The vehicles, the lowest last."""
+    layout: StackedLayout
+    """From what swaps are drawn."""
+    episodes: int
+    """Swaps that are flown."""
+
+
+TRIALS = (
+    *(SwapTrial(team, PAPER_SWAP, 30) for team in ("S2S", "L2S", "SS2S")),
+    *(SwapTrial(team, StackedLayout(), 30) for team in ("S2S", "L2S", "SS2S")),
+    *(SwapTrial(team, StackedLayout(), 12) for team in ("S2L", "L2L", "SL2S", "LL2S", "SS2L")),
+)
+"""By what a shipped model is evaluated; seeds count from 0."""
+
+
+@dataclass(frozen=True)
+class CompensationResult(SwapTrial):
+    """Worst height error of the lowest drone over the episodes of a trial, cm."""
+
+    uncompensated_median_cm: float
+    """Median of the worst height errors without compensation, cm."""
+    compensated_median_cm: float
+    """The same with the model fed forward, cm."""
+    largest_ratio: float
+    """Largest of an episode's compensated over its uncompensated error."""
+    worse: int
+    """Episodes that compensation made worse."""
+    upper_largest_growth_cm: float
+    """Largest growth of another drone's worst height error by compensation."""
+
+
+@typed
+@dataclass(frozen=True)
+class FeedforwardConfig:
+    """How a model for feed-forward is made."""
+
+    out: Path
+    """folder for `belief.safetensors`, `belief.json`, `MODEL_CARD.md`; `flights` below it keeps
+    the logs. The weights and the report of another environment than `learned` are named after it,
+    such as `belief_wake.safetensors`"""
+    seed: int = 0
+    """seed of flights and fit"""
+    steps: int = 4000
+    """optimiser steps"""
+    collection: CollectionConfig = field(default_factory=CollectionConfig)
+    """what is flown; `seed` takes the place of its seed"""
+    trials: tyro.conf.Suppress[tuple[SwapTrial, ...]] = TRIALS
+    """by what the model is evaluated in flight"""
+    progress: bool = True
+    """show progress bars"""
+
+
+@dataclass(frozen=True)
+class FeedforwardReport:
+    """The content of `belief.json`."""
+
+    name: str
+    """Of the files: weights and this report."""
+    command: str
+    """The command that made the model."""
+    interactions: str
+    """Force model of the environment that was flown in."""
+    interactions_sha256: str
+    """Fingerprint of its numbers."""
+    flights: int
+    """Flights it was fitted to."""
+    flown_s: float
+    """Their length together, s."""
+    rows: int
+    """Rows it was fitted to."""
+    rows_sha256: str
+    """SHA-256 of these rows."""
+    fit: FitReport
+    """How well it fits them."""
+    judgements: list[CompensationResult]
+    """How well swaps are flown with it."""
+    wall_time_s: float
+    """Time that all of this took, s."""
+
+
+@typed
+def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
+    """Make the model: see the module. Killed and called again, it goes on.
+
+    Raises:
+        ValueError: the folder holds flights of another configuration or force model.
+    """
+    began = time.perf_counter()
+    collection = dataclasses.replace(config.collection, seed=config.seed)
+    flights = collect(collection, config.out / "flights", config.progress)
+    rows = interaction_rows(flights)
+    table = config.out / "flights" / "rows.npz"
+    save_rows(table, rows)
+    # Labels of simulated flights have no calibration offset, so none is estimated.
+    fitted = fit_force_model(
+        FitConfig(
+            data=table,
+            out=config.out / "fit",
+            offsets="none",
+            steps=config.steps,
+            slope_limit=None,
+            position_jitter_m=0.0,
+            velocity_jitter=0.0,
+            lipschitz_samples=0,
+            seed=config.seed,
+            progress=config.progress,
+        )
+    )
+    model = load(collection.interactions)
+    said = feedforward_command(config)
+    provenance: dict[str, object] = {
+        "command": said,
+        "data": f"flights simulated with the force model {model.name!r}",
+        "interactions_sha256": model.fingerprint,
+        "manifest_sha256": file_sha256(config.out / "flights" / MANIFEST),
+        "seed": config.seed,
+    }
+    given = collection.interactions
+    name = BELIEFS.get(given, f"belief_{Path(given).stem}")
+    path = config.out / f"{name}.safetensors"
+    network = load_network(config.out / "fit" / "learned.safetensors")
+    save_network(path, network, provenance, torch.float32)  # as it was trained
+    fed_forward, environment = load(path), load(given)
+    report = FeedforwardReport(
+        name=name,
+        command=said,
+        interactions=model.name,
+        interactions_sha256=model.fingerprint,
+        flights=len(flights),
+        flown_s=round(sum(flight.seconds for flight in flights), 1),
+        rows=len(rows),
+        rows_sha256=file_sha256(table),
+        fit=fitted,
+        judgements=[compare_compensation(t, fed_forward, environment) for t in config.trials],
+        wall_time_s=round(time.perf_counter() - began, 1),
+    )
+    write_json(config.out / f"{name}.json", json_ready(report))
+    limits = network.spec.input_range
+    assert limits is not None  # an anchored fit has one
+    with written_whole(config.out / "MODEL_CARD.md") as partial:
+        partial.write_text(_model_card(report, collection, limits))
+    return report
+
+
+def feedforward_command(config: FeedforwardConfig) -> str:
+    """Command line that makes this model, with the folder left out."""
+    words = ["python -m swarm_envs.training.belief --out DIR", f"--seed {config.seed}"]
+    if config.steps != FeedforwardConfig.steps:
+        words.append(f"--steps {config.steps}")
+    return " ".join(words + _changed_options("collection", config.collection, CollectionConfig()))
+
+
+def _changed_options(prefix: str, config: Any, default: Any) -> list[str]:
+    """Options of a nested configuration that differ from the default, without its seed."""
+    words = []
+    for entry in dataclasses.fields(config):
+        value, usual = getattr(config, entry.name), getattr(default, entry.name)
+        name = f"{prefix}.{entry.name.replace('_', '-')}"
+        if dataclasses.is_dataclass(value):
+            words += _changed_options(name, value, usual)
+        elif value != usual and entry.name != "seed":
+            given = value if isinstance(value, tuple) else (value,)
+            words.append(f"--{name} {' '.join(map(str, given))}")
+    return words
+
+
+@typed
+def compare_compensation(
+    trial: SwapTrial, model: InteractionModel, environment: str | InteractionModel = "learned"
+) -> CompensationResult:
+    """Fly a trial twice, on the same seeds, references and gains: without and with the model.
+
+    Raises:
+        RuntimeError: drones collided.
+    """
+    without, compensated = (
+        _worst_height_errors(trial, controller, environment)
+        for controller in (ControllerConfig(), ControllerConfig(feedforward=model))
+    )
+    lowest, lowest_without = compensated[:, -1], without[:, -1]
+    return CompensationResult(
+        team=trial.team,
+        layout=trial.layout,
+        episodes=trial.episodes,
+        uncompensated_median_cm=round(100 * float(np.median(lowest_without)), 2),
+        compensated_median_cm=round(100 * float(np.median(lowest)), 2),
+        largest_ratio=round(float((lowest / lowest_without).max()), 3),
+        worse=int((lowest > lowest_without).sum()),
+        upper_largest_growth_cm=round(100 * float((compensated - without)[:, :-1].max()), 2),
+    )
+
+
+def _worst_height_errors(
+    trial: SwapTrial, controller: ControllerConfig, environment: str | InteractionModel
+) -> FloatArray:
+    """Largest vertical distance of each drone to its reference, (episodes, N), m."""
+    flights = fly_swaps(trial, controller, environment)
+    if flights.crashed.any():
+        raise RuntimeError(f"swap of {trial.team}: drones collided in a trial with {controller}")
+    return flights.worst_height_error
+
+
+def fly_swaps(
+    trial: SwapTrial,
+    controller: ControllerConfig,
+    environment: str | InteractionModel,
+    first_seed: int = 0,
+) -> Flights:
+    """Fly the episodes of a trial on their references.
+
+    Args:
+        trial: what to fly.
+        controller: of every drone.
+        environment: the force model of the environment.
+        first_seed: of the first episode; the others follow.
+    """
+    test = swap_test(trial.team, trial.layout, environment)
+    return fly(test, controller, range(first_seed, first_seed + trial.episodes))
+
+
+_CARD = """\
+# `{name}.safetensors`: the deep set that the compensated controller believes
+
+**Fitted to simulated flights, not to measured ones.** Drones were flown inside the environment
+with the force model `{interactions}` (fingerprint `{interactions_sha256}`), and the force was
+computed from what they logged, as for real ones. The controller that believes this network never
+reads the environment's own model; how well it does says nothing about real air beyond what the
+environment's model says about it. When `{interactions}` changes, make this again.
+
+    {command}
+
+{wall_time_s:.0f} s on one core: flights, fit, judgement. The same seed gives the same flights.
+
+## Flights
+{flights} flights, {flown_s:.0f} s, teams {teams}: per team {walks} random walks aloft and
+{low_walks} near the ground, and in company {swaps} stacked swaps aloft and {low_swaps} near the
+ground, {duration_s:g} s each unless the team touches something: the log ends before. Every fifth
+flight of a team and kind is held out. The pilot does not compensate.
+
+The log, at 120 Hz, has position, velocity, attitude and rotor *commands*; white noise of
+{position_mm:g} mm, {velocity_cm:g} cm/s and {attitude_mrad:g} mrad is added to what sensors see.
+f_a = m a + m g k - R T k, with a by five-point differentiation of the logged velocity and T by the
+motor lag (eq. 1c) of the logged commands, averaged over 0.1 s. {rows} rows at {row_rate} Hz: all of
+lone drones; of others those with a neighbour in the interaction volume.
+
+## Network
+The paper's shapes and spectral clip, fading window, inputs clamped to the flown range, anchored: a
+drone at or above 0.6 m that has no neighbour in its interaction volume feels exactly nothing but
+linear drag. {steps} steps of Adam.
+
+## Validation
+Mean squared error of the vertical force on the held-out flights, labels as noisy as those of the
+training, g^2:
+
+| scenario | this | zero | scenario mean |
+|---|---|---|---|
+{errors}
+
+## In flight
+Stacked swaps on the compiled engine, worst height error of the lowest drone, medians; the same
+seeds, gains and references with and without. "Worse": episodes in which compensation made it
+larger. "Upper": the largest growth of any other drone's worst height error, cm.
+
+| team | radius, m | time, s | episodes | without, cm | with | largest ratio | worse | upper |
+|---|---|---|---|---|---|---|---|---|
+{judgements}
+
+## Where not to trust it
+Outside the flown range, where inputs are clamped, so that the force stays what it is at the edge:
+sideways beyond {own_speed:g} m/s, or {pair_speed:g} m/s relative to a neighbour; heights below
+{lowest:g} m. And with more than two neighbours in one interaction volume: nobody flew that.
+"""
+
+
+def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits: InputRange) -> str:
+    """The card, in Markdown, of a network with these limits of inputs."""
+    noise = collection.noise
+    return _CARD.format(
+        name=report.name,
+        interactions=report.interactions,
+        interactions_sha256=report.interactions_sha256[:16],
+        command=report.command,
+        wall_time_s=report.wall_time_s,
+        flights=report.flights,
+        flown_s=report.flown_s,
+        rows=report.rows,
+        row_rate=ROW_RATE,
+        teams=", ".join(collection.teams),
+        walks=collection.walks,
+        low_walks=collection.low_walks,
+        swaps=collection.swaps,
+        low_swaps=collection.low_swaps,
+        duration_s=collection.duration_s,
+        position_mm=1e3 * noise.position_m,
+        velocity_cm=1e2 * noise.velocity,
+        attitude_mrad=1e3 * noise.attitude_rad,
+        steps=report.fit.history[-1]["step"],
+        errors=_error_rows(report),
+        judgements="\n".join(_flight_row(j) for j in report.judgements),
+        pair_speed=limits.pair[1][3],
+        own_speed=limits.environment[1][1],
+        lowest=-limits.environment[1][0],
+    )
+
+
+def _error_rows(report: FeedforwardReport) -> str:
+    e = report.fit.findings.errors
+    rows = [("all", e.overall, e.zero, e.scenario_mean)]
+    rows += [
+        (name, value, e.scenario_zero[name], e.scenario_scenario_mean[name])
+        for name, value in e.scenario.items()
+    ]
+    return "\n".join(f"| {n} | {a:.2f} | {b:.2f} | {c:.2f} |" for n, a, b, c in rows)
+
+
+def _flight_row(j: CompensationResult) -> str:
+    low, high = j.layout.radius_m
+    fast, slow = j.layout.duration_s
+    cells = (
+        j.team,
+        f"{low:g}-{high:g}",
+        f"{fast:g}-{slow:g}",
+        j.episodes,
+        f"{j.uncompensated_median_cm:.1f}",
+        f"{j.compensated_median_cm:.1f}",
+        f"{j.largest_ratio:.2f}",
+        j.worse,
+        f"{j.upper_largest_growth_cm:.1f}",
+    )
+    return "| " + " | ".join(map(str, cells)) + " |"

@@ -1,0 +1,245 @@
+"""What a curriculum reports: the share of the true force that is explained, table, picture.
+
+The truth, an environment's own model, is asked here alone: for the report, never for a fit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.swap import StackedLayout
+from swarm_envs.training.belief.feedforward import SwapTrial, fly_swaps
+from swarm_envs.training.curriculum.rounds import CurriculumRound
+from swarm_envs.training.force_model.explained import explained_variance
+from swarm_envs.training.reproduce.style import COLORS, GREY, INK, picture
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+GOALS = {2: 0.85, 3: 0.85, 5: 0.70}
+"""Share of the variance of f_a,z that a model is to explain, by number of drones."""
+FIRST_SEED = 50_000
+"""Of the episodes."""
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """How well the models of the rounds explain the true force on the swaps of a team."""
+
+    team: str
+    """Who flew."""
+    drones: int
+    """Drones of the team."""
+    episodes: int
+    """Swaps that were flown."""
+    crashed: int
+    """Of them ended in a collision, flown with the last model as feed-forward."""
+    rms_force_g: float
+    """Of the true vertical force."""
+    rms_error_g: float
+    """Of the last model."""
+    explained: list[float]
+    """Share of the variance of f_a,z, by round."""
+    explained_horizontal: list[float]
+    """The same of f_a,x and f_a,y, where the models have linear drag alone."""
+
+
+def judge_unseen(
+    models: Sequence[InteractionModel], truth: InteractionModel, team: str, episodes: int
+) -> Unseen:
+    """Compare the models of the rounds with the truth on swaps, flown with the last of them."""
+    trial = SwapTrial(team, StackedLayout(), episodes)
+    controller = ControllerConfig(feedforward=models[-1])
+    flights = fly_swaps(trial, controller, truth, FIRST_SEED)
+    flying = np.arange(1, len(flights.time)) < flights.samples[:, None] - 1
+    position, velocity = flights.position[:, 1:][flying], flights.velocity[:, 1:][flying]
+    true = truth.forces(position, velocity, team) / GRAM_FORCE
+    found = [model.forces(position, velocity, team) / GRAM_FORCE for model in models]
+    return Unseen(
+        team=team,
+        drones=len(parse_team(team)),
+        episodes=episodes,
+        crashed=int(flights.crashed.sum()),
+        rms_force_g=round(float(np.sqrt(np.mean(true[..., 2] ** 2))), 3),
+        rms_error_g=round(float(np.sqrt(np.mean((found[-1] - true)[..., 2] ** 2))), 3),
+        explained=[
+            round(explained_variance(model, truth, position, velocity, team), 4) for model in models
+        ],
+        explained_horizontal=[round(horizontal_share(force, true), 4) for force in found],
+    )
+
+
+def horizontal_share(found: FloatArray, true: FloatArray) -> float:
+    """Share of the variance of the true horizontal force (T, N, 3) that another explains."""
+    error = (found - true)[..., :2]
+    variance = float(true[..., :2].var(axis=(0, 1)).sum())
+    return 1.0 - float(np.mean(error**2, axis=(0, 1)).sum()) / variance if variance > 0 else 0.0
+
+
+def _by_size(unseen: Sequence[Unseen]) -> dict[int, tuple[float, float]]:
+    """Mean and least share of the last model over the teams of each number of drones."""
+    return {
+        size: (float(np.mean(shares)), min(shares))
+        for size in GOALS
+        if (shares := [u.explained[-1] for u in unseen if u.drones == size])
+    }
+
+
+@dataclass(frozen=True)
+class CurriculumReport:
+    """The content of `curriculum.json`."""
+
+    command: str
+    """The command that was run."""
+    config: object
+    """Its options."""
+    interactions: str
+    """Force model of the environment."""
+    interactions_sha256: str
+    """Fingerprint of that force model."""
+    rule: str
+    """How a round's clearance follows from the round before."""
+    rounds: list[CurriculumRound]
+    """What each round flew and learned."""
+    true_drag: dict[str, list[float]]
+    """Of the environment, by type and axis, N s/m."""
+    unseen: list[Unseen]
+    """Errors on teams that no round flew."""
+    explained: dict[str, dict[str, float]]
+    """By number of drones: mean, least and goal of the share of the true vertical force."""
+    reached: bool
+    """Whether every team of each number of drones reaches the goal."""
+    wall_time_s: float
+    """Of this call: what was done before a kill is not in it."""
+
+    def lines(self) -> list[str]:
+        """What the command prints."""
+        return [rounds_table(self.rounds, self.unseen), ""] + [
+            f"{size} drones: {100 * mean:.1f} % of the variance of the true f_a,z on unseen swaps "
+            f"(least of the teams {100 * least:.1f} %; goal {100 * GOALS[size]:.0f} %)"
+            for size, (mean, least) in _by_size(self.unseen).items()
+        ]
+
+
+def sizes_as_json(unseen: list[Unseen]) -> dict[str, dict[str, float]]:
+    """Mean, least and goal by number of drones."""
+    return {
+        str(size): {"mean": round(mean, 4), "least": least, "goal": GOALS[size]}
+        for size, (mean, least) in _by_size(unseen).items()
+    }
+
+
+def goals_reached(unseen: list[Unseen]) -> bool:
+    """Whether every team of each number of drones reaches the goal."""
+    return all(least >= GOALS[size] for size, (_, least) in _by_size(unseen).items())
+
+
+def rounds_table(rounds: list[CurriculumRound], unseen: list[Unseen]) -> str:
+    """The rounds as a table, plain text."""
+    head = ("round", "planned", "gap error", "clearance", "distance", "cut", "rows", "val. MSE")
+    units = ("", "cm", "cm", "flown, cm", "/ radii", "", "", "g^2 (zero)")
+    shares = [f"{size} drones" for size in GOALS]
+    lines = [(*head, *shares), (*units, *("% of f_z" for _ in shares))]
+    for k, r in enumerate(rounds):
+        c = r.closeness
+        means = [
+            np.mean([u.explained[k] for u in unseen if u.drones == size]) if unseen else np.nan
+            for size in GOALS
+        ]
+        lines.append(
+            (
+                f"{r.number} {r.title}",
+                f"{100 * r.clearance_m:.1f}",
+                f"{100 * c.gap_error_m:.1f}",
+                f"{100 * c.least_clearance_m:.1f}",
+                f"{c.least_distance_ratio:.2f}",
+                f"{c.cut_swaps + c.cut_walks}/{c.flights}",
+                str(r.rows),
+                f"{r.validation_mse:.2f} ({r.zero_mse:.1f})",
+                *(f"{100 * mean:.1f}" for mean in means),
+            )
+        )
+    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
+    return "\n".join(
+        "  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip()
+        for line in lines
+    )
+
+
+def draw_curriculum(report: CurriculumReport, path: Path) -> None:
+    """Draw the rounds and write the picture, whole, to `path` (PNG, PDF or SVG)."""
+    headline = f"Curriculum in an environment with the force model {report.interactions!r}"
+    with picture(path, 12.0, 4.0, headline) as figure:
+        left, middle, right = figure.subplots(1, 3)
+        _closeness(left, report)
+        _errors(middle, report)
+        _explained(right, report)
+        for axis in (left, middle, right):
+            axis.set_xticks([r.number for r in report.rounds])
+            axis.set_xlabel("round")
+            axis.grid(axis="y")
+
+
+def _closeness(axis: Axes, report: CurriculumReport) -> None:
+    number = [r.number for r in report.rounds]
+    planned = [100 * r.clearance_m for r in report.rounds]
+    flown = [100 * r.closeness.least_clearance_m for r in report.rounds]
+    error = [100 * r.closeness.gap_error_m for r in report.rounds]
+    axis.plot(number, planned, "o-", color=INK, label="least planned")
+    axis.plot(number, flown, "s--", color=COLORS["S2S"], label="least flown")
+    axis.plot(number, error, "^:", color=COLORS["L2S"], label="error of the gap (95 %)")
+    axis.axhline(0.0, color=GREY, linewidth=0.8)
+    axis.set_ylabel("vertical clearance of two spheres, cm")
+    axis.set_title("How close drones flew")
+    axis.legend(fontsize=9)
+
+
+def _errors(axis: Axes, report: CurriculumReport) -> None:
+    number = np.array([r.number for r in report.rounds])
+    zero = [r.zero_mse for r in report.rounds]
+    model = [r.validation_mse for r in report.rounds]
+    axis.bar(number - 0.2, zero, 0.38, color="#C9CDD2", label="no model")
+    axis.bar(number + 0.2, model, 0.38, color=COLORS["S2S"], label="model of the round")
+    for x, value in zip(number + 0.2, model, strict=True):
+        axis.annotate(f"{value:.2f}", (x, value), ha="center", va="bottom", fontsize=9)
+    axis.set_ylabel("MSE of $f_{a,z}$ on held-out flights, g²")
+    axis.set_title("Validation, noisy labels")
+    axis.legend(fontsize=9)
+
+
+def _explained(axis: Axes, report: CurriculumReport) -> None:
+    number = [r.number for r in report.rounds]
+    for size, name in zip(GOALS, ("S2S", "S2L", "L2S"), strict=True):
+        shares = np.array([u.explained for u in report.unseen if u.drones == size])
+        if not len(shares):
+            continue
+        color = COLORS[name]
+        axis.plot(number, 100 * shares.mean(axis=0), "o-", color=color, label=f"{size} drones")
+        low, high = 100 * shares.min(axis=0), 100 * shares.max(axis=0)
+        axis.fill_between(number, low, high, color=color, alpha=0.15, linewidth=0)
+    for goal in sorted(set(GOALS.values())):
+        axis.axhline(100 * goal, color=GREY, linewidth=0.9, linestyle="--")
+        axis.annotate(
+            f"goal {100 * goal:.0f}",
+            (0.99, 100 * goal),
+            xycoords=axis.get_yaxis_transform(),  # right margin
+            ha="right",
+            va="center",
+            fontsize=8,
+            color=INK,
+            bbox={"boxstyle": "round,pad=0.15", "facecolor": "white", "edgecolor": "none"},
+            zorder=5,
+        )
+    axis.set_ylim(bottom=max(0.0, axis.get_ylim()[0]), top=101)
+    axis.set_ylabel("% of the variance of the true $f_{a,z}$")
+    axis.set_title("Unseen swaps (band: all teams)")
+    axis.legend(fontsize=9, loc="lower right")
