@@ -158,23 +158,6 @@ def test_types_are_told_in_order():
     learner.close()
 
 
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        ({"drones": (4, 4)}, r"\(4, 4\).*each\s+once"),
-        ({"drones": (2, 4), "environments": 3}, "multiple of the 2 teams"),
-        ({"drones": (4, 0)}, "--drones is 0"),
-        ({"set_hidden": ()}, "--set-hidden"),
-        ({"drones": (2, 4), "algo": "mappo"}, "--algo mappo trains one team"),
-        ({"encoder": "deep-set", "algo": "mappo"}, "--algo mappo has no such option"),
-        ({"team": ("SX",)}, "unknown vehicle token 'X'"),
-    ],
-)
-def test_impossible_teams_and_networks_are_refused(options, why):
-    with pytest.raises(ValueError, match=why):
-        RlConfig(out=Path("never"), **options)
-
-
 def test_a_policy_each_needs_types():
     with pytest.raises(ValueError, match="--per-type needs vehicles of several types"):
         make(per_type=True)

@@ -266,6 +266,13 @@ def test_a_folder_that_another_run_writes_into_is_refused(tmp_path, capsys):
         ("--pooling max", "--pooling was given, but only --encoder deep-set has sets"),
         ("--algo sac --sac.batch-size 0", "--sac.batch-size"),
         ("--algo sac --sac.smoothing 2", "--sac.smoothing is 2.0"),
+        ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
+        ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
+        ("--drones 4 0", "--drones is 0"),
+        ("--set-hidden 0", "--set-hidden is (0,), but must be one or more widths"),
+        ("--drones 2 4 --algo mappo", "--algo mappo trains one team"),
+        ("--encoder deep-set --algo mappo", "--algo mappo has no such option"),
+        ("--team SX", "unknown vehicle token 'X'"),
     ],
 )
 def test_what_cannot_be_trained_is_refused(options, why, tmp_path, capsys):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import pickle
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -169,23 +167,6 @@ def test_ppo_learns_a_little(observation, policy, tmp_path):
     assert np.isfinite(returns).all() and max(lengths) <= 24
 
 
-@pytest.mark.parametrize("way", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301
-def test_copies_fly_on_alike_and_apart(way):
-    env, rng = quick(), np.random.default_rng(1)
-    env.reset()
-    for step in range(15):
-        env.step(some_actions(rng, step))
-    twin = way(env)
-    actions = [some_actions(rng, step) for step in range(30)]
-    before = twin.core.physics.state.position.copy()
-    ours = [env.step(each) for each in actions]
-    assert np.array_equal(twin.core.physics.state.position, before)
-    for (seen, reward, done, infos), each in zip(ours, actions, strict=True):
-        other = twin.step(each)
-        assert np.array_equal(seen, other[0]) and np.array_equal(reward, other[1])
-        assert np.array_equal(done, other[2]) and repr(infos) == repr(other[3])
-
-
 TEAMS = {"interactions": "none", "num_neighbors": 2, "horizon_s": 0.5, "decision_rate": 10}
 
 
@@ -260,67 +241,18 @@ def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
         SharedPolicyVecEnv([other, "swap_v0"])  # type: ignore[list-item]
 
 
-def bad(k: int, value: float) -> np.ndarray:
-    actions = np.zeros((ENVS * DRONES, 3), np.float32)
-    actions[k, 2] = value
-    return actions
-
-
-@pytest.mark.parametrize(
-    ("actions", "message"),
-    [
-        (bad(3, np.nan), "drone_1 in environment 1 has nan at index 2, but every number must be"),
-        (bad(4, -np.inf), "drone_0 in environment 2 has -inf at index 2"),
-        (bad(0, 1.5), r"drone_0 in environment 0 has 1.5 at index 2, but must lie in \[-1, 1\]"),
-        (np.zeros((3, 3)), r"shape \(3, 3\), but must be numbers of shape \(6, 3\)"),
-        (np.zeros((6, 2)), r"shape \(6, 2\), but must be numbers of shape \(6, 3\)"),
-        (np.zeros(18), r"shape \(18,\), but must be numbers of shape \(6, 3\)"),
-        (np.full((6, 3), "a"), "but must be numbers"),
-        (np.zeros((6, 3), object), "but must be numbers"),
-        (np.zeros((6, 3), bool), "but must be numbers"),
-    ],
-)
-def test_bad_actions(actions, message):
-    env, other = quick(), quick()
-    env.reset()
-    with pytest.raises(ValueError, match=message):
-        env.step(actions)
-    other.reset()
-    good = some_actions(np.random.default_rng(0), 0)
-    assert np.array_equal(env.step(good)[0], other.step(good)[0])  # nothing had changed
-
-
 @pytest.mark.parametrize(
     ("make", "error", "message"),
     [
         (lambda: SharedPolicyVecEnv("swap_v1"), ValueError, "task 'swap_v1'; .* 'swap_v0'"),
-        (lambda: quick(num_drone=3), TypeError, "'num_drone'; did you mean 'num_drones'"),
-        (lambda: quick(action="rotor"), ValueError, "action 'rotor'; did you mean 'rotors'"),
-        (lambda: quick(seed=-1), ValueError, "seed is -1, but must be an integer of at least 0"),
-        (lambda: quick(seed=1.5), ValueError, "seed is 1.5, but must be an integer"),
         (lambda: quick(render_mode="rgb_array"), ValueError, "render_mode is 'rgb_array', but env"),
+        (lambda: quick(features="goals"), ValueError, "unknown features 'goals'"),
         (lambda: SharedPolicyVecEnv("swap_v0", num_envs=0), ValueError, "num_envs is 0, but must"),
     ],
 )
 def test_bad_options(make, error, message):
     with pytest.raises(error, match=message):
         make()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"strat": 1}, "unknown reset option 'strat'; did you mean 'start'"),
-        ({"start": [[0, 0, 1], [0.05, 0, 1]]}, "drones 0 and 1 are 0.050 m apart"),
-    ],
-)
-def test_bad_resets(options, message):
-    env = quick()
-    env.set_options(options)
-    with pytest.raises(ValueError, match=message):
-        env.reset()
-    env.set_options()
-    assert np.array_equal(env.reset(), quick().reset())
 
 
 def test_out_of_turn():
@@ -335,11 +267,5 @@ def test_out_of_turn():
     assert env.env_is_wrapped(VecMonitor) == [False] * 6
     env.reset()
     env.close()
-    calls: list[Callable[[], object]] = [
-        lambda: env.step(actions),
-        env.reset,
-        lambda: pickle.dumps(env),
-    ]
-    for call in calls:
-        with pytest.raises(RuntimeError, match="closed environment"):
-            call()
+    with pytest.raises(RuntimeError, match="closed environment"):
+        pickle.dumps(env)

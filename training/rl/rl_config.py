@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, is_dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,17 +13,6 @@ import numpy as np
 from swarm_envs.errors import check_integer
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
-
-
-def _option(name: str) -> str:
-    """An option as the command line has it."""
-    return f"--{name.replace('_', '-')}"
-
-
-def _check_range(name: str, value: float, limits: tuple[float, float]) -> None:
-    low, high = limits
-    if not low <= value <= high:
-        raise ValueError(f"{_option(name)} is {value}, but must be from {low:g} to {high:g}")
 
 
 @dataclass(frozen=True)
@@ -50,18 +40,6 @@ class SacConfig:
     temperature: float = 0.002
     """weight of entropy beside reward at the start; it is learned. Far above what a decision's
     reward is, drones are paid for trembling"""
-
-    def __post_init__(self) -> None:
-        """Refuse numbers with which nothing could be learned.
-
-        Raises:
-            ValueError: naming the option, the value and the rule.
-        """
-        for name in ("rollout", "gradient_steps", "batch_size", "lookahead", "buffer_size"):
-            check_integer(_option(f"sac.{name}"), getattr(self, name), 1)
-        check_integer("--sac.learning-starts", self.learning_starts, 0)
-        for name in ("learning_rate", "last_rate", "smoothing", "temperature"):
-            _check_range(f"sac.{name}", getattr(self, name), (1e-7, 1.0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,10 +164,14 @@ class RlConfig:
         """
         self._check_teams()
         for name in _COUNTS:
-            check_integer(_option(name), getattr(self, name), 1)
-        for name, limits in _RANGES.items():
-            if getattr(self, name) is not None:
-                _check_range(name, getattr(self, name), limits)
+            check_integer(_option(name), attrgetter(name)(self), 1)
+        check_integer("--sac.learning-starts", self.sac.learning_starts, 0)
+        for name, (low, high) in _RANGES.items():
+            value = attrgetter(name)(self)
+            if value is not None and not low <= value <= high:
+                raise ValueError(
+                    f"{_option(name)} is {value}, but must be from {low:g} to {high:g}"
+                )
         if PHYSICS_RATE % self.decision_rate or PHYSICS_RATE % self.force_rate:
             raise ValueError(
                 f"--decision-rate is {self.decision_rate} and --force-rate {self.force_rate}, but "
@@ -318,6 +300,11 @@ class RlConfig:
         return -self.reward_scale * float(first + share * (last - first))
 
 
+def _option(name: str) -> str:
+    """An option as the command line has it."""
+    return f"--{name.replace('_', '-')}"
+
+
 def _changed(settings: object) -> list[tuple[str, Any]]:
     """Fields of settings that are not their defaults; none of what is no dataclass."""
     if not is_dataclass(settings):
@@ -340,6 +327,7 @@ _FOREIGN = {
 _COUNTS = (
     *("steps", "environments", "threads", "rollout", "batch_size", "passes", "num_neighbors"),
     *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),
+    *("sac.rollout", "sac.gradient_steps", "sac.batch_size", "sac.lookahead", "sac.buffer_size"),
 )
 _RANGES = {
     "learning_rate": (1e-7, 1.0),
@@ -355,4 +343,6 @@ _RANGES = {
     "horizon_s": (0.2, 1000.0),
     "crash": (0.0, 1e6),
     "reward_scale": (1e-6, 1e6),
+    **{f"sac.{name}": (1e-7, 1.0) for name in ("learning_rate", "last_rate")},
+    **{f"sac.{name}": (1e-7, 1.0) for name in ("smoothing", "temperature")},
 }
