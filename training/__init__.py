@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 if __name__ == "training":
     raise ImportError(
         "import swarm_envs.training instead: a bare 'training' collides with other packages"
     )
+
+if TYPE_CHECKING:
+    from swarm_envs.training.shared_policy import SharedPolicyVecEnv
+
+__all__ = ["SharedPolicyVecEnv"]
 
 
 def __getattr__(name: str) -> Any:

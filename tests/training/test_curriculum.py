@@ -246,11 +246,6 @@ def test_goals_are_of_the_worst_team_of_each_size():
     assert sizes["5"]["goal"] == 0.70
 
 
-def test_a_table_can_be_made_without_judgement(tiny):
-    _, report = tiny
-    assert "nan" in rounds_table(report.rounds, [])
-
-
 def test_the_command_names_what_differs_from_the_default():
     text = curriculum_command(dataclasses.replace(TINY, seed=3))
     assert text.startswith("swarm-envs curriculum --out DIR --seed 3")

@@ -14,6 +14,7 @@ from swarm_envs.cli import main
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.swap_v0 import blueprint
 from swarm_envs.tasks.formation import LAYOUTS
+from swarm_envs.training.rl import curriculum_tasks
 from swarm_envs.training.rl.curriculum_tasks import FormationCurriculum, SwapCurriculum
 from swarm_envs.training.rl.recipes import LOST_M, RECIPES, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -80,8 +81,10 @@ def test_episodes_are_of_every_kind_as_often_as_is_said():
     assert crowds == pytest.approx(500 + 0.07 * 250, abs=50)
 
 
-def test_crowded_episodes_are_apart_and_half_of_them_pairs():
-    task = SwapCurriculum(team=parse_team("SSSS"), circle_share=0.0, crowded_share=1.0)
+def test_crowded_episodes_are_apart_and_half_of_them_pairs(monkeypatch):
+    monkeypatch.setattr(curriculum_tasks, "CIRCLE_SHARE", 0.0)
+    monkeypatch.setattr(curriculum_tasks, "CROWDED_SHARE", 1.0)
+    task = SwapCurriculum(team=parse_team("SSSS"))
     rng, pairs = np.random.default_rng(1), 0
     for _ in range(400):
         placement = task.place(rng)
@@ -101,23 +104,10 @@ def test_given_starts_and_lone_drones_are_drawn_as_by_the_task():
     assert len(SwapCurriculum(team=parse_team("S")).place(np.random.default_rng(0)).start) == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [
-        ({"circle_share": 0.6}, "sum to at most 1"),
-        ({"pairs_share": 1.5}, "pairs_share is 1.5"),
-        ({"layout": "circle"}, "needs layout='random'"),
-        ({"crowded_side_m": (0.05, 1.0)}, "crowded_side_m"),
-    ],
-)
-def test_impossible_curricula_are_refused(options, why):
-    with pytest.raises(ValueError, match=why):
-        SwapCurriculum(team=parse_team("SSSS"), **options)
-
-
-def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched():
+def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypatch):
     """Distances within start and goal are those of two of the shapes, times one factor."""
-    task = FormationCurriculum(team=parse_team(8 * "S"), stretch=(0.8, 1.0), nearest_share=0.0)
+    monkeypatch.setattr(curriculum_tasks, "NEAREST_SHARE", 0.0)
+    task = FormationCurriculum(team=parse_team(8 * "S"))
     rng, seen = np.random.default_rng(0), set()
     shapes = [np.sort(_distances(points)) for points in task.places]
     for _ in range(60):
@@ -133,7 +123,8 @@ def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched():
         assert 0.8 <= found[0][1] <= 1.0
         seen.add((found[0][0], found[1][0]))
     assert len(seen) > 10  # of 16 pairs: planes count once
-    near = FormationCurriculum(team=parse_team("SSSS"), nearest_share=1.0)
+    monkeypatch.setattr(curriculum_tasks, "NEAREST_SHARE", 1.0)
+    near = FormationCurriculum(team=parse_team("SSSS"))
     start, goals, *_ = near.draw(rng)
     least = min(np.square(start - goals[0][list(p)]).sum() for p in permutations(range(4)))
     assert np.square(start - goals[0]).sum() == pytest.approx(least)

@@ -133,20 +133,8 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
     rows = interaction_rows(flights)
     table = config.out / "flights" / "rows.npz"
     save_rows(table, rows)
-    # Labels of simulated flights have no calibration offset, so none is estimated.
     fitted = fit_force_model(
-        FitConfig(
-            data=table,
-            out=config.out / "fit",
-            offsets="none",
-            steps=config.steps,
-            slope_limit=None,
-            position_jitter_m=0.0,
-            velocity_jitter=0.0,
-            lipschitz_samples=0,
-            seed=config.seed,
-            progress=config.progress,
-        )
+        simulated_fit_config(table, config.out / "fit", config.steps, config.seed, config.progress)
     )
     model = load(collection.interactions)
     said = feedforward_command(config)
@@ -182,6 +170,27 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
     with written_whole(config.out / "MODEL_CARD.md") as partial:
         partial.write_text(_model_card(report, collection, limits))
     return report
+
+
+def simulated_fit_config(
+    table: Path, out: Path, steps: int, seed: int, progress: bool, vehicles_differ: bool = False
+) -> FitConfig:
+    """Options of a fit to simulated flights.
+
+    Labels have a calibration offset only where vehicles differ from their type.
+    """
+    return FitConfig(
+        data=table,
+        out=out,
+        offsets="estimated" if vehicles_differ else "none",
+        steps=steps,
+        slope_limit=None,
+        position_jitter_m=0.0,
+        velocity_jitter=0.0,
+        lipschitz_samples=0,
+        seed=seed,
+        progress=progress,
+    )
 
 
 def feedforward_command(config: FeedforwardConfig) -> str:

@@ -16,10 +16,11 @@ import numpy as np
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.state import FloatArray
+from swarm_envs.training.belief.feedforward import simulated_fit_config
 from swarm_envs.training.collection.collect import collect, was_cut_short
 from swarm_envs.training.collection.table import Flight, interaction_rows
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig, collection_config
-from swarm_envs.training.force_model import FitConfig, fit, load_network
+from swarm_envs.training.force_model import fit, load_network
 from swarm_envs.training.force_model.evaluate import predict_rows
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import file_sha256, json_ready
@@ -239,27 +240,12 @@ def _fit_all(config: CurriculumConfig, number: int, flights: list[Flight]) -> di
     table, said = folder / "rows.npz", folder / "fit" / "learned.json"
     if not (table.exists() and said.exists()):
         save_rows(table, interaction_rows(flights, config.label))
-        fit(_fit_config(config, number, table))
+        steps = config.last_steps if number == len(config.stages) else config.steps
+        differ = any(vars(config.errors).values())
+        out, seed = folder / "fit", config.seed
+        fit(simulated_fit_config(table, out, steps, seed, config.progress, differ))
     found: dict[str, Any] = json.loads(said.read_text())
     return found
-
-
-def _fit_config(config: CurriculumConfig, number: int, table: Path) -> FitConfig:
-    """Options of a round's fit: calibration offsets only where vehicles differ from their type."""
-    last = number == len(config.stages)
-    differ = any(vars(config.errors).values())
-    return FitConfig(
-        data=table,
-        out=table.parent / "fit",
-        offsets="estimated" if differ else "none",
-        steps=config.last_steps if last else config.steps,
-        slope_limit=None,
-        position_jitter_m=0.0,
-        velocity_jitter=0.0,
-        lipschitz_samples=0,
-        seed=config.seed,
-        progress=config.progress,
-    )
 
 
 def _unknown_g(rows: InteractionRows, weights: Path | None) -> float:
