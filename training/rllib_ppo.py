@@ -73,7 +73,7 @@ class RllibConfig:
     learning_rate: float = 5e-4
     """of Adam"""
     judge_episodes: int = 256
-    """in which the policy is judged at the end, on each layout"""
+    """in which the policy is evaluated at the end, on each layout"""
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing could be trained.
@@ -186,7 +186,7 @@ def actor(module: Any, width: int) -> Layers:
 
 
 def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
-    """Train, write the policy after every batch, judge it at the end, and return the report.
+    """Train, write the policy after every batch, evaluate it at the end, and return the report.
 
     What was written stays if the training is ended early; RLlib's own checkpoints hold pickles,
     and are not used, so a run cannot be gone on with.

@@ -29,9 +29,9 @@ from swarm_envs.training.curriculum.curriculum_config import (
 )
 from swarm_envs.training.curriculum.curriculum_report import (
     Unseen,
+    evaluate_unseen,
     goals_reached,
     horizontal_share,
-    judge_unseen,
     rounds_table,
     sizes_as_json,
 )
@@ -183,7 +183,7 @@ def test_killed_at_every_stage_it_goes_on_and_ends_the_same(tiny, tmp_path, monk
     config = dataclasses.replace(TINY, out=tmp_path)
     kill(monkeypatch, rounds_module, "fit", 2, config)  # of the second round, after its flights
     kill(monkeypatch, rounds_module, "measure_closeness", 1, config)  # after its fit
-    kill(monkeypatch, run_module, "judge_unseen", 2, config)
+    kill(monkeypatch, run_module, "evaluate_unseen", 2, config)
     assert not (tmp_path / "curriculum.json").exists()
     run_curriculum(config)
     assert contents(tmp_path) == contents(tiny[0])
@@ -219,7 +219,7 @@ def test_a_folder_of_another_curriculum_is_refused(tiny):
 
 def test_a_model_that_is_the_truth_explains_all_and_none_nothing():
     truth = load("learned")
-    found = judge_unseen([load("none"), truth], truth, "SS", 1)
+    found = evaluate_unseen([load("none"), truth], truth, "SS", 1)
     assert found.explained[1] == found.explained_horizontal[1] == 1.0
     assert found.explained[0] < 0.1 and found.rms_error_g == 0.0
     assert found.crashed == 0 and found.rms_force_g > 0.5

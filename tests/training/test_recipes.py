@@ -47,7 +47,7 @@ def test_layouts_are_refused_with_the_list(task):
         with_recipe(options(layout="spiral"), task)
     assert all(f"'{name}'" in str(error.value) for name in RECIPES[task].layouts)
     for layout in RECIPES[task].layouts:
-        assert set(RECIPES[task].judged_on(layout)) <= set(RECIPES[task].layouts)
+        assert set(RECIPES[task].evaluation_layouts(layout)) <= set(RECIPES[task].layouts)
 
 
 def test_the_better_policy_has_the_higher_quality():
@@ -154,7 +154,7 @@ def test_every_recipe_trains_and_what_comes_out_flies(task, tmp_path, capsys):
     assert main(["train", "--task", task, *TINY, "--out", str(out)]) == 0
     report = json.loads((out / "report.json").read_text())
     recipe = RECIPES[report["config"]["task"]]
-    layouts = recipe.judged_on(report["config"]["layout"])
+    layouts = recipe.evaluation_layouts(report["config"]["layout"])
     assert set(report["chosen"]) == {"step"} | {
         f"{a}_{b}" for a in layouts for b in recipe.measures
     }

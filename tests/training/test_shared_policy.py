@@ -238,7 +238,7 @@ def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
     with pytest.raises(ValueError, match="task is empty"):
         SharedPolicyVecEnv([])
     with pytest.raises(TypeError, match="must be a task's name"):
-        SharedPolicyVecEnv([other, "swap_v0"])  # type: ignore[list-item]
+        SharedPolicyVecEnv([other, "swap_v0"])
 
 
 @pytest.mark.parametrize(

@@ -108,14 +108,14 @@ def test_the_temperature_seeks_its_entropy(deviation, rises):
             layer.weight.zero_()
             layer.bias.zero_()
         model.actor.log_std.bias.fill_(float(np.log(deviation)))
-    model._teach_actor(torch.zeros(20_000, 1))
+    model._update_actor(torch.zeros(20_000, 1))
     assert (float(model.log_ent_coef.detach().exp()) > 0.1) is rises
 
 
 def test_densities_are_those_of_a_squashed_normal():
     model = learner()
     seen = torch.linspace(-2.0, 2.0, 64)[:, None]
-    actions, found = model._drawn(seen)
+    actions, found = model._sample_actions(seen)
     mean, log_deviation, _ = model.actor.get_action_dist_params(seen)
     squashed = TransformedDistribution(Normal(mean, log_deviation.exp()), TanhTransform())
     torch.testing.assert_close(found, squashed.log_prob(actions).sum(1), atol=1e-4, rtol=1e-4)

@@ -1,8 +1,8 @@
 """Fit the force model that a controller feeds forward, from flights inside the environment.
 
 Flights are collected, a heterogeneous deep set is fitted to them and evaluated in flight: stacked
-swaps with and without compensation. What is written ships as `belief*.safetensors`: the force that
-the compensated controller believes, in an environment whose own model it never reads.
+swaps with and without compensation. What is written ships as `belief*.safetensors`; the controller
+that feeds it forward never reads the environment's own model.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The curriculum of Neural-Swarm2, Sec. IV-D: fit, fly closer with what was learned, fit again.
 
-Drones that do not know the wakes are blown apart, so nobody can fly them close together to learn
-the wakes. So it is done in rounds: one and two drones fly far apart, without compensation, and a
+Downwash drives drones apart that do not know it, so nobody can fly them close together to learn
+it. So it is done in rounds: one and two drones fly far apart, without compensation, and a
 model is fitted; with it as the pilot's feed-forward they fly closer; then three drones. Order of
 reading: `run` (all of it), `curriculum_config` (options and stages), `rounds` (one round: how close
 drones came, and how close the next may plan), `curriculum_report` (how much of the true force a

@@ -1,4 +1,4 @@
-"""What a curriculum is told: options alone, readable where torch is not installed."""
+"""Options of a curriculum, and what its rounds fly: readable where torch is not installed."""
 
 from __future__ import annotations
 
@@ -111,11 +111,11 @@ class CurriculumConfig:
     last_steps: int = 4000
     """optimiser steps of the last fit"""
     episodes: int = 20
-    """unseen swaps of each team on which the models are judged"""
+    """unseen swaps of each team on which the models are evaluated"""
     stages: tyro.conf.Suppress[tuple[Stage, ...]] = STAGES
     """who flies in each round"""
     unseen_teams: tyro.conf.Suppress[tuple[str, ...]] = UNSEEN_TEAMS
-    """whose swaps the models are judged on"""
+    """whose swaps the models are evaluated on"""
     label: Label = "differentiated"
     """where the acceleration of the force's label comes from"""
     noise: SensorNoise = SensorNoise()
@@ -141,10 +141,10 @@ class CurriculumConfig:
         check_integer("last_steps", self.last_steps, 1)
         if self.interactions == "none":
             raise ValueError("interactions is 'none': there is no force to learn; name another")
-        told = [n for n, v in _QUICK.items() if getattr(self, n) not in (v, _usual(n))]
-        if self.quick and told:
+        given = [n for n, v in _QUICK.items() if getattr(self, n) not in (v, _usual(n))]
+        if self.quick and given:
             raise ValueError(
-                f"quick sets {', '.join(told)} itself, so leave them out, or leave out quick"
+                f"quick sets {', '.join(given)} itself, so leave them out, or leave out quick"
             )
         for name, low, high in (
             ("least_clearance_m", 0.005, 0.2),

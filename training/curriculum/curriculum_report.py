@@ -53,7 +53,7 @@ class Unseen:
     """The same of f_a,x and f_a,y, where the models have linear drag alone."""
 
 
-def judge_unseen(
+def evaluate_unseen(
     models: Sequence[InteractionModel], truth: InteractionModel, team: str, episodes: int
 ) -> Unseen:
     """Compare the models of the rounds with the truth on swaps, flown with the last of them."""

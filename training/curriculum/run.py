@@ -1,4 +1,4 @@
-"""The whole curriculum: rounds, judgement on unseen swaps, report, table and picture."""
+"""The whole curriculum: rounds, evaluation on unseen swaps, report, table and picture."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from swarm_envs.training.curriculum.curriculum_report import (
     CurriculumReport,
     Unseen,
     draw_curriculum,
+    evaluate_unseen,
     goals_reached,
-    judge_unseen,
     sizes_as_json,
 )
 from swarm_envs.training.curriculum.rounds import (
@@ -57,7 +57,7 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
     }
     begin_manifest(config.out / ORIGIN, origin)
     rounds = _fly_rounds(config)
-    unseen = _judge_all(config, truth)
+    unseen = _evaluate_all(config, truth)
     with written_whole(config.out / "learned.safetensors") as partial:
         shutil.copyfile(weights_of(config, len(config.stages)), partial)
     drag = {name: truth.field.drag[k].tolist() for k, name in enumerate(truth.types)}
@@ -99,14 +99,14 @@ def _fly_rounds(config: CurriculumConfig) -> list[CurriculumRound]:
     return reports
 
 
-def _judge_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
-    """Judge the models of all rounds on unseen swaps, or read what was judged."""
+def _evaluate_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
+    """Evaluate the models of all rounds on unseen swaps, or read what was found."""
     path = config.out / UNSEEN
     if path.exists():
         return [Unseen(**entry) for entry in json.loads(path.read_text())]
     models = [load(weights_of(config, k + 1)) for k in range(len(config.stages))]
     bar = tqdm(config.unseen_teams, disable=not config.progress, desc="unseen swaps", unit="team")
-    found = [judge_unseen(models, truth, team, config.episodes) for team in bar]
+    found = [evaluate_unseen(models, truth, team, config.episodes) for team in bar]
     write_json(path, json_ready(found))
     return found
 

@@ -60,7 +60,7 @@ class Recipe:
     """what `--layout` may name: options of the task's environment"""
     defaults: Mapping[str, Any]
     """of those options of `RlConfig` that are None unless they are given"""
-    judged: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """layouts on which the policy of a layout is evaluated; itself alone where nothing is said"""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
     """of the reward in training; those of proximity and of a crash come from the options"""
@@ -77,9 +77,9 @@ class Recipe:
     cost: Mapping[str, float] = field(default_factory=dict)
     """what is taken off a layout's success for each measure, times this, to say how good it is"""
 
-    def judged_on(self, layout: str) -> tuple[str, ...]:
-        """Layouts on which a policy trained on `layout` is judged."""
-        return self.judged.get(layout, (layout,))
+    def evaluation_layouts(self, layout: str) -> tuple[str, ...]:
+        """Layouts on which a policy trained on `layout` is evaluated."""
+        return self.evaluated.get(layout, (layout,))
 
     def quality(self, measured: Mapping[str, float]) -> float:
         """How good a policy is: the larger, the better.
@@ -100,13 +100,13 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         "swap_v0": Recipe(
             layouts={name: {"layout": name} for name in ("random", "circle")},
             defaults={"layout": "random", **_REACH},
-            judged={"random": ("random", "circle")},
+            evaluated={"random": ("random", "circle")},
             curriculum=swap_curriculum,
         ),
         "formation_v0": Recipe(
             layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
             defaults={"layout": "shuffle", **_REACH},
-            judged={"shuffle": ("shuffle", "cube", "tour")},
+            evaluated={"shuffle": ("shuffle", "cube", "tour")},
             curriculum=formation_curriculum,
         ),
         "ring_v0": Recipe(

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
-from torch import Tensor
 from tqdm import tqdm
 
 from swarm_envs import __version__
@@ -136,7 +135,7 @@ def _evaluate(config: RlConfig, task: str, learner: Learner, progress: _Progress
     rates = evaluate_policy(
         policy,
         task,
-        recipe.judged_on(str(config.layout)),
+        recipe.evaluation_layouts(str(config.layout)),
         choosing_seeds(config.judge_episodes),
         {"interactions": config.interactions, "force_rate": config.force_rate},
         config.teams,
@@ -232,7 +231,12 @@ def _load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) ->
         ValueError: it is damaged, or of a run with another configuration.
     """
     try:
-        tensors, progress = _read_checkpoint(path)
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+            progress: dict[str, Any] = json.loads((file.metadata() or {})["progress"])
+        missing = {"config", "rollouts", "history", "judged"} - progress.keys()
+        if missing:
+            raise KeyError(*missing)
     except (SafetensorError, OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(
             f"checkpoint {str(path)!r} is damaged ({error}); delete the folder and train again"
@@ -251,14 +255,3 @@ def _load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) ->
             "delete the folder and train again"
         ) from error
     return progress
-
-
-def _read_checkpoint(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    with safe_open(path, framework="pt") as file:
-        metadata = file.metadata() or {}
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
-    progress = json.loads(metadata["progress"])
-    for name in ("config", "rollouts", "history", "judged"):
-        if name not in progress:
-            raise KeyError(name)
-    return tensors, progress

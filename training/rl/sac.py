@@ -1,6 +1,6 @@
 """Stable-Baselines3's SAC with parameter sharing: it learns from every decision many times.
 
-Stable-Baselines3 flies, remembers and draws; the update of Haarnoja et al. (Soft Actor-Critic
+Stable-Baselines3 flies, stores and samples; the update of Haarnoja et al. (Soft Actor-Critic
 Algorithms and Applications, 2018) is here, with three changes. Returns are of several steps, which
 carries a reward from the goal to the start in fewer gradient steps. Critics have layer
 normalisation, which keeps them from running away (Ball et al., Efficient Online Reinforcement
@@ -43,7 +43,7 @@ ACTOR_EVERY = 2
 """Gradient steps of the critics for each of the actor and of the temperature."""
 _HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 _POLICY, _MEMORY, _TEMPERATURE, _PLACE = "policy.", "memory.", "log_temperature", "memory_place"
-_REMEMBERED = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+_BUFFER_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
 class SacLearner(Sb3Learner):
@@ -76,7 +76,7 @@ class SacLearner(Sb3Learner):
 
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
         """Train for the rollouts of a segment."""
-        _cut(self._memory())
+        _cut(self.model.replay_buffer)
         entry, said = super().fly(segment, watch), self.model.logger.name_to_value
         return {
             **entry,
@@ -102,7 +102,7 @@ class SacLearner(Sb3Learner):
         for name, optimiser in self._optimisers().items():
             tensors |= optimiser_tensors(optimiser, name)
         if self.rollouts < self.config.rollouts:
-            tensors |= _remembered(self._memory())
+            tensors |= _buffer_tensors(self.model.replay_buffer)
         return tensors
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
@@ -113,7 +113,7 @@ class SacLearner(Sb3Learner):
         for name, optimiser in self._optimisers().items():
             load_optimiser(optimiser, tensors, name)
         if _PLACE in tensors:
-            _remember(self._memory(), tensors)
+            _fill_buffer(self.model.replay_buffer, tensors)
 
     def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
         model = self.model
@@ -123,37 +123,33 @@ class SacLearner(Sb3Learner):
             "temperature_optimiser.": model.ent_coef_optimizer,
         }
 
-    def _memory(self) -> ReplayBuffer:
-        memory: ReplayBuffer = self.model.replay_buffer
-        return memory
 
-
-def _cut(memory: ReplayBuffer) -> None:
+def _cut(buffer: ReplayBuffer) -> None:
     """Let no return reach from the last decision into the episode that begins after it."""
-    last = memory.pos - 1  # where nothing is remembered yet, a place that will be written over
-    memory.timeouts[last] = np.maximum(memory.timeouts[last], 1.0 - memory.dones[last])
+    last = buffer.pos - 1  # where nothing is stored yet, a place that will be written over
+    buffer.timeouts[last] = np.maximum(buffer.timeouts[last], 1.0 - buffer.dones[last])
 
 
-def _remembered(memory: ReplayBuffer) -> dict[str, Tensor]:
-    """What a memory holds, and where it writes next."""
-    filled = memory.buffer_size if memory.full else memory.pos
+def _buffer_tensors(buffer: ReplayBuffer) -> dict[str, Tensor]:
+    """The filled part of a replay buffer, and where it writes next."""
+    filled = buffer.buffer_size if buffer.full else buffer.pos
     tensors = {
-        _MEMORY + name: torch.from_numpy(getattr(memory, name)[:filled]) for name in _REMEMBERED
+        _MEMORY + name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _BUFFER_FIELDS
     }
-    return {**tensors, _PLACE: torch.tensor(memory.pos)}
+    return {**tensors, _PLACE: torch.tensor(buffer.pos)}
 
 
-def _remember(memory: ReplayBuffer, tensors: Mapping[str, Tensor]) -> None:
-    """Let a fresh memory hold what another did."""
-    for name in _REMEMBERED:
+def _fill_buffer(buffer: ReplayBuffer, tensors: Mapping[str, Tensor]) -> None:
+    """Fill a fresh replay buffer with what `_buffer_tensors` gave."""
+    for name in _BUFFER_FIELDS:
         held = tensors[_MEMORY + name].numpy()
-        getattr(memory, name)[: len(held)] = held
-    memory.pos = int(tensors[_PLACE])
-    memory.full = len(held) == memory.buffer_size
+        getattr(buffer, name)[: len(held)] = held
+    buffer.pos = int(tensors[_PLACE])
+    buffer.full = len(held) == buffer.buffer_size
 
 
 class TwinCritic(nn.Module):
-    """Two critics that share nothing but their calls: layers are stacked.
+    """Two critics that share nothing but their calls: their layers are stacked.
 
     Args:
         width: of an observation and an action together.
@@ -172,7 +168,7 @@ class TwinCritic(nn.Module):
             self.biases.append(nn.Parameter(torch.empty(2, 1, out).uniform_(-bound, bound)))
 
     def forward(self, observations: Tensor, actions: Tensor) -> Tensor:
-        """What each expects, (2, B), of observations (B, width) and actions (B, width)."""
+        """Values (2, B) of observations (B, width) and actions (B, width)."""
         values = torch.cat([observations, actions], dim=1).expand(2, -1, -1)
         *hidden, last = zip(self.weights, self.biases, strict=True)
         for weight, bias in hidden:
@@ -199,8 +195,8 @@ class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types her
     """Stable-Baselines3's SAC with gradient steps of its own.
 
     Args:
-        env: what is flown.
-        lookahead: rewards that are counted before the critic's word on the rest.
+        env: the environments.
+        lookahead: rewards that are counted before the critic's estimate (n-step returns).
         gamma: discount of a step.
         **options: as SAC takes them.
     """
@@ -217,31 +213,35 @@ class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types her
         self.critic_target.requires_grad_(False)
 
     def train(self, gradient_steps: int, batch_size: int = 256) -> None:
-        """Take gradient steps, each on a batch of all that is remembered."""
+        """Take gradient steps, each on a batch of the whole replay buffer."""
         actor, critic = self.actor.optimizer, self.critic.optimizer
         self._update_learning_rate([actor, critic, self.ent_coef_optimizer])
-        drawn = self.replay_buffer.sample(gradient_steps * batch_size)
-        batches = zip(*(part.split(batch_size) for part in drawn), strict=True)
+        samples = self.replay_buffer.sample(gradient_steps * batch_size)
+        batches = zip(*(part.split(batch_size) for part in samples), strict=True)
         for step, batch in enumerate(batches, self._n_updates):
-            seen, done, after, ended, rewards, discounts = batch
-            discounts = discounts * (1.0 - ended)
-            critic_loss = self._teach_critic(seen, done, after, rewards, discounts)
+            observations, actions, next_observations, dones, rewards, discounts = batch
+            discounts = discounts * (1.0 - dones)
+            targets = self._targets(next_observations, rewards, discounts)
+            critic_loss = self._update_critic(observations, actions, targets)
             if step % ACTOR_EVERY == 0:
-                actor_loss = self._teach_actor(seen)
+                actor_loss = self._update_actor(observations)
                 self.logger.record("train/actor_loss", actor_loss)
         self.logger.record("train/critic_loss", critic_loss)
         self._n_updates += gradient_steps
 
-    def _teach_critic(
-        self, seen: Tensor, done: Tensor, after: Tensor, rewards: Tensor, discounts: Tensor
-    ) -> Tensor:
-        """Move the critics towards rewards and the targets' word, and the targets after them."""
-        with torch.no_grad():
-            actions, log_probability = self._drawn(after)
-            left = self.critic_target(after, actions).amin(0) - self._temperature * log_probability
-            wanted = rewards[:, 0] + discounts[:, 0] * left
-        expected = self.critic(seen, done)
-        loss = functional.mse_loss(expected, wanted.expand_as(expected))
+    @torch.no_grad()
+    def _targets(self, next_observations: Tensor, rewards: Tensor, discounts: Tensor) -> Tensor:
+        """Returns (B,) of n steps, and of the target critics for what follows them."""
+        actions, log_probability = self._sample_actions(next_observations)
+        following = self.critic_target(next_observations, actions).amin(0)
+        following = following - self._temperature * log_probability
+        targets: Tensor = rewards[:, 0] + discounts[:, 0] * following
+        return targets
+
+    def _update_critic(self, observations: Tensor, actions: Tensor, targets: Tensor) -> Tensor:
+        """Move the critics towards the targets, and the target critics after them."""
+        expected = self.critic(observations, actions)
+        loss = functional.mse_loss(expected, targets.expand_as(expected))
         _descend(self.critic.optimizer, loss, self.critic)
         with torch.no_grad():
             pairs = zip(self.critic_target.parameters(), self.critic.parameters(), strict=True)
@@ -249,20 +249,20 @@ class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types her
                 target.lerp_(parameter, self.tau)
         return loss.detach()
 
-    def _teach_actor(self, seen: Tensor) -> Tensor:
-        """Move the actor towards what the critics like, and the temperature to its entropy."""
-        actions, log_probability = self._drawn(seen)
-        liked = self.critic(seen, actions).amin(0)
-        loss = (self._temperature * log_probability - liked).mean()
+    def _update_actor(self, observations: Tensor) -> Tensor:
+        """Move the actor towards higher values, and the temperature towards its entropy."""
+        actions, log_probability = self._sample_actions(observations)
+        values = self.critic(observations, actions).amin(0)
+        loss = (self._temperature * log_probability - values).mean()
         _descend(self.actor.optimizer, loss, self.actor)
         surplus = -(log_probability.detach().mean() + self.target_entropy)
         self.log_ent_coef.grad = surplus.reshape(1)  # of log_ent_coef times the surplus
         self.ent_coef_optimizer.step()
         return loss.detach()
 
-    def _drawn(self, seen: Tensor) -> tuple[Tensor, Tensor]:
+    def _sample_actions(self, observations: Tensor) -> tuple[Tensor, Tensor]:
         """Actions (B, width) that the actor draws, and their log probability (B,)."""
-        mean, log_deviation, _ = self.actor.get_action_dist_params(seen)
+        mean, log_deviation, _ = self.actor.get_action_dist_params(observations)
         noise = torch.randn_like(mean)
         before = mean + log_deviation.exp() * noise
         density = -0.5 * noise.square() - log_deviation - _HALF_LOG_TAU
