@@ -18,7 +18,6 @@ from swarm_envs.agents.networks import ANY, Network
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.policy_file import Policy, read_policy, write_policy
 from swarm_envs.training.rl.ppo import PpoLearner
-from swarm_envs.training.rl.recipes import with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.run import policy_note
 
@@ -32,22 +31,22 @@ KINDS = {
 }
 
 
-def make(**given) -> tuple[RlConfig, PpoLearner]:
+def make(**given) -> PpoLearner:
     """A learner whose last layers are no longer small, so that actions tell networks apart."""
     options = {"environments": 4, "rollout": 16, "batch_size": 64, "hidden": (8, 8), **given}
-    config = with_recipe(RlConfig(out=Path("never"), interactions="none", **options), "swap_v0")
+    config = RlConfig(out=Path("never"), interactions="none", **options)
     learner = PpoLearner(config, "swap_v0")
     with torch.no_grad():
         learner.model.policy.action_net.weight.mul_(50.0)
         learner.model.policy.action_net.bias.add_(0.1)
-    return config, learner
+    return learner
 
 
-def policy_of(config: RlConfig, learner: PpoLearner) -> Policy:
+def policy_of(learner: PpoLearner) -> Policy:
     return Policy(policy_note(learner, "swap_v0"), learner.actor(), {})
 
 
-def told(learner: PpoLearner) -> np.ndarray:
+def rows_of(learner: PpoLearner) -> np.ndarray:
     """Observation rows of every drone after some decisions."""
     learner.env.reset()
     rng = np.random.default_rng(0)
@@ -59,26 +58,29 @@ def told(learner: PpoLearner) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_flies_is_what_was_trained(kind, tmp_path):
-    config, learner = make(**KINDS[kind])
+    learner = make(**KINDS[kind])
     path = tmp_path / "policy.safetensors"
-    write_policy(path, policy_of(config, learner))
+    write_policy(path, policy_of(learner))
     agent = PolicyAgent(read_policy(path))
-    rows = told(learner)
+    rows = rows_of(learner)
     actions, _ = learner.model.predict(learner.env.observe(rows), deterministic=True)
     np.testing.assert_allclose(agent.act_batch(rows), actions, atol=2e-6)
     assert np.ptp(actions, axis=0).min() > 0.01
-    options = {**config.teams[0], "physics": "batch", "horizon_s": 0.5, "interactions": "none"}
+    options = {
+        **learner.config.teams[0],
+        "physics": "batch",
+        "horizon_s": 0.5,
+        "interactions": "none",
+    }
     env = swap_v0.parallel_env(**options, **agent.requires)
     assert fly_episode(env, agent, seed=0)["length_s"] > 0
-    env.close()
-    learner.close()
 
 
 @pytest.mark.parametrize("kind", ["mean", "max", "sum of each type"])
 def test_the_order_of_neighbours_changes_nothing(kind):
-    learner = make(**KINDS[kind])[1]
+    learner = make(**KINDS[kind])
     sizes = learner.sizes
-    values = learner.env.observe(told(learner))
+    values = learner.env.observe(rows_of(learner))
     own, around = sizes.split(values)
     swapped = np.concatenate([own, around[:, ::-1].reshape(len(own), -1)], axis=1)
     assert not np.array_equal(swapped, values)
@@ -89,15 +91,14 @@ def test_the_order_of_neighbours_changes_nothing(kind):
         for v in (values, swapped)
     )
     np.testing.assert_allclose(after, before, atol=2e-6)
-    learner.close()
 
 
 def test_who_is_not_there_is_not_in_the_set():
     """Four slots with one neighbour act as one slot with the same neighbour, and none as none."""
     for pooling in ("mean", "max", "sum"):
-        _, learner = make(drones=4, pooling=pooling, **SET)
+        learner = make(drones=4, pooling=pooling, **SET)
         sizes, network = learner.sizes, learner.actor()[ANY]
-        values = learner.env.observe(told(learner))
+        values = learner.env.observe(rows_of(learner))
         own, around = sizes.split(values)
         alone = np.concatenate([own, around[:, 0]], axis=1)
         around[:, 1:] = 0.0
@@ -108,14 +109,13 @@ def test_who_is_not_there_is_not_in_the_set():
         nobody = np.concatenate([own, np.zeros_like(around).reshape(len(own), -1)], axis=1)
         none = sizes._replace(num_neighbors=0)
         np.testing.assert_allclose(network(nobody, sizes), network(own, none), atol=2e-6)
-        learner.close()
 
 
 def test_every_type_flies_and_sees_by_networks_of_its_own():
     """Whose network is broken, and of which neighbour's type, shows in who acts otherwise."""
-    _, learner = make(**KINDS["sum of each type"])
+    learner = make(**KINDS["sum of each type"])
     networks, sizes = learner.actor(), learner.sizes
-    rows = told(learner)
+    rows = rows_of(learner)
     large = learner.env.observe(rows)[:, sizes.own_column("L")] == 1.0
     assert large.mean() == 0.5
 
@@ -132,30 +132,27 @@ def test_every_type_flies_and_sees_by_networks_of_its_own():
     phi["S"] = tuple((0.0 * weight, bias) for weight, bias in phi["S"])
     blind = changed({**networks, "S": Network(networks["S"].layers, phi, "sum")})
     assert np.array_equal(blind, ~large)
-    learner.close()
 
 
 def test_two_types_learn_apart():
     """What only large drones have flown changes their network, and not the small ones'."""
-    _, learner = make(team=("SSLL",), per_type=True)
+    learner = make(team=("SSLL",), per_type=True)
     policy = learner.model.policy
-    values = torch.from_numpy(learner.env.observe(told(learner)))
+    values = torch.from_numpy(learner.env.observe(rows_of(learner)))
     large = values[:, learner.sizes.own_column("L")] == 1.0
     small_before = policy.get_distribution(values[~large]).mode().detach()
     optimiser = torch.optim.SGD(policy.mlp_extractor.parameters(), lr=0.1)
     policy.get_distribution(values[large]).mode().square().sum().backward()
     optimiser.step()
     assert torch.equal(policy.get_distribution(values[~large]).mode(), small_before)
-    learner.close()
 
 
-def test_types_are_told_in_order():
-    learner = make(team=("SL",), num_neighbors=1)[1]
-    sizes, rows = FEATURE_SETS[TYPED].sizes(1), told(learner)
+def test_types_are_one_hot_in_order():
+    learner = make(team=("SL",), num_neighbors=1)
+    sizes, rows = FEATURE_SETS[TYPED].sizes(1), rows_of(learner)
     own, around = sizes.split(learner.env.observe(rows))
     assert own[:2, sizes.own_type :].tolist() == [[1, 0, 0], [0, 1, 0]]
     assert around[:2, 0, sizes.neighbor_type :].tolist() == [[0, 1, 0], [1, 0, 0]]
-    learner.close()
 
 
 def test_a_policy_each_needs_types():
@@ -164,11 +161,9 @@ def test_a_policy_each_needs_types():
 
 
 def test_vehicles_that_it_has_not_flown_are_refused():
-    config, learner = make(team=("SSLL",), per_type=True)
-    agent = PolicyAgent(policy_of(config, learner))
+    learner = make(team=("SSLL",), per_type=True)
+    agent = PolicyAgent(policy_of(learner))
     options = {"team": "SSSS*", "physics": "batch", "interactions": "none", **agent.requires}
     env = swap_v0.parallel_env(**options)
     with pytest.raises(ValueError, match=r"trained for vehicles S, L, but the team has S\*"):
         fly_episode(env, agent, seed=0)
-    env.close()
-    learner.close()

@@ -23,13 +23,12 @@ def test_the_critic_sees_itself_first_and_the_team_in_turn():
     config = RlConfig(out=Path("never"), algo="mappo", drones=3, environments=2, batch_size=96)
     learner = MappoLearner(config, "swap_v0")
     learner.core.reset([0, 1])
-    told = learner._observations()
-    seen, states = learner._states(told).numpy(), learner.core.team_state()
+    observed = learner._observations()
+    seen, states = learner._states(observed).numpy(), learner.core.team_state()
     for e in range(2):
         for i in range(3):
             others = [states[e, (i + k) % 3] for k in (1, 2)]
-            assert np.array_equal(seen[e, i], np.concatenate([told[e, i].numpy(), *others]))
-    learner.close()
+            assert np.array_equal(seen[e, i], np.concatenate([observed[e, i].numpy(), *others]))
 
 
 def test_advantages_are_weighed_sums_of_later_errors_of_the_episode():

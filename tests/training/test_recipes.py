@@ -178,4 +178,3 @@ def test_rewards_follow_new_weights():
     np.testing.assert_allclose(after.rewards - before.rewards, changed, atol=1e-15)
     with pytest.raises(ValueError, match="did you mean 'effort'"):
         core.set_reward_weights({"efort": 1.0})
-    core.close()

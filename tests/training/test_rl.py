@@ -302,7 +302,6 @@ def test_the_agent_acts_as_the_network_that_was_trained(algo):
     assert np.abs(wanted).max() > 1e-3
     rows = learner.env.core.rows.reshape(8, -1)
     np.testing.assert_allclose(agent.act_batch(rows), wanted, atol=1e-6)
-    learner.close()
 
 
 def test_a_checkpoint_holds_all_of_adam(whole):
@@ -344,5 +343,4 @@ def test_threads_change_no_byte_of_what_is_learned():
         learner.fly(range(2))
         weights.append([p.detach().clone() for p in learner.model.policy.parameters()])
         assert learner.env.core.physics.workers.threads == threads
-        learner.close()
     assert all(torch.equal(one, two) for one, two in zip(*weights, strict=True))

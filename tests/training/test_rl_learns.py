@@ -45,4 +45,3 @@ def test_two_drones_learn_to_swap(options):
     assert entry["step"] == config.rollouts * config.rollout_steps >= config.steps
     assert before < 0.1
     assert success() > before + MARGIN
-    learner.close()

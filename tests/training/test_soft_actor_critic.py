@@ -154,4 +154,3 @@ def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none():
     assert cut[9].all() and not cut[5:9].any()  # no return reaches into the next segment
     learner.fly(range(4, 5))
     assert not any(name.startswith("memory") for name in learner.tensors())
-    learner.close()

@@ -326,32 +326,23 @@ sideways beyond {own_speed:g} m/s, or {pair_speed:g} m/s relative to a neighbour
 def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits: InputRange) -> str:
     """The card, in Markdown, of a network with these limits of inputs."""
     noise = collection.noise
-    return _CARD.format(
-        name=report.name,
-        interactions=report.interactions,
-        interactions_sha256=report.interactions_sha256[:16],
-        command=report.command,
-        wall_time_s=report.wall_time_s,
-        flights=report.flights,
-        flown_s=report.flown_s,
-        rows=report.rows,
-        row_rate=ROW_RATE,
-        teams=", ".join(collection.teams),
-        walks=collection.walks,
-        low_walks=collection.low_walks,
-        swaps=collection.swaps,
-        low_swaps=collection.low_swaps,
-        duration_s=collection.duration_s,
-        position_mm=1e3 * noise.position_m,
-        velocity_cm=1e2 * noise.velocity,
-        attitude_mrad=1e3 * noise.attitude_rad,
-        steps=report.fit.history[-1]["step"],
-        errors=_error_rows(report),
-        judgements="\n".join(_flight_row(j) for j in report.judgements),
-        pair_speed=limits.pair[1][3],
-        own_speed=limits.environment[1][1],
-        lowest=-limits.environment[1][0],
-    )
+    given = {
+        **vars(collection),
+        **vars(report),
+        "interactions_sha256": report.interactions_sha256[:16],
+        "row_rate": ROW_RATE,
+        "teams": ", ".join(collection.teams),
+        "position_mm": 1e3 * noise.position_m,
+        "velocity_cm": 1e2 * noise.velocity,
+        "attitude_mrad": 1e3 * noise.attitude_rad,
+        "steps": report.fit.history[-1]["step"],
+        "errors": _error_rows(report),
+        "judgements": "\n".join(map(_flight_row, report.judgements)),
+        "pair_speed": limits.pair[1][3],
+        "own_speed": limits.environment[1][1],
+        "lowest": -limits.environment[1][0],
+    }
+    return _CARD.format(**given)
 
 
 def _error_rows(report: FeedforwardReport) -> str:

@@ -141,7 +141,9 @@ class CurriculumConfig:
         check_integer("last_steps", self.last_steps, 1)
         if self.interactions == "none":
             raise ValueError("interactions is 'none': there is no force to learn; name another")
-        given = [n for n, v in _QUICK.items() if getattr(self, n) not in (v, _usual(n))]
+        given = [
+            n for n, v in _QUICK.items() if getattr(self, n) not in (v, vars(CurriculumConfig)[n])
+        ]
         if self.quick and given:
             raise ValueError(
                 f"quick sets {', '.join(given)} itself, so leave them out, or leave out quick"
@@ -166,11 +168,6 @@ class CurriculumConfig:
         """The options that decide on the result: all but where it goes and what is shown."""
         values = dataclasses.asdict(self.sized())
         return {k: v for k, v in values.items() if k not in ("out", "json", "progress", "quick")}
-
-
-def _usual(name: str) -> object:
-    """Default of an option."""
-    return CurriculumConfig.__dataclass_fields__[name].default
 
 
 def collection_config(
