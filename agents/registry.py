@@ -31,7 +31,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "swap-ppo-8": "swarm_envs.agents.policy:swap_ppo_8",
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
         "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
-        "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.plan_agent:PlanAgent",
+        "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.agent:PlanAgent",
         "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent",
         "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent.compensated",
         "rth3d": "swarm_envs.baselines.rth3d.agent:GridAgent",

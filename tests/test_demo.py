@@ -11,8 +11,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.demo import format_table, run, run_demo
-from swarm_envs.baselines.neural_swarm.demo.flights import SCENARIOS
+from swarm_envs.baselines.neural_swarm import demo as module
+from swarm_envs.baselines.neural_swarm.demo import SCENARIOS, VIDEO_FPS, format_table, run_demo
 from swarm_envs.interactions import load
 from swarm_envs.physics import bullet_available
 
@@ -36,7 +36,7 @@ def test_everything_is_written(demo):
         command = [imageio_ffmpeg.get_ffmpeg_exe(), "-i", out / summary["files"]["video"]]
         raw = ["-f", "rawvideo", "-pix_fmt", "gray", "-"]
         pixels = subprocess.run([*command, *raw], capture_output=True, check=True).stdout
-        assert len(pixels) == (int(0.1 * run.VIDEO_FPS) + 1) * 1280 * 720
+        assert len(pixels) == (int(0.1 * VIDEO_FPS) + 1) * 1280 * 720
 
 
 def test_both_sides_fly_the_same_swaps_with_another_belief(demo):
@@ -91,7 +91,7 @@ def test_the_table_is_aligned_and_complete(demo):
 def test_without_pybullet_the_twin_flies_the_same_and_the_summary_says_so(
     demo, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(run, "default_engine", lambda: "batch")
+    monkeypatch.setattr(module, "default_engine", lambda: "batch")
     summary = run_demo(tmp_path, seed=1, swaps=1, progress=False)
     assert summary["engine"] == "batch"
     assert summary["files"]["video"] is None

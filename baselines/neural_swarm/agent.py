@@ -1,10 +1,4 @@
-"""The tracking controller of Neural-Swarm2 (Sec. VI) as an agent.
-
-It emits the set-points of the task's reference; the loop that follows them is the environment's,
-configured as the agent declares. `compensated()` adds the interaction force that a deep set
-predicts, fitted to flights inside the environment, never the environment's own model; without
-it the controller is the paper's baseline, identical in everything else.
-"""
+"""Agents of Neural-Swarm2."""
 
 from __future__ import annotations
 
@@ -18,11 +12,23 @@ import numpy as np
 
 from swarm_envs.agents import Actions, Observations
 from swarm_envs.agents.detour import DetourAgent
+from swarm_envs.agents.planned import PlannedAgent
 from swarm_envs.arguments import typed
+from swarm_envs.baselines.neural_swarm.planner.pipeline import plan_swarm
+from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
+from swarm_envs.baselines.neural_swarm.planner.problem import (
+    FORCE_BOUNDS_G,
+    PlanningBounds,
+    hover_force,
+    shortest_time,
+)
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
+from swarm_envs.vehicles import GRAM_FORCE, Team
 
 BELIEFS: Mapping[str, str] = {"learned": "belief", "wake": "belief_wake"}
 """Files of the beliefs that ship, by the force model of the environment they were learned in."""
@@ -104,3 +110,119 @@ class TrackingAgent:
 def compensated_detour() -> DetourAgent:
     """`DetourAgent` with the paper's controller beneath it, which feeds `load_belief()` forward."""
     return DetourAgent(ControllerConfig(feedforward=load_belief()))
+
+
+MAX_DRONES = 6
+"""More drones than this are refused: planning one after another gets slow and finds no way."""
+_LONGEST_S = 6.0
+"""The longest plan, s: more time makes a plan cheaper, but not by much."""
+_SPARE_S = 1.5
+"""Of the clock, what is left for settling at the goals, s."""
+_CLEARANCE = 1.6
+"""Clearance over the sum of radii where starts and goals allow it: below 1.5 is a near miss."""
+_HOVER_SHARE = 1.2
+"""Force bound over what is felt hovering at starts and goals, where that is above the paper's."""
+
+
+@typed
+class PlanAgent(PlannedAgent[SwarmPlan]):
+    """Plans at every change of goals, with its own belief of the forces, and flies the plan.
+
+    Args:
+        belief: force model of planner and controller; None for `load_belief()`.
+        decision_rate: set-points per second.
+    """
+
+    def __init__(self, belief: InteractionModel | None = None, decision_rate: int = 48) -> None:
+        self._belief = belief if belief is not None else load_belief()
+        controller = ControllerConfig(feedforward=self._belief)
+        super().__init__(
+            {"action": "setpoint", "decision_rate": decision_rate, "controller": controller}
+        )
+
+    def check(self, task: Task) -> None:
+        """Refuse a task to which there is no plan.
+
+        Raises:
+            ValueError: more than six drones, goals that circle, or obstacles.
+        """
+        super().check(task)
+        if len(task.team) > MAX_DRONES:
+            raise ValueError(
+                f"PlanAgent got {len(task.team)} drones, but plans for at most {MAX_DRONES}; for "
+                "more use an agent that does not plan all together, such as 'tracking-compensated'"
+            )
+        if task.obstacles:
+            raise ValueError(
+                f"PlanAgent knows no obstacles, but there are {len(task.obstacles)}; make the "
+                "environment without"
+            )
+
+    def plan(self, task: Task, view: View, seed: int) -> SwarmPlan:
+        """A plan that keeps the forces that it believes within bounds; look if it converged.
+
+        Raises:
+            ValueError: starts or goals for which no plan can exist.
+        """
+        starts, goals = view.setpoint.position.copy(), view.goals.copy()
+        bounds = bounds_for(task, self._belief, starts, goals)
+        clock = task.motion.stage_s or view.horizon_s
+        return plan_swarm(
+            starts,
+            goals,
+            view.team,
+            self._belief,
+            bounds,
+            seed,
+            max_duration=_duration(starts, goals, clock),
+        )
+
+
+def bounds_for(
+    task: Task, model: InteractionModel, starts: FloatArray, goals: FloatArray
+) -> PlanningBounds:
+    """Bounds that leave room for tracking, as far as starts and goals (N, 3) allow."""
+    margin = float(task.radius.max())
+    room = [_room(points, task.radius) for points in (starts, goals)]
+    low, high = task.arena[0] + margin, task.arena[1] - margin
+    low = np.minimum(low, np.minimum(starts, goals).min(axis=0))
+    high = np.maximum(high, np.maximum(starts, goals).max(axis=0))
+    return PlanningBounds(
+        lower=(float(low[0]), float(low[1]), float(low[2])),
+        upper=(float(high[0]), float(high[1]), float(high[2])),
+        speed=SPEED_LIMIT,
+        acceleration=ACCELERATION_LIMIT,
+        force_g=_force_bounds(task.team, model, starts, goals),
+        clearance_factor=max(1.0, min(_CLEARANCE, *room)),
+    )
+
+
+def _room(points: FloatArray, radius: FloatArray) -> float:
+    """Smallest distance of two points (N, 3) over the sum of their radii, less a rounding."""
+    apart = np.linalg.norm(points[:, None] - points[None], axis=-1)
+    np.fill_diagonal(apart, np.inf)
+    return float((apart / (radius[:, None] + radius[None])).min()) * (1.0 - 1e-9)
+
+
+def _force_bounds(
+    team: Team, model: InteractionModel, starts: FloatArray, goals: FloatArray
+) -> dict[str, float]:
+    """The paper's bounds, g, or more where hovering at starts and goals needs it."""
+    places = [(points, team, range(len(team))) for points in (starts, goals)]
+    bounds: dict[str, float] = {}
+    for points, vehicles, indices in places:
+        together = np.abs(hover_force(model, points, vehicles))
+        for i in indices:
+            alone = abs(float(hover_force(model, points[[i]], [vehicles[i]])[0]))
+            needed = _HOVER_SHARE * max(float(together[i]), alone) / GRAM_FORCE
+            token = vehicles[i].token
+            least = FORCE_BOUNDS_G.get(token, max(FORCE_BOUNDS_G.values()))
+            bounds[token] = max(bounds.get(token, least), needed)
+    return bounds
+
+
+def _duration(starts: FloatArray, goals: FloatArray, clock: float) -> float:
+    """Time for a plan, s: as the clock allows, but no less than flying there needs."""
+    way = np.abs(goals - starts)
+    needed = float(shortest_time(way, SPEED_LIMIT, ACCELERATION_LIMIT).max())
+    return min(_LONGEST_S, max(clock - _SPARE_S, 1.25 * needed + 0.5))

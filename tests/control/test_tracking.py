@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.plain import PlainTrackingController, Target
+from swarm_envs.baselines.neural_swarm.numpy_controller import PlainTrackingController, Target
 from swarm_envs.control.config import (
     MID,
     SOFT,

@@ -11,7 +11,7 @@ import pytest
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
-from swarm_envs.baselines.neural_swarm.plain import PlainTrackingController, Target
+from swarm_envs.baselines.neural_swarm.numpy_controller import PlainTrackingController, Target
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore

@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from swarm_envs.baselines.neural_swarm.point_mass import fly_point_mass, without_clamp
 from swarm_envs.baselines.neural_swarm.theorem import (
     clamped_radius,
     error_ball,
     error_envelope,
+    fly_point_mass,
     integral_force,
+    without_clamp,
 )
 from swarm_envs.control.config import GAINS, MID, ControllerConfig, PositionGains
 from swarm_envs.training.reproduce.studies.ball import format_ball, measure, reproduce_ball

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.summary import describe_spread, format_columns
+from swarm_envs.baselines.neural_swarm.flights import describe_spread, format_columns
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.ring import RingTask

@@ -9,8 +9,13 @@ from typing import Any, Literal
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
-from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP, default_engine, progress_bar
-from swarm_envs.baselines.neural_swarm.summary import describe_model, versions
+from swarm_envs.baselines.neural_swarm.flights import (
+    PAPER_SWAP,
+    default_engine,
+    describe_model,
+    progress_bar,
+    versions,
+)
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load

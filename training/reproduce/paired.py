@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.summary import quartiles
+from swarm_envs.baselines.neural_swarm.flights import quartiles
 from swarm_envs.state import FloatArray
 
 SIGNIFICANT = 0.05

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import swarm_envs
-from swarm_envs.baselines.neural_swarm.summary import versions
+from swarm_envs.baselines.neural_swarm.flights import versions
 from swarm_envs.files import write_json
 from swarm_envs.training.scoreboard.tasks import COMMON
 

@@ -81,7 +81,7 @@ def digest(task: ScoredTask) -> str:
 
 @cache
 def _force_model(name: str) -> str:
-    from swarm_envs.baselines.neural_swarm.summary import describe_model
+    from swarm_envs.baselines.neural_swarm.flights import describe_model
     from swarm_envs.interactions import load
 
     return describe_model(load(name))["sha256"]

@@ -20,15 +20,13 @@ from typing import Literal
 import numpy as np
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.neural_swarm.planner.flight import INVALID
-from swarm_envs.baselines.neural_swarm.planner.growth import Chances, grow
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.scene import make_scene, work_for
+from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, work_for
+from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, Tree, grow, search_tree
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     trajectories_through,
 )
-from swarm_envs.baselines.neural_swarm.planner.tree import Tree, search_tree
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import FloatArray

@@ -1,7 +1,12 @@
-"""The plan of a team: what is to be flown, how it was found, and how good it is."""
+"""The plan of a team: what is to be flown, how it was found, how good it is, and its files."""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
+import json
+import math
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,14 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds
-from swarm_envs.baselines.neural_swarm.planner.problem import Plane
+from swarm_envs.baselines.neural_swarm.planner.problem import Plane, PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck
+from swarm_envs.errors import check_array, check_name, unknown_name
+from swarm_envs.files import write_json, written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
-from swarm_envs.vehicles import Team
+from swarm_envs.vehicles import Team, Vehicle
 
 STATUSES = ("converged", "time limit", "iteration limit", "not feasible")
 """How planning may end; only the first is a plan that keeps everything."""
@@ -132,8 +138,6 @@ class SwarmPlan:
             ValueError: another suffix.
             OSError: the file cannot be written.
         """
-        from swarm_envs.baselines.neural_swarm.planner.plan_file import write_plan
-
         write_plan(Path(path), self)
 
     @classmethod
@@ -144,6 +148,153 @@ class SwarmPlan:
             ValueError: another suffix, or the file is damaged; the message says what is wrong.
             OSError: the file cannot be read.
         """
-        from swarm_envs.baselines.neural_swarm.planner.plan_file import read_plan
-
         return read_plan(Path(path))
+
+
+VERSION = 1
+"""Of the format; a file of another is refused."""
+_SUFFIXES = (".npz", ".json")
+_PARTS = ("states", "controls", "forces")
+_MOTIONS = ("trajectories", "initial")
+
+
+def write_plan(path: Path, plan: SwarmPlan) -> None:
+    """Write a plan; see `SwarmPlan.save`."""
+    _check_suffix(path)
+    arrays, about = _arrays(plan), _about(plan)
+    about["sha256"] = _digest(arrays, about)
+    if path.suffix == ".json":
+        write_json(path, {"about": about, **{name: a.tolist() for name, a in arrays.items()}})
+        return
+    written: dict[str, Any] = {**arrays, "about": np.array(json.dumps(about, allow_nan=False))}
+    with written_whole(path) as partial:
+        np.savez_compressed(partial, **written)
+
+
+def read_plan(path: Path) -> SwarmPlan:
+    """Read a plan; see `SwarmPlan.load`."""
+    _check_suffix(path)
+    try:
+        about, arrays = _read_json(path) if path.suffix == ".json" else _read_npz(path)
+        return _assemble(about, arrays)
+    except OSError:
+        raise
+    except (ValueError, TypeError, KeyError, AttributeError, zipfile.BadZipFile) as error:
+        what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{str(path)!r} is no plan, or damaged: {what}") from error
+
+
+def _check_suffix(path: Path) -> None:
+    if path.suffix not in _SUFFIXES:
+        raise ValueError(unknown_name("suffix", path.suffix, _SUFFIXES, f"of {str(path)!r}"))
+
+
+def _arrays(plan: SwarmPlan) -> dict[str, FloatArray]:
+    arrays = {"starts": plan.starts, "goals": plan.goals}
+    for owner in _MOTIONS:
+        for part in _PARTS:
+            arrays[f"{owner}_{part}"] = getattr(getattr(plan, owner), part)
+    return arrays
+
+
+def _about(plan: SwarmPlan) -> dict[str, Any]:
+    """All but the arrays, as JSON has it; infinite numbers, of teams of one, as null."""
+    bounds = dataclasses.asdict(dataclasses.replace(plan.bounds, force_g={}))
+    about = {
+        "version": VERSION,
+        "team": [dataclasses.asdict(vehicle) for vehicle in plan.team],
+        "bounds": bounds | {"force_g": dict(plan.bounds.force_g)},
+        "dt": plan.trajectories.dt,
+        "plane": plan.plane,
+        "model_name": plan.model_name,
+        "model_fingerprint": plan.model_fingerprint,
+        "seed": plan.seed,
+        "status": plan.status,
+        "reason": plan.reason,
+        "check": dataclasses.asdict(plan.check),
+        "search": dict(plan.search),
+        "history": [dataclasses.asdict(record) for record in plan.history],
+        "seconds": dict(plan.seconds),
+    }
+    ready: dict[str, Any] = json.loads(json.dumps(_finite(about)))
+    return ready
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _digest(arrays: dict[str, FloatArray], about: dict[str, Any]) -> str:
+    rest = {key: value for key, value in about.items() if key != "sha256"}
+    digest = hashlib.sha256(json.dumps(rest, sort_keys=True).encode())
+    for name in sorted(arrays):
+        digest.update(name.encode())
+        digest.update(np.ascontiguousarray(arrays[name], dtype=np.float64).tobytes())
+    return digest.hexdigest()
+
+
+def _read_json(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    return content.pop("about"), content
+
+
+def _read_npz(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    try:
+        # numpy leaves a file open that it opens itself and cannot read.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+            arrays = {name: content[name] for name in content.files}
+    except EOFError as error:
+        raise ValueError("it is cut short") from error
+    return json.loads(str(arrays.pop("about"))), arrays
+
+
+def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
+    if about["version"] != VERSION:
+        raise ValueError(f"it is of version {about['version']!r}, but must be of {VERSION}")
+    team = tuple(_vehicle(entry) for entry in about["team"])
+    arrays, count = {}, len(team)
+    for name in ("starts", "goals"):
+        arrays[name] = check_array(name, raw[name], (count, 3))
+    for owner in _MOTIONS:
+        steps = len(raw[f"{owner}_controls"])
+        shapes = ((steps + 1, count, 6), (steps, count, 3), (steps + 1, count, 3))
+        for part, shape in zip(_PARTS, shapes):
+            name = f"{owner}_{part}"
+            arrays[name] = check_array(name, raw[name], shape)
+    if about["sha256"] != _digest(arrays, about):
+        raise ValueError("its numbers are not those that were written: the checksum differs")
+    motions: dict[str, Any] = {
+        owner: Trajectories(**{p: arrays[f"{owner}_{p}"] for p in _PARTS}, dt=float(about["dt"]))
+        for owner in _MOTIONS
+    }
+    kept = ("plane", "model_name", "model_fingerprint", "seed", "reason", "search", "seconds")
+    return SwarmPlan(
+        team=team,
+        starts=arrays["starts"],
+        goals=arrays["goals"],
+        bounds=_bounds(about["bounds"]),
+        status=check_name("status", about["status"], STATUSES),
+        check=_check(about["check"]),
+        history=tuple(StepRecord(**record) for record in about["history"]),
+        **motions,
+        **{name: about[name] for name in kept},
+    )
+
+
+def _vehicle(entry: dict[str, Any]) -> Vehicle:
+    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
+    return Vehicle(**given)
+
+
+def _bounds(entry: dict[str, Any]) -> PlanningBounds:
+    corners = {name: tuple(entry[name]) for name in ("lower", "upper")}
+    return PlanningBounds(**(entry | corners))
+
+
+def _check(entry: dict[str, Any]) -> PlanCheck:
+    given: dict[str, Any] = {k: math.inf if v is None else v for k, v in entry.items()}
+    return PlanCheck(**given)

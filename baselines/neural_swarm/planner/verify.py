@@ -6,12 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach
-from swarm_envs.baselines.neural_swarm.planner.peaks import CHECKED, forces_at, states_at
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
+    CHECKED,
     Trajectories,
+    closest_approach,
+    forces_at,
     predict_forces,
+    states_at,
     transition,
 )
 from swarm_envs.state import FloatArray

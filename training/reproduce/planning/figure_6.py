@@ -11,8 +11,8 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
-from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
+from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.planning.figure_6_plot import plot_figure_6
 from swarm_envs.training.reproduce.planning.plant import track_plan

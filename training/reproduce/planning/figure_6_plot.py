@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
+from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.state import FloatArray
 from swarm_envs.training.reproduce.planning.plant import Track, plan_at

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
+from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.training.reproduce.style import INK, picture
 from swarm_envs.vehicles import parse_team
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G
+from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.training.reproduce.planning.trials import PLANNERS
 from swarm_envs.vehicles import parse_team
 

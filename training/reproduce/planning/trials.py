@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.bounds import FORCE_BOUNDS_G, PlanningBounds
-from swarm_envs.baselines.neural_swarm.planner.library import plan_swarm
+from swarm_envs.baselines.neural_swarm.planner.pipeline import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
+from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G, PlanningBounds
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel, load

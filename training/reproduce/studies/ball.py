@@ -18,12 +18,13 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import fly, swap_test
-from swarm_envs.baselines.neural_swarm.point_mass import fly_point_mass, without_clamp
 from swarm_envs.baselines.neural_swarm.theorem import (
     clamped_radius,
     error_ball,
     error_envelope,
+    fly_point_mass,
     integral_force,
+    without_clamp,
 )
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.files import write_json, write_table

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.summary import quartiles
+from swarm_envs.baselines.neural_swarm.flights import quartiles
 from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.runs import Cell, draw_seeds, run_cells
 from swarm_envs.training.reproduce.studies.imperfect import fly_imperfectly

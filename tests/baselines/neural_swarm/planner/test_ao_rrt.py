@@ -11,11 +11,9 @@ import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import Loop, Postprocess, SearchConfig, search
-from swarm_envs.baselines.neural_swarm.planner.flight import INVALID
-from swarm_envs.baselines.neural_swarm.planner.growth import Chances, grow
-from swarm_envs.baselines.neural_swarm.planner.scene import make_scene, work_for
+from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, work_for
+from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, grow, search_tree
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories, defects
-from swarm_envs.baselines.neural_swarm.planner.tree import search_tree
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 

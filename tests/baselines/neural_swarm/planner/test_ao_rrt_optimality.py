@@ -8,10 +8,8 @@ from scipy.optimize import brentq
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
-from swarm_envs.baselines.neural_swarm.planner.flight import INVALID
-from swarm_envs.baselines.neural_swarm.planner.growth import Chances, grow
-from swarm_envs.baselines.neural_swarm.planner.scene import make_scene, work_for
-from swarm_envs.baselines.neural_swarm.planner.tree import search_tree
+from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, work_for
+from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, grow, search_tree
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.planner.forces import difference_jacobian, force_jacobian
+from swarm_envs.baselines.neural_swarm.planner.force_jacobian import (
+    difference_jacobian,
+    force_jacobian,
+)
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH, unlimited
 from swarm_envs.vehicles import GRAM_FORCE, parse_team

@@ -9,7 +9,7 @@ import pytest
 
 from swarm_envs.baselines.neural_swarm import PlanningBounds, SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, Trajectories
-from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.pipeline import straight_lines
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
 

@@ -8,8 +8,8 @@ from PIL import Image
 
 from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
-from swarm_envs.baselines.neural_swarm.planner.plot import plot_plan
+from swarm_envs.baselines.neural_swarm.planner.pipeline import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.plan_plot import plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
 from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
 from swarm_envs.interactions import load

@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.convex import Convexified, convexify
-from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
-from swarm_envs.baselines.neural_swarm.planner.peaks import forces_at, states_at
+from swarm_envs.baselines.neural_swarm.planner.convex_program import (
+    RobotProgram,
+    SolverSettings,
+    Weights,
+)
+from swarm_envs.baselines.neural_swarm.planner.linearization import Convexified, convexify
+from swarm_envs.baselines.neural_swarm.planner.pipeline import straight_lines
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
-from swarm_envs.baselines.neural_swarm.planner.program import RobotProgram
 from swarm_envs.baselines.neural_swarm.planner.scp import moved
-from swarm_envs.baselines.neural_swarm.planner.solution import SolverSettings, Weights
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
+    forces_at,
+    states_at,
     trajectories_through,
 )
 from swarm_envs.interactions import load

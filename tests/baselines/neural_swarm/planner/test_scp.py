@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach
-from swarm_envs.baselines.neural_swarm.planner.guess import straight_lines
-from swarm_envs.baselines.neural_swarm.planner.merit import measure
+from swarm_envs.baselines.neural_swarm.planner.pipeline import straight_lines
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
-from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions, refine
-from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories, defects
+from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions, measure, refine
+from swarm_envs.baselines.neural_swarm.planner.trajectories import (
+    Trajectories,
+    closest_approach,
+    defects,
+)
 from swarm_envs.baselines.neural_swarm.planner.verify import check_plan, roll_out
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import GRAM_FORCE, parse_team

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +13,20 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
-from swarm_envs.baselines.neural_swarm.planner.bounds import PlanningBounds, check_positive
-from swarm_envs.baselines.neural_swarm.planner.first import first_motions
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import Loop, SearchConfig, search
+from swarm_envs.baselines.neural_swarm.planner.convex_program import Weights
 from swarm_envs.baselines.neural_swarm.planner.plan import STATUSES, SwarmPlan
-from swarm_envs.baselines.neural_swarm.planner.problem import Plane, PlanningProblem
+from swarm_envs.baselines.neural_swarm.planner.problem import (
+    Plane,
+    PlanningBounds,
+    PlanningProblem,
+    check_positive,
+)
 from swarm_envs.baselines.neural_swarm.planner.scp import (
     Refinement,
     RefinementOptions,
     StepRecord,
+    measure,
     refine,
 )
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
@@ -29,7 +36,105 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck, check_plan
 from swarm_envs.errors import check_array, check_integer
 from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import Team, parse_team
+
+
+@typed
+def straight_lines(
+    problem: PlanningProblem, steps: int | None = None, bend: npt.ArrayLike | None = None
+) -> Trajectories:
+    """Motions straight from starts to goals, all at once: a guess for stage 2 to refine.
+
+    Args:
+        problem: what is planned.
+        steps: number of steps T; None for as many as the problem allows.
+        bend: (N, 3) by how much each robot swerves half way, m; None for not at all.
+
+    Raises:
+        ValueError: the bend has another shape, or there is no step.
+    """
+    count = problem.steps if steps is None else check_integer("steps", steps, 1)
+    aside = np.zeros((len(problem.team), 3)) if bend is None else bend
+    swerve = 4.0 * check_array("bend", aside, problem.starts.shape, "(N, 3), m")
+    time = np.arange(count + 1) * problem.dt
+    progress = rest_to_rest(np.zeros(3), np.ones(3), count * problem.dt, time)
+    share, rate = progress.position[:, None], progress.velocity[:, None]
+    way = problem.goals - problem.starts
+    return _flown(problem, rate * (way + swerve * (1.0 - 2.0 * share)))
+
+
+def bent_lines(
+    problem: PlanningProblem, rng: np.random.Generator, tries: int = 30, size: float = 0.4
+) -> Trajectories:
+    """The best of some lines with random bends, by the merit of stage 2.
+
+    Args:
+        problem: what is planned.
+        rng: draws the bends.
+        tries: how many are looked at.
+        size: standard deviation of the bends, m.
+    """
+    weights, best, least = Weights(), None, np.inf
+    for _ in range(tries):
+        bend = np.zeros_like(problem.starts)
+        bend[:, problem.axes] = size * rng.standard_normal((len(bend), len(problem.axes)))
+        lines = straight_lines(problem, bend=bend)
+        merit = measure(problem, lines).team(weights)
+        if merit < least:
+            best, least = lines, merit
+    assert best is not None
+    return best
+
+
+def _flown(problem: PlanningProblem, velocity: npt.NDArray[np.float64]) -> Trajectories:
+    """Motions from the starts at velocities (T + 1, N, 3), m/s, that are at rest at first."""
+    way = np.cumsum(0.5 * problem.dt * (velocity[1:] + velocity[:-1]), axis=0)
+    position = problem.starts + np.concatenate([np.zeros_like(way[:1]), way])
+    return trajectories_through(problem, np.concatenate([position, velocity], axis=-1))
+
+
+_LEAST_TIME = 1e-3
+"""A search gets at least so much time, s: then it plans one tree and finds the time is up."""
+
+
+def first_motions(
+    problem: PlanningProblem,
+    config: SearchConfig,
+    rng: np.random.Generator,
+    deadline: float,
+    watch: Callable[[str], None],
+) -> tuple[Trajectories, dict[str, Any]]:
+    """Search motions for all robots by stage 1; bent lines if none are found.
+
+    Args:
+        problem: what is planned.
+        config: options of stage 1.
+        rng: of everything drawn.
+        deadline: `time.monotonic()` at which the search ends, s.
+        watch: told in words how the search goes.
+
+    Returns:
+        The motions, and what the search says of itself.
+    """
+
+    def say(loop: Loop) -> None:
+        watch(f"search: cost {loop.cost:.3g} after {loop.iterations} iterations")
+
+    left = deadline - time.monotonic()
+    limits = [x for x in (config.time_limit, max(left, _LEAST_TIME)) if x is not None]
+    limited = replace(config, time_limit=min(limits)) if np.isfinite(min(limits)) else config
+    found = search(problem, limited, rng, say)
+    about = {
+        "found": found.trajectories is not None,
+        "stop": found.stop,
+        "loops": len(found.loops),
+        "iterations": found.iterations if found.loops else 0,
+    }
+    if found.trajectories is not None:
+        return found.trajectories, about
+    return bent_lines(problem, rng), about
+
 
 SEARCH = SearchConfig(iterations=40_000)
 """Options of stage 1: stage 2 needs a good class of motions, not the best motions of it."""

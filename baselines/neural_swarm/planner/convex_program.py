@@ -2,16 +2,132 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from swarm_envs.baselines.neural_swarm.planner.approach import step_weights
-from swarm_envs.baselines.neural_swarm.planner.convex import Convexified
-from swarm_envs.baselines.neural_swarm.planner.peaks import BOUNDED
-from swarm_envs.baselines.neural_swarm.planner.solution import Solution, SolverSettings, Weights
-from swarm_envs.baselines.neural_swarm.planner.sparsity import ConstraintPattern
+from swarm_envs.baselines.neural_swarm.planner.linearization import Convexified
+from swarm_envs.baselines.neural_swarm.planner.trajectories import BOUNDED, step_weights
 from swarm_envs.state import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What missing a goal or a bound costs, beside the effort, the sum of ||u||^2."""
+
+    goal: float = 1000.0
+    """lambda_1: per largest component (m or m/s) by which the goal state is missed."""
+    state: float = 300.0
+    """lambda_2: per delta, the excess over the box (m, m/s) and over the own force bound (1)."""
+    neighbor: float = 100.0
+    """Per metre of each step's missing clearance, and per f_a,max of a neighbour's excess force in
+    each step: these too are soft, so that every program has a solution."""
+
+
+@dataclass(frozen=True)
+class SolverSettings:
+    """How exactly OSQP solves."""
+
+    tolerance: float = 5e-4
+    """Of the residuals, absolute and relative."""
+    max_iterations: int = 1000
+    """After which an inexact solution is taken, and said to be one."""
+    rho: float = 30.0
+    """OSQP's step, kept constant: OSQP adapts it by the clock, and results would vary."""
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a program's solver returned."""
+
+    velocity: FloatArray
+    """(T + 1, D) new velocities, m/s; the motion follows from them."""
+    states: FloatArray
+    """(T + 1, 2 D) new states as the linearised dynamics see them."""
+    controls: FloatArray
+    """(T, D) new controls as the linearised dynamics see them, m/s^2."""
+    goal_slack: float
+    """Largest component by which the goal is missed, m or m/s."""
+    state_slack: float
+    """delta."""
+    neighbor_slack: float
+    """Sum of the missing clearances and excess forces."""
+    objective: float
+    """Value of the program's objective."""
+    status: str
+    """OSQP's word: `solved`, `maximum iterations reached`, `primal infeasible` ..."""
+    iterations: int
+    """OSQP's iterations."""
+    solve_s: float
+    """Seconds spent in updating and solving."""
+
+    @property
+    def usable(self) -> bool:
+        """Whether there is a solution at all, exact or not."""
+        return bool(np.isfinite(self.velocity).all()) and "infeasible" not in self.status
+
+
+class ConstraintPattern:
+    """Rows l <= A z <= u, added in named groups; then values and bounds are set by name.
+
+    Rows that are never given bounds, or infinite ones, bind nothing.
+    """
+
+    def __init__(self) -> None:
+        self.rows: dict[str, slice] = {}
+        """The rows of each group."""
+        self._count = 0
+        self._parts: list[tuple[IntArray, IntArray, FloatArray]] = []
+        self._blocks: dict[str, tuple[slice, tuple[int, ...]]] = {}
+        self._filled = 0
+
+    def add_rows(self, name: str, *shape: int) -> IntArray:
+        """Add a group of rows; returns their indices, of the given shape."""
+        count = int(np.prod(shape))
+        self.rows[name] = slice(self._count, self._count + count)
+        self._count += count
+        return np.arange(self._count - count, self._count).reshape(shape)
+
+    def put(
+        self, rows: IntArray, columns: npt.ArrayLike, value: npt.ArrayLike, name: str = ""
+    ) -> None:
+        """Put entries where rows and columns, broadcast, meet; a name lets `set` change them."""
+        r, c, v = np.broadcast_arrays(rows, columns, np.asarray(value, dtype=np.float64))
+        if name:
+            self._blocks[name] = (slice(self._filled, self._filled + r.size), r.shape)
+        self._filled += r.size
+        self._parts.append((r.ravel(), np.asarray(c).ravel(), v.ravel()))
+
+    def finish(self, variables: int) -> None:
+        """Fix the pattern, for so many variables; nothing can be added afterwards."""
+        from scipy.sparse import csc_matrix
+
+        rows, columns, values = (np.concatenate(part) for part in zip(*self._parts))
+        order = np.lexsort((rows, columns))
+        self._values, self._order = values, order
+        start = np.concatenate([[0], np.cumsum(np.bincount(columns, minlength=variables))])
+        shape = (self._count, variables)
+        self.matrix: Any = csc_matrix((values[order], rows[order], start), shape=shape)
+        self.lower = np.full(self._count, -np.inf)
+        self.upper = np.full(self._count, np.inf)
+
+    def set(self, name: str, value: npt.ArrayLike) -> None:
+        """Set the entries that were put under a name."""
+        where, shape = self._blocks[name]
+        self._values[where] = np.broadcast_to(value, shape).ravel()
+
+    def bound(self, name: str, lower: npt.ArrayLike, upper: npt.ArrayLike) -> None:
+        """Set the bounds of a group of rows; arrays of the group's shape, or one number."""
+        where = self.rows[name]
+        self.lower[where], self.upper[where] = np.ravel(lower), np.ravel(upper)
+
+    def update(self) -> Any:
+        """The matrix, (rows, variables), with the present values."""
+        self.matrix.data[:] = self._values[self._order]
+        return self.matrix
+
 
 _GOAL_SCALE, _SLACK_SCALE = 3.0, 3.0
 """Of the rows of the goal and of the slacks' signs: OSQP converges in half the iterations."""
@@ -30,8 +146,8 @@ class RobotProgram:
         dims: int,
         neighbors: int,
         dt: float,
-        weights: Weights = Weights(),  # noqa: B008  # frozen
-        settings: SolverSettings = SolverSettings(),  # noqa: B008  # frozen
+        weights: Weights = Weights(),  # frozen
+        settings: SolverSettings = SolverSettings(),  # frozen
     ) -> None:
         self._steps, self._dims, self._weights, self._settings = steps, dims, weights, settings
         width = 3 * dims

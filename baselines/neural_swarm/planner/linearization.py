@@ -20,11 +20,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.baselines.neural_swarm.planner.approach import closest_approach, position_within
-from swarm_envs.baselines.neural_swarm.planner.forces import force_jacobian
-from swarm_envs.baselines.neural_swarm.planner.peaks import BOUNDED, forces_at, states_at
+from swarm_envs.baselines.neural_swarm.planner.force_jacobian import force_jacobian
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
+from swarm_envs.baselines.neural_swarm.planner.trajectories import (
+    BOUNDED,
+    Trajectories,
+    closest_approach,
+    forces_at,
+    position_within,
+    states_at,
+)
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 

@@ -1,0 +1,274 @@
+"""The demonstration: stacked swaps with and without compensation, as table, picture and video.
+
+The flight test of Neural-Swarm2 (Fig. 8): drones in a stack change places and cross half way in
+one vertical line, so that the upper ones blow on the lowest. Both controllers fly the same swaps
+with the same gains, filters and trajectories; they differ in the believed force alone.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from tqdm import tqdm
+
+from swarm_envs.arguments import typed
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.neural_swarm.flights import (
+    PAPER_SWAP,
+    RECOVERY_S,
+    FlightTest,
+    default_engine,
+    describe_model,
+    describe_spread,
+    fly,
+    format_columns,
+    progress_bar,
+    quartiles,
+    swap_test,
+    versions,
+)
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.files import write_json
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.viewing.plots import plot_comparisons
+from swarm_envs.viewing.record import Comparison, FlightRecord
+
+SCENARIOS: Mapping[str, str] = {
+    "S2S": "a small above a small",
+    "L2S": "a large above a small",
+    "SS2S": "two small above a small",
+}
+"""The teams, uppermost first, and what they are."""
+
+HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S
+"""Length of a flight, s."""
+
+CONTROLLERS = ("without", "compensated")
+"""How the summary names the two sides."""
+
+Flight = tuple[FlightRecord, dict[str, Any]]
+"""What was seen of a flight, and its metrics."""
+
+
+def fly_all(
+    seeds: Sequence[int], belief: InteractionModel, engine: str, progress: bool
+) -> dict[str, dict[str, list[Flight]]]:
+    """Fly every scenario by both controllers, which differ in the believed force alone.
+
+    Args:
+        seeds: one for each swap.
+        belief: what the compensating controller believes.
+        engine: `bullet` or `batch`.
+        progress: whether to show a progress bar on stderr.
+
+    Returns:
+        Flights by team and by controller.
+    """
+    controllers = (ControllerConfig(), ControllerConfig(feedforward=belief))
+    tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}
+    total = sum(test.decisions for test in tests.values()) * len(seeds) * len(controllers)
+    with progress_bar("flights", total, progress) as bar:
+        return {
+            team: {
+                name: _fly_swaps(test, controller, seeds, bar.update)
+                for name, controller in zip(CONTROLLERS, controllers, strict=True)
+            }
+            for team, test in tests.items()
+        }
+
+
+def _fly_swaps(
+    test: FlightTest,
+    controller: ControllerConfig,
+    seeds: Sequence[int],
+    tick: Callable[[int], object],
+) -> list[Flight]:
+    """Fly one stacked swap for each seed."""
+    flights = fly(test, controller, seeds, tick)
+    return [(flights.record(e), metrics) for e, metrics in enumerate(flights.metrics)]
+
+
+def summarise(
+    seed: int,
+    seeds: Sequence[int],
+    engine: str,
+    belief: InteractionModel,
+    flown: Mapping[str, Mapping[str, list[Flight]]],
+) -> dict[str, Any]:
+    """What `summary.json` holds of the flights.
+
+    Args:
+        seed: the one from which the others were drawn.
+        seeds: one for each swap.
+        engine: that flew.
+        belief: of the compensating controller.
+        flown: flights by team and by controller.
+    """
+    return {
+        "seed": seed,
+        "swaps": len(seeds),
+        "engine": engine,
+        "layout": {
+            "radius_m": PAPER_SWAP.radius_m[0],
+            "duration_s": PAPER_SWAP.duration_s[0],
+            "gap_m": list(PAPER_SWAP.gap_m),
+            "horizon_s": HORIZON_S,
+        },
+        "interactions": describe_model(load("learned")),
+        "belief": describe_model(belief),
+        "versions": versions(),
+        "scenarios": {team: _scenario(sides, seeds) for team, sides in flown.items()},
+    }
+
+
+def _scenario(sides: Mapping[str, list[Flight]], seeds: Sequence[int]) -> dict[str, Any]:
+    entry: dict[str, Any] = {}
+    worst = {}
+    for name, flights in sides.items():
+        worst[name] = np.array([record.worst_height_error_cm() for record, _ in flights])
+        entry[name] = {
+            "crashed": sum(metrics["length_s"] < HORIZON_S - 1e-6 for _, metrics in flights),
+            "worst_height_error_cm": quartiles(worst[name]),
+            "flights": [
+                _flight(seed, *flight) for seed, flight in zip(seeds, flights, strict=True)
+            ],
+        }
+    before, after = (worst[name] for name in CONTROLLERS)
+    entry["ratio_of_medians"] = float(np.median(after) / np.median(before))
+    entry["made_worse"] = int((after > before).sum())
+    return entry
+
+
+def _flight(seed: int, record: FlightRecord, metrics: Mapping[str, Any]) -> dict[str, Any]:
+    heights = np.sort(record.reference[0, :, 2])
+    return {
+        "seed": seed,
+        "gap_m": float(np.diff(heights).mean()),
+        "worst_height_error_cm": record.worst_height_error_cm(),
+        "strongest_vertical_force_g": float(np.abs(record.vertical_force_g()).max()),
+        "metrics": dict(metrics),
+    }
+
+
+def crashed_flights(summary: Mapping[str, Any]) -> int:
+    """Number of flights that ended before the clock: their error is not their worst."""
+    entries = summary["scenarios"].values()
+    return sum(int(entry[name]["crashed"]) for entry in entries for name in CONTROLLERS)
+
+
+def format_table(summary: Mapping[str, Any]) -> str:
+    """The summary as a table for the terminal: medians, quartiles, ratios."""
+    head = ("scenario", "without (cm)", "with (cm)", "with / without", "made worse", "crashed")
+    rows = [head]
+    for team, entry in summary["scenarios"].items():
+        sides = [describe_spread(entry[name]["worst_height_error_cm"]) for name in CONTROLLERS]
+        worse = f"{entry['made_worse']} of {summary['swaps']}"
+        crashed = " / ".join(str(entry[name]["crashed"]) for name in CONTROLLERS)
+        rows.append((team, *sides, f"{entry['ratio_of_medians']:.2f}", worse, crashed))
+    caption = (
+        f"Worst height error of the lowest drone, median (quartiles) of {summary['swaps']} "
+        f"swaps, {summary['engine']} engine, {summary['interactions']['name']} forces:"
+    )
+    return "\n".join([caption, "", *format_columns(rows)])
+
+
+VIDEO_TEAM, VIDEO_S, VIDEO_FPS = "L2S", 5.0, 24
+"""What is filmed, for how long, s, and with how many frames per second."""
+
+
+@typed
+def run_demo(
+    out: Path,
+    seed: int = 0,
+    swaps: int = 6,
+    video: bool = True,
+    progress: bool = True,
+    *,
+    belief: InteractionModel | None = None,
+    video_s: float = VIDEO_S,
+) -> dict[str, Any]:
+    """Fly every swap twice, and write `summary.json`, `demo.png` and `demo.mp4` into `out`.
+
+    Where pybullet cannot be imported the compiled twin flies and there is no video; where ffmpeg
+    does not work the video is a GIF. The summary says so in `notes`.
+
+    Args:
+        out: folder, made if missing.
+        seed: seeds of the swaps are drawn from it.
+        swaps: randomised swaps of each scenario.
+        video: whether to make the video.
+        progress: whether to show progress bars on stderr.
+        belief: what the compensating controller believes; None for the shipped `load_belief()`.
+        video_s: length of the video, s.
+
+    Returns:
+        What `summary.json` holds; `format_table` prints it.
+
+    Raises:
+        ValueError: `seed` or `swaps` is impossible.
+        OSError: the folder cannot be written.
+    """
+    _check(seed, swaps)
+    out.mkdir(parents=True, exist_ok=True)
+    begin = time.perf_counter()
+    engine, believed = default_engine(), belief or load_belief()
+    seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(swaps)]
+    flown = fly_all(seeds, believed, engine, progress)
+    comparisons = {
+        team: Comparison(
+            f"{team} ({text})", *([record for record, _ in flown[team][n]] for n in CONTROLLERS)
+        )
+        for team, text in SCENARIOS.items()
+    }
+    headline = f"Stacked swaps through each other's downwash, {swaps} randomised each"
+    plot_comparisons(out / "demo.png", list(comparisons.values()), headline)
+    summary = summarise(seed, seeds, engine, believed, flown)
+    summary["files"] = {"picture": "demo.png", "video": None}
+    if video and engine == "bullet":
+        path = _film(out / "demo.mp4", comparisons[VIDEO_TEAM], video_s, progress)
+        summary["files"]["video"] = path.name
+    summary["notes"] = _notes(engine, video, summary["files"]["video"])
+    summary["wall_time_s"] = round(time.perf_counter() - begin, 2)
+    write_json(out / "summary.json", summary)
+    return summary
+
+
+def _film(path: Path, comparison: Comparison, duration_s: float, progress: bool) -> Path:
+    """Film the swap whose error without compensation is the middle one; return the video's path."""
+    from swarm_envs.viewing.side_by_side import SideBySide
+    from swarm_envs.viewing.video import write_video_or_gif
+
+    typical = int(np.argsort(comparison.without_cm)[len(comparison.without) // 2])
+    pair = (comparison.without[typical], comparison.compensated[typical])
+    with SideBySide(f"Swap {comparison.title}", pair, duration_s) as film:
+
+        def draw() -> Iterator[npt.NDArray[np.uint8]]:
+            total = film.count(VIDEO_FPS)
+            bar = {"desc": "video", "unit": "frame", "mininterval": 0.5, "disable": not progress}
+            yield from tqdm(film.frames(VIDEO_FPS), total=total, **bar)
+
+        return write_video_or_gif(path, draw, VIDEO_FPS)
+
+
+def _notes(engine: str, video: bool, file: str | None) -> list[str]:
+    """What is otherwise than on a machine that has everything."""
+    notes = []
+    if engine == "batch":
+        notes.append("pybullet cannot be imported here, so the compiled twin of Bullet flew")
+        if video:
+            notes.append("there is no video, because pybullet draws it")
+    elif file is not None and file.endswith(".gif"):
+        notes.append("ffmpeg does not work here, so the video is a GIF")
+    return notes
+
+
+def _check(seed: int, swaps: int) -> None:
+    if seed < 0:
+        raise ValueError(f"seed is {seed}, but must not be negative")
+    if not 1 <= swaps <= 1000:
+        raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
