@@ -1,4 +1,11 @@
-"""Agents of Neural-Swarm2."""
+"""The agents of Neural-Swarm2: the tracking controller (Sec. VI) and the planner (Sec. V).
+
+Both emit set-points; the tracking loop that follows them is the environment's, configured as the
+agent declares. `TrackingAgent` emits those of the task's reference; `PlanAgent` plans when goals
+are set, and emits those of its plan. What they compensate is the force that a deep set predicts,
+fitted to flights inside the environment, never the environment's own model; without it the
+controller is the paper's baseline, identical in everything else.
+"""
 
 from __future__ import annotations
 
@@ -31,20 +38,26 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
 BELIEFS: Mapping[str, str] = {"learned": "belief", "wake": "belief_wake"}
-"""Files of the beliefs that ship, by the force model of the environment they were learned in."""
+"""Files of the shipped deep sets, by the force model of the environment they were fitted in."""
+MAX_DRONES = 6
+"""More drones than this are refused: planning one after another gets slow and finds no way."""
+_LONGEST_S = 6.0  # of a plan: more time makes it cheaper, but not by much
+_SPARE_S = 1.5  # of the clock: what is left for settling at the goals
+_CLEARANCE = 1.6  # over the sum of radii where starts and goals allow it: below 1.5 is a near miss
+_HOVER_SHARE = 1.2  # force bound over the force when hovering, where that is above the paper's
 
 
 @typed
 def load_belief(truth: str = "learned") -> InteractionModel:
-    """The deep set that the compensated controller believes: fitted to simulated flights.
+    """The deep set of the compensated controller and the planner: fitted to simulated flights.
 
     See `weights/MODEL_CARD.md` beside the weights for the flights and the errors.
 
     Args:
-        truth: name of the environment's force model: the belief was learned from flights in it.
+        truth: name of the environment's force model in whose flights it was fitted.
 
     Raises:
-        ValueError: no belief ships for that model.
+        ValueError: no deep set ships for that model.
     """
     if truth not in BELIEFS:
         raise ValueError(
@@ -52,11 +65,11 @@ def load_belief(truth: str = "learned") -> InteractionModel:
             f"{' and '.join(BELIEFS)}; learn one there, by `swarm-envs curriculum --interactions "
             f"{truth} --out DIR`, and name its weights"
         )
-    return _read_shipped(BELIEFS[truth])
+    return _load_shipped(BELIEFS[truth])
 
 
 @cache
-def _read_shipped(name: str) -> InteractionModel:
+def _load_shipped(name: str) -> InteractionModel:
     weights = resources.files("swarm_envs.baselines.neural_swarm").joinpath("weights")
     with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
         return load(Path(path))
@@ -85,9 +98,8 @@ class TrackingAgent:
     def compensated(
         cls, belief: InteractionModel | None = None, decision_rate: int = 48
     ) -> TrackingAgent:
-        """The agent that feeds forward the force it believes; by default `load_belief()`."""
-        believed = belief if belief is not None else load_belief()
-        return cls(ControllerConfig(feedforward=believed), decision_rate)
+        """The agent that feeds forward the force of a model; by default `load_belief()`."""
+        return cls(ControllerConfig(feedforward=belief or load_belief()), decision_rate)
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Note the agents' names; nothing here is random."""
@@ -112,21 +124,9 @@ def compensated_detour() -> DetourAgent:
     return DetourAgent(ControllerConfig(feedforward=load_belief()))
 
 
-MAX_DRONES = 6
-"""More drones than this are refused: planning one after another gets slow and finds no way."""
-_LONGEST_S = 6.0
-"""The longest plan, s: more time makes a plan cheaper, but not by much."""
-_SPARE_S = 1.5
-"""Of the clock, what is left for settling at the goals, s."""
-_CLEARANCE = 1.6
-"""Clearance over the sum of radii where starts and goals allow it: below 1.5 is a near miss."""
-_HOVER_SHARE = 1.2
-"""Force bound over what is felt hovering at starts and goals, where that is above the paper's."""
-
-
 @typed
 class PlanAgent(PlannedAgent[SwarmPlan]):
-    """Plans at every change of goals, with its own belief of the forces, and flies the plan.
+    """Plans at every change of goals, with its own model of the forces, and flies the plan.
 
     Args:
         belief: force model of planner and controller; None for `load_belief()`.
@@ -134,11 +134,9 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
     """
 
     def __init__(self, belief: InteractionModel | None = None, decision_rate: int = 48) -> None:
-        self._belief = belief if belief is not None else load_belief()
-        controller = ControllerConfig(feedforward=self._belief)
-        super().__init__(
-            {"action": "setpoint", "decision_rate": decision_rate, "controller": controller}
-        )
+        self._model = belief or load_belief()
+        tracking = TrackingAgent.compensated(self._model, decision_rate)
+        super().__init__(tracking.requires)
 
     def check(self, task: Task) -> None:
         """Refuse a task to which there is no plan.
@@ -159,22 +157,16 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
             )
 
     def plan(self, task: Task, view: View, seed: int) -> SwarmPlan:
-        """A plan that keeps the forces that it believes within bounds; look if it converged.
+        """A plan that keeps the predicted forces within bounds; look if it converged.
 
         Raises:
             ValueError: starts or goals for which no plan can exist.
         """
         starts, goals = view.setpoint.position.copy(), view.goals.copy()
-        bounds = bounds_for(task, self._belief, starts, goals)
-        clock = task.motion.stage_s or view.horizon_s
+        bounds = bounds_for(task, self._model, starts, goals)
+        duration = _duration(starts, goals, task.motion.stage_s or view.horizon_s)
         return plan_swarm(
-            starts,
-            goals,
-            view.team,
-            self._belief,
-            bounds,
-            seed,
-            max_duration=_duration(starts, goals, clock),
+            starts, goals, view.team, self._model, bounds, seed, max_duration=duration
         )
 
 
@@ -208,16 +200,14 @@ def _force_bounds(
     team: Team, model: InteractionModel, starts: FloatArray, goals: FloatArray
 ) -> dict[str, float]:
     """The paper's bounds, g, or more where hovering at starts and goals needs it."""
-    places = [(points, team, range(len(team))) for points in (starts, goals)]
     bounds: dict[str, float] = {}
-    for points, vehicles, indices in places:
-        together = np.abs(hover_force(model, points, vehicles))
-        for i in indices:
-            alone = abs(float(hover_force(model, points[[i]], [vehicles[i]])[0]))
+    for points in (starts, goals):
+        together = np.abs(hover_force(model, points, team))
+        for i, vehicle in enumerate(team):
+            alone = abs(float(hover_force(model, points[[i]], [vehicle])[0]))
             needed = _HOVER_SHARE * max(float(together[i]), alone) / GRAM_FORCE
-            token = vehicles[i].token
-            least = FORCE_BOUNDS_G.get(token, max(FORCE_BOUNDS_G.values()))
-            bounds[token] = max(bounds.get(token, least), needed)
+            least = FORCE_BOUNDS_G.get(vehicle.token, max(FORCE_BOUNDS_G.values()))
+            bounds[vehicle.token] = max(bounds.get(vehicle.token, least), needed)
     return bounds
 
 

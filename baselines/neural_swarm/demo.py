@@ -1,14 +1,15 @@
 """The demonstration: stacked swaps with and without compensation, as table, picture and video.
 
 The flight test of Neural-Swarm2 (Fig. 8): drones in a stack change places and cross half way in
-one vertical line, so that the upper ones blow on the lowest. Both controllers fly the same swaps
-with the same gains, filters and trajectories; they differ in the believed force alone.
+one vertical line, so that the lowest flies through the downwash of the others. Both controllers fly
+the same swaps with the same gains, filters and trajectories; they differ in the force that they
+compensate alone.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,14 @@ from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     PAPER_SWAP,
     RECOVERY_S,
-    FlightTest,
+    Flights,
     default_engine,
     describe_model,
     describe_spread,
-    fly,
     format_columns,
     progress_bar,
     quartiles,
+    run_flights,
     swap_test,
     versions,
 )
@@ -36,7 +37,9 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.viewing.plots import plot_comparisons
-from swarm_envs.viewing.record import Comparison, FlightRecord
+from swarm_envs.viewing.record import Comparison
+
+__all__ = ["crashed_flights", "format_table", "run_demo"]
 
 SCENARIOS: Mapping[str, str] = {
     "S2S": "a small above a small",
@@ -44,141 +47,11 @@ SCENARIOS: Mapping[str, str] = {
     "SS2S": "two small above a small",
 }
 """The teams, uppermost first, and what they are."""
-
-HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S
-"""Length of a flight, s."""
-
 CONTROLLERS = ("without", "compensated")
 """How the summary names the two sides."""
-
-Flight = tuple[FlightRecord, dict[str, Any]]
-"""What was seen of a flight, and its metrics."""
-
-
-def fly_all(
-    seeds: Sequence[int], belief: InteractionModel, engine: str, progress: bool
-) -> dict[str, dict[str, list[Flight]]]:
-    """Fly every scenario by both controllers, which differ in the believed force alone.
-
-    Args:
-        seeds: one for each swap.
-        belief: what the compensating controller believes.
-        engine: `bullet` or `batch`.
-        progress: whether to show a progress bar on stderr.
-
-    Returns:
-        Flights by team and by controller.
-    """
-    controllers = (ControllerConfig(), ControllerConfig(feedforward=belief))
-    tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}
-    total = sum(test.decisions for test in tests.values()) * len(seeds) * len(controllers)
-    with progress_bar("flights", total, progress) as bar:
-        return {
-            team: {
-                name: _fly_swaps(test, controller, seeds, bar.update)
-                for name, controller in zip(CONTROLLERS, controllers, strict=True)
-            }
-            for team, test in tests.items()
-        }
-
-
-def _fly_swaps(
-    test: FlightTest,
-    controller: ControllerConfig,
-    seeds: Sequence[int],
-    tick: Callable[[int], object],
-) -> list[Flight]:
-    """Fly one stacked swap for each seed."""
-    flights = fly(test, controller, seeds, tick)
-    return [(flights.record(e), metrics) for e, metrics in enumerate(flights.metrics)]
-
-
-def summarise(
-    seed: int,
-    seeds: Sequence[int],
-    engine: str,
-    belief: InteractionModel,
-    flown: Mapping[str, Mapping[str, list[Flight]]],
-) -> dict[str, Any]:
-    """What `summary.json` holds of the flights.
-
-    Args:
-        seed: the one from which the others were drawn.
-        seeds: one for each swap.
-        engine: that flew.
-        belief: of the compensating controller.
-        flown: flights by team and by controller.
-    """
-    return {
-        "seed": seed,
-        "swaps": len(seeds),
-        "engine": engine,
-        "layout": {
-            "radius_m": PAPER_SWAP.radius_m[0],
-            "duration_s": PAPER_SWAP.duration_s[0],
-            "gap_m": list(PAPER_SWAP.gap_m),
-            "horizon_s": HORIZON_S,
-        },
-        "interactions": describe_model(load("learned")),
-        "belief": describe_model(belief),
-        "versions": versions(),
-        "scenarios": {team: _scenario(sides, seeds) for team, sides in flown.items()},
-    }
-
-
-def _scenario(sides: Mapping[str, list[Flight]], seeds: Sequence[int]) -> dict[str, Any]:
-    entry: dict[str, Any] = {}
-    worst = {}
-    for name, flights in sides.items():
-        worst[name] = np.array([record.worst_height_error_cm() for record, _ in flights])
-        entry[name] = {
-            "crashed": sum(metrics["length_s"] < HORIZON_S - 1e-6 for _, metrics in flights),
-            "worst_height_error_cm": quartiles(worst[name]),
-            "flights": [
-                _flight(seed, *flight) for seed, flight in zip(seeds, flights, strict=True)
-            ],
-        }
-    before, after = (worst[name] for name in CONTROLLERS)
-    entry["ratio_of_medians"] = float(np.median(after) / np.median(before))
-    entry["made_worse"] = int((after > before).sum())
-    return entry
-
-
-def _flight(seed: int, record: FlightRecord, metrics: Mapping[str, Any]) -> dict[str, Any]:
-    heights = np.sort(record.reference[0, :, 2])
-    return {
-        "seed": seed,
-        "gap_m": float(np.diff(heights).mean()),
-        "worst_height_error_cm": record.worst_height_error_cm(),
-        "strongest_vertical_force_g": float(np.abs(record.vertical_force_g()).max()),
-        "metrics": dict(metrics),
-    }
-
-
-def crashed_flights(summary: Mapping[str, Any]) -> int:
-    """Number of flights that ended before the clock: their error is not their worst."""
-    entries = summary["scenarios"].values()
-    return sum(int(entry[name]["crashed"]) for entry in entries for name in CONTROLLERS)
-
-
-def format_table(summary: Mapping[str, Any]) -> str:
-    """The summary as a table for the terminal: medians, quartiles, ratios."""
-    head = ("scenario", "without (cm)", "with (cm)", "with / without", "made worse", "crashed")
-    rows = [head]
-    for team, entry in summary["scenarios"].items():
-        sides = [describe_spread(entry[name]["worst_height_error_cm"]) for name in CONTROLLERS]
-        worse = f"{entry['made_worse']} of {summary['swaps']}"
-        crashed = " / ".join(str(entry[name]["crashed"]) for name in CONTROLLERS)
-        rows.append((team, *sides, f"{entry['ratio_of_medians']:.2f}", worse, crashed))
-    caption = (
-        f"Worst height error of the lowest drone, median (quartiles) of {summary['swaps']} "
-        f"swaps, {summary['engine']} engine, {summary['interactions']['name']} forces:"
-    )
-    return "\n".join([caption, "", *format_columns(rows)])
-
-
 VIDEO_TEAM, VIDEO_S, VIDEO_FPS = "L2S", 5.0, 24
 """What is filmed, for how long, s, and with how many frames per second."""
+_HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S
 
 
 @typed
@@ -203,7 +76,7 @@ def run_demo(
         swaps: randomised swaps of each scenario.
         video: whether to make the video.
         progress: whether to show progress bars on stderr.
-        belief: what the compensating controller believes; None for the shipped `load_belief()`.
+        belief: force model of the compensating controller; None for `load_belief()`.
         video_s: length of the video, s.
 
     Returns:
@@ -213,22 +86,37 @@ def run_demo(
         ValueError: `seed` or `swaps` is impossible.
         OSError: the folder cannot be written.
     """
-    _check(seed, swaps)
+    if seed < 0:
+        raise ValueError(f"seed is {seed}, but must not be negative")
+    if not 1 <= swaps <= 1000:
+        raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
     out.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
     engine, believed = default_engine(), belief or load_belief()
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(swaps)]
-    flown = fly_all(seeds, believed, engine, progress)
+    flown = _fly_all(seeds, believed, engine, progress)
     comparisons = {
-        team: Comparison(
-            f"{team} ({text})", *([record for record, _ in flown[team][n]] for n in CONTROLLERS)
-        )
-        for team, text in SCENARIOS.items()
+        team: Comparison(f"{team} ({text})", *([f.record(e) for e in range(swaps)] for f in sides))
+        for (team, text), sides in zip(SCENARIOS.items(), flown.values(), strict=True)
     }
     headline = f"Stacked swaps through each other's downwash, {swaps} randomised each"
     plot_comparisons(out / "demo.png", list(comparisons.values()), headline)
-    summary = summarise(seed, seeds, engine, believed, flown)
-    summary["files"] = {"picture": "demo.png", "video": None}
+    summary: dict[str, Any] = {
+        "seed": seed,
+        "swaps": len(seeds),
+        "engine": engine,
+        "layout": {
+            "radius_m": PAPER_SWAP.radius_m[0],
+            "duration_s": PAPER_SWAP.duration_s[0],
+            "gap_m": list(PAPER_SWAP.gap_m),
+            "horizon_s": _HORIZON_S,
+        },
+        "interactions": describe_model(load("learned")),
+        "belief": describe_model(believed),
+        "versions": versions(),
+        "scenarios": {team: _scenario(sides) for team, sides in flown.items()},
+        "files": {"picture": "demo.png", "video": None},
+    }
     if video and engine == "bullet":
         path = _film(out / "demo.mp4", comparisons[VIDEO_TEAM], video_s, progress)
         summary["files"]["video"] = path.name
@@ -236,6 +124,50 @@ def run_demo(
     summary["wall_time_s"] = round(time.perf_counter() - begin, 2)
     write_json(out / "summary.json", summary)
     return summary
+
+
+def _fly_all(
+    seeds: Sequence[int], belief: InteractionModel, engine: str, progress: bool
+) -> dict[str, list[Flights]]:
+    """Flights of every scenario by both controllers, which differ in the compensated force."""
+    controllers = (ControllerConfig(), ControllerConfig(feedforward=belief))
+    tests = {team: swap_test(team, engine=engine) for team in SCENARIOS}
+    total = sum(test.decisions for test in tests.values()) * len(seeds) * len(controllers)
+    with progress_bar("flights", total, progress) as bar:
+        return {
+            team: [run_flights(test, controller, seeds, bar.update) for controller in controllers]
+            for team, test in tests.items()
+        }
+
+
+def _scenario(sides: Sequence[Flights]) -> dict[str, Any]:
+    """What the summary holds of one team: flights and statistics of both sides, their ratio."""
+    entry: dict[str, Any] = {}
+    worst = []
+    for name, flights in zip(CONTROLLERS, sides, strict=True):
+        rows = [_flight(flights, e) for e in range(len(flights.seeds))]
+        worst.append(np.array([row["worst_height_error_cm"] for row in rows]))
+        entry[name] = {
+            "crashed": sum(row["metrics"]["length_s"] < _HORIZON_S - 1e-6 for row in rows),
+            "worst_height_error_cm": quartiles(worst[-1]),
+            "flights": rows,
+        }
+    before, after = worst
+    entry["ratio_of_medians"] = float(np.median(after) / np.median(before))
+    entry["made_worse"] = int((after > before).sum())
+    return entry
+
+
+def _flight(flights: Flights, e: int) -> dict[str, Any]:
+    record = flights.record(e)
+    heights = np.sort(record.reference[0, :, 2])
+    return {
+        "seed": flights.seeds[e],
+        "gap_m": float(np.diff(heights).mean()),
+        "worst_height_error_cm": record.worst_height_error_cm(),
+        "strongest_vertical_force_g": float(np.abs(record.vertical_force_g()).max()),
+        "metrics": dict(flights.metrics[e]),
+    }
 
 
 def _film(path: Path, comparison: Comparison, duration_s: float, progress: bool) -> Path:
@@ -267,8 +199,23 @@ def _notes(engine: str, video: bool, file: str | None) -> list[str]:
     return notes
 
 
-def _check(seed: int, swaps: int) -> None:
-    if seed < 0:
-        raise ValueError(f"seed is {seed}, but must not be negative")
-    if not 1 <= swaps <= 1000:
-        raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
+def crashed_flights(summary: Mapping[str, Any]) -> int:
+    """Number of flights that ended before the clock: their error is not their worst."""
+    entries = summary["scenarios"].values()
+    return sum(int(entry[name]["crashed"]) for entry in entries for name in CONTROLLERS)
+
+
+def format_table(summary: Mapping[str, Any]) -> str:
+    """The summary as a table for the terminal: medians, quartiles, ratios."""
+    head = ("scenario", "without (cm)", "with (cm)", "with / without", "made worse", "crashed")
+    rows = [head]
+    for team, entry in summary["scenarios"].items():
+        sides = [describe_spread(entry[name]["worst_height_error_cm"]) for name in CONTROLLERS]
+        worse = f"{entry['made_worse']} of {summary['swaps']}"
+        crashed = " / ".join(str(entry[name]["crashed"]) for name in CONTROLLERS)
+        rows.append((team, *sides, f"{entry['ratio_of_medians']:.2f}", worse, crashed))
+    caption = (
+        f"Worst height error of the lowest drone, median (quartiles) of {summary['swaps']} "
+        f"swaps, {summary['engine']} engine, {summary['interactions']['name']} forces:"
+    )
+    return "\n".join([caption, "", *format_columns(rows)])

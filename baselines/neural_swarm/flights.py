@@ -1,14 +1,14 @@
-"""The one way in which flight tests are flown: references, a controller, a force it may not know.
+"""Flight tests: references, a controller and a force that it may not know; statistics of flights.
 
-`fly` flies one case for many seeds: the compiled engine all of them at once, Bullet one after
-another with the same result. What is to be varied goes in by name:
+`run_flights` flies one case for many seeds: the compiled engine all of them at once, Bullet one
+after another with the same result. What is to be varied goes in by name:
 
 - who flies: the task's team, of vehicles such as `dataclasses.replace(SMALL, max_thrust=...)`;
-- the force that blows: `FlightTest.truth`; its scale, gusts, and drones that are not what the
+- the force that acts: `FlightTest.truth`; its scale, gusts, and drones that are not what the
   controller takes them for: `FlightTest.randomization`, such as
   `Randomization(force_scale=(1.5, 1.5))`;
-- what the controller believes: `ControllerConfig(feedforward=model)`, any `InteractionModel`, None
-  for the baseline; its gains, filters and lag compensation are fields of the same class;
+- what the controller compensates: `ControllerConfig(feedforward=model)`, any `InteractionModel`,
+  None for the baseline; its gains, filters and lag compensation are fields of the same class;
 - how close: the layout of the task.
 
 Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata, resources
@@ -56,12 +56,12 @@ AT_ONCE = 32
 
 @dataclass(frozen=True)
 class FlightTest:
-    """What is flown, and in which air; the controller is what a test compares."""
+    """What is flown, and under which forces; the controller is what a test compares."""
 
     task: Task
     """Team and references, such as `SwapTask(parse_team("L2S"), "stacked", layout)`."""
     truth: str | Path | InteractionModel = "learned"
-    """The force that blows. No controller reads it."""
+    """The force model of the environment. No controller reads it."""
     engine: str = "batch"
     """`bullet` or `batch`; see `default_engine`."""
     horizon_s: float | None = None
@@ -103,7 +103,7 @@ class Flights:
     reference: FloatArray
     """(E, T, N, 3) where the drones should have been, m."""
     force: FloatArray
-    """(E, T, N, 3) the force that blew, N."""
+    """(E, T, N, 3) the force of the environment, N."""
     believed: FloatArray
     """(E, T, N, 3) what the controller compensated in the same step, N; zeros if nothing."""
     worst_height_error: FloatArray
@@ -145,7 +145,7 @@ def default_engine() -> str:
 
 
 def progress_bar(title: str, decisions: int, shown: bool = True) -> tqdm[NoReturn]:
-    """A bar that `fly` ticks, in seconds of flight at the usual decision rate."""
+    """A bar that `run_flights` ticks, in seconds of flight at the usual decision rate."""
     return tqdm(
         total=decisions,
         desc=title,
@@ -157,34 +157,7 @@ def progress_bar(title: str, decisions: int, shown: bool = True) -> tqdm[NoRetur
     )
 
 
-def make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) -> SwarmCore:
-    """Environments in which a controller follows set-points, not yet reset."""
-    agent = TrackingAgent(controller, test.decision_rate)
-    config = EnvConfig(
-        physics=test.engine,
-        interactions=test.truth,
-        horizon_s=test.horizon_s,
-        randomization=test.randomization,
-        end_on_success=False,
-        **agent.requires,
-    )
-    return SwarmCore(test.task, config, num_envs)
-
-
-def follow(core: SwarmCore) -> Iterator[SwarmCore]:
-    """Fly environments that have been reset along their references, as `TrackingAgent` does.
-
-    Yields:
-        The environments, always the same, after each decision.
-    """
-    yaw = np.zeros((core.num_envs, core.num_drones, 2))
-    while core.running.any():
-        reference = reference_of(core.world.drones)
-        core.step(np.concatenate([*reference, yaw], axis=-1))
-        yield core
-
-
-def fly(
+def run_flights(
     test: FlightTest,
     controller: ControllerConfig,
     seeds: Sequence[int],
@@ -193,7 +166,7 @@ def fly(
     """Fly one episode for each seed. The same seeds give the same flights.
 
     Args:
-        test: what is flown, and in which air.
+        test: what is flown, and under which forces.
         controller: of every drone.
         seeds: at least one.
         tick: called along the way with the decisions that were flown since the last call, of all
@@ -205,83 +178,86 @@ def fly(
     """
     if not seeds:
         raise ValueError("no seed was given; give one for each flight")
-    starts = range(0, len(seeds), AT_ONCE)
-    parts = [_fly_part(test, controller, seeds[k : k + AT_ONCE], tick) for k in starts]
-    numbers = {
-        name: np.concatenate([part[name] for part in parts])
-        for name in parts[0]
-        if name != _METRICS
-    }
+    parts: list[dict[str, Any]] = []
+    metrics: list[dict[str, Any]] = []
+    for first in range(0, len(seeds), AT_ONCE):
+        together = list(seeds[first : first + AT_ONCE])
+        core = _make_core(test, controller, len(together))
+        try:
+            core.reset(together)
+            parts.append(_follow_references(core, 1 + test.decisions, tick))
+            metrics += core.metrics_of(range(core.num_envs))
+        finally:
+            core.close()
+    arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return Flights(
         team=test.task.team,
         seeds=tuple(seeds),
-        time=np.arange(numbers["position"].shape[1]) / test.decision_rate,
-        metrics=tuple(entry for part in parts for entry in part[_METRICS]),
-        **numbers,
+        time=np.arange(1 + test.decisions) / test.decision_rate,
+        metrics=tuple(metrics),
+        **arrays,
     )
 
 
-_METRICS = "metrics"
+fly = run_flights
+"""The name of `run_flights` in version 0.1."""
 
 
-def _fly_part(
-    test: FlightTest,
-    controller: ControllerConfig,
-    seeds: Sequence[int],
-    tick: Callable[[int], object],
+def _make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) -> SwarmCore:
+    config = EnvConfig(
+        physics=test.engine,
+        interactions=test.truth,
+        horizon_s=test.horizon_s,
+        randomization=test.randomization,
+        end_on_success=False,
+        **TrackingAgent(controller, test.decision_rate).requires,
+    )
+    return SwarmCore(test.task, config, num_envs)
+
+
+def _follow_references(
+    core: SwarmCore, length: int, tick: Callable[[int], object]
 ) -> dict[str, Any]:
-    """Fields of `Flights` of some seeds that are in the air together."""
-    core = make_core(test, controller, len(seeds))
-    try:
-        core.reset(list(seeds))
-        trace = _Trace(core, 1 + test.decisions)
-        trace.take(0, np.ones(len(seeds), dtype=np.bool_))
+    """Fly as `TrackingAgent` does, to the end; fields of `Flights`, with room for T samples."""
+    arrays: dict[str, Any] = {
+        name: np.zeros((core.num_envs, length, *value.shape[1:]))
+        for name, value in _sample(core).items()
+    }
+    samples = np.zeros(core.num_envs, dtype=np.int64)
+    yaw = np.zeros((core.num_envs, core.num_drones, 2))
+    running, k = np.ones(core.num_envs, dtype=np.bool_), 0
+    while running.any():
+        for name, value in _sample(core).items():  # a flight that ends keeps its last state
+            arrays[name][running, k:] = value[running, None]
+        k += 1
+        samples[running] = k
         running = core.running.copy()
-        for k, _ in enumerate(follow(core), start=1):
-            trace.take(k, running)
+        if running.any():
+            core.step(np.concatenate([*reference_of(core.world.drones), yaw], axis=-1))
             tick(int(running.sum()))
-            running = core.running.copy()
-        drones = core.world.drones
-        return trace.arrays | {
-            "worst_height_error": drones["worst_height_error"].copy(),
-            "worst_error": drones["worst_error"].copy(),
-            "crashed": (drones["crashed"] > 0.0).any(axis=1),
-            _METRICS: core.metrics_of(range(len(seeds))),
-        }
-    finally:
-        core.close()
+    drones = core.world.drones
+    return arrays | {
+        "samples": samples,
+        "worst_height_error": drones["worst_height_error"].copy(),
+        "worst_error": drones["worst_error"].copy(),
+        "crashed": (drones["crashed"] > 0.0).any(axis=1),
+    }
 
 
-class _Trace:
-    """Samples of E environments over time, with room for T."""
+def _sample(core: SwarmCore) -> dict[str, FloatArray]:
+    """(E, N, width) what is sampled."""
+    state, drones = core.physics.state, core.world.drones
+    return {
+        "position": state.position,
+        "velocity": state.velocity,
+        "quaternion": state.quaternion,
+        "reference": drones["reference_position"],
+        "force": core.physics.force,
+        "believed": drones["believed_force"],
+    }
 
-    def __init__(self, core: SwarmCore, length: int) -> None:
-        self._core = core
-        shape = (core.num_envs, length, core.num_drones)
-        self.arrays: dict[str, Any] = {
-            name: np.zeros((*shape, 4 if name == "quaternion" else 3)) for name in self._sources()
-        }
-        self.arrays["samples"] = np.zeros(core.num_envs, dtype=np.int64)
 
-    def _sources(self) -> dict[str, FloatArray]:
-        """(E, N, width) what is sampled."""
-        physics, drones = self._core.physics, self._core.world.drones
-        state = physics.state
-        return {
-            "position": state.position,
-            "velocity": state.velocity,
-            "quaternion": state.quaternion,
-            "reference": drones["reference_position"],
-            "force": physics.force,
-            "believed": drones["believed_force"],
-        }
-
-    def take(self, k: int, running: BoolArray) -> None:
-        """Write sample k and all later ones, so that a flight that ends keeps its last state."""
-        for name, value in self._sources().items():
-            self.arrays[name][running, k:] = value[running, None]
-        self.arrays["samples"][running] = k + 1
-
+# ---- What reports of flights share: statistics, whose weights flew, which versions
 
 _PACKAGES = ("numpy", "numba", "pybullet", "gymnasium", "pettingzoo")
 

@@ -1,4 +1,4 @@
-"""The tracking controller of Neural-Swarm2, Sec. VI, in plain Python: one drone, one step, to read.
+"""The tracking controller of Neural-Swarm2, Sec. VI, in NumPy: one drone, one step, to read.
 
 Written from the equations of the paper (numbers of version 1) in the order in which it derives
 them, with rotation matrices and no compiled code. The loop that environments run,
@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.state import FloatArray
@@ -21,8 +21,8 @@ UP = np.array([0.0, 0.0, 1.0])
 """The world's vertical, and the direction of thrust in the body frame."""
 
 
-class Target(NamedTuple):
-    """What one drone is to follow at one instant. World frame, SI units."""
+class TrackingTarget(NamedTuple):
+    """The set-point of one drone at one instant. World frame, SI units."""
 
     position: FloatArray
     """(3,) desired position p_d, m."""
@@ -55,28 +55,10 @@ class LowPassDerivative:
         return self.value
 
 
-def rotation_matrix(quaternion: npt.ArrayLike) -> FloatArray:
-    """Rotation matrix (3, 3), body to world, of a unit quaternion (x, y, z, w)."""
-    q = np.asarray(quaternion, dtype=np.float64)
-    vector, w = q[:3], q[3]
-    cross = np.cross(vector, np.eye(3)).T  # cross @ a = vector x a
-    return np.asarray(np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross)
-
-
-def quaternion_vector(rotation: FloatArray) -> tuple[float, FloatArray]:
+def quaternion_parts(rotation: FloatArray) -> tuple[float, FloatArray]:
     """Scalar q_0 >= 0 and vector part q_v (3,) of the quaternion of a rotation matrix."""
-    # K has the quaternion (x, y, z, w) as eigenvector of its largest eigenvalue, 3; adding one
-    # gives 4 q q^T, whose largest column is read off.
-    r = rotation
-    products = np.empty((4, 4))
-    products[:3, :3] = r + r.T + (1.0 - np.trace(r)) * np.eye(3)
-    products[3, 3] = 1.0 + np.trace(r)
-    products[3, :3] = products[:3, 3] = (r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1])
-    largest = int(np.argmax(np.diag(products)))
-    q = products[:, largest] / (2.0 * math.sqrt(products[largest, largest]))
-    if q[3] < 0.0:
-        q = -q
-    return float(q[3]), q[:3]
+    *vector, scalar = Rotation.from_matrix(rotation).as_quat(canonical=True)
+    return float(scalar), np.array(vector)
 
 
 def rotation_between(direction: FloatArray) -> FloatArray:
@@ -86,13 +68,7 @@ def rotation_between(direction: FloatArray) -> FloatArray:
     return np.asarray(np.eye(3) + cross + cross @ cross / (1.0 + direction[2]))
 
 
-def rotation_about_z(angle: float) -> FloatArray:
-    """Rotation (3, 3) about the z axis by an angle, rad."""
-    c, s = math.cos(angle), math.sin(angle)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-class PlainTrackingController:
+class NumpyTrackingController:
     """The tracking controller of one drone, for reading and for checking the compiled one.
 
     Args:
@@ -110,7 +86,7 @@ class PlainTrackingController:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was."""
+        """Forget integrals, filters and the last attitude."""
         c = self.config
         self.velocity_integral = np.zeros(3)
         self.rate_integral = np.zeros(3)
@@ -125,7 +101,7 @@ class PlainTrackingController:
         velocity: FloatArray,
         quaternion: FloatArray,
         angular_velocity: FloatArray,
-        target: Target,
+        target: TrackingTarget,
         feedforward: FloatArray | None = None,
     ) -> FloatArray:
         """Rotor thrust commands u_c (4,), N, for one step.
@@ -136,12 +112,12 @@ class PlainTrackingController:
             quaternion: (4,) attitude (x, y, z, w), body to world.
             angular_velocity: (3,) in the world frame, rad/s.
             target: what to follow.
-            feedforward: (3,) believed interaction force f_hat, world frame, N; None is zero.
+            feedforward: (3,) interaction force f_hat of a model, world frame, N; None is zero.
         """
-        rotation = rotation_matrix(quaternion)
+        rotation = Rotation.from_quat(quaternion).as_matrix()
         body_rate = rotation.T @ angular_velocity
-        believed = np.zeros(3) if feedforward is None else feedforward
-        force = self.desired_force(position, velocity, target, believed)
+        compensated = np.zeros(3) if feedforward is None else feedforward
+        force = self.desired_force(position, velocity, target, compensated)
         thrust = force @ rotation @ UP
         torque = self.desired_torque(rotation, body_rate, force, target)
 
@@ -151,7 +127,11 @@ class PlainTrackingController:
         return self.mix(float(thrust), torque)
 
     def desired_force(
-        self, position: FloatArray, velocity: FloatArray, target: Target, believed: FloatArray
+        self,
+        position: FloatArray,
+        velocity: FloatArray,
+        target: TrackingTarget,
+        compensated: FloatArray,
     ) -> FloatArray:
         """Desired thrust vector f_d (3,), world frame, N: eqs. (18) and (19)."""
         gains, mass = self.config.gains, self.vehicle.mass
@@ -169,14 +149,16 @@ class PlainTrackingController:
         force = (
             -mass * gravity
             + mass * reference_rate
-            - believed
+            - compensated
             - (velocity_gain + mass * gains.integral) * velocity_error
             - velocity_gain * gains.integral * self.velocity_integral
         )
         force[2] = max(force[2], self.config.min_vertical_thrust_fraction * mass * GRAVITY)
         return np.asarray(force)
 
-    def desired_attitude(self, force: FloatArray, target: Target) -> tuple[FloatArray, FloatArray]:
+    def desired_attitude(
+        self, force: FloatArray, target: TrackingTarget
+    ) -> tuple[FloatArray, FloatArray]:
         """Desired attitude R_d (3, 3) and its angular velocity omega_d (3,) in its own frame.
 
         R_d turns z to the direction of the force on the shortest way, after a turn about z by the
@@ -184,15 +166,15 @@ class PlainTrackingController:
         """
         tilt = rotation_between(force / np.linalg.norm(force))
         if self.last_tilt is not None:
-            _, half_turn = quaternion_vector(self.last_tilt.T @ tilt)
+            _, half_turn = quaternion_parts(self.last_tilt.T @ tilt)
             blend = 1.0 - math.exp(-2.0 * math.pi * self.config.desired_rate_cutoff_hz * self.dt)
             self.tilt_rate = self.tilt_rate + blend * (2.0 * half_turn / self.dt - self.tilt_rate)
         self.last_tilt = tilt
-        turn = rotation_about_z(target.yaw)
+        turn = Rotation.from_rotvec(target.yaw * UP).as_matrix()
         return tilt @ turn, turn.T @ self.tilt_rate + target.yaw_rate * UP
 
     def desired_torque(
-        self, rotation: FloatArray, body_rate: FloatArray, force: FloatArray, target: Target
+        self, rotation: FloatArray, body_rate: FloatArray, force: FloatArray, target: TrackingTarget
     ) -> FloatArray:
         """Desired torque tau_d (3,), body frame, N m: eqs. (20) and (21) with the lead of (22)."""
         c = self.config
@@ -205,7 +187,7 @@ class PlainTrackingController:
 
         desired, desired_rate = self.desired_attitude(force, target)
         error_rotation = desired.T @ rotation
-        scalar, vector = quaternion_vector(error_rotation)
+        scalar, vector = quaternion_parts(error_rotation)
         fed_rate = error_rotation.T @ desired_rate
         reference = fed_rate - attitude_gain * vector
         # Its derivative without that of omega_d, which would difference a measured velocity thrice.

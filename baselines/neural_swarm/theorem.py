@@ -22,7 +22,11 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.neural_swarm.numpy_controller import UP, PlainTrackingController, Target
+from swarm_envs.baselines.neural_swarm.numpy_controller import (
+    UP,
+    NumpyTrackingController,
+    TrackingTarget,
+)
 from swarm_envs.control.config import ControllerConfig, PositionGains
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
@@ -131,20 +135,12 @@ def integral_force(config: ControllerConfig, mass: float) -> float:
     return mass * gains.velocity * gains.integral * config.velocity_integral_limit
 
 
-def _check(mass: float, name: str, bound: float, unit: str) -> None:
-    if not 0.0 < mass < math.inf:
-        raise ValueError(f"mass is {mass!r}, but must be positive and finite, in kg")
-    if not 0.0 <= bound < math.inf:
-        raise ValueError(f"{name} is {bound!r}, but must be finite and not negative, in {unit}")
-
-
-UNCLAMPED = 1e6
-"""Clamp of the integral, m, that stands for none."""
+# ---- The plant that the theorem assumes, under this package's position controller
 
 
 def without_clamp(config: ControllerConfig) -> ControllerConfig:
     """The same controller as the theorem has it: nothing limits the integral."""
-    return replace(config, velocity_integral_limit=UNCLAMPED)
+    return replace(config, velocity_integral_limit=1e6)  # m
 
 
 def fly_point_mass(
@@ -157,7 +153,9 @@ def fly_point_mass(
 ) -> FloatArray:
     """Let a point mass hold a place against a planted model error.
 
-    The law's errors do not depend on the reference: what is found at rest holds on any.
+    The mass feels the desired force f_d of eqs. (18) and (19) at once, and the air pushes with
+    eps_f, of which the controller does not know. The law's errors do not depend on the reference:
+    what is found at rest holds on any.
 
     Args:
         vehicle: its mass is what flies.
@@ -170,8 +168,8 @@ def fly_point_mass(
     Returns:
         (T + 1, 3) position errors, m, from the start on.
     """
-    controller = PlainTrackingController(vehicle, config, dt)
-    target, nothing = Target(np.zeros(3)), np.zeros(3)
+    controller = NumpyTrackingController(vehicle, config, dt)
+    target, nothing = TrackingTarget(np.zeros(3)), np.zeros(3)
     position, velocity = (np.array(x, dtype=np.float64) for x in (position_error, velocity_error))
     errors = np.empty((len(force_error) + 1, 3))
     errors[0] = position
@@ -182,3 +180,10 @@ def fly_point_mass(
         velocity = velocity + dt * acceleration
         errors[k + 1] = position
     return errors
+
+
+def _check(mass: float, name: str, bound: float, unit: str) -> None:
+    if not 0.0 < mass < math.inf:
+        raise ValueError(f"mass is {mass!r}, but must be positive and finite, in kg")
+    if not 0.0 <= bound < math.inf:
+        raise ValueError(f"{name} is {bound!r}, but must be finite and not negative, in {unit}")

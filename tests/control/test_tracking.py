@@ -7,7 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.numpy_controller import PlainTrackingController, Target
+from swarm_envs.baselines.neural_swarm.numpy_controller import (
+    NumpyTrackingController,
+    TrackingTarget,
+)
 from swarm_envs.control.config import (
     MID,
     SOFT,
@@ -80,7 +83,7 @@ def test_compiled_agrees_with_plain(
 ) -> None:
     config = ControllerConfig(gains=stiffness, lag_compensation=lag_compensation)
     compiled = TrackingController(TEAM, num_envs=2, config=config)
-    plain = [[PlainTrackingController(v, config) for v in TEAM] for _ in range(2)]
+    plain = [[NumpyTrackingController(v, config) for v in TEAM] for _ in range(2)]
     flight = _RandomFlight(7, wildness)
     limits = np.array([v.max_rotor_thrust for v in TEAM])[:, None]
     saturated = unsaturated = 0
@@ -90,7 +93,7 @@ def test_compiled_agrees_with_plain(
         expected = np.empty_like(commands)
         for e in range(2):
             for i in range(len(TEAM)):
-                target = Target(
+                target = TrackingTarget(
                     setpoint.position[e, i],
                     setpoint.velocity[e, i],
                     setpoint.acceleration[e, i],

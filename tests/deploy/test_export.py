@@ -16,7 +16,7 @@ from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.baselines.neural_swarm import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.pipeline import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_lines
 from swarm_envs.baselines.rth3d import plan as plan_on_grid
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, smooth
 from swarm_envs.baselines.rth3d.flight.spline import on_grid, shortest_step

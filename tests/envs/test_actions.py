@@ -11,7 +11,10 @@ import pytest
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
-from swarm_envs.baselines.neural_swarm.numpy_controller import PlainTrackingController, Target
+from swarm_envs.baselines.neural_swarm.numpy_controller import (
+    NumpyTrackingController,
+    TrackingTarget,
+)
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
@@ -141,7 +144,7 @@ def crossing(action: str, engine: str, belief: str | None = None) -> SwarmParall
 
 
 def plain_commands(
-    env: SwarmParallelEnv, loops: list[PlainTrackingController], belief: str | None
+    env: SwarmParallelEnv, loops: list[NumpyTrackingController], belief: str | None
 ) -> dict[str, np.ndarray]:
     view = env.view
     state, reference = view.state, view.reference(view.time)
@@ -150,7 +153,9 @@ def plain_commands(
         force = load(belief).forces(state.position[None], state.velocity[None], view.team)[0]
     actions = {}
     for i, (agent, loop) in enumerate(zip(env.agents, loops, strict=True)):
-        target = Target(reference.position[i], reference.velocity[i], reference.acceleration[i])
+        target = TrackingTarget(
+            reference.position[i], reference.velocity[i], reference.acceleration[i]
+        )
         p, v, q, w = (array[i] for array in state[:4])
         command = loop.commands(p, v, q, w, target, force[i])
         actions[agent] = 2.0 * command / loop.vehicle.max_rotor_thrust - 1.0
@@ -165,7 +170,7 @@ def test_plain_loop_through_rotors_flies_like_the_compiled_one(belief):
     observations, _ = own.reset(seed=6)
     rotors.reset(seed=6)
     agent.reset(own, 6)
-    loops = [PlainTrackingController(vehicle) for vehicle in own.view.team]
+    loops = [NumpyTrackingController(vehicle) for vehicle in own.view.team]
     worst, force = 0.0, 0.0
     while own.agents and rotors.agents:
         rotors.step(plain_commands(rotors, loops, belief))

@@ -1,10 +1,10 @@
-"""Stage 1: sequential kinodynamic AO-RRT for teams that blow on each other (Sec. V-A).
+"""Stage 1: sequential kinodynamic AO-RRT for a team with interaction forces (Sec. V-A).
 
 Robots are planned one after another in a random order, each by a tree of its own among the motions
 of the others; those that have no motion yet are not there, and will have to make way when it is
-their turn. Costs are those of eq. (6), the integral of ||u||, summed over *all* robots: who blows
-on a neighbour pays for the thrust with which that neighbour stays on its path. The cost of the team
-is the bound of every later tree, so it only falls.
+their turn. Costs are those of eq. (6), the integral of ||u||, summed over *all* robots: a robot
+whose downwash pushes a neighbour pays for the thrust with which that one stays on its path. The
+cost of the team is the bound of every later tree, so it only falls.
 
 Eq. (6) leaves the duration free, but the longer a flight, the cheaper: a robot may always wait. So
 plans last as long as the problem allows.
@@ -21,8 +21,8 @@ import numpy as np
 
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, work_for
-from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, Tree, grow, search_tree
+from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, working_state
+from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, empty_tree, grow_tree
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     trajectories_through,
@@ -67,7 +67,7 @@ class SearchConfig:
     least_gain: float = 0.005
     """Share by which a plan must be cheaper than the best; below it, trees do not look."""
     chances: Chances = field(default_factory=Chances)
-    """How often a tree does what."""
+    """Probabilities of what a tree does in an iteration."""
 
     def __post_init__(self) -> None:
         """Refuse what makes no search."""
@@ -84,7 +84,7 @@ class SearchConfig:
 
 
 @dataclass(frozen=True)
-class Loop:
+class LoopRecord:
     """What one outer loop did."""
 
     cost: float
@@ -103,7 +103,7 @@ class SearchResult:
 
     trajectories: Trajectories | None
     """The cheapest plan; None if none was found."""
-    loops: tuple[Loop, ...]
+    loops: tuple[LoopRecord, ...]
     """The outer loops in order."""
     stop: Stop
     """Why it ended."""
@@ -129,18 +129,18 @@ def search(
     problem: PlanningProblem,
     config: SearchConfig | None = None,
     seed: int | np.random.Generator = 0,
-    watch: Callable[[Loop], None] | None = None,
+    watch: Callable[[LoopRecord], None] | None = None,
 ) -> SearchResult:
     """Find trajectories of a whole team that are valid, and ever cheaper.
 
-    The trajectories follow their controls and forces exactly (`defects` are rounding), keep all
-    bounds of the problem, and end within epsilon of the goals.
+    The trajectories follow their controls and forces exactly, up to rounding, keep all bounds of
+    the problem, and end within epsilon of the goals.
 
     Args:
         problem: what to plan.
         config: options; by default `SearchConfig()`.
         seed: of everything drawn, or a generator.
-        watch: told of each outer loop as it ends.
+        watch: called after each outer loop.
 
     Raises:
         ValueError: an edge is longer than the longest plan.
@@ -150,7 +150,7 @@ def search(
         raise ValueError(
             f"edge is {options.edge} steps, but max_duration allows {problem.steps}; shorten it"
         )
-    announce_compilation(grow)
+    announce_compilation(grow_tree)
     return _Search(problem, options, np.random.default_rng(seed)).run(watch)
 
 
@@ -160,23 +160,23 @@ class _Search:
     def __init__(
         self, problem: PlanningProblem, options: SearchConfig, rng: np.random.Generator
     ) -> None:
-        self.problem, self.options = problem, options
-        self.generator = rng
+        self.problem, self.options, self.rng = problem, options, rng
+        self.robots = len(problem.team)
         self.knots = problem.steps // options.edge * options.edge + 1
         room = _NODES_PER_ITERATION * options.iterations_per_tree + 2 * self.knots
-        self.tree: Tree = search_tree(room, len(problem.team))
+        self.tree = empty_tree(room, self.robots)
         self.best: FloatArray | None = None
         self.cost = np.inf
         self.iterations = 0
         self.deadline = time.monotonic() + (options.time_limit or np.inf)
 
-    def run(self, watch: Callable[[Loop], None] | None) -> SearchResult:
+    def run(self, watch: Callable[[LoopRecord], None] | None) -> SearchResult:
         """Outer loops until something ends them."""
-        loops: list[Loop] = []
+        loops: list[LoopRecord] = []
         stop, idle = None, 0
         while stop is None:
             before = self.cost
-            loops.append(self.loop())
+            loops.append(self.plan_team())
             if watch is not None:
                 watch(loops[-1])
             idle = 0 if self.cost < before else idle + 1
@@ -192,55 +192,52 @@ class _Search:
             return "iterations"
         return "no improvement" if idle >= self.options.patience else None
 
-    def loop(self) -> Loop:
+    def plan_team(self) -> LoopRecord:
         """One outer loop (lines 3 to 15): every robot once, in a random order."""
-        fresh = self.best is None or bool(self.generator.random() < self.options.fresh)
-        sizes = tuple(self.plan_all() if fresh else self.replan_all())
-        return Loop(float(self.cost), self.iterations, fresh, sizes)
+        fresh = self.best is None or bool(self.rng.random() < self.options.fresh)
+        sizes = tuple(self.plan_afresh() if fresh else self.replan_each())
+        return LoopRecord(float(self.cost), self.iterations, fresh, sizes)
 
-    def plan_all(self) -> Iterator[int]:
+    def plan_afresh(self) -> Iterator[int]:
         """Plan everyone from nothing; give up when one finds no way. Yields the tree sizes."""
-        robots = len(self.problem.team)
-        states = np.zeros((self.knots, robots, 6))
+        states = np.zeros((self.knots, self.robots, 6))
         planned: list[int] = []
-        for robot in self.generator.permutation(robots):
-            cost, path, size = self.plan(int(robot), states, planned)
+        for robot in self.rng.permutation(self.robots).tolist():
+            cost, path, size = self.plan_robot(robot, states, planned)
             yield size
             if cost == INVALID:
                 return
             states[:, robot] = path
-            planned.append(int(robot))
+            planned.append(robot)
         self.best, self.cost = states, cost
 
-    def replan_all(self) -> Iterator[int]:
+    def replan_each(self) -> Iterator[int]:
         """Replan one robot after another, the others on their paths. Yields the tree sizes."""
         assert self.best is not None
-        robots = len(self.problem.team)
-        for robot in self.generator.permutation(robots):
-            cost, path, size = self.plan(int(robot), self.best, list(range(robots)))
+        for robot in self.rng.permutation(self.robots).tolist():
+            cost, path, size = self.plan_robot(robot, self.best, list(range(self.robots)))
             yield size
             if cost != INVALID:
                 self.best, self.cost = self.best.copy(), cost
                 self.best[:, robot] = path
 
-    def plan(
+    def plan_robot(
         self, robot: int, states: FloatArray, planned: list[int]
     ) -> tuple[float, FloatArray, int]:
         """One tree: cost of the team with the robot's new path (K + 1, 6), and the tree's size."""
         options, path = self.options, np.zeros((self.knots, 6))
         if self.stop() is not None:
             return INVALID, path, 0
-        scene = make_scene(
-            self.problem, robot, states, planned, options.edge, options.postprocess == "track"
-        )
-        cost, used, size = grow(
+        tracked = options.postprocess == "track"
+        scene = make_scene(self.problem, robot, states, planned, options.edge, tracked)
+        cost, used, size = grow_tree(
             scene,
             self.tree,
-            work_for(scene),
+            working_state(scene),
             self.cost * (1.0 - options.least_gain),
             min(options.iterations_per_tree, options.iterations - self.iterations),
             options.chances,
-            self.generator,
+            self.rng,
             path,
         )
         self.iterations += max(used, 1)

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.neural_swarm.planner.linearization import Convexified
-from swarm_envs.baselines.neural_swarm.planner.trajectories import BOUNDED, step_weights
+from swarm_envs.baselines.neural_swarm.planner.linearization import ConvexSubproblem
+from swarm_envs.baselines.neural_swarm.planner.trajectories import BOUNDED_FRACTIONS, step_weights
 from swarm_envs.state import FloatArray, IntArray
 
 
 @dataclass(frozen=True)
-class Weights:
-    """What missing a goal or a bound costs, beside the effort, the sum of ||u||^2."""
+class PenaltyWeights:
+    """Penalties of missed goals and bounds, beside the effort, the sum of ||u||^2."""
 
     goal: float = 1000.0
     """lambda_1: per largest component (m or m/s) by which the goal state is missed."""
@@ -33,17 +33,15 @@ class SolverSettings:
     tolerance: float = 5e-4
     """Of the residuals, absolute and relative."""
     max_iterations: int = 1000
-    """After which an inexact solution is taken, and said to be one."""
+    """After which an inexact solution is taken, and reported as one."""
     rho: float = 30.0
     """OSQP's step, kept constant: OSQP adapts it by the clock, and results would vary."""
 
 
 @dataclass(frozen=True)
-class Solution:
+class ProgramSolution:
     """What a program's solver returned."""
 
-    velocity: FloatArray
-    """(T + 1, D) new velocities, m/s; the motion follows from them."""
     states: FloatArray
     """(T + 1, 2 D) new states as the linearised dynamics see them."""
     controls: FloatArray
@@ -52,26 +50,23 @@ class Solution:
     """Largest component by which the goal is missed, m or m/s."""
     state_slack: float
     """delta."""
-    neighbor_slack: float
-    """Sum of the missing clearances and excess forces."""
     objective: float
     """Value of the program's objective."""
     status: str
     """OSQP's word: `solved`, `maximum iterations reached`, `primal infeasible` ..."""
     iterations: int
     """OSQP's iterations."""
-    solve_s: float
-    """Seconds spent in updating and solving."""
 
     @property
     def usable(self) -> bool:
         """Whether there is a solution at all, exact or not."""
-        return bool(np.isfinite(self.velocity).all()) and "infeasible" not in self.status
+        return bool(np.isfinite(self.states).all()) and "infeasible" not in self.status
 
 
 class ConstraintPattern:
-    """Rows l <= A z <= u, added in named groups; then values and bounds are set by name.
+    """A sparse matrix A with a fixed pattern: rows l <= A z <= u, added in named groups.
 
+    Once the pattern is finished, values and bounds are set by name.
     Rows that are never given bounds, or infinite ones, bind nothing.
     """
 
@@ -124,7 +119,7 @@ class ConstraintPattern:
         self.lower[where], self.upper[where] = np.ravel(lower), np.ravel(upper)
 
     def update(self) -> Any:
-        """The matrix, (rows, variables), with the present values."""
+        """The matrix (rows, variables) with the present values."""
         self.matrix.data[:] = self._values[self._order]
         return self.matrix
 
@@ -146,7 +141,7 @@ class RobotProgram:
         dims: int,
         neighbors: int,
         dt: float,
-        weights: Weights = Weights(),  # frozen
+        weights: PenaltyWeights = PenaltyWeights(),  # frozen
         settings: SolverSettings = SolverSettings(),  # frozen
     ) -> None:
         self._steps, self._dims, self._weights, self._settings = steps, dims, weights, settings
@@ -191,7 +186,7 @@ class RobotProgram:
             rows = pattern.add_rows(f"box {side}", steps, 2 * dims)
             pattern.put(rows, later, 1.0)
             pattern.put(rows, self._delta, sign)
-            rows = pattern.add_rows(f"force {side}", len(BOUNDED), steps)
+            rows = pattern.add_rows(f"force {side}", len(BOUNDED_FRACTIONS), steps)
             self._put_within(rows, f"force {side}")
             pattern.put(rows, self._delta, sign)
         pattern.put(pattern.add_rows("trust", steps, 2 * dims), later, 1.0)
@@ -204,7 +199,7 @@ class RobotProgram:
         self._pattern.put(rows[..., None], self._x[:-1].reshape(shape), 0.0, f"{name}, start")
         self._pattern.put(rows[..., None], end.reshape(shape), 0.0, f"{name}, end")
 
-    def _set_within(self, name: str, slope: FloatArray, problem: Convexified) -> None:
+    def _set_within(self, name: str, slope: FloatArray, problem: ConvexSubproblem) -> None:
         """Set them: `slope` (S, T, ..., 2 D) is by the states within steps."""
         share = problem.shares.reshape(-1, *(1,) * (slope.ndim - 1))
         first, second = step_weights(share, problem.dt)
@@ -215,7 +210,7 @@ class RobotProgram:
 
     def _add_neighbors(self, neighbors: int) -> None:
         pattern, steps, dims = self._pattern, self._steps, self._dims
-        size = (len(BOUNDED), steps, neighbors)
+        size = (len(BOUNDED_FRACTIONS), steps, neighbors)
         rows, x = pattern.add_rows("apart", steps, neighbors), self._x[:, None]
         pattern.put(rows[:, :, None], x[:-1], 0.0, "apart from start")
         pattern.put(rows[:, :, None], x[1:, :, dims:], 0.0, "apart from end")
@@ -229,7 +224,7 @@ class RobotProgram:
         soft = np.concatenate([[self._delta], self._slack.ravel()])
         pattern.put(pattern.add_rows("sign", soft.size), soft, _SLACK_SCALE)
 
-    def solve(self, problem: Convexified) -> Solution:
+    def solve(self, problem: ConvexSubproblem) -> ProgramSolution:
         """Solve for one convexified problem, starting from the last one's solution.
 
         Args:
@@ -240,7 +235,7 @@ class RobotProgram:
         self._set_neighbors(problem)
         return self._read(self._run(problem), problem)
 
-    def _set_motion(self, problem: Convexified) -> None:
+    def _set_motion(self, problem: ConvexSubproblem) -> None:
         pattern, dt, dims = self._pattern, problem.dt, self._dims
         slope = dt / problem.mass * problem.force_by_state
         carry = np.einsum("kab,kb->ka", slope, problem.prior[:-1])
@@ -252,7 +247,7 @@ class RobotProgram:
         pattern.bound("goal above", -np.inf, _GOAL_SCALE * problem.goal)
         pattern.bound("goal below", _GOAL_SCALE * problem.goal, np.inf)
 
-    def _set_own_bounds(self, problem: Convexified) -> None:
+    def _set_own_bounds(self, problem: ConvexSubproblem) -> None:
         pattern, x, trust = self._pattern, problem.prior[1:], problem.trust_state
         # Rows that the trust region cannot reach bind nothing; told so, OSQP is four times faster.
         above = np.where(x + trust > problem.upper, problem.upper, np.inf)
@@ -267,7 +262,7 @@ class RobotProgram:
         highest = np.maximum(np.minimum(most, u + reach), u)
         pattern.bound("control", lowest, highest)
 
-    def _set_force(self, problem: Convexified) -> None:
+    def _set_force(self, problem: ConvexSubproblem) -> None:
         """Bound |force + slope (x - xbar)| by the bound and delta, x being within steps."""
         bound = problem.force_bound
         slope, force = problem.bounded_by_state / bound, problem.bounded_force / bound
@@ -279,7 +274,7 @@ class RobotProgram:
         self._pattern.bound("force above", -np.inf, above)
         self._pattern.bound("force below", below, np.inf)
 
-    def _set_neighbors(self, problem: Convexified) -> None:
+    def _set_neighbors(self, problem: ConvexSubproblem) -> None:
         pattern = self._pattern
         first, second = step_weights(problem.fraction[..., None], problem.dt)
         normal = problem.normal
@@ -298,7 +293,7 @@ class RobotProgram:
         bound = np.where(np.abs(force) + reach > 1.0, 1.0, np.inf)
         pattern.bound("neighbor", known - force - bound, known - force + bound)
 
-    def _may_touch(self, problem: Convexified) -> Any:
+    def _may_touch(self, problem: ConvexSubproblem) -> Any:
         """(T, M) whether the trust region lets a robot cross the half-space of a step."""
         first, second = step_weights(problem.fraction, problem.dt)
         p, v = np.split(problem.prior[:, None], 2, axis=-1)
@@ -307,7 +302,7 @@ class RobotProgram:
         slower = (first + second) * (np.abs(problem.normal) @ problem.trust_state[self._dims :])
         return (problem.normal * place).sum(axis=-1) - reach - slower < problem.level
 
-    def _run(self, problem: Convexified) -> Any:
+    def _run(self, problem: ConvexSubproblem) -> Any:
         matrix, pattern = self._pattern.update(), self._pattern
         cost = self._cost(problem)
         if self._solver is not None:
@@ -321,7 +316,7 @@ class RobotProgram:
         self._solver.warm_start(x=z, y=y)
         return self._solver.solve(raise_error=False)
 
-    def _cost(self, problem: Convexified) -> FloatArray:
+    def _cost(self, problem: ConvexSubproblem) -> FloatArray:
         cost = np.zeros(self._variables)
         cost[self._x[:-1]] = problem.effort_by_state
         cost[self._goal], cost[self._delta] = self._weights.goal, self._weights.state
@@ -358,27 +353,23 @@ class RobotProgram:
         )
         return solver
 
-    def _read(self, result: Any, problem: Convexified) -> Solution:
+    def _read(self, result: Any, problem: ConvexSubproblem) -> ProgramSolution:
         z, info = result.x, result.info
         if z is None or z.shape != (self._variables,):
             z = np.full(self._variables, np.nan)
         constant = float((problem.effort_by_state * problem.prior[:-1]).sum())
-        states = z[self._x]
-        return Solution(
-            velocity=states[:, self._dims :],
-            states=states,
+        return ProgramSolution(
+            states=z[self._x],
             controls=z[self._u],
             goal_slack=float(z[self._goal]),
             state_slack=float(z[self._delta]),
-            neighbor_slack=float(z[self._slack].sum()),
             objective=float(info.obj_val) - constant,
             status=str(info.status),
             iterations=int(info.iter),
-            solve_s=float(info.run_time),
         )
 
 
-def _known_and_reach(slope: FloatArray, problem: Convexified) -> tuple[FloatArray, FloatArray]:
+def _known_and_reach(slope: FloatArray, problem: ConvexSubproblem) -> tuple[FloatArray, FloatArray]:
     """Of slope (S, T, ..., 2 D) times states within steps: value at the prior, and range."""
     shape = (*slope.shape[:2], *(1,) * (slope.ndim - 3), -1)
     known = (slope * problem.bounded.reshape(shape)).sum(axis=-1)

@@ -44,7 +44,7 @@ class KdTree(NamedTuple):
     """Working memory of a query."""
 
 
-def kd_tree(capacity: int, dimensions: int) -> KdTree:
+def empty_kd_tree(capacity: int, dimensions: int) -> KdTree:
     """An empty tree.
 
     Args:
@@ -64,19 +64,19 @@ def kd_tree(capacity: int, dimensions: int) -> KdTree:
         used=np.zeros(2, np.int64),
         stack=np.zeros(_STACK, np.int64),
     )
-    clear(tree)
+    clear_points(tree)
     return tree
 
 
 @kernel
-def clear(tree: KdTree) -> None:
+def clear_points(tree: KdTree) -> None:
     """Forget all points."""
     tree.used[0], tree.used[1] = 0, 1
     _begin_leaf(tree, 0)
 
 
 @kernel
-def insert(tree: KdTree, point: FloatArray) -> int:
+def insert_point(tree: KdTree, point: FloatArray) -> int:
     """Add a point (D,) and return its index; the tree must not be full."""
     index = tree.used[0]
     tree.used[0] = index + 1
@@ -95,7 +95,7 @@ def insert(tree: KdTree, point: FloatArray) -> int:
 
 
 @kernel
-def nearest(tree: KdTree, query: FloatArray) -> int:
+def nearest_point(tree: KdTree, query: FloatArray) -> int:
     """Index of the point nearest to a query (D,); -1 if there is none."""
     best, found, height = np.inf, -1, 1
     tree.stack[0] = 0

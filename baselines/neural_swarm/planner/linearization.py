@@ -1,4 +1,4 @@
-"""The convex program of one robot, eq. (17), as plain arrays: all that is linearised, linearised.
+"""The convex subproblem of one robot, eq. (17), as arrays: forces and distances linearised.
 
 Everything is taken around the prior motions of all robots. What differs from the printed program,
 and why:
@@ -23,22 +23,21 @@ import numpy as np
 from swarm_envs.baselines.neural_swarm.planner.force_jacobian import force_jacobian
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
-    BOUNDED,
+    BOUNDED_FRACTIONS,
     Trajectories,
     closest_approach,
-    forces_at,
     position_within,
-    states_at,
+    states_within,
+    vertical_forces,
 )
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
-TINY = 1e-9
-"""Offsets shorter than this, m, have no direction."""
+_TINY = 1e-9  # m; shorter offsets have no direction
 
 
 @dataclass(frozen=True, eq=False)
-class Convexified:
+class ConvexSubproblem:
     """One robot's problem around a prior: T steps, D axes of motion, M neighbours. SI units."""
 
     dt: float
@@ -100,7 +99,7 @@ def convexify(
     trust_state: tuple[float, float],
     trust_control: float,
     force_bounds: FloatArray,
-) -> Convexified:
+) -> ConvexSubproblem:
     """Linearise one robot's problem around the prior motions of all.
 
     Args:
@@ -114,15 +113,15 @@ def convexify(
     axes, bounds, steps = list(problem.axes), problem.bounds, prior.steps
     columns, dims = axes + [3 + axis for axis in axes], len(axes)
     others = [j for j in range(len(problem.team)) if j != robot]
-    within = states_at(prior, BOUNDED)
-    felt = forces_at(problem, within)
+    within = states_within(prior, BOUNDED_FRACTIONS)
+    felt = vertical_forces(problem, within)
     states = np.concatenate([prior.states[:-1], within.reshape(-1, *within.shape[2:])])
     jacobian = force_jacobian(problem.model, problem.team, states, robot)[..., columns]
     by_state = jacobian[steps:, :, 2].reshape(*felt.shape, 2 * dims)
     share = -2.0 / problem.masses[others] * prior.controls[:, others, 2]
     normal, fraction, level = _half_spaces(problem, prior, robot, others)
     speed = np.full(dims, bounds.speed)
-    return Convexified(
+    return ConvexSubproblem(
         dt=prior.dt,
         mass=float(problem.masses[robot]),
         prior=prior.states[:, robot][:, columns],
@@ -134,7 +133,7 @@ def convexify(
         force=prior.forces[:-1, robot][:, axes],
         force_by_state=jacobian[:steps, robot][:, axes],
         effort_by_state=np.einsum("km,kmb->kb", share, jacobian[:steps, others, 2]),
-        shares=BOUNDED,
+        shares=BOUNDED_FRACTIONS,
         bounded=within[:, :, robot][..., columns],
         bounded_force=felt[:, :, robot],
         bounded_by_state=by_state[:, :, robot],
@@ -161,7 +160,7 @@ def _half_spaces(
     direction = near.offset[..., axes]
     length = np.linalg.norm(direction, axis=-1, keepdims=True)
     upward = np.eye(len(axes))[-1]
-    normal = np.where(length > TINY, direction / np.maximum(length, TINY), upward)
+    normal = np.where(length > _TINY, direction / np.maximum(length, _TINY), upward)
     there = position_within(prior.states[:, others], near.fraction, prior.dt)
     apart = problem.bounds.clearances(problem.team)[robot, others]
     return normal, near.fraction, apart + (normal * there[..., axes]).sum(axis=-1)

@@ -1,148 +1,53 @@
-"""`plan_swarm`: both stages of Algorithm 1 in one call."""
+"""`plan_swarm`: both stages of Algorithm 1 in one call, from a problem to a verified plan."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from tqdm import tqdm
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import Loop, SearchConfig, search
-from swarm_envs.baselines.neural_swarm.planner.convex_program import Weights
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import LoopRecord, SearchConfig
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search as search_team
+from swarm_envs.baselines.neural_swarm.planner.convex_program import PenaltyWeights
 from swarm_envs.baselines.neural_swarm.planner.plan import STATUSES, SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import (
+    ROUNDING,
     Plane,
     PlanningBounds,
     PlanningProblem,
     check_positive,
 )
 from swarm_envs.baselines.neural_swarm.planner.scp import (
-    Refinement,
     RefinementOptions,
+    RefinementResult,
     StepRecord,
-    measure,
+    merit_terms,
     refine,
 )
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
+    straight_lines,
     trajectories_through,
 )
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck, check_plan
 from swarm_envs.errors import check_array, check_integer
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import Team, parse_team
-
-
-@typed
-def straight_lines(
-    problem: PlanningProblem, steps: int | None = None, bend: npt.ArrayLike | None = None
-) -> Trajectories:
-    """Motions straight from starts to goals, all at once: a guess for stage 2 to refine.
-
-    Args:
-        problem: what is planned.
-        steps: number of steps T; None for as many as the problem allows.
-        bend: (N, 3) by how much each robot swerves half way, m; None for not at all.
-
-    Raises:
-        ValueError: the bend has another shape, or there is no step.
-    """
-    count = problem.steps if steps is None else check_integer("steps", steps, 1)
-    aside = np.zeros((len(problem.team), 3)) if bend is None else bend
-    swerve = 4.0 * check_array("bend", aside, problem.starts.shape, "(N, 3), m")
-    time = np.arange(count + 1) * problem.dt
-    progress = rest_to_rest(np.zeros(3), np.ones(3), count * problem.dt, time)
-    share, rate = progress.position[:, None], progress.velocity[:, None]
-    way = problem.goals - problem.starts
-    return _flown(problem, rate * (way + swerve * (1.0 - 2.0 * share)))
-
-
-def bent_lines(
-    problem: PlanningProblem, rng: np.random.Generator, tries: int = 30, size: float = 0.4
-) -> Trajectories:
-    """The best of some lines with random bends, by the merit of stage 2.
-
-    Args:
-        problem: what is planned.
-        rng: draws the bends.
-        tries: how many are looked at.
-        size: standard deviation of the bends, m.
-    """
-    weights, best, least = Weights(), None, np.inf
-    for _ in range(tries):
-        bend = np.zeros_like(problem.starts)
-        bend[:, problem.axes] = size * rng.standard_normal((len(bend), len(problem.axes)))
-        lines = straight_lines(problem, bend=bend)
-        merit = measure(problem, lines).team(weights)
-        if merit < least:
-            best, least = lines, merit
-    assert best is not None
-    return best
-
-
-def _flown(problem: PlanningProblem, velocity: npt.NDArray[np.float64]) -> Trajectories:
-    """Motions from the starts at velocities (T + 1, N, 3), m/s, that are at rest at first."""
-    way = np.cumsum(0.5 * problem.dt * (velocity[1:] + velocity[:-1]), axis=0)
-    position = problem.starts + np.concatenate([np.zeros_like(way[:1]), way])
-    return trajectories_through(problem, np.concatenate([position, velocity], axis=-1))
-
-
-_LEAST_TIME = 1e-3
-"""A search gets at least so much time, s: then it plans one tree and finds the time is up."""
-
-
-def first_motions(
-    problem: PlanningProblem,
-    config: SearchConfig,
-    rng: np.random.Generator,
-    deadline: float,
-    watch: Callable[[str], None],
-) -> tuple[Trajectories, dict[str, Any]]:
-    """Search motions for all robots by stage 1; bent lines if none are found.
-
-    Args:
-        problem: what is planned.
-        config: options of stage 1.
-        rng: of everything drawn.
-        deadline: `time.monotonic()` at which the search ends, s.
-        watch: told in words how the search goes.
-
-    Returns:
-        The motions, and what the search says of itself.
-    """
-
-    def say(loop: Loop) -> None:
-        watch(f"search: cost {loop.cost:.3g} after {loop.iterations} iterations")
-
-    left = deadline - time.monotonic()
-    limits = [x for x in (config.time_limit, max(left, _LEAST_TIME)) if x is not None]
-    limited = replace(config, time_limit=min(limits)) if np.isfinite(min(limits)) else config
-    found = search(problem, limited, rng, say)
-    about = {
-        "found": found.trajectories is not None,
-        "stop": found.stop,
-        "loops": len(found.loops),
-        "iterations": found.iterations if found.loops else 0,
-    }
-    if found.trajectories is not None:
-        return found.trajectories, about
-    return bent_lines(problem, rng), about
-
 
 SEARCH = SearchConfig(iterations=40_000)
 """Options of stage 1: stage 2 needs a good class of motions, not the best motions of it."""
 ATTEMPTS = 3
 """How often both stages are run, each time drawn anew, until a plan keeps everything."""
-_SEARCH_SHARE = 0.6
-"""Of the time that is left, what stage 1 may take."""
-_NEXT_TO_NOTHING = 1e-9
+_SEARCH_SHARE = 0.6  # of the time that is left: what stage 1 may take
+_SHORTEST_SEARCH_S = 1e-3  # then it plans one tree and finds the time is up
+_GUESSES, _BEND_M = 30, 0.4  # bent lines that are drawn, and their standard deviation
 
 
 @typed
@@ -164,14 +69,14 @@ def plan_swarm(
     options: RefinementOptions | None = None,
     progress: bool = False,
 ) -> SwarmPlan:
-    """Plan the motions of a team that blows on itself (Neural-Swarm2, Algorithm 1).
+    """Plan the motions of a team under interaction forces (Neural-Swarm2, Algorithm 1).
 
     Args:
         starts: (N, 3) start positions, m; robots rest there.
         goals: (N, 3) goal positions, m; robots rest there at the end.
         team: the N vehicles, such as `"SSL"`.
-        model: what the planner believes of the forces: a model, its name or path; None or
-            `"none"` for a planner that knows of none.
+        model: the planner's model of the forces, its name or path; None or `"none"` for a planner
+            that knows of none.
         bounds: what the plan must keep to; None for the paper's.
         seed: of everything drawn. Without a time limit, same seed, same plan.
         plane: `"xyz"`, or `"yz"` for motion in one vertical plane.
@@ -207,28 +112,26 @@ def plan_swarm(
     )
     check_integer("seed", seed, 0)
     if initial is not None:
-        check_initial(problem, initial)
+        _check_initial(problem, initial)
     deadline = math.inf if time_limit is None else began + time_limit
-    with _Progress(progress) as bar:
-        best: SwarmPlan | None = None
+    plans: list[SwarmPlan] = []
+    with tqdm(desc="plan", unit="program", disable=not progress) as bar:
         for attempt in range(check_integer("attempts", attempts, 1)):
-            plan = _attempt(
-                problem, seed, attempt, initial, search or SEARCH, options, deadline, bar
-            )
-            if best is None or _rank(plan) < _rank(best):
-                best = plan
-            if best.converged or initial is not None or time.monotonic() > deadline:
+            stages = _Stages(problem, [seed, attempt], search or SEARCH, options, deadline, bar)
+            plans.append(stages.plan(initial))
+            if plans[-1].converged or initial is not None or time.monotonic() > deadline:
                 break
-    assert best is not None
-    return best
+    return min(plans, key=_rank)
 
 
-def check_initial(problem: PlanningProblem, initial: Trajectories) -> None:
-    """Refuse motions that are no guess for this problem.
+def _rank(plan: SwarmPlan) -> tuple[bool, bool, float]:
+    """What orders plans, the best first: converged, feasible, cheap."""
+    merit = plan.history[-1].merit if plan.history else math.inf
+    return not plan.converged, bool(plan.check.shortcomings()), merit
 
-    Raises:
-        ValueError: another team, time step or starts, or too long; the message says which.
-    """
+
+def _check_initial(problem: PlanningProblem, initial: Trajectories) -> None:
+    """Refuse motions that are no guess for this problem: another team, time step or starts."""
     team, steps = len(problem.team), initial.steps
     check_array("initial.states", initial.states, (steps + 1, team, 6))
     check_array("initial.controls", initial.controls, (steps, team, 3))
@@ -241,55 +144,95 @@ def check_initial(problem: PlanningProblem, initial: Trajectories) -> None:
         )
     rest = np.concatenate([problem.starts, np.zeros((team, 3))], axis=1)
     missed = float(np.abs(initial.states[0] - rest).max())
-    if missed > _NEXT_TO_NOTHING:
+    if missed > ROUNDING:
         raise ValueError(
             f"initial begins {missed:.3g} (m, m/s) away from rest at the starts; its first state "
             "must be that"
         )
 
 
-def _attempt(
-    problem: PlanningProblem,
-    seed: int,
-    attempt: int,
-    initial: Trajectories | None,
-    config: SearchConfig,
-    options: RefinementOptions | None,
-    deadline: float,
-    bar: _Progress,
-) -> SwarmPlan:
-    rng, began = np.random.default_rng([seed, attempt]), time.monotonic()
-    search: dict[str, Any] = {}
-    if initial is None:
-        limit = began + _SEARCH_SHARE * (deadline - began)
-        initial, search = first_motions(problem, config, rng, limit, bar.search)
-    else:
-        initial = trajectories_through(problem, initial.states)
-    searched = time.monotonic()
-    refined = refine(problem, initial, rng, options, deadline, bar.refine)
-    check = check_plan(problem, refined.trajectories)
-    status, reason = _outcome(refined, check)
-    return SwarmPlan(
-        team=problem.team,
-        starts=problem.starts,
-        goals=problem.goals,
-        trajectories=refined.trajectories,
-        initial=initial,
-        bounds=problem.bounds,
-        plane=problem.plane,
-        model_name=problem.model.name,
-        model_fingerprint=problem.model.fingerprint,
-        seed=seed,
-        status=status,
-        reason=reason,
-        check=check,
-        search=search | {"attempt": attempt},
-        history=refined.history,
-        seconds={"stage 1": searched - began, "stage 2": time.monotonic() - searched},
-    )
+class _Stages:
+    """Both stages of one attempt, whose draws come from the seed and the attempt's number."""
+
+    def __init__(
+        self,
+        problem: PlanningProblem,
+        seeds: list[int],
+        search: SearchConfig,
+        options: RefinementOptions | None,
+        deadline: float,
+        bar: Any,
+    ) -> None:
+        self.problem, self.seeds, self.deadline, self.bar = problem, seeds, deadline, bar
+        self.search, self.options = search, options
+        self.rng = np.random.default_rng(seeds)
+
+    def plan(self, initial: Trajectories | None) -> SwarmPlan:
+        """Search, unless motions are given, then refine and verify."""
+        problem, began = self.problem, time.monotonic()
+        about: dict[str, Any] = {}
+        if initial is None:
+            initial, about = self.first_motions(began)
+        else:
+            initial = trajectories_through(problem, initial.states)
+        searched = time.monotonic()
+        refined = refine(problem, initial, self.rng, self.options, self.deadline, self.show_program)
+        check = check_plan(problem, refined.trajectories)
+        status, reason = _outcome(refined, check)
+        return SwarmPlan(
+            team=problem.team,
+            starts=problem.starts,
+            goals=problem.goals,
+            trajectories=refined.trajectories,
+            initial=initial,
+            bounds=problem.bounds,
+            plane=problem.plane,
+            model_name=problem.model.name,
+            model_fingerprint=problem.model.fingerprint,
+            seed=self.seeds[0],
+            status=status,
+            reason=reason,
+            check=check,
+            search=about | {"attempt": self.seeds[1]},
+            history=refined.history,
+            seconds={"stage 1": searched - began, "stage 2": time.monotonic() - searched},
+        )
+
+    def first_motions(self, began: float) -> tuple[Trajectories, dict[str, Any]]:
+        """Motions of stage 1, or bent lines if it finds none; and what the search did."""
+        left = began + _SEARCH_SHARE * (self.deadline - began) - time.monotonic()
+        limit = min(self.search.time_limit or math.inf, max(left, _SHORTEST_SEARCH_S))
+        config = replace(self.search, time_limit=limit) if limit < math.inf else self.search
+        found = search_team(self.problem, config, self.rng, self.show_loop)
+        about = {
+            "found": found.trajectories is not None,
+            "stop": found.stop,
+            "loops": len(found.loops),
+            "iterations": found.iterations,
+        }
+        return found.trajectories or _bent_lines(self.problem, self.rng), about
+
+    def show_loop(self, loop: LoopRecord) -> None:
+        """Tell the progress bar of an outer loop of stage 1."""
+        self.bar.set_postfix_str(f"search: cost {loop.cost:.3g} after {loop.iterations} iterations")
+
+    def show_program(self, record: StepRecord) -> None:
+        """Tell the progress bar of a program of stage 2."""
+        self.bar.set_postfix_str(f"sweep {record.sweep}, merit {record.merit:.4g}", refresh=False)
+        self.bar.update()
 
 
-def _outcome(refined: Refinement, check: PlanCheck) -> tuple[str, str]:
+def _bent_lines(problem: PlanningProblem, rng: np.random.Generator) -> Trajectories:
+    """The best of some lines with random bends, by the merit of stage 2."""
+    limits, guesses = problem.bounds.force_bounds(problem.team), []
+    for _ in range(_GUESSES):
+        bend = np.zeros_like(problem.starts)
+        bend[:, problem.axes] = _BEND_M * rng.standard_normal((len(bend), len(problem.axes)))
+        guesses.append(straight_lines(problem, bend=bend))
+    return min(guesses, key=lambda m: merit_terms(problem, m, limits).team(PenaltyWeights()))
+
+
+def _outcome(refined: RefinementResult, check: PlanCheck) -> tuple[str, str]:
     """Status and reason of a plan."""
     lacks = "; ".join(check.shortcomings())
     converged, time_limit, iteration_limit, not_feasible = STATUSES
@@ -298,33 +241,3 @@ def _outcome(refined: Refinement, check: PlanCheck) -> tuple[str, str]:
     else:
         status = time_limit if refined.out_of_time else iteration_limit
     return status, f"{refined.reason}; {lacks}" if lacks else refined.reason
-
-
-def _rank(plan: SwarmPlan) -> tuple[bool, bool, float]:
-    """What orders plans, the best first: converged, feasible, cheap."""
-    merit = plan.history[-1].merit if plan.history else math.inf
-    return not plan.converged, bool(plan.check.shortcomings()), merit
-
-
-class _Progress:
-    """A bar over the programs of stage 2 that also says what stage 1 does; silent if not shown."""
-
-    def __init__(self, shown: bool) -> None:
-        from tqdm import tqdm
-
-        self._bar: Any = tqdm(desc="plan", unit="program", disable=not shown)
-
-    def __enter__(self) -> _Progress:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def search(self, words: str) -> None:
-        """Stage 1 reports."""
-        self._bar.set_postfix_str(words)
-
-    def refine(self, record: StepRecord) -> None:
-        """Stage 2 has solved a program."""
-        self._bar.set_postfix_str(f"sweep {record.sweep}, merit {record.merit:.4g}", refresh=False)
-        self._bar.update()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import json
 import math
 import zipfile
@@ -51,7 +52,7 @@ class SwarmPlan:
     plane: Plane
     """In which plane robots move."""
     model_name: str
-    """The force model that the planner believed; `none` if it planned unaware of forces."""
+    """The planner's force model; `none` if it planned unaware of forces."""
     model_fingerprint: str
     """SHA-256 of that model's numbers."""
     seed: int
@@ -138,7 +139,7 @@ class SwarmPlan:
             ValueError: another suffix.
             OSError: the file cannot be written.
         """
-        write_plan(Path(path), self)
+        _write(Path(path), self)
 
     @classmethod
     def load(cls, path: str | Path) -> SwarmPlan:
@@ -148,18 +149,18 @@ class SwarmPlan:
             ValueError: another suffix, or the file is damaged; the message says what is wrong.
             OSError: the file cannot be read.
         """
-        return read_plan(Path(path))
+        return _read(Path(path))
 
 
-VERSION = 1
-"""Of the format; a file of another is refused."""
+# ---- Files of plans: npz or JSON, written whole, refused when damaged
+
+_VERSION = 1  # of the format; a file of another is refused
 _SUFFIXES = (".npz", ".json")
 _PARTS = ("states", "controls", "forces")
 _MOTIONS = ("trajectories", "initial")
 
 
-def write_plan(path: Path, plan: SwarmPlan) -> None:
-    """Write a plan; see `SwarmPlan.save`."""
+def _write(path: Path, plan: SwarmPlan) -> None:
     _check_suffix(path)
     arrays, about = _arrays(plan), _about(plan)
     about["sha256"] = _digest(arrays, about)
@@ -171,12 +172,14 @@ def write_plan(path: Path, plan: SwarmPlan) -> None:
         np.savez_compressed(partial, **written)
 
 
-def read_plan(path: Path) -> SwarmPlan:
-    """Read a plan; see `SwarmPlan.load`."""
+def _read(path: Path) -> SwarmPlan:
     _check_suffix(path)
     try:
-        about, arrays = _read_json(path) if path.suffix == ".json" else _read_npz(path)
-        return _assemble(about, arrays)
+        if path.suffix == ".npz":
+            arrays = _read_npz(path)
+            return _assemble(json.loads(str(arrays.pop("about"))), arrays)
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return _assemble(content.pop("about"), content)
     except OSError:
         raise
     except (ValueError, TypeError, KeyError, AttributeError, zipfile.BadZipFile) as error:
@@ -191,9 +194,8 @@ def _check_suffix(path: Path) -> None:
 
 def _arrays(plan: SwarmPlan) -> dict[str, FloatArray]:
     arrays = {"starts": plan.starts, "goals": plan.goals}
-    for owner in _MOTIONS:
-        for part in _PARTS:
-            arrays[f"{owner}_{part}"] = getattr(getattr(plan, owner), part)
+    for owner, part in itertools.product(_MOTIONS, _PARTS):
+        arrays[f"{owner}_{part}"] = getattr(getattr(plan, owner), part)
     return arrays
 
 
@@ -201,7 +203,7 @@ def _about(plan: SwarmPlan) -> dict[str, Any]:
     """All but the arrays, as JSON has it; infinite numbers, of teams of one, as null."""
     bounds = dataclasses.asdict(dataclasses.replace(plan.bounds, force_g={}))
     about = {
-        "version": VERSION,
+        "version": _VERSION,
         "team": [dataclasses.asdict(vehicle) for vehicle in plan.team],
         "bounds": bounds | {"force_g": dict(plan.bounds.force_g)},
         "dt": plan.trajectories.dt,
@@ -237,34 +239,26 @@ def _digest(arrays: dict[str, FloatArray], about: dict[str, Any]) -> str:
     return digest.hexdigest()
 
 
-def _read_json(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
-    content = json.loads(path.read_text(encoding="utf-8"))
-    return content.pop("about"), content
-
-
-def _read_npz(path: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def _read_npz(path: Path) -> dict[str, Any]:
     try:
         # numpy leaves a file open that it opens itself and cannot read.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
-            arrays = {name: content[name] for name in content.files}
+            return {name: content[name] for name in content.files}
     except EOFError as error:
         raise ValueError("it is cut short") from error
-    return json.loads(str(arrays.pop("about"))), arrays
 
 
 def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
-    if about["version"] != VERSION:
-        raise ValueError(f"it is of version {about['version']!r}, but must be of {VERSION}")
-    team = tuple(_vehicle(entry) for entry in about["team"])
-    arrays, count = {}, len(team)
-    for name in ("starts", "goals"):
-        arrays[name] = check_array(name, raw[name], (count, 3))
+    if about["version"] != _VERSION:
+        raise ValueError(f"it is of version {about['version']!r}, but must be of {_VERSION}")
+    team = tuple(Vehicle(**_with_tuples(entry)) for entry in about["team"])
+    count = len(team)
+    shapes: dict[str, tuple[int, ...]] = {"starts": (count, 3), "goals": (count, 3)}
     for owner in _MOTIONS:
         steps = len(raw[f"{owner}_controls"])
-        shapes = ((steps + 1, count, 6), (steps, count, 3), (steps + 1, count, 3))
-        for part, shape in zip(_PARTS, shapes):
-            name = f"{owner}_{part}"
-            arrays[name] = check_array(name, raw[name], shape)
+        widths = ((steps + 1, count, 6), (steps, count, 3), (steps + 1, count, 3))
+        shapes |= {f"{owner}_{part}": shape for part, shape in zip(_PARTS, widths)}
+    arrays = {name: check_array(name, raw[name], shape) for name, shape in shapes.items()}
     if about["sha256"] != _digest(arrays, about):
         raise ValueError("its numbers are not those that were written: the checksum differs")
     motions: dict[str, Any] = {
@@ -272,29 +266,20 @@ def _assemble(about: dict[str, Any], raw: dict[str, Any]) -> SwarmPlan:
         for owner in _MOTIONS
     }
     kept = ("plane", "model_name", "model_fingerprint", "seed", "reason", "search", "seconds")
+    check: dict[str, Any] = {k: math.inf if v is None else v for k, v in about["check"].items()}
     return SwarmPlan(
         team=team,
         starts=arrays["starts"],
         goals=arrays["goals"],
-        bounds=_bounds(about["bounds"]),
+        bounds=PlanningBounds(**_with_tuples(about["bounds"])),
         status=check_name("status", about["status"], STATUSES),
-        check=_check(about["check"]),
+        check=PlanCheck(**check),
         history=tuple(StepRecord(**record) for record in about["history"]),
         **motions,
         **{name: about[name] for name in kept},
     )
 
 
-def _vehicle(entry: dict[str, Any]) -> Vehicle:
-    given: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}
-    return Vehicle(**given)
-
-
-def _bounds(entry: dict[str, Any]) -> PlanningBounds:
-    corners = {name: tuple(entry[name]) for name in ("lower", "upper")}
-    return PlanningBounds(**(entry | corners))
-
-
-def _check(entry: dict[str, Any]) -> PlanCheck:
-    given: dict[str, Any] = {k: math.inf if v is None else v for k, v in entry.items()}
-    return PlanCheck(**given)
+def _with_tuples(entry: dict[str, Any]) -> dict[str, Any]:
+    """The entry with tuples where JSON has made lists of them."""
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in entry.items()}

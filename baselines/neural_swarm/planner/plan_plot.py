@@ -1,11 +1,10 @@
-"""Plans as pictures, like Fig. 6: paths with the drones on them, and the forces over time."""
+"""Pictures of plans, like Fig. 6: paths with the drones on them, and the forces over time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -23,26 +22,19 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _AXES = "xyz"
-_METRES_PER_GRAM = 0.03
-"""Length of a force's arrow."""
-_VISIBLE_G = 0.5
-"""Weaker forces get no arrow."""
-_OUTLINES = 5
-"""Moments at which drones are drawn, start and end among them."""
+_METRES_PER_GRAM = 0.03  # length of a force's arrow
+_VISIBLE_G = 0.5  # weaker forces get no arrow
+_FORCE_COLOR = "#C0392B"
+_OUTLINES = 5  # moments at which drones are drawn, start and end among them
 
 
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """One column of a picture: motions and the forces that are felt on them."""
+class _Column(NamedTuple):
+    """One column of a picture: motions, and the vertical forces (T + 1, N), g, on them."""
 
     title: str
-    """What stands above."""
     states: FloatArray
-    """(T + 1, N, 6) positions (m) and velocities (m/s)."""
     force_g: FloatArray
-    """(T + 1, N) vertical forces, grams."""
     times: FloatArray
-    """(T + 1,) s."""
 
 
 @typed
@@ -66,7 +58,7 @@ def plot_plan(
     """
     stages = (("Stage 1: search", plan.initial), ("Stage 2: refined", plan.trajectories))
     columns = [
-        Motion(title, m.states, m.forces[..., 2] / GRAM_FORCE, m.times) for title, m in stages
+        _Column(title, m.states, m.forces[..., 2] / GRAM_FORCE, m.times) for title, m in stages
     ]
     if unaware is not None:
         columns.append(_met_by(unaware, plan, model))
@@ -92,7 +84,7 @@ def plot_plan(
         _add_legend(figure, plan)
 
 
-def _met_by(unaware: SwarmPlan, plan: SwarmPlan, model: InteractionModel | None) -> Motion:
+def _met_by(unaware: SwarmPlan, plan: SwarmPlan, model: InteractionModel | None) -> _Column:
     if model is None:
         raise ValueError("an unaware plan is given, but no model of the forces it will meet")
     if unaware.team != plan.team:
@@ -101,18 +93,20 @@ def _met_by(unaware: SwarmPlan, plan: SwarmPlan, model: InteractionModel | None)
             f"{team_string(plan.team)!r}; give plans of one team"
         )
     forces = predict_forces(model, plan.team, unaware.states)[..., 2] / GRAM_FORCE
-    return Motion("Planned without forces", unaware.states, forces, unaware.times)
+    return _Column("Planned without forces", unaware.states, forces, unaware.times)
 
 
-def _aspect(columns: Sequence[Motion], view: tuple[int, int]) -> float:
+def _aspect(columns: Sequence[_Column], view: tuple[int, int]) -> float:
     """Height over width of the paths' frame, within reason."""
     points = np.concatenate([motion.states[..., :3].reshape(-1, 3) for motion in columns])
     wide, high = (float(np.ptp(points[:, axis])) + 0.5 for axis in view)
     return min(max(high / wide, 0.5), 1.2)
 
 
-def _draw_paths(axis: Axes, plan: SwarmPlan, motion: Motion, view: tuple[int, int]) -> None:
+def _draw_paths(axis: Axes, plan: SwarmPlan, motion: _Column, view: tuple[int, int]) -> None:
     """Paths of all drones, outlines at some moments, arrows of the forces if seen from the side."""
+    from matplotlib.patches import Circle
+
     colors, last = drone_colors(plan.team), len(motion.times) - 1
     moments = np.linspace(0, last, _OUTLINES).round().astype(np.int64)
     for i, (vehicle, color) in enumerate(zip(plan.team, colors)):
@@ -125,20 +119,15 @@ def _draw_paths(axis: Axes, plan: SwarmPlan, motion: Motion, view: tuple[int, in
             if view[1] == 2:
                 draw_drone(axis, vehicle, first[k], second[k], color, alpha)
             else:
-                _draw_disc(axis, (first[k], second[k]), vehicle.radius, color, alpha)
+                place = (first[k], second[k])
+                axis.add_patch(
+                    Circle(place, vehicle.radius, facecolor=color, alpha=0.6 * alpha, zorder=5)
+                )
         goal = plan.goals[i, list(view)]
         axis.plot(*goal, marker="x", color=color, markersize=7, markeredgewidth=1.6, zorder=7)
     axis.set_aspect("equal", adjustable="datalim")
     axis.set_xlabel(f"{_AXES[view[0]]} (m)")
     axis.grid(True)
-
-
-def _draw_disc(
-    axis: Axes, place: tuple[float, float], radius: float, color: str, alpha: float
-) -> None:
-    from matplotlib.patches import Circle
-
-    axis.add_patch(Circle(place, radius, facecolor=color, alpha=0.6 * alpha, zorder=5))
 
 
 def _draw_arrows(axis: Axes, across: FloatArray, up: FloatArray, force_g: FloatArray) -> None:
@@ -147,20 +136,17 @@ def _draw_arrows(axis: Axes, across: FloatArray, up: FloatArray, force_g: FloatA
     if not felt.any():
         return
     style: Any = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
-    length = _METRES_PER_GRAM * force_g[felt]
-    axis.quiver(
-        across[felt], up[felt], np.zeros_like(length), length, color="#C0392B", zorder=4, **style
-    )
-    ends = np.column_stack([across[felt], up[felt] + length])
-    axis.update_datalim(ends)
+    x, y, length = across[felt], up[felt], _METRES_PER_GRAM * force_g[felt]
+    axis.quiver(x, y, np.zeros_like(length), length, color=_FORCE_COLOR, zorder=4, **style)
+    axis.update_datalim(np.column_stack([x, y + length]))
 
 
-def _draw_forces(axis: Axes, plan: SwarmPlan, motion: Motion) -> None:
+def _draw_forces(axis: Axes, plan: SwarmPlan, motion: _Column) -> None:
     """Vertical forces over time, and the bound of each type, dashed."""
-    for i, color in enumerate(drone_colors(plan.team)):
-        axis.plot(motion.times, motion.force_g[:, i], color=color, linewidth=1.6)
-    limits = plan.bounds.force_bounds(plan.team) / GRAM_FORCE
-    for limit, color in zip(limits, drone_colors(plan.team)):
+    colors, limits = drone_colors(plan.team), plan.bounds.force_bounds(plan.team) / GRAM_FORCE
+    for force, color in zip(motion.force_g.T, colors):
+        axis.plot(motion.times, force, color=color, linewidth=1.6)
+    for limit, color in zip(limits, colors):
         for sign in (-1, 1):
             axis.axhline(sign * limit, color=color, linewidth=1.0, linestyle="--", alpha=0.7)
     axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
@@ -181,5 +167,5 @@ def _add_legend(figure: Figure, plan: SwarmPlan) -> None:
     )
     lines += [Line2D([], [], color=INK, label=label, **style) for label, style in others]
     arrow = f"force, {10 * _METRES_PER_GRAM:.1f} m for 10 g"
-    lines.append(Line2D([], [], color="#C0392B", linewidth=1.6, label=arrow))
+    lines.append(Line2D([], [], color=_FORCE_COLOR, linewidth=1.6, label=arrow))
     figure.legend(handles=lines, loc="outside lower center", ncols=min(len(lines), 9))

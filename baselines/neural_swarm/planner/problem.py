@@ -78,16 +78,10 @@ class PlanningBounds:
         Raises:
             ValueError: a vehicle's token has no bound.
         """
-        for vehicle in team:
-            if vehicle.token not in self.force_g:
-                raise ValueError(
-                    unknown_name(
-                        "vehicle token",
-                        vehicle.token,
-                        self.force_g,
-                        "in the team, looked up in force_g",
-                    )
-                )
+        for token in (vehicle.token for vehicle in team):
+            if token not in self.force_g:
+                where = "in the team, looked up in force_g"
+                raise ValueError(unknown_name("vehicle token", token, self.force_g, where))
         return np.array([self.force_g[vehicle.token] for vehicle in team]) * GRAM_FORCE
 
     def clearances(self, team: Team) -> FloatArray:
@@ -112,16 +106,17 @@ def check_positive(name: str, value: object) -> None:
 Plane = Literal["xyz", "yz"]
 """`"xyz"`: motion in space. `"yz"`: each robot keeps the x of its start (Fig. 6 and 7)."""
 
-_NEXT_TO_NOTHING = 1e-9
+ROUNDING = 1e-9
+"""Differences of states up to this, m and m/s, count as none."""
 _MOST_STEPS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """Where robots start and end, what they are, and what blows between them (eq. 6).
+    """Starts, goals, vehicles and force model of a team whose motions are to be planned (eq. 6).
 
-    Positions in m, world frame, z up; every robot is at rest at its start and its goal. The bounds
-    of the forces hold in what `model` believes.
+    Positions in m, world frame, z up; every robot is at rest at its start and its goal. The force
+    bounds hold for the forces that `model` predicts.
 
     Raises:
         ValueError: the problem has no solution whatever the plan: a start or goal lies outside the
@@ -136,7 +131,7 @@ class PlanningProblem:
     team: Team
     """The N vehicles; a string such as `"SSL"` is read."""
     model: InteractionModel = field(default_factory=lambda: load("learned"))
-    """What the planner believes of the forces f_a."""
+    """The planner's model of the interaction forces f_a."""
     bounds: PlanningBounds = field(default_factory=PlanningBounds)
     """What the plan must keep to."""
     dt: float = 0.1
@@ -149,14 +144,12 @@ class PlanningProblem:
     def __post_init__(self) -> None:
         """Read the arguments and refuse what cannot be planned."""
         team = parse_team(self.team)
-        shape = (len(team), 3)
-        settled = {
-            "team": team,
-            "starts": _frozen("starts", self.starts, shape),
-            "goals": _frozen("goals", self.goals, shape),
-        }
-        for name, value in settled.items():
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "team", team)
+        for name in ("starts", "goals"):
+            rows = "one row of x, y, z for each drone of the team"
+            places = check_array(name, getattr(self, name), (len(team), 3), rows).copy()
+            places.flags.writeable = False
+            object.__setattr__(self, name, places)
         check_positive("dt", self.dt)
         check_positive("max_duration", self.max_duration)
         if not 1 <= self.steps <= _MOST_STEPS:
@@ -190,7 +183,7 @@ class PlanningProblem:
 
     def _check_plane(self) -> None:
         moved = np.abs(self.goals[:, 0] - self.starts[:, 0])
-        if self.plane == "yz" and moved.max() > _NEXT_TO_NOTHING:
+        if self.plane == "yz" and moved.max() > ROUNDING:
             i = int(moved.argmax())
             raise ValueError(
                 f"drone {i} starts at x = {self.starts[i, 0]:g} m with its goal at "
@@ -266,9 +259,3 @@ def shortest_time(
 def hover_force(model: InteractionModel, places: FloatArray, team: Sequence[Vehicle]) -> FloatArray:
     """Vertical force f_a,z (N,) on drones that all hover at (N, 3) m, newton."""
     return model.forces(places[None], np.zeros_like(places)[None], team)[0, :, 2]
-
-
-def _frozen(name: str, value: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    array = check_array(name, value, shape, "one row of x, y, z for each drone of the team").copy()
-    array.flags.writeable = False
-    return array

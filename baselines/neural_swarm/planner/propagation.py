@@ -1,4 +1,4 @@
-"""One step of one robot among moving neighbours: propagation and validity (Algorithm 1, 9 and 10).
+"""State propagation and validity of one robot among moving neighbours (Algorithm 1, lines 9, 10).
 
 A state is [p, v, f_a] with its time, the knot. Valid is a step that stays in the box and below the
 largest speed, keeps its distance all along, and ends where no robot's force, no change of a
@@ -22,6 +22,10 @@ from swarm_envs.interactions.scratch import Scratch, scratch_for
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 
+INVALID = -1.0
+"""What a step costs that must not be flown."""
+_SLACK = 1e-9  # rounding
+
 
 class Scene(NamedTuple):
     """One robot's planning problem as compiled kernels read it; robot 0 of n is the one planned.
@@ -30,7 +34,7 @@ class Scene(NamedTuple):
     """
 
     field: PackedField
-    """The believed force model."""
+    """The planner's force model."""
     types: IntArray
     """(n,) interaction types."""
     mass: FloatArray
@@ -77,26 +81,26 @@ class Scene(NamedTuple):
     """Whether the robot is steered to rest at its goal after it arrived, or stays as it is."""
 
 
-class Work(NamedTuple):
+class WorkingState(NamedTuple):
     """Working memory: all n robots as they are at one knot."""
 
     position: FloatArray
-    """Positions that forces are evaluated at, m."""
+    """(n, 3) m."""
     velocity: FloatArray
-    """Velocities that forces are evaluated at, m/s."""
+    """(n, 3) m/s."""
     force: FloatArray
-    """Forces that come out, N."""
+    """(n, 3) forces there, N."""
     scratch: Scratch
     """Working memory of the force model, which knows the robots' types."""
 
 
-def work_for(scene: Scene) -> Work:
+def working_state(scene: Scene) -> WorkingState:
     """Working memory for a scene."""
     n = len(scene.types)
     position, velocity, force = np.zeros((3, n, 3))
     scratch = scratch_for(scene.field, 1, n)
     scratch.drones["type"] = scene.types
-    return Work(position, velocity, force, scratch)
+    return WorkingState(position, velocity, force, scratch)
 
 
 def make_scene(
@@ -107,7 +111,7 @@ def make_scene(
     edge: int,
     tracked: bool,
 ) -> Scene:
-    """Set the scene for planning one robot among those that have motions.
+    """The scene for planning one robot among those that have motions.
 
     Args:
         problem: the whole problem.
@@ -120,15 +124,22 @@ def make_scene(
     others = [j for j in planned if j != robot]
     index, bounds = [robot, *others], problem.bounds
     team = tuple(problem.team[j] for j in index)
-    was_planned = robot in planned
-    alone, before = _forces_on_others(problem, states, others, robot if was_planned else None)
-    acceleration = np.zeros((len(states), len(index), 3))
+    knots, start, goal = len(states), problem.starts[robot], problem.goals[robot]
+    alone, before = np.zeros((knots, len(others), 3)), np.zeros((knots, len(index)))
+    guide = (
+        states[:, robot].copy() if robot in planned else _straight(start, goal, knots, problem.dt)
+    )
+    if others:
+        alone = predict_forces(problem.model, team[1:], states[:, others])
+        before[:, 1:] = alone[..., 2]
+        if robot in planned:
+            before[:] = predict_forces(problem.model, team, states[:, index])[..., 2]
+    acceleration = np.zeros((knots, len(index), 3))
     acceleration[:-1, 1:] = np.diff(states[:, others, 3:], axis=0) / problem.dt
     mass, free = problem.masses[index], np.zeros(3)
     free[list(problem.axes)] = 1.0
     types = problem.model.type_indices(team)
     drag = problem.model.field.drag[types[0]] / mass[0]
-    start, goal = problem.starts[robot], problem.goals[robot]
     return Scene(
         field=problem.model.packed,
         types=types,
@@ -143,9 +154,7 @@ def make_scene(
         cost_left=_cost_left(acceleration[:, 1:], alone, mass[1:], problem.dt),
         start=start.copy(),
         goal=goal.copy(),
-        guide=states[:, robot].copy()
-        if was_planned
-        else _straight(start, goal, len(states), problem.dt),
+        guide=guide,
         lower=np.where(free > 0.0, bounds.lower, start - 1e-6),
         upper=np.where(free > 0.0, bounds.upper, start + 1e-6),
         free=free,
@@ -153,28 +162,11 @@ def make_scene(
             [bounds.speed, bounds.acceleration, bounds.goal_distance, bounds.goal_speed]
         ),
         drag=drag,
-        table=responses(drag, problem.dt, len(states) - 1),
+        table=responses(drag, problem.dt, knots - 1),
         dt=problem.dt,
         edge=edge,
         tracked=tracked,
     )
-
-
-def _forces_on_others(
-    problem: PlanningProblem, states: FloatArray, others: list[int], robot: int | None
-) -> tuple[FloatArray, FloatArray]:
-    """Forces (K + 1, n - 1, 3) without the robot; vertical ones (K + 1, n) as they are now, N."""
-    before = np.zeros((len(states), 1 + len(others)))
-    alone = np.zeros((len(states), len(others), 3))
-    if others:
-        team = tuple(problem.team[j] for j in others)
-        alone = predict_forces(problem.model, team, states[:, others])
-        before[:, 1:] = alone[..., 2]
-        if robot is not None:
-            index = [robot, *others]
-            whole = tuple(problem.team[j] for j in index)
-            before = predict_forces(problem.model, whole, states[:, index])[..., 2]
-    return alone, np.ascontiguousarray(before)
 
 
 def _cost_left(
@@ -193,13 +185,11 @@ def _straight(start: FloatArray, goal: FloatArray, knots: int, dt: float) -> Flo
     return np.concatenate((start + share * (goal - start), speed), axis=1)
 
 
-INVALID = -1.0
-"""What a step costs that must not be flown."""
-_SLACK = 1e-9  # rounding
+# ---- Compiled: one step, and whether it is valid
 
 
 @kernel
-def feel(scene: Scene, knot: int, work: Work) -> None:
+def evaluate_forces(scene: Scene, knot: int, work: WorkingState) -> None:
     """Put the others where they are at a knot, and evaluate the forces on all robots."""
     drones, robots = work.scratch.drones, work.position.shape[0]
     for j in range(robots):
@@ -216,7 +206,7 @@ def feel(scene: Scene, knot: int, work: Work) -> None:
 
 
 @kernel
-def forces_allowed(scene: Scene, knot: int, work: Work) -> bool:
+def forces_allowed(scene: Scene, knot: int, work: WorkingState) -> bool:
     """Whether all forces at a knot, and the others' controls against them, are within bounds."""
     for j in range(work.force.shape[0]):
         force = work.force[j, 2]
@@ -234,7 +224,7 @@ def forces_allowed(scene: Scene, knot: int, work: Work) -> bool:
 
 
 @kernel
-def control_cost(scene: Scene, knot: int, control: FloatArray, work: Work) -> float:
+def control_cost(scene: Scene, knot: int, control: FloatArray, work: WorkingState) -> float:
     """Sum over all robots of ||u|| at a knot: this robot's control, the others' against forces."""
     total = math.sqrt(control[0] ** 2 + control[1] ** 2 + control[2] ** 2)
     for j in range(1, work.force.shape[0]):
@@ -247,7 +237,7 @@ def control_cost(scene: Scene, knot: int, control: FloatArray, work: Work) -> fl
 
 
 @kernel
-def closest(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+def squared_distance(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
     """Squared distance of the origin from the segment between two points."""
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     length = x * x + y * y + z * z
@@ -257,8 +247,8 @@ def closest(a: tuple[float, float, float], b: tuple[float, float, float]) -> flo
 
 
 @kernel
-def offset(
-    scene: Scene, knot: int, j: int, work: Work, acceleration: FloatArray, t: float
+def relative_position(
+    scene: Scene, knot: int, j: int, work: WorkingState, acceleration: FloatArray, t: float
 ) -> tuple[float, float, float]:
     """Where robot j is, seen from this one, a time t after a knot, m."""
     place, speed, change = scene.position[knot, j], scene.velocity[knot, j], work.velocity[0]
@@ -270,24 +260,24 @@ def offset(
 
 
 @kernel
-def keeps_clear(scene: Scene, knot: int, work: Work, acceleration: FloatArray) -> bool:
+def keeps_clearance(scene: Scene, knot: int, work: WorkingState, acceleration: FloatArray) -> bool:
     """Whether the step after a knot keeps its distance from all others, also between knots.
 
     The relative path, a parabola, is taken as two chords: off by |a| dt^2 / 32, 3 mm at 10 m/s^2
     and 0.1 s.
     """
     for j in range(1, work.position.shape[0]):
-        a = offset(scene, knot, j, work, acceleration, 0.0)
-        b = offset(scene, knot, j, work, acceleration, 0.5 * scene.dt)
-        c = offset(scene, knot, j, work, acceleration, scene.dt)
-        if min(closest(a, b), closest(b, c)) < scene.clearance[j] ** 2:
+        a = relative_position(scene, knot, j, work, acceleration, 0.0)
+        b = relative_position(scene, knot, j, work, acceleration, 0.5 * scene.dt)
+        c = relative_position(scene, knot, j, work, acceleration, scene.dt)
+        if min(squared_distance(a, b), squared_distance(b, c)) < scene.clearance[j] ** 2:
             return False
     return True
 
 
 @kernel
-def step(
-    scene: Scene, knot: int, control: FloatArray, acceleration: FloatArray, work: Work
+def propagate(
+    scene: Scene, knot: int, control: FloatArray, acceleration: FloatArray, work: WorkingState
 ) -> float:
     """Fly one step from a knot.
 
@@ -308,7 +298,7 @@ def step(
         if abs(control[k]) > limit + _SLACK:
             return INVALID
         acceleration[k] = scene.free[k] * (control[k] + work.force[0, k] / scene.mass[0])
-    if not keeps_clear(scene, knot, work, acceleration):
+    if not keeps_clearance(scene, knot, work, acceleration):
         return INVALID
     for k in range(3):
         here, v = work.position[0, k], work.velocity[0, k]
@@ -318,7 +308,7 @@ def step(
         outside = there < scene.lower[k] or there > scene.upper[k]
         if outside or abs(work.velocity[0, k]) > speed + _SLACK:
             return INVALID
-    feel(scene, knot + 1, work)
+    evaluate_forces(scene, knot + 1, work)
     if not forces_allowed(scene, knot + 1, work):
         return INVALID
     return cost

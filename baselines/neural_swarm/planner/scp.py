@@ -22,27 +22,29 @@ import numpy as np
 
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
+    PenaltyWeights,
+    ProgramSolution,
     RobotProgram,
-    Solution,
     SolverSettings,
-    Weights,
 )
 from swarm_envs.baselines.neural_swarm.planner.linearization import convexify
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
-    BOUNDED,
-    CHECKED,
+    BOUNDED_FRACTIONS,
+    CHECKED_FRACTIONS,
     Trajectories,
-    closest_approach,
-    excess_of_forces,
+    integrate_velocity,
+    pairwise_approach,
+    states_within,
     trajectories_through,
+    vertical_forces,
 )
 from swarm_envs.state import FloatArray
 
 
 @dataclass(frozen=True, eq=False)
-class Shortfalls:
-    """The effort of a team, and by how much its motions miss goals and bounds."""
+class MeritTerms:
+    """The terms of the merit: the effort of a team, and by how much it misses goals and bounds."""
 
     effort: FloatArray
     """(N,) sum of ||u||^2, m^2/s^4."""
@@ -57,58 +59,53 @@ class Shortfalls:
     control: FloatArray
     """(N,) excess over the control bound, summed over knots and axes, m/s^2."""
 
-    def team(self, weights: Weights) -> float:
+    def team(self, weights: PenaltyWeights) -> float:
         """The merit of all: what the whole refinement decreases."""
         pairs = self.apart.sum() / 2.0
         soft = pairs + self.force.sum() + self.control.sum()
         hard = weights.goal * self.goal.sum() + weights.state * self.state.sum()
         return float(self.effort.sum() + hard + weights.neighbor * soft)
 
-    def robot(self, i: int, weights: Weights) -> float:
+    def robot(self, i: int, weights: PenaltyWeights) -> float:
         """The part of the merit that robot i's program sees."""
         others = self.apart[i].sum() + self.force.sum() - self.force[i]
         hard = weights.goal * self.goal[i] + weights.state * self.state[i]
         return float(self.effort[i] + hard + weights.neighbor * others)
 
 
-def measure(
-    problem: PlanningProblem, motions: Trajectories, force_bounds: FloatArray | None = None
-) -> Shortfalls:
-    """Measure motions that fit their controls and forces (`trajectories_through`).
-
-    Args:
-        problem: what is planned.
-        motions: of all robots.
-        force_bounds: (N,) largest vertical force on each, N; None for those of the problem.
-    """
+def merit_terms(
+    problem: PlanningProblem, motions: Trajectories, force_bounds: FloatArray
+) -> MeritTerms:
+    """Evaluate motions that fit their controls and forces; `force_bounds` (N,), N, may be lower."""
     bounds, axes = problem.bounds, list(problem.axes)
     position, velocity = motions.position[1:][..., axes], motions.velocity[1:][..., axes]
     controls = motions.controls[..., axes]
     low, high = np.array(bounds.lower)[axes], np.array(bounds.upper)[axes]
     outside = np.maximum(position - high, low - position).max(axis=(0, 2))
     fast = np.abs(velocity).max(axis=(0, 2)) - bounds.speed
-    strong = excess_of_forces(problem, motions, BOUNDED, force_bounds).max(axis=0)
-    apart = missing_clearance(problem, motions).sum(axis=0)
+    strong = _force_excess(problem, motions, BOUNDED_FRACTIONS, force_bounds).max(axis=0)
+    lacking = bounds.clearances(problem.team) - pairwise_approach(motions).distance
     end = np.concatenate([position[-1] - problem.goals[:, axes], velocity[-1]], axis=-1)
-    return Shortfalls(
+    return MeritTerms(
         effort=(controls**2).sum(axis=(0, 2)),
         goal=np.abs(end).max(axis=-1),
         state=np.maximum(np.maximum(outside, fast), strong.max(axis=0)).clip(min=0.0),
-        apart=apart,
+        apart=lacking.clip(min=0.0).sum(axis=0),
         force=strong.clip(min=0.0).sum(axis=0),
         control=(np.abs(controls) - bounds.acceleration).clip(min=0.0).sum(axis=(0, 2)),
     )
 
 
-def missing_clearance(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
-    """Clearance (T, N, N) that each pair lacks at its closest approach in each step, m."""
-    offset = motions.states[:, :, None] - motions.states[:, None]
-    distance = closest_approach(offset, motions.dt).distance
-    return np.asarray((problem.bounds.clearances(problem.team) - distance).clip(min=0.0))
+def _force_excess(
+    problem: PlanningProblem, motions: Trajectories, fractions: FloatArray, bounds: FloatArray
+) -> FloatArray:
+    """Vertical force over its bound, less 1, at S fractions of each step: (S, T, N)."""
+    forces = vertical_forces(problem, states_within(motions, fractions))
+    return np.asarray(np.abs(forces) / bounds - 1.0)
 
 
 _NEARLY = 5e-3
-"""Part of a force bound by which it may be exceeded between knots."""
+"""Share of a force bound by which it may be exceeded between knots."""
 
 
 @typed
@@ -136,7 +133,7 @@ class RefinementOptions:
     """Share of the trust region that robots have at least after that."""
     tolerance: float = 2e-4
     """Share of the merit that a step must promise, else the robot has settled."""
-    weights: Weights = Weights()
+    weights: PenaltyWeights = PenaltyWeights()
     """Of goals and bounds."""
     solver: SolverSettings = SolverSettings()
     """Of each program."""
@@ -155,14 +152,14 @@ class RefinementOptions:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One robot's program: what was asked, what came of it."""
+    """One robot's program: what was asked, what came of it. Files of plans keep these names."""
 
     sweep: int
     """Which time all robots are planned, from 0."""
     robot: int
     """Index of the robot."""
     status: str
-    """The solver's word."""
+    """The solver's status."""
     iterations: int
     """The solver's iterations."""
     step_ms: float
@@ -170,17 +167,17 @@ class StepRecord:
     trust: float
     """Share of the trust region that was allowed."""
     promised: float
-    """Fall of the merit that the linearised program promised."""
+    """Predicted reduction of the merit, by the linearised program."""
     gained: float
-    """Fall of the team's merit on the nonlinear model; negative: it would have risen."""
+    """Actual reduction of the team's merit on the nonlinear model; negative: an increase."""
     taken: bool
-    """Whether the step was taken."""
+    """Whether the step was accepted."""
     merit: float
     """The team's merit afterwards."""
 
 
 @dataclass(frozen=True)
-class Refinement:
+class RefinementResult:
     """The result of stage 2."""
 
     trajectories: Trajectories
@@ -195,41 +192,38 @@ class Refinement:
     """Why it ended, in words."""
 
 
-class _Search:
+class _Refiner:
     """The state of one refinement."""
 
     def __init__(
         self, problem: PlanningProblem, motions: Trajectories, options: RefinementOptions
     ) -> None:
-        team, steps = len(problem.team), motions.steps
+        team, steps, dims = len(problem.team), motions.steps, len(problem.axes)
         self.problem, self.motions, self.options = problem, motions, options
         self.force_bounds, self.tightened = problem.bounds.force_bounds(problem.team), 0
-        self._measure()
         self.trust, self.settled = np.ones(team), np.zeros(team, dtype=np.bool_)
         self.history: list[StepRecord] = []
-        self.programs = [
-            RobotProgram(
-                steps, len(problem.axes), team - 1, motions.dt, options.weights, options.solver
-            )
-            for _ in range(team)
-        ]
+        shape = (steps, dims, team - 1, motions.dt)
+        self.programs = [RobotProgram(*shape, options.weights, options.solver) for _ in range(team)]
+        self.evaluate()
 
-    def _measure(self) -> None:
-        self.shortfalls = measure(self.problem, self.motions, self.force_bounds)
-        self.merit = self.shortfalls.team(self.options.weights)
+    def evaluate(self) -> None:
+        """The merit of the present motions under the present force bounds."""
+        self.terms = merit_terms(self.problem, self.motions, self.force_bounds)
+        self.merit = self.terms.team(self.options.weights)
 
     def tighten(self) -> bool:
         """Lower the bounds of forces that are exceeded between knots; says whether any was."""
-        peak = excess_of_forces(self.problem, self.motions, CHECKED).max(axis=(0, 1))
+        bounds = self.problem.bounds.force_bounds(self.problem.team)
+        peak = _force_excess(self.problem, self.motions, CHECKED_FRACTIONS, bounds).max(axis=(0, 1))
         excess = 1.0 + np.maximum(peak, 0.0)
         if self.tightened == self.options.max_tightenings or excess.max() < 1.0 + _NEARLY:
             return False
         self.tightened += 1
-        self.force_bounds = self.force_bounds / (
-            excess * np.where(excess > 1.0, 1.0 + _NEARLY, 1.0)
-        )
+        margin = np.where(excess > 1.0, 1.0 + _NEARLY, 1.0)
+        self.force_bounds = self.force_bounds / (excess * margin)
         self.settled[:], self.trust[:] = False, np.maximum(self.trust, self.options.renewed_trust)
-        self._measure()
+        self.evaluate()
         return True
 
     def step(self, sweep: int, robot: int) -> None:
@@ -245,7 +239,7 @@ class _Search:
         )
         solution = self.programs[robot].solve(convex)
         spent = time.perf_counter() - began
-        own = self.shortfalls.robot(robot, options.weights)
+        own = self.terms.robot(robot, options.weights)
         promised = own - solution.objective if solution.usable else 0.0
         gained = self._try(robot, solution)
         taken = gained > 0.0
@@ -273,16 +267,17 @@ class _Search:
             )
         )
 
-    def _try(self, robot: int, solution: Solution) -> float:
+    def _try(self, robot: int, solution: ProgramSolution) -> float:
         """Take the step if the team's merit falls; returns by how much it falls or would."""
         if not solution.usable:
             return 0.0
-        motions = moved(self.problem, self.motions, robot, solution.velocity)
-        shortfalls = measure(self.problem, motions, self.force_bounds)
-        merit = shortfalls.team(self.options.weights)
+        velocity = solution.states[:, len(self.problem.axes) :]
+        motions = with_velocity(self.problem, self.motions, robot, velocity)
+        terms = merit_terms(self.problem, motions, self.force_bounds)
+        merit = terms.team(self.options.weights)
         gained = self.merit - merit
         if gained > 0.0:
-            self.motions, self.shortfalls, self.merit = motions, shortfalls, merit
+            self.motions, self.terms, self.merit = motions, terms, merit
         return gained
 
 
@@ -293,7 +288,7 @@ def refine(
     options: RefinementOptions | None = None,
     deadline: float = float("inf"),
     watch: Callable[[StepRecord], None] | None = None,
-) -> Refinement:
+) -> RefinementResult:
     """Refine motions until no robot can improve the team's plan.
 
     Args:
@@ -305,44 +300,39 @@ def refine(
         deadline: `time.monotonic()` after which no program is begun, s.
         watch: called after every program.
     """
-    search = _Search(problem, initial, options or RefinementOptions())
+    state = _Refiner(problem, initial, options or RefinementOptions())
     out_of_time = False
-    for sweep in range(search.options.max_sweeps):
+    for sweep in range(state.options.max_sweeps):
         for robot in rng.permutation(len(problem.team)):
             out_of_time = time.monotonic() > deadline
             if out_of_time:
                 break
-            search.step(sweep, int(robot))
+            state.step(sweep, int(robot))
             if watch is not None:
-                watch(search.history[-1])
-        if out_of_time or (search.settled.all() and not search.tighten()):
+                watch(state.history[-1])
+        if out_of_time or (state.settled.all() and not state.tighten()):
             break
-    converged = bool(search.settled.all())
+    converged = bool(state.settled.all())
     if converged:
         reason = "no robot's program promises an improvement any more"
     elif out_of_time:
         reason = "the time limit was reached"
     else:
-        reason = f"the merit still fell after {search.options.max_sweeps} sweeps"
-    return Refinement(search.motions, tuple(search.history), converged, out_of_time, reason)
+        reason = f"the merit still fell after {state.options.max_sweeps} sweeps"
+    return RefinementResult(state.motions, tuple(state.history), converged, out_of_time, reason)
 
 
-def moved(
+def with_velocity(
     problem: PlanningProblem, motions: Trajectories, robot: int, velocity: FloatArray
 ) -> Trajectories:
     """The motions with one robot flying at other velocities, all controls following the forces.
 
-    Args:
-        problem: what is planned.
-        motions: of all robots.
-        robot: the one that changes.
-        velocity: (T + 1, D) its velocities at the knots, along the axes of motion, m/s.
+    `velocity` (T + 1, D), m/s, is along the axes of motion.
     """
-    states, axes = motions.states.copy(), list(problem.axes)
+    states = motions.states.copy()
     new = np.zeros((len(velocity), 3))
-    new[:, axes] = velocity
+    new[:, list(problem.axes)] = velocity
     new[0] = states[0, robot, 3:]
-    way = np.cumsum(0.5 * motions.dt * (new[1:] + new[:-1]), axis=0)
     states[:, robot, 3:] = new
-    states[1:, robot, :3] = states[0, robot, :3] + way
+    states[1:, robot, :3] = integrate_velocity(states[0, robot, :3], new, motions.dt)[1:]
     return trajectories_through(problem, states)

@@ -1,4 +1,9 @@
-"""The search tree of stage 1, and how it grows (Algorithm 1, lines 4 to 15)."""
+"""The search tree of AO-RRT: edges of constant control, kept if valid and cheap enough.
+
+`grow_tree` is the inner loop of stage 1 (Algorithm 1, lines 4 to 15). A node is a state with its
+time and its cost; a new edge holds a random control, or steers towards a sampled position, or to
+rest at the goal.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +13,18 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.planner.kd_tree import (
     KdTree,
-    clear,
-    insert,
-    kd_tree,
-    nearest,
+    clear_points,
+    empty_kd_tree,
+    insert_point,
+    nearest_point,
 )
 from swarm_envs.baselines.neural_swarm.planner.propagation import (
     INVALID,
     Scene,
-    Work,
-    feel,
+    WorkingState,
+    evaluate_forces,
     forces_allowed,
-    step,
+    propagate,
 )
 from swarm_envs.baselines.neural_swarm.planner.steering import (
     impulse_cost,
@@ -38,9 +43,28 @@ METRIC = (1.0, 0.3, 2.0, 1.0)
 cost of the direct flight. The force f_a follows from position, velocity and time, so its weight is
 none."""
 _PULL, _DAMP = 4.0, 4.0  # critically damped, settles within two seconds
+CANDIDATES = 5
+"""Random nodes among which the most promising is taken."""
+SPREAD, SPEED_SPREAD = 0.6, 0.8
+"""Largest standard deviations of samples about the guide, m and m/s; most are far closer."""
+LONGEST_LEG = 10
+"""Edges in the longest motion towards a sample that lies in the past."""
 
 
-class Tree(NamedTuple):
+class Chances(NamedTuple):
+    """Probabilities of what the search does in an iteration."""
+
+    goal: float = 0.5
+    """To try a flight from a new node straight to the goal."""
+    action: float = 0.3
+    """To hold a random action for one edge; else towards the sample's position."""
+    promising: float = 0.4
+    """To start from the most promising of a few random nodes; else from the nearest to a sample."""
+    guided: float = 0.7
+    """To sample near the guide; else uniformly."""
+
+
+class SearchTree(NamedTuple):
     """Nodes of a search tree; the arrays are the storage, written in place."""
 
     state: FloatArray
@@ -65,16 +89,16 @@ class Tree(NamedTuple):
     """(5, 3) working memory."""
 
 
-def search_tree(capacity: int, robots: int) -> Tree:
+def empty_tree(capacity: int, robots: int) -> SearchTree:
     """Storage for trees of so many nodes, of scenes with at most so many robots."""
-    return Tree(
+    return SearchTree(
         state=np.zeros((capacity, 6)),
         force=np.zeros((capacity, robots, 3)),
         control=np.zeros((capacity, 3)),
         cost=np.zeros(capacity),
         knot=np.zeros(capacity, np.int64),
         parent=np.zeros(capacity, np.int64),
-        places=kd_tree(capacity, DIMENSIONS),
+        places=empty_kd_tree(capacity, DIMENSIONS),
         point=np.zeros(DIMENSIONS),
         scale=np.zeros(4),
         vector=np.zeros((5, 3)),
@@ -82,7 +106,7 @@ def search_tree(capacity: int, robots: int) -> Tree:
 
 
 @part
-def put_point(tree: Tree, state: FloatArray, knot: float, cost: float) -> None:
+def write_point(tree: SearchTree, state: FloatArray, knot: float, cost: float) -> None:
     """Write a state (6,), time and cost into `tree.point`, scaled by the metric."""
     for k in range(3):
         tree.point[k] = tree.scale[0] * state[k]
@@ -92,7 +116,9 @@ def put_point(tree: Tree, state: FloatArray, knot: float, cost: float) -> None:
 
 
 @part
-def add(tree: Tree, parent: int, control: FloatArray, knot: int, cost: float, work: Work) -> int:
+def add_node(
+    tree: SearchTree, parent: int, control: FloatArray, knot: int, cost: float, work: WorkingState
+) -> int:
     """Add what the working memory holds as a node; return its index, or NONE without room."""
     node = tree.places.used[0]
     if node == tree.cost.shape[0]:
@@ -102,8 +128,8 @@ def add(tree: Tree, parent: int, control: FloatArray, knot: int, cost: float, wo
     for k in range(3):
         tree.control[node, k] = control[k]
     copy_forces(work.force, tree.force[node], len(work.force))
-    put_point(tree, tree.state[node], knot, cost)
-    return insert(tree.places, tree.point)
+    write_point(tree, tree.state[node], knot, cost)
+    return insert_point(tree.places, tree.point)
 
 
 @part
@@ -115,7 +141,7 @@ def copy_forces(source: FloatArray, target: FloatArray, robots: int) -> None:
 
 
 @part
-def load(tree: Tree, node: int, work: Work) -> None:
+def load_node(tree: SearchTree, node: int, work: WorkingState) -> None:
     """Put a node's state and forces into the working memory."""
     for k in range(3):
         work.position[0, k], work.velocity[0, k] = tree.state[node, k], tree.state[node, 3 + k]
@@ -123,14 +149,14 @@ def load(tree: Tree, node: int, work: Work) -> None:
 
 
 @part
-def write_state(work: Work, out: FloatArray) -> None:
+def write_state(work: WorkingState, out: FloatArray) -> None:
     """Write this robot's position and velocity into a state (6,)."""
     for k in range(3):
         out[k], out[3 + k] = work.position[0, k], work.velocity[0, k]
 
 
 @part
-def plant(scene: Scene, tree: Tree, work: Work) -> float:
+def plant_root(scene: Scene, tree: SearchTree, work: WorkingState) -> float:
     """Start a tree at the scene's start; return the cost of the direct flight, all robots', m/s."""
     direct = tree.vector[0]
     for k in range(3):
@@ -140,16 +166,16 @@ def plant(scene: Scene, tree: Tree, work: Work) -> float:
     cost = impulse_cost(scene.table, last, direct, work.velocity[0]) + scene.cost_left[0]
     tree.scale[0], tree.scale[1] = METRIC[0], METRIC[1]
     tree.scale[2], tree.scale[3] = METRIC[2] / last, METRIC[3] / (cost + 0.1)
-    clear(tree.places)
-    feel(scene, 0, work)
+    clear_points(tree.places)
+    evaluate_forces(scene, 0, work)
     for k in range(3):
         direct[k] = 0.0
-    add(tree, NONE, direct, 0, 0.0, work)
+    add_node(tree, NONE, direct, 0, 0.0, work)
     return cost
 
 
 @part
-def outlook(scene: Scene, tree: Tree, node: int) -> float:
+def estimate_cost(scene: Scene, tree: SearchTree, node: int) -> float:
     """Cost of the whole flight through a node if nothing but drag acted on from there, m/s."""
     knot, last = tree.knot[node], scene.position.shape[0] - 1
     total = tree.cost[node] + scene.cost_left[knot]
@@ -163,26 +189,26 @@ def outlook(scene: Scene, tree: Tree, node: int) -> float:
 
 @part
 def extend(
-    scene: Scene, tree: Tree, node: int, control: FloatArray, bound: float, work: Work
+    scene: Scene, tree: SearchTree, node: int, control: FloatArray, bound: float, work: WorkingState
 ) -> int:
     """Add an edge of constant control; return the new node, NONE if it is invalid or too dear."""
     knot, cost = tree.knot[node], tree.cost[node]
     if knot + scene.edge > scene.position.shape[0] - 1:
         return NONE
-    load(tree, node, work)
+    load_node(tree, node, work)
     for _ in range(scene.edge):
-        spent = step(scene, knot, control, tree.vector[1], work)
+        spent = propagate(scene, knot, control, tree.vector[1], work)
         if spent == INVALID:
             return NONE
         cost += spent
         knot += 1
         if cost + scene.cost_left[knot] >= bound:
             return NONE
-    return add(tree, node, control, knot, cost, work)
+    return add_node(tree, node, control, knot, cost, work)
 
 
 @part
-def offset_drift(scene: Scene, tree: Tree, node: int, control: FloatArray) -> bool:
+def subtract_drift(scene: Scene, tree: SearchTree, node: int, control: FloatArray) -> bool:
     """Subtract from a control what acts on a node besides drag; whether it is within limits."""
     for k in range(3):
         drift = tree.force[node, 0, k] / scene.mass[0] + scene.drag[k] * tree.state[node, 3 + k]
@@ -193,8 +219,14 @@ def offset_drift(scene: Scene, tree: Tree, node: int, control: FloatArray) -> bo
 
 
 @part
-def reach(
-    scene: Scene, tree: Tree, node: int, place: FloatArray, edges: int, bound: float, work: Work
+def steer_towards(
+    scene: Scene,
+    tree: SearchTree,
+    node: int,
+    place: FloatArray,
+    edges: int,
+    bound: float,
+    work: WorkingState,
 ) -> int:
     """Add edges from a node towards a place (3,), there after so many edges; return the last."""
     control, way = tree.vector[2], tree.vector[3]
@@ -204,7 +236,7 @@ def reach(
             way[k] = place[k] - tree.state[last, k]
         speed = tree.state[last, 3:]
         found = reach_burst(scene.table, scene.edge, left, scene.limits[1], way, speed, control)
-        if not (found and offset_drift(scene, tree, last, control)):
+        if not (found and subtract_drift(scene, tree, last, control)):
             break
         new = extend(scene, tree, last, control, bound, work)
         if new == NONE:
@@ -214,7 +246,9 @@ def reach(
 
 
 @part
-def finish(scene: Scene, tree: Tree, node: int, edges: int, bound: float, work: Work) -> int:
+def steer_to_goal(
+    scene: Scene, tree: SearchTree, node: int, edges: int, bound: float, work: WorkingState
+) -> int:
     """Add edges from a node to rest at the goal after so many; NONE if that is impossible."""
     control, way = tree.vector[2], tree.vector[3]
     last, table, limit = node, scene.table, scene.limits[1]
@@ -225,7 +259,7 @@ def finish(scene: Scene, tree: Tree, node: int, edges: int, bound: float, work: 
             control[k] = -speed[k] / (scene.dt * scene.edge) + scene.drag[k] * speed[k]
         cost = rest_bursts(table, scene.edge, left, limit, way, speed, control) if left > 1 else 0.0
         ahead = tree.cost[last] + cost * scene.dt + scene.cost_left[tree.knot[last]]
-        if (left == edges and ahead >= bound) or not offset_drift(scene, tree, last, control):
+        if (left == edges and ahead >= bound) or not subtract_drift(scene, tree, last, control):
             return NONE
         if cost == np.inf:
             return NONE
@@ -236,7 +270,7 @@ def finish(scene: Scene, tree: Tree, node: int, edges: int, bound: float, work: 
 
 
 @part
-def at_goal(scene: Scene, tree: Tree, node: int) -> bool:
+def at_goal(scene: Scene, tree: SearchTree, node: int) -> bool:
     """Whether a node is within epsilon of the goal, in position and in velocity."""
     place, speed = 0.0, 0.0
     for k in range(3):
@@ -246,7 +280,7 @@ def at_goal(scene: Scene, tree: Tree, node: int) -> bool:
 
 
 @part
-def rest_control(scene: Scene, work: Work, control: FloatArray) -> None:
+def rest_control(scene: Scene, work: WorkingState, control: FloatArray) -> None:
     """The control after arrival: towards the goal by virtual tracking, or to rest at once."""
     for k in range(3):
         error, speed = work.position[0, k] - scene.goal[k], work.velocity[0, k]
@@ -255,65 +289,31 @@ def rest_control(scene: Scene, work: Work, control: FloatArray) -> None:
 
 
 @part
-def settle(
-    scene: Scene, tree: Tree, node: int, bound: float, work: Work, states: FloatArray
+def hold_at_goal(
+    scene: Scene, tree: SearchTree, node: int, bound: float, work: WorkingState, states: FloatArray
 ) -> float:
     """Stay at the goal from a node to the last knot, while the others fly on.
 
-    Args:
-        scene: what is around.
-        tree: the tree.
-        node: one at the goal.
-        bound: above it, no cost is of interest, m/s.
-        work: working memory.
-        states: (K + 1, 6) overwritten from the node's knot on, m and m/s.
-
-    Returns:
-        Cost of the whole flight, all robots', m/s; `INVALID` if it must not be flown.
+    Writes `states` (K + 1, 6) from the node's knot on; returns the cost of the whole flight, all
+    robots', m/s, or `INVALID` if it must not be flown or reaches the bound.
     """
     control, cost = tree.vector[2], tree.cost[node]
-    load(tree, node, work)
+    load_node(tree, node, work)
     for knot in range(tree.knot[node], states.shape[0]):
         write_state(work, states[knot])
         if knot == states.shape[0] - 1:
             break
         rest_control(scene, work, control)
-        spent = step(scene, knot, control, tree.vector[1], work)
+        spent = propagate(scene, knot, control, tree.vector[1], work)
         if spent == INVALID:
             return INVALID
         cost += spent
     return cost if cost < bound else INVALID
 
 
-FEW = 5
-"""Random nodes among which the most promising is taken."""
-SPREAD, SPEED_SPREAD = 0.6, 0.8
-"""Largest standard deviations of samples about the guide, m and m/s; most are far closer."""
-LEG = 10
-"""Edges in the longest motion towards a sample that lies in the past."""
-
-
-class Chances(NamedTuple):
-    """How often the search does what."""
-
-    goal: float = 0.5
-    """To try a flight from a new node straight to the goal."""
-    action: float = 0.3
-    """To hold a random action for one edge; else towards the sample's position."""
-    promising: float = 0.4
-    """To start from the most promising of a few random nodes; else from the nearest to a sample."""
-    guided: float = 0.7
-    """To sample near the guide; else uniformly."""
-
-
 @part
-def sample(
-    scene: Scene,
-    tree: Tree,
-    bound: float,
-    chances: Chances,
-    rng: np.random.Generator,
-    out: FloatArray,
+def sample_state(
+    scene: Scene, bound: float, chances: Chances, rng: np.random.Generator, out: FloatArray
 ) -> tuple[int, float]:
     """Draw a state (6,) into `out`, and a time and a cost, from the state-cost space."""
     last = scene.position.shape[0] - 1
@@ -332,9 +332,9 @@ def sample(
 
 
 @part
-def choose(
+def select_node(
     scene: Scene,
-    tree: Tree,
+    tree: SearchTree,
     state: FloatArray,
     knot: int,
     cost: float,
@@ -343,22 +343,22 @@ def choose(
 ) -> int:
     """The node to grow from: the nearest to a sample, or a promising one."""
     if rng.random() >= chances.promising:
-        put_point(tree, state, knot, cost)
-        return nearest(tree.places, tree.point)
+        write_point(tree, state, knot, cost)
+        return nearest_point(tree.places, tree.point)
     best, found = np.inf, 0
-    for _ in range(FEW):
+    for _ in range(CANDIDATES):
         node = rng.integers(0, tree.places.used[0])
-        total = outlook(scene, tree, node)
+        total = estimate_cost(scene, tree, node)
         if total < best:
             best, found = total, node
     return found
 
 
 @part
-def grow_once(
+def iterate_once(
     scene: Scene,
-    tree: Tree,
-    work: Work,
+    tree: SearchTree,
+    work: WorkingState,
     bound: float,
     worth: float,
     chances: Chances,
@@ -366,8 +366,8 @@ def grow_once(
     state: FloatArray,
 ) -> int:
     """One iteration (lines 6 to 11): sample, choose, act; return the new node, or NONE."""
-    knot, cost = sample(scene, tree, worth, chances, rng, state)
-    node = choose(scene, tree, state, knot, cost, chances, rng)
+    knot, cost = sample_state(scene, worth, chances, rng, state)
+    node = select_node(scene, tree, state, knot, cost, chances, rng)
     left = (scene.position.shape[0] - 1 - tree.knot[node]) // scene.edge
     if left == 0:
         return NONE
@@ -379,30 +379,32 @@ def grow_once(
     else:
         edges = (knot - tree.knot[node]) // scene.edge
         if edges < 1:
-            edges = rng.integers(1, min(left, LEG) + 1)
-        new = reach(scene, tree, node, state[:3], edges, bound, work)
+            edges = rng.integers(1, min(left, LONGEST_LEG) + 1)
+        new = steer_towards(scene, tree, node, state[:3], edges, bound, work)
         if new == node:
             return NONE
     return new
 
 
 @part
-def trace(scene: Scene, tree: Tree, node: int, work: Work, states: FloatArray) -> None:
+def write_path(
+    scene: Scene, tree: SearchTree, node: int, work: WorkingState, states: FloatArray
+) -> None:
     """Write the states (K + 1, 6) up to a node's knot, flying each edge on its path once more."""
     while tree.parent[node] != NONE:
         parent = tree.parent[node]
-        load(tree, parent, work)
+        load_node(tree, parent, work)
         for knot in range(tree.knot[parent], tree.knot[node]):
             write_state(work, states[knot])
-            step(scene, knot, tree.control[node], tree.vector[1], work)
+            propagate(scene, knot, tree.control[node], tree.vector[1], work)
         node = parent
 
 
 @kernel
-def grow(
+def grow_tree(
     scene: Scene,
-    tree: Tree,
-    work: Work,
+    tree: SearchTree,
+    work: WorkingState,
     bound: float,
     iterations: int,
     chances: Chances,
@@ -424,7 +426,7 @@ def grow(
     Returns:
         Cost of the flight, `INVALID` if none was found; iterations used; nodes in the tree.
     """
-    direct = plant(scene, tree, work)
+    direct = plant_root(scene, tree, work)
     drawn = np.zeros(6)
     if not forces_allowed(scene, 0, work):
         return INVALID, 0, 1
@@ -434,7 +436,7 @@ def grow(
         new = 0
         if iteration > 0:
             worth = min(bound, 2.0 * direct + 1.0)
-            new = grow_once(scene, tree, work, bound, worth, chances, rng, drawn)
+            new = iterate_once(scene, tree, work, bound, worth, chances, rng, drawn)
         if new == NONE:
             continue
         end, left = new, (states.shape[0] - 1 - tree.knot[new]) // scene.edge
@@ -442,10 +444,10 @@ def grow(
             end = NONE
             if left > 0 and (new == 0 or rng.random() < chances.goal):
                 edges = left if new == 0 or rng.random() < 0.5 else rng.integers(1, left + 1)
-                end = finish(scene, tree, new, edges, bound, work)
+                end = steer_to_goal(scene, tree, new, edges, bound, work)
         if end != NONE and at_goal(scene, tree, end):
-            cost = settle(scene, tree, end, bound, work, states)
+            cost = hold_at_goal(scene, tree, end, bound, work, states)
             if cost != INVALID:
-                trace(scene, tree, end, work, states)
+                write_path(scene, tree, end, work, states)
                 return cost, iteration + 1, tree.places.used[0]
     return INVALID, iterations, tree.places.used[0]

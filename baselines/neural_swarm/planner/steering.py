@@ -1,4 +1,4 @@
-"""Cheap motions of a double integrator with drag: bursts of constant control, coasting between.
+"""Steering of a double integrator with drag: bursts of constant control, coasting between.
 
 For min of the integral of ||u|| (eq. 6) between two states in a given time, thrust at both ends and
 coast between: by the maximum principle an optimal control acts where the adjoint of v is largest,
@@ -20,7 +20,7 @@ LONGEST_BURST = 8
 COAST, PUSH = 0, 1
 """Which of `responses`: a velocity without control, or a control held from rest."""
 PLACE, SPEED = 0, 1
-"""What of a response: the place, m, or the speed, m/s."""
+"""What of a response: the position, m, or the speed, m/s."""
 
 
 def responses(drag: FloatArray, dt: float, steps: int) -> FloatArray:
@@ -119,14 +119,7 @@ def rest_bursts(
 ) -> float:
     """Find the cheapest pair of bursts, now and last, that lead to a place at rest in time.
 
-    Args:
-        table: from `responses`.
-        edge: steps in an edge.
-        edges: edges until then, at least 2.
-        limit: largest |u| along an axis, m/s^2.
-        way: (3,) from here to the place, m.
-        velocity: (3,) here, m/s.
-        control: (3,) overwritten: the first burst's control, m/s^2.
+    Arguments are as of `reach_burst`, with at least 2 edges; `control` becomes the first burst's.
 
     Returns:
         The integral of ||u|| over both bursts in steps times m/s^2; infinite if there are none.

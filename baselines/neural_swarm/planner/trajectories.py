@@ -1,4 +1,4 @@
-"""Trajectories of a team on a common time grid, and the one rule by which states follow controls.
+"""Trajectories of a team on a common time grid: dynamics, motion within steps, closest approaches.
 
 Between knots the acceleration a = u + f_a / m is held, u the control and f_a the force at the knot
 before (eq. 13 and 14). A held acceleration moves a point exactly by
@@ -14,11 +14,14 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
+from swarm_envs.errors import check_array, check_integer
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
+from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import Team
 
 
@@ -72,20 +75,6 @@ class Trajectories:
         return float((self.controls**2).sum())
 
 
-def transition(dt: float) -> tuple[FloatArray, FloatArray]:
-    """Matrices (6, 6) and (6, 3) by which the next state follows: x' = A x + B a.
-
-    Args:
-        dt: length of the step, s.
-
-    Returns:
-        A and B, a being the whole acceleration u + f_a / m held over the step.
-    """
-    identity = np.eye(3)
-    a = np.block([[identity, dt * identity], [np.zeros((3, 3)), identity]])
-    return a, np.vstack([0.5 * dt * dt * identity, dt * identity])
-
-
 def predict_forces(model: InteractionModel, team: Team, states: FloatArray) -> FloatArray:
     """Forces f_a (K, N, 3) on every robot at K knots with states (K, N, 6), N."""
     return model.forces(states[..., :3], states[..., 3:], team)
@@ -103,27 +92,57 @@ def trajectories_through(problem: PlanningProblem, states: FloatArray) -> Trajec
     return Trajectories(states, controls, forces, problem.dt)
 
 
-def defects(problem: PlanningProblem, trajectories: Trajectories) -> FloatArray:
-    """By how much each step (T, N, 6) misses what its control and force lead to, m and m/s."""
-    states = trajectories.states
-    acceleration = trajectories.controls + trajectories.forces[:-1] / problem.masses[:, None]
-    a, b = transition(trajectories.dt)
-    return states[1:] - states[:-1] @ a.T - acceleration @ b.T
+def integrate_velocity(start: FloatArray, velocity: FloatArray, dt: float) -> FloatArray:
+    """Positions (T + 1, ..., 3) from a start (..., 3), m, at velocities (T + 1, ..., 3), m/s."""
+    way = np.cumsum(0.5 * dt * (velocity[1:] + velocity[:-1]), axis=0)
+    return np.asarray(start + np.concatenate([np.zeros_like(way[:1]), way]))
 
 
-_PIECES = 4
-"""Straight pieces for a step's parabola: a quarter of 0.1 s at 5 m/s^2 bends by 0.4 mm."""
+@typed
+def straight_lines(
+    problem: PlanningProblem, steps: int | None = None, bend: npt.ArrayLike | None = None
+) -> Trajectories:
+    """Motions straight from starts to goals, all at once: an initial guess for stage 2.
+
+    Args:
+        problem: what is planned.
+        steps: number of steps T; None for as many as the problem allows.
+        bend: (N, 3) by how much each robot swerves half way, m; None for not at all.
+
+    Raises:
+        ValueError: the bend has another shape, or there is no step.
+    """
+    count = problem.steps if steps is None else check_integer("steps", steps, 1)
+    aside = np.zeros((len(problem.team), 3)) if bend is None else bend
+    swerve = 4.0 * check_array("bend", aside, problem.starts.shape, "(N, 3), m")
+    time = np.arange(count + 1) * problem.dt
+    progress = rest_to_rest(np.zeros(3), np.ones(3), count * problem.dt, time)
+    share, rate = progress.position[:, None], progress.velocity[:, None]
+    way = problem.goals - problem.starts
+    velocity = rate * (way + swerve * (1.0 - 2.0 * share))
+    position = integrate_velocity(problem.starts, velocity, problem.dt)
+    return trajectories_through(problem, np.concatenate([position, velocity], axis=-1))
 
 
-class Approach(NamedTuple):
-    """The closest approach of pairs within each of T steps."""
+# ---- Within steps: robots come nearest, and forces peak, between knots as often as not
+
+BOUNDED_FRACTIONS = np.array([0.5, 1.0])
+"""Fractions of each step at which programs bound forces; the start of a motion is at rest."""
+CHECKED_FRACTIONS = np.array([0.25, 0.5, 0.75, 1.0])
+"""Fractions of each step at which a plan is checked."""
+_CHORDS = 4
+"""Chords for a step's parabola: a quarter of 0.1 s at 5 m/s^2 bends by 0.4 mm."""
+
+
+class ClosestApproach(NamedTuple):
+    """The closest approach of pairs within each of T steps: what eq. (17) keeps above r."""
 
     distance: FloatArray
     """(T, ...) smallest distance within the step, m."""
     offset: FloatArray
     """(T, ..., 3) offset there, m."""
     fraction: FloatArray
-    """(T, ...) share of the step at which it occurs, in [0, 1]."""
+    """(T, ...) fraction of the step at which it occurs, in [0, 1]."""
 
 
 def step_weights(fraction: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
@@ -133,7 +152,7 @@ def step_weights(fraction: FloatArray, dt: float) -> tuple[FloatArray, FloatArra
     ends, and a and b what is returned, s.
 
     Args:
-        fraction: (...) share tau of the step, in [0, 1].
+        fraction: (...) fraction tau of the step, in [0, 1].
         dt: length of the step, s.
     """
     half = 0.5 * fraction**2
@@ -145,7 +164,7 @@ def position_within(states: FloatArray, fraction: FloatArray, dt: float) -> Floa
 
     Args:
         states: (T + 1, ..., 6) states at the knots.
-        fraction: share of each step, that broadcasts against (T, ...).
+        fraction: fraction of each step, that broadcasts against (T, ...).
         dt: time between knots, s.
     """
     first, second = step_weights(fraction[..., None], dt)
@@ -153,22 +172,29 @@ def position_within(states: FloatArray, fraction: FloatArray, dt: float) -> Floa
     return np.asarray(start[..., :3] + first * start[..., 3:] + second * end[..., 3:])
 
 
-def state_within(states: FloatArray, fraction: FloatArray, dt: float) -> FloatArray:
-    """States (..., T, ..., 6) within each of T steps: as `position_within`, with velocities."""
-    start, change = states[:-1, ..., 3:], np.diff(states[..., 3:], axis=0)
-    position = position_within(states, fraction, dt)
+def states_within(motions: Trajectories, fractions: FloatArray) -> FloatArray:
+    """States (S, T, N, 6) of all robots at S fractions of each step."""
+    fraction = np.broadcast_to(fractions[:, None, None], (len(fractions), motions.steps, 1))
+    position = position_within(motions.states, fraction, motions.dt)
+    start, change = motions.velocity[:-1], np.diff(motions.velocity, axis=0)
     velocity = np.broadcast_to(start + fraction[..., None] * change, position.shape)
     return np.concatenate([position, velocity], axis=-1)
 
 
-def closest_approach(states: FloatArray, dt: float) -> Approach:
+def vertical_forces(problem: PlanningProblem, states: FloatArray) -> FloatArray:
+    """Vertical forces (S, T, N) on all robots in states (S, T, N, 6), N."""
+    flat = states.reshape(-1, *states.shape[2:])
+    return predict_forces(problem.model, problem.team, flat)[..., 2].reshape(states.shape[:-1])
+
+
+def closest_approach(states: FloatArray, dt: float) -> ClosestApproach:
     """The closest approach to the origin in every step of relative motions.
 
     Args:
         states: (T + 1, ..., 6) relative positions (m) and velocities (m/s) at the knots.
         dt: time between knots, s.
     """
-    corner = np.linspace(0.0, 1.0, _PIECES + 1).reshape(-1, *(1,) * (states.ndim - 1))
+    corner = np.linspace(0.0, 1.0, _CHORDS + 1).reshape(-1, *(1,) * (states.ndim - 1))
     points = position_within(states, corner, dt)
     way = np.diff(points, axis=0)
     square = (way**2).sum(axis=-1)
@@ -176,43 +202,11 @@ def closest_approach(states: FloatArray, dt: float) -> Approach:
     share = np.clip(along, 0.0, 1.0)
     nearest = points[:-1] + share[..., None] * way
     best = np.linalg.norm(nearest, axis=-1).argmin(axis=0)[None]
-    fraction = (best[0] + np.take_along_axis(share, best, axis=0)[0]) / _PIECES
+    fraction = (best[0] + np.take_along_axis(share, best, axis=0)[0]) / _CHORDS
     offset = position_within(states, fraction, dt)
-    return Approach(np.linalg.norm(offset, axis=-1), offset, fraction)
+    return ClosestApproach(np.linalg.norm(offset, axis=-1), offset, fraction)
 
 
-BOUNDED = np.array([0.5, 1.0])
-"""Moments of each step, in parts of it, at which programs bound forces; the start is at rest."""
-CHECKED = np.array([0.25, 0.5, 0.75, 1.0])
-"""Moments at which a plan is judged."""
-
-
-def states_at(motions: Trajectories, shares: FloatArray) -> FloatArray:
-    """States (S, T, N, 6) of all robots at S moments of each step, given in parts of it."""
-    fraction = np.broadcast_to(shares[:, None, None], (len(shares), motions.steps, 1))
-    return state_within(motions.states, fraction, motions.dt)
-
-
-def forces_at(problem: PlanningProblem, states: FloatArray) -> FloatArray:
-    """Vertical forces (S, T, N) on all robots in states (S, T, N, 6), N."""
-    flat = states.reshape(-1, *states.shape[2:])
-    return predict_forces(problem.model, problem.team, flat)[..., 2].reshape(states.shape[:-1])
-
-
-def excess_of_forces(
-    problem: PlanningProblem,
-    motions: Trajectories,
-    shares: FloatArray,
-    bounds: FloatArray | None = None,
-) -> FloatArray:
-    """Vertical force over its bound, less 1, at S moments of each step: (S, T, N).
-
-    Args:
-        problem: what is planned.
-        motions: of all robots.
-        shares: (S,) the moments, in parts of a step.
-        bounds: (N,) largest vertical force on each, N; None for those of the problem.
-    """
-    limits = problem.bounds.force_bounds(problem.team) if bounds is None else bounds
-    forces = forces_at(problem, states_at(motions, shares))
-    return np.asarray(np.abs(forces) / limits - 1.0)
+def pairwise_approach(motions: Trajectories) -> ClosestApproach:
+    """The closest approach (T, N, N) of every pair within each step."""
+    return closest_approach(motions.states[:, :, None] - motions.states[:, None], motions.dt)

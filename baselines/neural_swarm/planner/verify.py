@@ -1,4 +1,4 @@
-"""What a plan is worth when it is flown forward on the nonlinear model."""
+"""Verification: a plan's controls flown forward on the nonlinear model, and what it must keep."""
 
 from __future__ import annotations
 
@@ -8,13 +8,12 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
-    CHECKED,
+    CHECKED_FRACTIONS,
     Trajectories,
-    closest_approach,
-    forces_at,
+    pairwise_approach,
     predict_forces,
-    states_at,
-    transition,
+    states_within,
+    vertical_forces,
 )
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
@@ -62,29 +61,29 @@ class PlanCheck:
     def shortcomings(self, tolerances: Tolerances | None = None) -> tuple[str, ...]:
         """What of the plan is not good, in words; empty if all is."""
         t = tolerances or Tolerances()
-        rules = (
-            (self.goal_error_m <= t.goal_m, f"a goal is missed by {self.goal_error_m:.3g} m"),
-            (self.goal_speed <= t.goal_speed, f"a robot still flies {self.goal_speed:.3g} m/s"),
-            (
-                self.force_ratio <= 1.0 + t.force,
-                f"a force is {self.force_ratio:.3g} times its bound",
+        kept = {
+            f"a goal is missed by {self.goal_error_m:.3g} m": self.goal_error_m <= t.goal_m,
+            f"a robot still flies {self.goal_speed:.3g} m/s": self.goal_speed <= t.goal_speed,
+            f"a force is {self.force_ratio:.3g} times its bound": self.force_ratio <= 1 + t.force,
+            f"a pair comes to {self.clearance_ratio:.3g} of its clearance": (
+                self.clearance_ratio >= 1 - t.clearance
             ),
-            (
-                self.clearance_ratio >= 1.0 - t.clearance,
-                f"a pair comes to {self.clearance_ratio:.3g} of its clearance",
+            f"box, speed or control are exceeded by {self.box_excess:.3g}": (
+                self.box_excess <= t.bounds
             ),
-            (
-                self.box_excess <= t.bounds,
-                f"box, speed or control are exceeded by {self.box_excess:.3g}",
-            ),
-            (self.defect <= t.defect, f"flown forward it differs by {self.defect:.3g}"),
-        )
-        return tuple(words for good, words in rules if not good)
+            f"flown forward it differs by {self.defect:.3g}": self.defect <= t.defect,
+        }
+        return tuple(words for words, good in kept.items() if not good)
 
 
 def roll_out(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
-    """States (T + 1, N, 6) that the controls lead to from the starts, forces as they then are."""
-    a, b = transition(motions.dt)
+    """States (T + 1, N, 6) that the controls lead to from the starts, forces as they then are.
+
+    The next state is A x + B a, the whole acceleration a = u + f_a / m held over a step.
+    """
+    dt, identity = motions.dt, np.eye(3)
+    a = np.block([[identity, dt * identity], [np.zeros((3, 3)), identity]])
+    b = np.vstack([0.5 * dt * dt * identity, dt * identity])
     states = np.empty_like(motions.states)
     states[0] = motions.states[0]
     for k, control in enumerate(motions.controls):
@@ -97,7 +96,8 @@ def roll_out(problem: PlanningProblem, motions: Trajectories) -> FloatArray:
 def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
     """Fly a plan's controls forward on the nonlinear model, and measure everything it must keep."""
     flown = roll_out(problem, motions)
-    force = np.abs(forces_at(problem, states_at(motions, CHECKED))).max(axis=(0, 1))
+    within = states_within(motions, CHECKED_FRACTIONS)
+    force = np.abs(vertical_forces(problem, within)).max(axis=(0, 1))
     ratio = force / problem.bounds.force_bounds(problem.team)
     tokens = [vehicle.token for vehicle in problem.team]
     worst = {
@@ -119,8 +119,7 @@ def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
 
 def _distance_ratios(problem: PlanningProblem, motions: Trajectories) -> tuple[float, float]:
     """Smallest distance over the clearance, and over the sum of radii; infinite if alone."""
-    offset = motions.states[:, :, None] - motions.states[:, None]
-    distance = closest_approach(offset, motions.dt).distance.min(axis=0)
+    distance = pairwise_approach(motions).distance.min(axis=0)
     keep = problem.bounds.clearances(problem.team)
     pairs = ~np.eye(len(keep), dtype=np.bool_)
     if not pairs.any():

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from swarm_envs.baselines.neural_swarm.planner.kd_tree import clear, insert, kd_tree, nearest
+from swarm_envs.baselines.neural_swarm.planner.kd_tree import (
+    clear_points,
+    empty_kd_tree,
+    insert_point,
+    nearest_point,
+)
 
 COUNT = 1500
 
@@ -26,23 +31,23 @@ def points_of(kind: str, dimensions: int, rng: np.random.Generator) -> np.ndarra
 @pytest.mark.parametrize("dimensions", [2, 8])
 def test_it_finds_what_scipy_finds(kind, dimensions):
     rng = np.random.default_rng(1)
-    points, tree = points_of(kind, dimensions, rng), kd_tree(COUNT, dimensions)
+    points, tree = points_of(kind, dimensions, rng), empty_kd_tree(COUNT, dimensions)
     queries = points[rng.integers(0, COUNT, 100)] + rng.normal(0.0, 0.3, (100, dimensions))
     for k, point in enumerate(points):
-        assert insert(tree, point) == k
+        assert insert_point(tree, point) == k
         if k in (0, 14, 15, 16, 17, 200, COUNT - 1):
-            found = points[[nearest(tree, query) for query in queries]]
+            found = points[[nearest_point(tree, query) for query in queries]]
             apart = np.linalg.norm(found - queries, axis=1)
             truth, _ = cKDTree(points[: k + 1]).query(queries)
             np.testing.assert_allclose(apart, truth, atol=1e-12)
 
 
 def test_an_empty_tree_has_no_nearest_point():
-    tree = kd_tree(40, 3)
-    assert nearest(tree, np.zeros(3)) == -1
+    tree = empty_kd_tree(40, 3)
+    assert nearest_point(tree, np.zeros(3)) == -1
     for _ in range(40):
-        insert(tree, np.ones(3))
-    clear(tree)
-    assert nearest(tree, np.zeros(3)) == -1
-    insert(tree, np.ones(3))
-    assert nearest(tree, np.zeros(3)) == 0
+        insert_point(tree, np.ones(3))
+    clear_points(tree)
+    assert nearest_point(tree, np.zeros(3)) == -1
+    insert_point(tree, np.ones(3))
+    assert nearest_point(tree, np.zeros(3)) == 0

@@ -10,19 +10,19 @@ import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
+    PenaltyWeights,
     RobotProgram,
     SolverSettings,
-    Weights,
 )
-from swarm_envs.baselines.neural_swarm.planner.linearization import Convexified, convexify
-from swarm_envs.baselines.neural_swarm.planner.pipeline import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.linearization import ConvexSubproblem, convexify
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
-from swarm_envs.baselines.neural_swarm.planner.scp import moved
+from swarm_envs.baselines.neural_swarm.planner.scp import with_velocity
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
-    forces_at,
-    states_at,
+    states_within,
+    straight_lines,
     trajectories_through,
+    vertical_forces,
 )
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
@@ -49,12 +49,12 @@ def program_of(problem: PlanningProblem, prior: Trajectories) -> RobotProgram:
     return RobotProgram(prior.steps, dims, others, prior.dt, settings=EXACT)
 
 
-def around(problem: PlanningProblem, prior: Trajectories, robot: int) -> Convexified:
+def around(problem: PlanningProblem, prior: Trajectories, robot: int) -> ConvexSubproblem:
     limits = problem.bounds.force_bounds(problem.team)
     return convexify(problem, prior, robot, (0.3, 1.0), 5.0, limits)
 
 
-def oracle(c: Convexified, weights: Weights) -> tuple[np.ndarray, np.ndarray, float]:
+def oracle(c: ConvexSubproblem, weights: PenaltyWeights) -> tuple[np.ndarray, np.ndarray, float]:
     """States, controls and objective of eq. (17) with its misprints mended, by cvxpy."""
     cp = pytest.importorskip("cvxpy")
     steps, dims = c.prior_control.shape
@@ -118,7 +118,7 @@ def test_the_solution_is_that_of_cvxpy(plane: Plane, bend: str) -> None:
     for robot in range(3):
         convex = around(problem, prior, robot)
         solution = program_of(problem, prior).solve(convex)
-        states, controls, objective = oracle(convex, Weights())
+        states, controls, objective = oracle(convex, PenaltyWeights())
         assert solution.status == "solved"
         np.testing.assert_allclose(solution.states, states, atol=1e-4)
         np.testing.assert_allclose(solution.controls, controls, atol=1e-4)
@@ -170,14 +170,14 @@ def test_what_is_linearised_is_right_to_first_order(robot: int) -> None:
     change[0] = 0.0
     missed = []
     for size in (1.0, 0.5):
-        new = moved(problem, prior, robot, prior.velocity[:, robot] + size * change)
+        new = with_velocity(problem, prior, robot, prior.velocity[:, robot] + size * change)
         d = (new.states - prior.states)[:, robot]
         own = (new.forces - prior.forces)[:-1, robot]
         own -= np.einsum("kab,kb->ka", c.force_by_state, d[:-1])
-        before, after = (forces_at(problem, states_at(m, c.shares)) for m in (prior, new))
+        before, after = (vertical_forces(problem, states_within(m, c.shares)) for m in (prior, new))
         np.testing.assert_allclose(before[..., others], c.neighbor_force, atol=1e-12)
         np.testing.assert_allclose(before[..., robot], c.bounded_force, atol=1e-12)
-        within = states_at(new, c.shares)[:, :, robot] - c.bounded
+        within = states_within(new, c.shares)[:, :, robot] - c.bounded
         theirs = (after - before)[..., others]
         theirs -= np.einsum("skmb,skb->skm", c.neighbor_by_state, within)
         effort = (new.controls**2 - prior.controls**2)[:, others].sum()

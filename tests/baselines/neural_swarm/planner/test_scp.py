@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.pipeline import straight_lines
+from swarm_envs.baselines.neural_swarm.planner.convex_program import PenaltyWeights
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
-from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions, measure, refine
+from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions, merit_terms, refine
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     Trajectories,
     closest_approach,
-    defects,
+    straight_lines,
+    trajectories_through,
 )
 from swarm_envs.baselines.neural_swarm.planner.verify import check_plan, roll_out
 from swarm_envs.interactions import load
@@ -31,6 +32,11 @@ def bent(problem: PlanningProblem) -> Trajectories:
     return straight_lines(problem, bend=[[0.0, 0.0, 0.3], [0.0, 0.0, -0.2], [0.0, 0.0, -0.1]])
 
 
+def merit(problem: PlanningProblem, motions: Trajectories) -> float:
+    bounds = problem.bounds.force_bounds(problem.team)
+    return merit_terms(problem, motions, bounds).team(PenaltyWeights())
+
+
 @pytest.mark.parametrize("plane", ["yz", "xyz"])
 @pytest.mark.parametrize("model", ["learned", "none"])
 def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plane: Plane) -> None:
@@ -39,10 +45,11 @@ def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plan
     assert check_plan(problem, guess).distance_ratio < 1.0
     refined = refine(problem, guess if plane == "xyz" else bent(problem), np.random.default_rng(0))
     assert refined.converged
-    assert check_plan(problem, refined.trajectories).shortcomings() == ()
-    assert np.abs(defects(problem, refined.trajectories)).max() < 1e-9
-    moved = refined.trajectories.states[..., 0] - ROW[:, 0]
-    assert plane == "xyz" or np.abs(moved).max() == 0.0
+    check = check_plan(problem, refined.trajectories)
+    assert check.shortcomings() == ()
+    assert check.defect < 1e-9
+    aside = refined.trajectories.states[..., 0] - ROW[:, 0]
+    assert plane == "xyz" or np.abs(aside).max() == 0.0
 
 
 def test_the_merit_never_rises_and_is_the_measured_one() -> None:
@@ -50,7 +57,7 @@ def test_the_merit_never_rises_and_is_the_measured_one() -> None:
     refined = refine(problem, bent(problem), np.random.default_rng(1), options)
     merits = [record.merit for record in refined.history]
     assert (np.diff(merits) <= 0.0).all()
-    assert merits[-1] == measure(problem, refined.trajectories).team(options.weights)
+    assert merits[-1] == merit(problem, refined.trajectories)
     for record in refined.history:
         assert record.taken == (record.gained > 0.0)
 
@@ -70,16 +77,10 @@ def test_the_aware_plan_keeps_force_bounds_that_the_unaware_one_breaks() -> None
     aware, unaware = swap("learned"), swap("none")
     guess = straight_lines(aware, bend=[[0.0, 0.0, -0.3], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     blind = refine(unaware, guess, np.random.default_rng(0)).trajectories
-    met = check_plan(aware, straight_through(aware, blind))
+    met = check_plan(aware, trajectories_through(aware, blind.states))
     assert met.force_ratio > 1.5
     refined = refine(aware, guess, np.random.default_rng(0))
     assert check_plan(aware, refined.trajectories).force_ratio < 1.05
-
-
-def straight_through(problem: PlanningProblem, motions: Trajectories) -> Trajectories:
-    from swarm_envs.baselines.neural_swarm.planner.trajectories import trajectories_through
-
-    return trajectories_through(problem, motions.states)
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:
@@ -101,9 +102,7 @@ def test_a_deadline_and_a_limit_leave_the_best_so_far_and_say_so() -> None:
     assert not short.converged
     assert len(short.history) == 3
     assert "1 sweeps" in short.reason
-    weights = RefinementOptions().weights
-    before, after = measure(problem, bent(problem)), measure(problem, short.trajectories)
-    assert after.team(weights) < before.team(weights)
+    assert merit(problem, short.trajectories) < merit(problem, bent(problem))
 
 
 def test_closest_approach_between_knots() -> None:
