@@ -198,12 +198,12 @@ class _Refiner:
     def __init__(
         self, problem: PlanningProblem, motions: Trajectories, options: RefinementOptions
     ) -> None:
-        team, steps, dims = len(problem.team), motions.steps, len(problem.axes)
+        team = len(problem.team)
         self.problem, self.motions, self.options = problem, motions, options
         self.force_bounds, self.tightened = problem.bounds.force_bounds(problem.team), 0
         self.trust, self.settled = np.ones(team), np.zeros(team, dtype=np.bool_)
         self.history: list[StepRecord] = []
-        shape = (steps, dims, team - 1, motions.dt)
+        shape = (motions.steps, len(problem.axes), team - 1)
         self.programs = [RobotProgram(*shape, options.weights, options.solver) for _ in range(team)]
         self.evaluate()
 

@@ -46,7 +46,7 @@ def problem_of(plane: Plane, model: str = "learned", steps: int = 30) -> Plannin
 
 def program_of(problem: PlanningProblem, prior: Trajectories) -> RobotProgram:
     dims, others = len(problem.axes), len(problem.team) - 1
-    return RobotProgram(prior.steps, dims, others, prior.dt, settings=EXACT)
+    return RobotProgram(prior.steps, dims, others, settings=EXACT)
 
 
 def around(problem: PlanningProblem, prior: Trajectories, robot: int) -> ConvexSubproblem:
