@@ -156,7 +156,7 @@ class RobotProgram:
         signs = rows.add(soft.shape, 0.0, np.inf, (soft[:, None], _SLACK_SCALE))
         cost, (lower, upper) = self._cost(problem), rows.bounds()
         if self._solver is None:
-            self._set_up(cost, rows)
+            self._solver = self._set_up(cost, rows)
             z, y = np.zeros(self._variables), np.zeros(rows.count)
             z[self._x], z[self._u] = problem.prior, problem.prior_control
             # Slacks are zero as a rule: their cost is then what their sign's multiplier must be.
@@ -261,7 +261,7 @@ class RobotProgram:
         cost[self._slack] = self._weights.neighbor
         return cost
 
-    def _set_up(self, cost: FloatArray, rows: ConstraintRows) -> None:
+    def _set_up(self, cost: FloatArray, rows: ConstraintRows) -> Any:
         import osqp
         from scipy.sparse import csc_matrix
 
@@ -275,8 +275,8 @@ class RobotProgram:
         square = csc_matrix(
             (np.full(effort.size, 2.0), (effort, effort)), shape=(self._variables,) * 2
         )
-        self._solver = osqp.OSQP()
-        self._solver.setup(
+        solver = osqp.OSQP()
+        solver.setup(
             square,
             cost,
             matrix,
@@ -290,6 +290,7 @@ class RobotProgram:
             max_iter=self._settings.max_iterations,
             polishing=True,
         )
+        return solver
 
     def _read(self, result: Any, problem: ConvexSubproblem) -> ProgramSolution:
         z, info = result.x, result.info

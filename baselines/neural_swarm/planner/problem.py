@@ -258,4 +258,5 @@ def shortest_time(
 
 def hover_force(model: InteractionModel, places: FloatArray, team: Sequence[Vehicle]) -> FloatArray:
     """Vertical force f_a,z (N,) on drones that all hover at (N, 3) m, newton."""
-    return model.forces(places[None], np.zeros_like(places)[None], team)[0, :, 2]
+    # A copy, as places may be read-only: for those numba would compile the forces once more.
+    return model.forces(places[None].copy(), np.zeros((1, *places.shape)), team)[0, :, 2]

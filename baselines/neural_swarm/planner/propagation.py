@@ -15,7 +15,7 @@ import numpy as np
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.steering import responses
 from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_forces
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import part
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.interactions.packed import PackedField
 from swarm_envs.interactions.scratch import Scratch, scratch_for
@@ -188,7 +188,7 @@ def _straight(start: FloatArray, goal: FloatArray, knots: int, dt: float) -> Flo
 # ---- Compiled: one step, and whether it is valid
 
 
-@kernel
+@part
 def evaluate_forces(scene: Scene, knot: int, work: WorkingState) -> None:
     """Put the others where they are at a knot, and evaluate the forces on all robots."""
     drones, robots = work.scratch.drones, work.position.shape[0]
@@ -205,7 +205,7 @@ def evaluate_forces(scene: Scene, knot: int, work: WorkingState) -> None:
             work.force[j, k] = drones[j]["force"][k]
 
 
-@kernel
+@part
 def forces_allowed(scene: Scene, knot: int, work: WorkingState) -> bool:
     """Whether all forces at a knot, and the others' controls against them, are within bounds."""
     for j in range(work.force.shape[0]):
@@ -223,7 +223,7 @@ def forces_allowed(scene: Scene, knot: int, work: WorkingState) -> bool:
     return True
 
 
-@kernel
+@part
 def control_cost(scene: Scene, knot: int, control: FloatArray, work: WorkingState) -> float:
     """Sum over all robots of ||u|| at a knot: this robot's control, the others' against forces."""
     total = math.sqrt(control[0] ** 2 + control[1] ** 2 + control[2] ** 2)
@@ -236,7 +236,7 @@ def control_cost(scene: Scene, knot: int, control: FloatArray, work: WorkingStat
     return total
 
 
-@kernel
+@part
 def squared_distance(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
     """Squared distance of the origin from the segment between two points."""
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
@@ -246,7 +246,7 @@ def squared_distance(a: tuple[float, float, float], b: tuple[float, float, float
     return (a[0] + share * x) ** 2 + (a[1] + share * y) ** 2 + (a[2] + share * z) ** 2
 
 
-@kernel
+@part
 def relative_position(
     scene: Scene, knot: int, j: int, work: WorkingState, acceleration: FloatArray, t: float
 ) -> tuple[float, float, float]:
@@ -259,7 +259,7 @@ def relative_position(
     return x, y, z
 
 
-@kernel
+@part
 def keeps_clearance(scene: Scene, knot: int, work: WorkingState, acceleration: FloatArray) -> bool:
     """Whether the step after a knot keeps its distance from all others, also between knots.
 
@@ -275,7 +275,7 @@ def keeps_clearance(scene: Scene, knot: int, work: WorkingState, acceleration: F
     return True
 
 
-@kernel
+@part
 def propagate(
     scene: Scene, knot: int, control: FloatArray, acceleration: FloatArray, work: WorkingState
 ) -> float:

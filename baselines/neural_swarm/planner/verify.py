@@ -104,28 +104,25 @@ def check_plan(problem: PlanningProblem, motions: Trajectories) -> PlanCheck:
         token: max(float(f) for f, t in zip(force, tokens) if t == token) / GRAM_FORCE
         for token in dict.fromkeys(tokens)
     }
-    keep, touch = _distance_ratios(problem, motions)
+    clearance = _clearance_ratio(problem, motions)
     return PlanCheck(
         goal_error_m=float(np.linalg.norm(flown[-1, :, :3] - problem.goals, axis=1).max()),
         goal_speed=float(np.linalg.norm(flown[-1, :, 3:], axis=1).max()),
         worst_force_g=worst,
         force_ratio=float(ratio.max()),
-        clearance_ratio=keep,
-        distance_ratio=touch,
+        clearance_ratio=clearance,
+        distance_ratio=clearance * problem.bounds.clearance_factor,
         box_excess=_box_excess(problem, motions),
         defect=float(np.abs(flown - motions.states).max()),
     )
 
 
-def _distance_ratios(problem: PlanningProblem, motions: Trajectories) -> tuple[float, float]:
-    """Smallest distance over the clearance, and over the sum of radii; infinite if alone."""
+def _clearance_ratio(problem: PlanningProblem, motions: Trajectories) -> float:
+    """Smallest distance over the clearance, between knots too; infinite if alone."""
     distance = pairwise_approach(motions).distance.min(axis=0)
     keep = problem.bounds.clearances(problem.team)
     pairs = ~np.eye(len(keep), dtype=np.bool_)
-    if not pairs.any():
-        return float("inf"), float("inf")
-    ratio = float((distance[pairs] / keep[pairs]).min())
-    return ratio, ratio * problem.bounds.clearance_factor
+    return float((distance[pairs] / keep[pairs]).min(initial=np.inf))
 
 
 def _box_excess(problem: PlanningProblem, motions: Trajectories) -> float:

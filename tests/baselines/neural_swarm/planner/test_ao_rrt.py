@@ -199,20 +199,13 @@ def test_bad_options_are_refused():
 # ---- Optima that are known
 
 WAY, TIME = 2.0, 3.0  # m, s
-START, GOAL, MIDDLE = [0.0, -1.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]
+START, MIDDLE, GOAL = ROW
 EXACT = PlanningBounds(goal_distance=0.01, goal_speed=0.02)  # next to no gain by ending early
 
 
 def alone(air: str, bounds: PlanningBounds) -> PlanningProblem:
-    return PlanningProblem(
-        np.array([START]),
-        np.array([GOAL]),
-        parse_team("S"),
-        load(air),
-        bounds,
-        plane="yz",
-        max_duration=TIME,
-    )
+    given: dict[str, Any] = {"model": load(air), "bounds": bounds, "max_duration": TIME}
+    return crossing(starts=[START], goals=[GOAL], team="S", **given)
 
 
 def lone_optimum(air):
@@ -274,15 +267,7 @@ def test_round_a_robot_that_hovers_it_flies_nearly_the_optimum():
     by 2 asin(r) where they meet, at the speed v = (d / sqrt(1 - r^2)) / T: 2 v (1 + r), 1.523 m/s.
     (A turn along the circle costs v 2 asin(r) instead of 2 v r there, which makes no difference.)
     """
-    problem = PlanningProblem(
-        np.array([START, MIDDLE]),
-        np.array([GOAL, MIDDLE]),
-        parse_team("SS"),
-        load("none"),
-        EXACT,
-        plane="yz",
-        max_duration=TIME,
-    )
+    problem = crossing(model=load("none"), bounds=EXACT, max_duration=TIME)
     r = problem.bounds.clearances(problem.team)[0, 1]
     optimum = 2.0 * WAY / np.sqrt(1.0 - r * r) / TIME * (1.0 + r)
     costs = []
@@ -295,8 +280,7 @@ def test_round_a_robot_that_hovers_it_flies_nearly_the_optimum():
 
 @pytest.mark.slow
 def test_ten_times_the_iterations_are_cheaper():
-    starts = np.array([START, MIDDLE, GOAL])
-    problem = PlanningProblem(starts, starts[[2, 0, 1]], parse_team("SLS"), plane="yz")
+    problem = swap()
     few, many = [], []
     for seed in range(20):
         loops = search(problem, SearchConfig(iterations=30_000), seed).loops
