@@ -92,9 +92,9 @@ def run_demo(
         raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
     out.mkdir(parents=True, exist_ok=True)
     begin = time.perf_counter()
-    engine, believed = default_engine(), belief or load_belief()
+    engine, compensated = default_engine(), belief or load_belief()
     seeds = [int(s) for s in np.random.SeedSequence(seed).generate_state(swaps)]
-    flown = _fly_all(seeds, believed, engine, progress)
+    flown = _fly_all(seeds, compensated, engine, progress)
     comparisons = {
         team: Comparison(f"{team} ({text})", *([f.record(e) for e in range(swaps)] for f in sides))
         for (team, text), sides in zip(SCENARIOS.items(), flown.values(), strict=True)
@@ -112,7 +112,7 @@ def run_demo(
             "horizon_s": _HORIZON_S,
         },
         "interactions": describe_model(load("learned")),
-        "belief": describe_model(believed),
+        "belief": describe_model(compensated),
         "versions": versions(),
         "scenarios": {team: _scenario(sides) for team, sides in flown.items()},
         "files": {"picture": "demo.png", "video": None},

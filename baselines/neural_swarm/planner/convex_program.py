@@ -192,7 +192,7 @@ class RobotProgram:
         force = problem.bounded_force / problem.force_bound
         known, reach = _known_and_reach(slope, problem)
         within = self._within(slope, problem)
-        # Rows that the trust region cannot reach bind nothing; told so, OSQP is four times faster.
+        # Rows that the trust region cannot reach bind nothing; left out, OSQP is four times faster.
         above = np.where(x + trust > problem.upper, problem.upper, np.inf)
         rows.add(x.shape, -np.inf, above, later, (self._delta, -1.0))
         above = np.where(force + reach > 1.0, known - force + 1.0, np.inf)

@@ -45,12 +45,7 @@ class KdTree(NamedTuple):
 
 
 def empty_kd_tree(capacity: int, dimensions: int) -> KdTree:
-    """An empty tree.
-
-    Args:
-        capacity: the largest number of points.
-        dimensions: D.
-    """
+    """An empty tree with room for `capacity` points in D dimensions."""
     nodes = 2 * (2 * capacity // BUCKET + 1) + 1
     tree = KdTree(
         points=np.zeros((capacity, dimensions)),
@@ -95,7 +90,7 @@ def insert_point(tree: KdTree, point: FloatArray) -> int:
 
 
 @kernel
-def nearest_point(tree: KdTree, query: FloatArray) -> int:
+def nearest_index(tree: KdTree, query: FloatArray) -> int:
     """Index of the point nearest to a query (D,); -1 if there is none."""
     best, found, height = np.inf, -1, 1
     tree.stack[0] = 0

@@ -237,7 +237,7 @@ def control_cost(scene: Scene, knot: int, control: FloatArray, work: WorkingStat
 
 
 @part
-def squared_distance(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
+def squared_gap(a: tuple[float, float, float], b: tuple[float, float, float]) -> float:
     """Squared distance of the origin from the segment between two points."""
     x, y, z = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     length = x * x + y * y + z * z
@@ -270,7 +270,7 @@ def keeps_clearance(scene: Scene, knot: int, work: WorkingState, acceleration: F
         a = relative_position(scene, knot, j, work, acceleration, 0.0)
         b = relative_position(scene, knot, j, work, acceleration, 0.5 * scene.dt)
         c = relative_position(scene, knot, j, work, acceleration, scene.dt)
-        if min(squared_distance(a, b), squared_distance(b, c)) < scene.clearance[j] ** 2:
+        if min(squared_gap(a, b), squared_gap(b, c)) < scene.clearance[j] ** 2:
             return False
     return True
 

@@ -16,7 +16,7 @@ from swarm_envs.baselines.neural_swarm.planner.kd_tree import (
     clear_points,
     empty_kd_tree,
     insert_point,
-    nearest_point,
+    nearest_index,
 )
 from swarm_envs.baselines.neural_swarm.planner.propagation import (
     INVALID,
@@ -344,7 +344,7 @@ def select_node(
     """The node to grow from: the nearest to a sample, or a promising one."""
     if rng.random() >= chances.promising:
         write_point(tree, state, knot, cost)
-        return nearest_point(tree.places, tree.point)
+        return nearest_index(tree.places, tree.point)
     best, found = np.inf, 0
     for _ in range(CANDIDATES):
         node = rng.integers(0, tree.places.used[0])

@@ -10,7 +10,7 @@ from swarm_envs.baselines.neural_swarm.planner.kd_tree import (
     clear_points,
     empty_kd_tree,
     insert_point,
-    nearest_point,
+    nearest_index,
 )
 
 COUNT = 1500
@@ -36,7 +36,7 @@ def test_it_finds_what_scipy_finds(kind, dimensions):
     for k, point in enumerate(points):
         assert insert_point(tree, point) == k
         if k in (0, 14, 15, 16, 17, 200, COUNT - 1):
-            found = points[[nearest_point(tree, query) for query in queries]]
+            found = points[[nearest_index(tree, query) for query in queries]]
             apart = np.linalg.norm(found - queries, axis=1)
             truth, _ = cKDTree(points[: k + 1]).query(queries)
             np.testing.assert_allclose(apart, truth, atol=1e-12)
@@ -44,10 +44,10 @@ def test_it_finds_what_scipy_finds(kind, dimensions):
 
 def test_an_empty_tree_has_no_nearest_point():
     tree = empty_kd_tree(40, 3)
-    assert nearest_point(tree, np.zeros(3)) == -1
+    assert nearest_index(tree, np.zeros(3)) == -1
     for _ in range(40):
         insert_point(tree, np.ones(3))
     clear_points(tree)
-    assert nearest_point(tree, np.zeros(3)) == -1
+    assert nearest_index(tree, np.zeros(3)) == -1
     insert_point(tree, np.ones(3))
-    assert nearest_point(tree, np.zeros(3)) == 0
+    assert nearest_index(tree, np.zeros(3)) == 0
