@@ -10,7 +10,7 @@ from swarm_envs.agents.protocol import (
     fly_episode,
     record_episode,
 )
-from swarm_envs.agents.registry import load
+from swarm_envs.agents.registry import load_agent as load
 from swarm_envs.agents.safety import Safety, SafetyFilter
 
 __all__ = [

@@ -1,7 +1,8 @@
 """A trained policy as a C99 header: float32, no heap, for the processor of a real drone.
 
-Everything between what drones know of each other and the set-point stands in it: who is near,
-what the network is told, the network, and what its actions do to the set-point.
+It holds everything between what drones know of each other and the set-point: who is near, the
+features, the network, and what its actions do to the set-point. The C text is that of the templates
+in `swarm_envs/c_templates/policy/`.
 """
 
 from __future__ import annotations
@@ -9,25 +10,52 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 import swarm_envs
-from swarm_envs.agents import c_source, c_steering
-from swarm_envs.agents.c_samples import SAMPLES, samples
-from swarm_envs.agents.c_words import constants, feature_words
-from swarm_envs.agents.feature_sets import REFERENCE
-from swarm_envs.agents.networks import ANY, Layers, Network
-from swarm_envs.agents.policy_file import Policy
-from swarm_envs.c_text import array, check_prefix, comment, enumeration, filled
-from swarm_envs.envs.actions import ACTIONS
+from swarm_envs.agents import features
+from swarm_envs.agents.features import REFERENCE
+from swarm_envs.agents.networks import ANY, Layers
+from swarm_envs.agents.policy import Policy
+from swarm_envs.c_text import (
+    array_definition,
+    array_rows,
+    check_prefix,
+    comment_lines,
+    fill_templates,
+    literal,
+    type_enumeration,
+)
+from swarm_envs.envs.actions import ACCELERATION_LAG, ACTIONS
+from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
 CYCLES_PER_PRODUCT, CYCLES_PER_FUNCTION, CLOCK_HZ = 6.0, 150.0, 168e6
 """Assumed of a Cortex-M4F (STM32F405) that runs from flash: load two numbers, multiply, add; and
 one tanhf, expf or sqrtf of newlib."""
+SAMPLES = 16
+"""States in the header's self-test."""
+_UNSEEN = 2
+"""Largest number of others, in these states, beyond those that the policy observes."""
 _TAKEN = ("TYPES", "SELF_TEST", "POLICY_H", "NEIGHBOURS", "ACTIONS")
+_STEERING = ("acceleration", "velocity")
+"""Actions that move a set-point."""
+_MOTIONS = ("position", "velocity", "acceleration")
+_GOAL_OWN = "    float time_left;   /* share of the clock that is left, from 1 to 0 */"
+_REFERENCE_OWN = """\
+    float reference_position[3];     /* where it should be now, m */
+    float reference_velocity[3];     /* m/s */
+    float reference_acceleration[3]; /* m/s^2 */"""
+_POOLED = {
+    "mean": ("0.0f", "code[k] += member[k];", "count > 0 ? code[k] / (float)count : 0.0f"),
+    "sum": ("0.0f", "code[k] += member[k];", "code[k]"),
+    "max": ("-1.0f", "if (member[k] > code[k]) code[k] = member[k];", "count > 0 ? code[k] : 0.0f"),
+}
+"""Of each way of pooling: the first value, what a member does, and what comes out."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +83,38 @@ class Costs:
         return cycles / CLOCK_HZ * 1e6
 
 
+def costs(policy: Policy) -> Costs:
+    """What one decision takes with every neighbour there."""
+    note, sizes = policy.note, policy.note.sizes
+    networks = policy.networks.values()
+    actors = [_products(network.layers) for network in networks]
+    codes = [max(map(_products, n.phi.values())) if n.phi else (0, 0) for n in networks]
+    products = max(a[0] for a in actors) + note.num_neighbors * max(c[0] for c in codes)
+    hidden = max(a[1] for a in actors) - ACTIONS[note.action].width
+    tanhs = hidden + note.num_neighbors * max(c[1] for c in codes)
+    lengths = 1 + note.num_neighbors * (2 if note.features == REFERENCE else 5)
+    rows = 4 if note.encoder == "deep-set" else 2
+    stack = 4 * (rows * _widest(policy) + sizes.neighbor) + 8 * note.num_neighbors + 200
+    weights = sum(weight.size + bias.size for weight, bias in _all_layers(policy))
+    return Costs(weights, products, tanhs + lengths, stack)
+
+
+def _all_layers(policy: Policy) -> list[tuple[Float32Array, Float32Array]]:
+    parts = [[n.layers, *(n.phi or {}).values()] for n in policy.networks.values()]
+    return [layer for network in parts for layers in network for layer in layers]
+
+
+def _products(layers: Layers) -> tuple[int, int]:
+    """Multiply-adds, and outputs of all layers."""
+    return sum(w.size for w, _ in layers), sum(b.size for _, b in layers)
+
+
+def _widest(policy: Policy) -> int:
+    sizes = policy.note.sizes
+    shapes = [max(weight.shape) for weight, _ in _all_layers(policy)]
+    return max(sizes.own, sizes.neighbor, *shapes)
+
+
 def policy_header(policy: Policy, name: str = "policy", seed: int = 0) -> str:
     """Source of a header that decides as a policy does.
 
@@ -68,51 +128,37 @@ def policy_header(policy: Policy, name: str = "policy", seed: int = 0) -> str:
     """
     check_prefix(name)
     note, sizes = policy.note, policy.note.sizes
-    width, types = ACTIONS[note.action].width, tuple(VEHICLES)
+    kind = "reference" if note.features == REFERENCE else "goal"
+    steering = ["setpoint", note.action] if note.action in _STEERING else []
+    parts = ["head", f"{kind}_features", note.encoder, "act", *steering, "self_test"]
     words = {
         "name": name,
         "NAME": name.upper(),
-        "provenance": comment(_provenance(policy)),
+        "provenance": comment_lines(_provenance(policy)),
         "meaning": "\n".join(f" * {line}" for line in _meaning(policy, name)),
-        "costs": comment(_costs_told(policy)),
+        "costs": comment_lines(_cost_lines(policy)),
         "rate": str(note.decision_rate),
         "neighbours": str(note.num_neighbors),
         "places": str(max(note.num_neighbors, 1)),
-        "actions": str(width),
-        "types": enumeration(name.upper(), types, _TAKEN),
+        "actions": str(ACTIONS[note.action].width),
+        "types": type_enumeration(name.upper(), tuple(VEHICLES), _TAKEN),
         "widest": str(_widest(policy)),
         "own_width": str(sizes.own),
         "neighbour_width": str(sizes.neighbor),
         "samples": str(SAMPLES),
-        **_networks(policy, name),
-        **feature_words(policy),
-        **constants(policy),
-        **samples(policy, np.random.default_rng(seed)),
+        **_network_words(policy, name),
+        **_feature_words(policy, name),
+        **_constants(policy),
+        **_self_test_words(policy, np.random.default_rng(seed)),
     }
-    return filled(filled("".join(_texts(policy)), words), words)
-
-
-def _texts(policy: Policy) -> list[str]:
-    kept = policy.note.features == REFERENCE
-    steers = {
-        "acceleration": [c_steering.SETPOINT, c_steering.STEER_ACCELERATION],
-        "velocity": [c_steering.SETPOINT, c_steering.STEER_VELOCITY],
-    }
-    return [
-        c_source.HEAD,
-        c_source.REFERENCE if kept else c_source.GOAL,
-        c_source.DEEP_SET if policy.note.encoder == "deep-set" else c_source.MLP,
-        c_source.ACT,
-        *steers.get(policy.note.action, []),
-        c_steering.TEST,
-    ]
+    return fill_templates([f"policy/{part}.h" for part in parts], words)
 
 
 def _provenance(policy: Policy) -> list[str]:
     note = policy.note
-    told = f"{note.encoder}, features {note.features}, teams of {note.teams} drones"
     lines = [
-        f"policy for {note.task}: {told}",
+        f"policy for {note.task}: {note.encoder}, features {note.features}, "
+        f"teams of {note.teams} drones",
         f"weights: SHA-256 {policy.digest}",
         f"exported by swarm-envs {swarm_envs.__version__}",
     ]
@@ -127,7 +173,7 @@ def _provenance(policy: Policy) -> list[str]:
 
 def _meaning(policy: Policy, name: str) -> list[str]:
     mode = policy.note.action
-    if mode in ("acceleration", "velocity"):
+    if mode in _STEERING:
         limits = f"{ACCELERATION_LIMIT:g} m/s^2 and {SPEED_LIMIT:g} m/s"
         return [
             f"Actions are {mode}s of the set-point over its limit ({limits}); {name}_steer() and",
@@ -136,36 +182,7 @@ def _meaning(policy: Policy, name: str) -> list[str]:
     return [f"What actions mean: action {mode!r} of swarm_envs.envs.actions."]
 
 
-def costs(policy: Policy) -> Costs:
-    """What one decision takes with every neighbour there."""
-    note, sizes = policy.note, policy.note.sizes
-    networks = policy.networks.values()
-    weights = sum(_numbers(part) for n in networks for part in _parts(n))
-    actors = [_products(n.layers) for n in networks]
-    codes = [max(map(_products, n.phi.values())) if n.phi else (0, 0) for n in networks]
-    products = max(a[0] for a in actors) + note.num_neighbors * max(c[0] for c in codes)
-    hidden = max(a[1] for a in actors) - ACTIONS[note.action].width
-    tanhs = hidden + note.num_neighbors * max(c[1] for c in codes)
-    told = 1 + note.num_neighbors * (2 if note.features == REFERENCE else 5)
-    rows = 4 if note.encoder == "deep-set" else 2
-    stack = 4 * (rows * _widest(policy) + sizes.neighbor) + 8 * note.num_neighbors + 200
-    return Costs(weights, products, tanhs + told, stack)
-
-
-def _parts(network: Network) -> list[Layers]:
-    return [network.layers, *(network.phi or {}).values()]
-
-
-def _numbers(layers: Layers) -> int:
-    return sum(weight.size + bias.size for weight, bias in layers)
-
-
-def _products(layers: Layers) -> tuple[int, int]:
-    """Multiply-adds, and outputs of all layers."""
-    return sum(w.size for w, _ in layers), sum(b.size for _, b in layers)
-
-
-def _costs_told(policy: Policy) -> list[str]:
+def _cost_lines(policy: Policy) -> list[str]:
     found = costs(policy)
     return [
         f"read-only memory: {found.flash_bytes} bytes of weights",
@@ -177,59 +194,223 @@ def _costs_told(policy: Policy) -> list[str]:
     ]
 
 
-def _widest(policy: Policy) -> int:
-    sizes = policy.note.sizes
-    layers = [layer for n in policy.networks.values() for part in _parts(n) for layer in part]
-    return max(sizes.own, sizes.neighbor, *(max(weight.shape) for weight, _ in layers))
-
-
-def _networks(policy: Policy, name: str) -> dict[str, str]:
+def _network_words(policy: Policy, name: str) -> dict[str, str]:
     """Tables of weights, and of networks by the type of who acts and who is seen."""
     types = tuple(VEHICLES)
-    tables: list[tuple[str, str]] = []
+    weights: list[str] = []
+    layers: list[str] = []
     actors: list[str] = []
     phis: list[str] = []
+
+    def define(place: str, network: Layers | None) -> str:
+        """Add a network's tables, and give its initialiser."""
+        if network is None:
+            return "{0, 0}"
+        rows = []
+        for k, (weight, bias) in enumerate(network):
+            numbers = np.column_stack([bias, weight]).ravel()
+            weights.append(array_definition(f"{place}_{k}", numbers))
+            rows.append(f"{{{place}_{k}, {weight.shape[1]}, {weight.shape[0]}}}")
+        layers.append(f"static const struct {name}_layer {place}[] = {{{', '.join(rows)}}};")
+        return f"{{{place}, {len(rows)}}}"
+
     inner: tuple[str, ...] = (ANY,)
     for owner in (ANY,) if ANY in policy.networks else types:
         network = policy.networks.get(owner)
-        place = f"{name}_actor_{len(actors)}"
-        actors.append(_network(place, network.layers if network else None, tables))
-        if network is not None and network.phi is not None:
-            inner = (ANY,) if ANY in network.phi else types
         phi = (network.phi if network else None) or {}
+        actors.append(define(f"{name}_actor_{len(actors)}", network.layers if network else None))
+        if phi:
+            inner = (ANY,) if ANY in phi else types
         found = [
-            _network(f"{name}_phi_{len(phis)}_{k}", phi.get(token), tables)
-            for k, token in enumerate(inner)
+            define(f"{name}_phi_{len(phis)}_{k}", phi.get(token)) for k, token in enumerate(inner)
         ]
         phis.append("{" + ", ".join(found) + "}")
-    lines = [f"static const struct {name}_network {name}_actors[] = {{{', '.join(actors)}}};"]
+    layers.append(f"static const struct {name}_network {name}_actors[] = {{{', '.join(actors)}}};")
     if policy.note.encoder == "deep-set":
         rows = ", ".join(phis)
-        lines.append(
+        layers.append(
             f"static const struct {name}_network {name}_phis[][{len(inner)}] = {{{rows}}};"
         )
     who = "0" if ANY in policy.networks else "self->type"
-    weights = [text for kind, text in tables if kind == "weights"]
-    layers = [text for kind, text in tables if kind == "layers"]
     return {
         "tables": "\n".join(weights),
-        "networks": "\n".join([*layers, *lines]),
+        "networks": "\n".join(layers),
         "actor_of": f"&{name}_actors[{who}]",
         "phi_of": f"&{name}_phis[{who}][{'0' if inner == (ANY,) else 'o->type'}]",
     }
 
 
-def _network(place: str, layers: Layers | None, tables: list[tuple[str, str]]) -> str:
-    """Initialiser of a network, whose numbers are added to the tables."""
-    if layers is None:
-        return "{0, 0}"
-    rows = []
-    for k, (weight, bias) in enumerate(layers):
-        numbers = np.column_stack([bias, weight]).ravel()
-        tables.append(("weights", array(f"{place}_{k}", numbers)))
-        rows.append(f"{{{place}_{k}, {weight.shape[1]}, {weight.shape[0]}}}")
-    prefix = place.rsplit("_actor_", 1)[0].rsplit("_phi_", 1)[0]
-    tables.append(
-        ("layers", f"static const struct {prefix}_layer {place}[] = {{{', '.join(rows)}}};")
+def _feature_words(policy: Policy, name: str) -> dict[str, str]:
+    """What differs between sets of features, and between encoders of neighbours."""
+    note, sizes = policy.note, policy.note.sizes
+    tracks = note.features == REFERENCE
+    first, pool, result = _POOLED[note.pooling]
+    finite = f"{name}_sound(self->goal) && own->time_left - own->time_left == 0.0f"
+    others_finite = f" && {name}_sound(other[j].goal)"
+    if tracks:
+        checks = [f"{name}_sound(own->reference_{what})" for what in _MOTIONS]
+        finite, others_finite = " &&\n                ".join(checks), ""
+    phis = [n.phi for n in policy.networks.values() if n.phi]
+    code = len(next(iter(phis[0].values()))[-1][1]) if phis else 1
+    known = [f"type == {k}" for k, token in enumerate(VEHICLES) if token in note.types]
+    return {
+        "own": _REFERENCE_OWN if tracks else _GOAL_OWN,
+        "own_types": _one_hot(name, sizes.own_type, "self"),
+        "neighbour_types": _one_hot(name, sizes.neighbor_type, "other"),
+        "unused_goal": "; not used by this policy" if tracks else "",
+        "unused_type": "" if sizes.typed else "; not used by this policy",
+        "own_sound": finite,
+        "other_sound": f"{name}_known(other[j].type){others_finite}",
+        "known": f"return {' || '.join(known)};" if known else "(void)type; return 1;",
+        "pooling": note.pooling,
+        "first": first,
+        "pool": pool,
+        "result": result,
+        "code": str(code),
+    }
+
+
+def _one_hot(name: str, start: int | None, whose: str) -> str:
+    """A line that writes a type among the features; none where they do not hold types."""
+    if start is None:
+        return ""
+    types = f"{name.upper()}_TYPES"
+    return f"\n    for (k = 0; k < {types}; k++) x[{start} + k] = {whose}->type == k ? 1.0f : 0.0f;"
+
+
+def _constants(policy: Policy) -> dict[str, str]:
+    """Lengths, limits and times that the text names."""
+    step = 1.0 / policy.note.decision_rate
+    values = {
+        "speed": SPEED_LIMIT,
+        "limit": ACCELERATION_LIMIT,
+        "step": step,
+        "tau": max(ACCELERATION_LAG, 0.5 * step),
+        "goal_reach": features.GOAL_REACH,
+        "near": features.NEAR,
+        "ahead": features.AHEAD,
+        "goal_seen": features.OTHERS_GOAL,
+        "reach": features.REACH,
+        "fast": features.FAST,
+        "beside": features.BESIDE,
+        "above": features.ABOVE,
+    }
+    return {name: literal(value) for name, value in values.items()}
+
+
+class KnownState(NamedTuple):
+    """What one drone knows: of all drones, itself first, and of itself alone. World frame, SI."""
+
+    position: Float32Array
+    """(M, 3) m."""
+    velocity: Float32Array
+    """(M, 3) m/s."""
+    goal: Float32Array
+    """(M, 3) m."""
+    types: npt.NDArray[np.int64]
+    """(M,) index among `VEHICLES`."""
+    up: Float32Array
+    """(3,) direction of thrust."""
+    thrust: np.float32
+    """Share of the largest."""
+    setpoint: Float32Array
+    """(3,) m."""
+    task: Float32Array
+    """(1,) share of the clock that is left; or (9,) the reference's position, velocity and
+    acceleration."""
+
+
+def draw_state(policy: Policy, others: int, rng: np.random.Generator) -> KnownState:
+    """A state as might be met in flight, with so many others."""
+    note, count = policy.note, 1 + others
+    known = [k for k, token in enumerate(VEHICLES) if not note.types or token in note.types]
+    position = rng.uniform([-1.0, -1.0, 0.4], [1.0, 1.0, 2.0], (count, 3))
+    velocity = rng.normal(0.0, 0.5, (count, 3))
+    up = rng.normal([0.0, 0.0, 1.0], 0.2)
+    task = np.array([rng.uniform()])
+    if note.features == REFERENCE:
+        near = position[0] + rng.normal(0.0, 0.1, 3)
+        task = np.concatenate([near, rng.normal(0.0, 0.5, 3), rng.normal(0.0, 0.8, 3)])
+    goal = rng.uniform([-1.5, -1.5, 0.5], [1.5, 1.5, 2.0], (count, 3))
+    return KnownState(
+        position.astype(np.float32),
+        velocity.astype(np.float32),
+        goal.astype(np.float32),
+        np.asarray(rng.choice(known, count)),
+        (up / np.linalg.norm(up)).astype(np.float32),
+        np.float32(rng.uniform(0.3, 0.8)),
+        (position[0] + rng.normal(0.0, 0.05, 3)).astype(np.float32),
+        task.astype(np.float32),
     )
-    return f"{{{place}, {len(rows)}}}"
+
+
+def _observation_row(policy: Policy, state: KnownState) -> Float32Array:
+    """(width,) what a drone would observe in a state, as far as policies look at it."""
+    note = policy.note
+    layout = {f.name: f.where for f in observation_layout(note.num_neighbors)}
+    row = np.zeros(observation_width(note.num_neighbors))
+    position, velocity, goal = (np.asarray(part, np.float64) for part in state[:3])
+    codes = np.eye(len(VEHICLES))[state.types]
+    entries = {
+        "self.position": position[0],
+        "self.velocity": velocity[0] / SPEED_LIMIT,
+        "self.thrust": state.thrust,
+        "self.setpoint_offset": state.setpoint - position[0],
+        "self.type": codes[0],
+    }
+    distance = np.square(position[1:] - position[0]).sum(axis=1)
+    for k, j in enumerate(1 + np.argsort(distance, kind="stable")[: note.num_neighbors]):
+        entries |= {
+            f"neighbor_{k}.position": position[j] - position[0],
+            f"neighbor_{k}.velocity": (velocity[j] - velocity[0]) / SPEED_LIMIT,
+            f"neighbor_{k}.goal": goal[j] - position[j],
+            f"neighbor_{k}.type": codes[j],
+            f"neighbor_{k}.mask": np.ones(1),
+        }
+    if note.features == REFERENCE:
+        place, speed, acceleration = np.asarray(state.task, np.float64).reshape(3, 3)
+        entries |= {
+            "task.reference_position": place - position[0],
+            "task.reference_velocity": speed / SPEED_LIMIT,
+            "task.reference_acceleration": acceleration / ACCELERATION_LIMIT,
+        }
+    else:
+        entries |= {"task.goal": goal[0] - position[0], "task.time_left": state.task}
+    for name, values in entries.items():
+        row[layout[name]] = values
+    row[layout["self.attitude"]][2::3] = state.up
+    return row.astype(np.float32)
+
+
+def decide(policy: Policy, states: list[KnownState]) -> Float32Array:
+    """(S, width) the policy's actions in so many states."""
+    return policy.actions(np.stack([_observation_row(policy, state) for state in states]))
+
+
+def _self_test_words(policy: Policy, rng: np.random.Generator) -> dict[str, str]:
+    """States with which the header tests itself, with none to more others than are observed."""
+    note = policy.note
+    drones, kinds, numbers, states = 1 + note.num_neighbors + _UNSEEN, [], [], []
+    for n in range(SAMPLES):
+        others = n % drones
+        state = draw_state(policy, others, rng)
+        states.append(state)
+        moving = np.concatenate([state.position, state.velocity, state.goal], axis=1)
+        whole = np.zeros((drones, 9), np.float32)
+        whole[: len(moving)] = moving
+        own = [state.up, [state.thrust], state.setpoint, state.task]
+        numbers.append(np.concatenate([whole.ravel(), *own]).astype(np.float32))
+        kinds.append([others, *state.types, *[state.types[0]] * (drones - 1 - others)])
+    own_lines = ["        own.time_left = *s++;"]
+    if note.features == REFERENCE:
+        line = "        for (k = 0; k < 3; k++) own.reference_{0}[k] = *s++;"
+        own_lines = [line.format(what) for what in _MOTIONS]
+    return {
+        "drones": str(drones),
+        "kinds": str(1 + drones),
+        "numbers": str(len(numbers[0])),
+        "test_kinds": array_rows(np.array(kinds, dtype=np.int64)),
+        "test_states": array_rows(np.array(numbers)),
+        "test_actions": array_rows(decide(policy, states)),
+        "test_own": "\n".join(own_lines),
+    }

@@ -1,4 +1,7 @@
-"""Many episodes of an agent, on seeds that are fixed beforehand: each is kept once it is flown."""
+"""Many episodes of an agent, on seeds that are fixed beforehand, and the scores that they make.
+
+Each episode is kept once it is flown. Scores are rates and averages, each with an interval.
+"""
 
 from __future__ import annotations
 
@@ -14,18 +17,23 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.batch import AT_ONCE, BatchAgent, disagreement, flies_batches, fly_batch
 from swarm_envs.agents.protocol import (
+    AT_ONCE,
     Actions,
     Agent,
+    BatchAgent,
     Observations,
     check_requirements,
+    disagreement,
+    flies_batches,
+    fly_batch,
     fly_episode,
 )
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer
+from swarm_envs.state import FloatArray
 
 Episode = dict[str, Any]
 """One episode: its `seed`, its `metrics` and `act_us`, the time of every decision, microseconds;
@@ -65,7 +73,7 @@ class _Timed:
         self._agent = agent
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """As the agent does; not timed: it may plan as long as it likes."""
+        # Not timed: it may plan as long as it likes.
         self.spent_us, self.begun = [], 0
         try:
             self._agent.reset(env, seed)
@@ -74,7 +82,6 @@ class _Timed:
             raise
 
     def act(self, observations: Observations, view: View | None) -> Actions:
-        """As the agent does."""
         self.begun += 1
         begun = time.perf_counter_ns()
         actions = self._agent.act(observations, view)
@@ -82,8 +89,15 @@ class _Timed:
         return actions
 
 
-def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int) -> Episode:
+def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int, refusals: bool = False) -> Episode:
     """Fly one episode and say how it went.
+
+    Args:
+        env: has what the agent requires.
+        agent: who acts.
+        seed: of the episode.
+        refusals: whether an episode that the agent's `reset` refuses is one too: then its metrics
+            are `refused`, why.
 
     Raises:
         AgentFailed: the agent did; the cause is chained. `AgentRefused`, if its `reset` refused.
@@ -92,6 +106,8 @@ def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int) -> Episode:
     try:
         metrics = fly_episode(env, timed, seed)
     except (Exception, SystemExit) as error:
+        if timed.refused and refusals:
+            return {"seed": seed, "metrics": {"refused": str(error)}, "act_us": []}
         kind = AgentRefused if timed.refused else AgentFailed
         raise kind(
             f"in the episode of seed {seed}, decision {timed.begun}: "
@@ -100,19 +116,7 @@ def fly_seed(env: SwarmParallelEnv, agent: Agent, seed: int) -> Episode:
     return {"seed": seed, "metrics": metrics, "act_us": timed.spent_us}
 
 
-def fly_or_refuse(env: SwarmParallelEnv, agent: Agent, seed: int) -> Episode:
-    """As `fly_seed`, but what an agent refuses is an episode too: its metrics are `refused`, why.
-
-    Raises:
-        AgentFailed: the agent did otherwise.
-    """
-    try:
-        return fly_seed(env, agent, seed)
-    except AgentRefused as refusal:
-        return {"seed": seed, "metrics": {"refused": str(refusal.__cause__)}, "act_us": []}
-
-
-def evaluate(
+def evaluate_agent(
     env: SwarmParallelEnv,
     agent: Agent,
     seeds: Sequence[int],
@@ -123,9 +127,8 @@ def evaluate(
 ) -> Iterator[Episode]:
     """Give the episodes of the seeds in their order; those that are kept are not flown again.
 
-    An agent that acts on arrays (`swarm_envs.agents.batch.BatchAgent`) flies `AT_ONCE` episodes at
-    once after the first `timed`, with the same metrics; of these no decision is timed, and
-    `act_us` is empty.
+    An agent that acts on arrays (a `BatchAgent`) flies `AT_ONCE` episodes at once after the first
+    `timed`, with the same metrics; of these no decision is timed, and `act_us` is empty.
 
     Args:
         env: has what the agent requires.
@@ -134,19 +137,18 @@ def evaluate(
         kept: episodes flown before, by seed.
         keep: called with new episodes, one or more, before they are given.
         timed: of the seeds, how many are flown one by one in any case.
-        refusals: whether an episode that the agent refuses is given too, as of `fly_or_refuse`.
+        refusals: whether an episode that the agent refuses is given too; see `fly_seed`.
 
     Raises:
         AgentFailed: the agent did.
     """
     found = kept or {}
-    fly = fly_or_refuse if refusals else fly_seed
     batched = flies_batches(env, agent)
     single = seeds[:timed] if batched else seeds
     for seed in single:
         episode = found.get(seed)
         if episode is None:
-            episode = fly(env, agent, seed)
+            episode = fly_seed(env, agent, seed, refusals)
             if keep is not None:
                 keep(episode)
         yield episode
@@ -162,7 +164,7 @@ def _evaluate_batched(
     keep: Callable[..., None] | None,
     refusals: bool,
 ) -> Iterator[Episode]:
-    """As `evaluate`, many at once."""
+    """As `evaluate_agent`, many at once."""
     core: SwarmCore | None = None
     for first in range(0, len(seeds), AT_ONCE):
         chunk = seeds[first : first + AT_ONCE]
@@ -175,7 +177,7 @@ def _evaluate_batched(
             except AgentRefused:
                 if not refusals:
                     raise
-                new = [fly_or_refuse(env, agent, seed) for seed in missing]
+                new = [fly_seed(env, agent, seed, refusals) for seed in missing]
             if keep is not None:
                 keep(*new)
         given = {**kept, **{episode["seed"]: episode for episode in new}}
@@ -286,3 +288,136 @@ def source_digest(agent: Agent) -> str:
     digest = hashlib.sha256(Path(file).read_bytes() if file else b"")
     digest.update(str(getattr(agent, "digest", "")).encode())
     return digest.hexdigest()
+
+
+CONFIDENCE = 0.95
+"""Of all intervals."""
+RESAMPLES = 2000
+"""Bootstrap resamples."""
+
+COLLISIONS = {
+    "drone": "collided_drones",
+    "floor": "collided_floor",
+    "wall": "collided_wall",
+    "obstacle": "collided_obstacle",
+    "tumbling": "tumbled",
+}
+"""Kinds of crash, and the metric that counts drones that ended so."""
+
+_OF_SUCCESSES = ("time_to_goal_s", "energy_j")
+_OF_ALL = (
+    "minimum_separation_m",
+    "worst_tracking_error_m",
+    "rms_tracking_error_m",
+    "worst_height_error_m",
+    "worst_force_g",
+    "length_s",
+)
+
+
+def interquartile_mean(values: FloatArray, axis: int = -1) -> FloatArray:
+    """Mean of the middle half: of n values, a quarter (rounded down) is left out at each end."""
+    from scipy.stats import trim_mean
+
+    return np.asarray(trim_mean(values, 0.25, axis=axis))
+
+
+def bootstrap_interval(
+    values: FloatArray, statistic: Callable[..., FloatArray] = interquartile_mean
+) -> list[float]:
+    """Percentile bootstrap interval of a statistic of values (n,); the same values, the same ends.
+
+    One value has no spread to draw from: both ends are that value.
+    """
+    from scipy.stats import bootstrap
+
+    if len(values) < 2:
+        return [float(values[0])] * 2
+    result = bootstrap(
+        (values,),
+        statistic,
+        n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE,
+        method="percentile",
+        vectorized=True,
+        batch=max(1, 500_000 // len(values)),
+        rng=np.random.default_rng(0),
+    )
+    return [float(end) for end in result.confidence_interval]
+
+
+def rate_interval(count: int, total: int) -> list[float]:
+    """Wilson's interval of a rate: unlike a bootstrap's it has a width at 0 and 1 too."""
+    from scipy.stats import binomtest
+
+    ends = binomtest(count, total).proportion_ci(CONFIDENCE, method="wilson")
+    return [float(ends.low), float(ends.high)]
+
+
+def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What an agent's episodes add up to.
+
+    Rates (with Wilson's intervals): `success_rate`; `collision_rate`, of episodes in which any
+    drone collided, left the arena or tumbled; `collision_rate_by_kind`, of which several may hold;
+    `near_miss_rate`, of episodes with a near miss that no crash followed. Interquartile means
+    (with bootstrap intervals): `time_to_goal_s` and `energy_j` of the successes, the others of all
+    episodes that have them, null where none has; of separation also the smallest, of errors also
+    the largest. `act_ms`: time of one decision for the whole team, median and 99th percentile of
+    the `timed_decisions`: those of episodes that were flown one by one.
+
+    Args:
+        episodes: of `swarm_envs.agents.evaluation`.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if not episodes:
+        raise ValueError("there is no episode to score; fly at least one")
+    metrics = [episode["metrics"] for episode in episodes]
+    crashed = [any(m[name] for name in COLLISIONS.values()) for m in metrics]
+    flags = {
+        "success_rate": [m["success"] for m in metrics],
+        "collision_rate": crashed,
+        "near_miss_rate": [
+            m["near_misses"] > 0 and not bad for m, bad in zip(metrics, crashed, strict=True)
+        ],
+    }
+    numbers: dict[str, Any] = {"episodes": len(metrics)}
+    intervals: dict[str, list[float]] = {}
+    for name, flag in flags.items():
+        numbers[name] = sum(flag) / len(flag)
+        intervals[name] = rate_interval(sum(flag), len(flag))
+    numbers["collision_rate_by_kind"] = {
+        kind: sum(m[name] > 0 for m in metrics) / len(metrics) for kind, name in COLLISIONS.items()
+    }
+    successes = [m for m in metrics if m["success"]]
+    for names, of in ((_OF_SUCCESSES, successes), (_OF_ALL, metrics)):
+        for name in names:
+            values = np.array([m[name] for m in of if m[name] is not None], dtype=np.float64)
+            numbers[name] = float(interquartile_mean(values)) if len(values) else None
+            if len(values):
+                intervals[name] = bootstrap_interval(values)
+    numbers |= _extremes(metrics)
+    numbers["act_ms"] = _compute(episodes)
+    numbers["timed_decisions"] = sum(len(episode["act_us"]) for episode in episodes)
+    return {**numbers, "intervals": intervals}
+
+
+def _extremes(metrics: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    """The worst of all episodes."""
+    found: dict[str, float | None] = {}
+    for new, name, worst in (
+        ("smallest_separation_m", "minimum_separation_m", min),
+        ("largest_tracking_error_m", "worst_tracking_error_m", max),
+    ):
+        values = [float(m[name]) for m in metrics if m[name] is not None]
+        found[new] = worst(values) if values else None
+    return found
+
+
+def _compute(episodes: Sequence[dict[str, Any]]) -> dict[str, float | None]:
+    spent = np.concatenate([np.asarray(episode["act_us"], np.float64) for episode in episodes])
+    names = {"p50": 50.0, "p99": 99.0}
+    if not len(spent):
+        return dict.fromkeys(names)
+    return {name: float(np.percentile(spent, share)) / 1e3 for name, share in names.items()}

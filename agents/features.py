@@ -1,27 +1,34 @@
-"""What a policy network is told of an observation row: the same numbers, made easy to learn from.
+"""Features: what a policy network sees of an observation row, easier to learn from than the row.
 
 A row of `swarm_envs.envs.observation` holds everything that a drone senses. A small network learns
 faster when it need not find out by itself how near is near, or where two straight ways meet.
+There are sets for tasks with goals to be reached (`goal_features`) and for tasks with a reference
+to be tracked (`reference_features`). A policy's file says by name which of them it uses.
 """
 
 from __future__ import annotations
 
-from functools import cache
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from functools import cache, partial
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.compiled import kernel
 from swarm_envs.envs.observation import Float32Array, observation_layout, observation_width
-from swarm_envs.tasks.base import SPEED_LIMIT
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
-FEATURES = "goal-and-closest-approach-1"
-"""Name of this choice of features: files of policies say by it what their numbers are."""
+GOAL = "goal-and-closest-approach-1"
+"""Name of `goal_features` in files of policies."""
 TYPED = "goal-and-closest-approach-typed-1"
 """The same with the types of vehicles: its own after its own numbers, a neighbour's after its."""
+REFERENCE = "reference-and-downwash-1"
+"""Name of `reference_features` in files of policies."""
 TYPES = tuple(VEHICLES)
-"""In the order of their one-hot code."""
+"""Types of vehicles in the order of their one-hot code."""
 
 GOAL_REACH = 0.5
 """Beyond this distance the goal's vector is a direction, m."""
@@ -32,16 +39,26 @@ AHEAD = 2.0
 OTHERS_GOAL = 1.0
 """A neighbour's way to its goal is seen up to this length, m."""
 OWN_WIDTH, NEIGHBOR_WIDTH = 18, 17
-"""Numbers told of a drone itself, and of each neighbour, whose mask is the last; types follow."""
+"""Goal features of a drone itself, and of each neighbour, whose mask is the last; types follow."""
 
+REACH = 0.2
+"""Beyond this distance from the reference its vector is a direction, m."""
+FAST = 0.5
+"""Unit of errors of velocity, m/s."""
+BESIDE = 0.2
+"""Length over which downwash falls by e to the side, m."""
+ABOVE = 0.5
+"""Height at which a neighbour counts as fully above or below, m."""
+REFERENCE_OWN_WIDTH, REFERENCE_NEIGHBOR_WIDTH = 23, 12
+"""Reference features of a drone, its type last, and of each neighbour, its type and mask last."""
 
 _ZERO, _LITTLE, _TWO, _CUT = (np.float32(value) for value in (0.0, 1e-6, 2.0, GOAL_REACH))
 _SPEED, _HORIZON = np.float32(SPEED_LIMIT), np.float32(AHEAD)
 _REACH, _FOLD = np.float32(OTHERS_GOAL), np.float32(NEAR)
 
 
-class _Places(NamedTuple):
-    """Where in a row begins what features are made of."""
+class ObservationColumns(NamedTuple):
+    """Where fields begin in a flat observation row, for kernels."""
 
     position: int
     velocity: int
@@ -49,13 +66,28 @@ class _Places(NamedTuple):
     thrust: int
     setpoint_offset: int
     type: int
-    neighbors: int
-    """Of the first neighbour."""
     goal: int
     time_left: int
+    neighbors: int
+    """Of the nearest neighbour; 0 if none is observed."""
+    neighbor_width: int
+    """Numbers of a neighbour."""
+    num_neighbors: int
+    """Neighbours that a row has."""
 
 
-def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Float32Array:
+def observation_columns(fields: Mapping[str, slice]) -> ObservationColumns:
+    """Where the fields of a flat observation row begin, of slices by the names of the layout."""
+    own = ("position", "velocity", "attitude", "thrust", "setpoint_offset", "type")
+    starts = {name: fields[f"self.{name}"].start for name in own}
+    starts |= {name: fields[f"task.{name}"].start for name in ("goal", "time_left")}
+    nearest = [where for name, where in fields.items() if name.startswith("neighbor_0.")]
+    first, width = (nearest[0].start, nearest[-1].stop - nearest[0].start) if nearest else (0, 0)
+    count = sum(name.endswith(".mask") and name.startswith("neighbor_") for name in fields)
+    return ObservationColumns(**starts, neighbors=first, neighbor_width=width, num_neighbors=count)
+
+
+def goal_features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Float32Array:
     """Features of flat observation rows without obstacles.
 
     Of the drone (18): the vector to its goal, over 0.5 m and cut there; its distance, m; velocity
@@ -70,7 +102,7 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
     Args:
         rows: (..., width) as `observation="flat"` gives them, `num_obstacles=0`.
         num_neighbors: K.
-        typed: tell the drone's own type after its numbers, and each neighbour's after its.
+        typed: add the drone's own type after its numbers, and each neighbour's after its.
 
     Returns:
         (..., 18 + 17 K, with types 21 + 20 K) float32.
@@ -83,7 +115,7 @@ def features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Flo
     own, neighbor = (width + typed * len(TYPES) for width in (OWN_WIDTH, NEIGHBOR_WIDTH))
     made: Float32Array = np.empty((len(flat), own + num_neighbors * neighbor), np.float32)
     nearness: Float32Array = np.empty((2, len(flat), num_neighbors), np.float32)
-    _write(flat, _places(num_neighbors), typed, made, nearness)
+    _write(flat, _columns(num_neighbors), typed, made, nearness)
     if num_neighbors:
         around = made[:, own:].reshape(len(flat), num_neighbors, neighbor)
         np.exp(nearness, out=nearness)
@@ -112,18 +144,15 @@ _NEARNESS, _MASK = (3, 11), 16
 
 @kernel
 def _write(
-    rows: Float32Array, at: _Places, typed: bool, made: Float32Array, nearness: Float32Array
+    rows: Float32Array,
+    at: ObservationColumns,
+    typed: bool,
+    made: Float32Array,
+    nearness: Float32Array,
 ) -> None:
-    """Write features of rows, all but nearness, of which the exponents are written.
+    """Write the features (R, width) of rows, and the exponents (2, R, K) of nearness, -d / 0.4 m.
 
     The exponential is left to numpy, whose digits trained policies have seen.
-
-    Args:
-        rows: (R, width).
-        at: where they have what.
-        typed: whether types are told.
-        made: (R, width) features, written.
-        nearness: (2, R, K) -distance / 0.4 m, now and at the closest approach, written.
     """
     types = len(TYPES) if typed else 0
     own, width, seen = OWN_WIDTH + types, NEIGHBOR_WIDTH + types, 10 + len(TYPES)
@@ -136,8 +165,8 @@ def _write(
 
 
 @kernel
-def _write_own(row: Float32Array, at: _Places, types: int, made: Float32Array) -> None:
-    """Write what a row tells of the drone itself."""
+def _write_own(row: Float32Array, at: ObservationColumns, types: int, made: Float32Array) -> None:
+    """Write the features of the drone itself."""
     square = _ZERO
     for k in range(3):
         square += row[at.goal + k] * row[at.goal + k]
@@ -157,7 +186,7 @@ def _write_own(row: Float32Array, at: _Places, types: int, made: Float32Array) -
 def _write_neighbor(
     row: Float32Array, types: int, made: Float32Array, nearness: Float32Array
 ) -> None:
-    """Write what the fields of a neighbour (width,) tell, and the exponents (2,) of nearness."""
+    """Write the features of a neighbour, of its fields (width,), and the exponents of nearness."""
     mask = row[len(row) - 1]
     square = approach = motion = goal = _ZERO
     for k in range(3):
@@ -185,16 +214,147 @@ def _write_neighbor(
 
 
 @cache
-def _places(num_neighbors: int) -> _Places:
-    starts = {field.name: field.where.start for field in observation_layout(num_neighbors)}
-    return _Places(
-        position=starts["self.position"],
-        velocity=starts["self.velocity"],
-        attitude=starts["self.attitude"],
-        thrust=starts["self.thrust"],
-        setpoint_offset=starts["self.setpoint_offset"],
-        type=starts["self.type"],
-        neighbors=starts.get("neighbor_0.position", 0),
-        goal=starts["task.goal"],
-        time_left=starts["task.time_left"],
+def _columns(num_neighbors: int) -> ObservationColumns:
+    return observation_columns(
+        {field.name: field.where for field in observation_layout(num_neighbors)}
     )
+
+
+def reference_features(rows: Float32Array, num_neighbors: int) -> Float32Array:
+    """Features of flat observation rows without obstacles.
+
+    Of the drone (23): the vector to its reference, over 0.2 m and cut there; its distance, m; the
+    reference's velocity less its own, over 0.5 m/s; the reference's velocity, m/s, and
+    acceleration, m/s^2; the direction of its thrust, and its share of the largest; the controller's
+    set-point relative to the reference, over 0.2 m; its type, one-hot.
+    Of each neighbour (12): relative position, m, and velocity over 2 m/s; nearness to the vertical
+    line through the drone, exp(-h / 0.2 m); this times height above the drone over 0.5 m, cut at
+    one; type; mask. All zero where there is no neighbour.
+
+    Args:
+        rows: (..., width) as `observation="flat"` gives them, `num_obstacles=0`.
+        num_neighbors: K.
+
+    Returns:
+        (..., 23 + 12 K) float32.
+
+    Raises:
+        ValueError: rows have another width.
+    """
+    check_width(rows, num_neighbors)
+    at = {field.name: field.where for field in observation_layout(num_neighbors)}
+    error = rows[..., at["task.reference_position"]]
+    distance = np.linalg.norm(error, axis=-1, keepdims=True)
+    velocity = rows[..., at["self.velocity"]] * np.float32(SPEED_LIMIT)
+    wanted = rows[..., at["task.reference_velocity"]] * np.float32(SPEED_LIMIT)
+    parts: list[npt.NDArray[Any]] = [
+        error / np.maximum(distance, REACH),
+        distance,
+        (wanted - velocity) / np.float32(FAST),
+        wanted,
+        rows[..., at["task.reference_acceleration"]] * np.float32(ACCELERATION_LIMIT),
+        rows[..., at["self.attitude"]][..., 2::3],
+        rows[..., at["self.thrust"]],
+        (rows[..., at["self.setpoint_offset"]] - error) / np.float32(REACH),
+        rows[..., at["self.type"]],
+    ]
+    if num_neighbors:
+        seen = [_neighbor_features(rows, at, f"neighbor_{k}") for k in range(num_neighbors)]
+        parts += seen
+    made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32)
+    return made
+
+
+def _neighbor_features(rows: Float32Array, at: Mapping[str, slice], name: str) -> Float32Array:
+    """(..., 12) of the rows' neighbour of this name."""
+    position, mask = rows[..., at[f"{name}.position"]], rows[..., at[f"{name}.mask"]]
+    beside = np.exp(-np.linalg.norm(position[..., :2], axis=-1, keepdims=True) / BESIDE)
+    above = np.clip(position[..., 2:3] / ABOVE, -1.0, 1.0)
+    velocity, kind = rows[..., at[f"{name}.velocity"]], rows[..., at[f"{name}.type"]]
+    parts = [position, velocity, beside, beside * above, kind, mask]
+    made: Float32Array = np.concatenate(parts, axis=-1, dtype=np.float32) * mask
+    return made
+
+
+class FeatureSizes(NamedTuple):
+    """Where features of a row have what: the drone's own numbers, then those of K neighbours."""
+
+    num_neighbors: int
+    """K"""
+    own: int
+    """Numbers about the drone itself."""
+    neighbor: int
+    """Numbers about each neighbour."""
+    mask: int
+    """Which of a neighbour's says that it is there."""
+    own_type: int | None = None
+    """Column of its own numbers where its type begins, one-hot, if types are features."""
+    neighbor_type: int | None = None
+    """The same of a neighbour's numbers."""
+
+    @property
+    def typed(self) -> bool:
+        """Whether types of vehicles are features."""
+        return self.own_type is not None
+
+    @property
+    def width(self) -> int:
+        """Numbers altogether."""
+        return self.own + self.neighbor * self.num_neighbors
+
+    def own_column(self, token: str) -> int:
+        """Which of its own numbers is 1 where a drone is of a type, else 0."""
+        assert self.own_type is not None
+        return self.own_type + TYPES.index(token)
+
+    def neighbor_column(self, token: str) -> int:
+        """Which of a neighbour's numbers is 1 where it is there and of a type, else 0."""
+        assert self.neighbor_type is not None
+        return self.neighbor_type + TYPES.index(token)
+
+    def split(self, values: Float32Array) -> tuple[Float32Array, Float32Array]:
+        """Features (..., width) as a drone's (..., own) and its neighbours' (..., K, neighbor)."""
+        shape = (*values.shape[:-1], self.num_neighbors, self.neighbor)
+        return values[..., : self.own], values[..., self.own :].reshape(shape)
+
+
+class FeatureSet(NamedTuple):
+    """One choice of features."""
+
+    sizes: Callable[[int], FeatureSizes]
+    """Of features of a row with K neighbours."""
+    make: Callable[[Float32Array, int], Float32Array]
+    """Features (..., width) of flat rows without obstacles, and K."""
+
+
+FEATURE_SETS: Mapping[str, FeatureSet] = MappingProxyType(
+    {
+        GOAL: FeatureSet(
+            partial(FeatureSizes, own=OWN_WIDTH, neighbor=NEIGHBOR_WIDTH, mask=NEIGHBOR_WIDTH - 1),
+            goal_features,
+        ),
+        TYPED: FeatureSet(
+            partial(
+                FeatureSizes,
+                own=OWN_WIDTH + len(TYPES),
+                neighbor=NEIGHBOR_WIDTH + len(TYPES),
+                mask=NEIGHBOR_WIDTH - 1,
+                own_type=OWN_WIDTH,
+                neighbor_type=NEIGHBOR_WIDTH,
+            ),
+            partial(goal_features, typed=True),
+        ),
+        REFERENCE: FeatureSet(
+            partial(
+                FeatureSizes,
+                own=REFERENCE_OWN_WIDTH,
+                neighbor=REFERENCE_NEIGHBOR_WIDTH,
+                mask=REFERENCE_NEIGHBOR_WIDTH - 1,
+                own_type=REFERENCE_OWN_WIDTH - len(TYPES),
+                neighbor_type=REFERENCE_NEIGHBOR_WIDTH - 1 - len(TYPES),
+            ),
+            reference_features,
+        ),
+    }
+)
+"""By name: files of policies say by it which features their network sees."""

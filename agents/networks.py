@@ -7,6 +7,7 @@ there may be any number of them (Zaheer et al. 2017; for types as in Neural-Swar
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,14 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.feature_sets import FeatureSizes
+from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.envs.observation import Float32Array
 
 Layers = tuple[tuple[Float32Array, Float32Array], ...]
 """Weight (out, in) and bias (out,) of each layer of a network, in order; tanh between them."""
 
 ENCODERS = ("mlp", "deep-set")
-"""How neighbours are told: one after another, or as a set."""
+"""How neighbours are encoded: one after another, or as a set."""
 POOLINGS = ("mean", "max", "sum")
 """What becomes of a set's members: their mean, largest values, or sum; zero if there are none."""
 ANY = ""
@@ -105,70 +106,15 @@ def to_tensors(networks: Mapping[str, Network]) -> dict[str, Float32Array]:
     return tensors
 
 
-@dataclass(frozen=True)
-class Plan:
-    """What a file must hold: from so many features to so many actions, for these vehicles."""
+def layers_from_tensors(tensors: Mapping[str, Float32Array], name: str, width: int) -> Layers:
+    """The layers `<name>.0.weight`, `<name>.0.bias` and so on, which take in so many numbers.
 
-    sizes: FeatureSizes
-    """Numbers that the networks take in."""
-    actions: int
-    """Numbers that they give."""
-    action: str
-    """What these mean, as the option `action` names it."""
-    encoder: str
-    """How what is observed becomes one row."""
-    pooling: str
-    """How neighbours become one row, where they are a set."""
-    neighbor_types: tuple[str, ...]
-    """Vehicles that neighbours may be, each with a network."""
-    owners: tuple[str, ...]
-    """Vehicles that act, each with a network."""
-
-    def networks(self, tensors: Mapping[str, Float32Array]) -> dict[str, Network]:
-        """The networks, every layer's widths checked.
-
-        Raises:
-            ValueError: layers do not fit each other, features or actions, or a tensor is left over.
-            KeyError: a tensor is missing.
-        """
-        found = {
-            owner: self._network(tensors, f"{owner}/" if owner else "") for owner in self.owners
-        }
-        extra = set(tensors) - set(to_tensors(found))
-        if extra:
-            raise ValueError(f"it holds tensors that no network has: {', '.join(sorted(extra))}")
-        return found
-
-    def _network(self, tensors: Mapping[str, Float32Array], before: str) -> Network:
-        told, phi = self.sizes.width, None
-        if self.encoder == "deep-set":
-            parts = {
-                token: f"{before}phi.{token}" if token else f"{before}phi"
-                for token in self.neighbor_types
-            }
-            phi = {
-                token: _chained(tensors, name, self.sizes.neighbor) for token, name in parts.items()
-            }
-            widths = {len(layers[-1][1]) for layers in phi.values()}
-            if len(widths) > 1:
-                raise ValueError(f"networks of neighbours give different numbers: {sorted(widths)}")
-            told = self.sizes.own + widths.pop()
-        layers = _chained(tensors, f"{before}actor", told)
-        if len(layers[-1][1]) != self.actions:
-            raise ValueError(
-                f"its layers do not lead from {told} features to the {self.actions} numbers of "
-                f"action {self.action!r}"
-            )
-        return Network(layers, phi, self.pooling)
-
-
-def _chained(tensors: Mapping[str, Float32Array], name: str, width: int) -> Layers:
-    count = sum(
-        key.startswith(f"{name}.")
-        and key.endswith(".weight")
-        and key.removeprefix(f"{name}.").count(".") == 1
-        for key in tensors
-    )
+    Raises:
+        ValueError: they do not fit each other, or take in another width.
+        KeyError: a tensor is missing.
+    """
+    weight_of_layer = re.compile(rf"{re.escape(name)}\.[^.]*\.weight")
+    count = sum(weight_of_layer.fullmatch(key) is not None for key in tensors)
     if not count:
         raise KeyError(f"{name}.0.weight")
     layers = tuple(

@@ -1,26 +1,298 @@
-"""Trained policies as agents: what they were trained for is checked, and numpy is all they need."""
+"""Trained policies: their files, checked before they are used, and the agent that flies them.
+
+A file is safetensors with a JSON note. Tensors, float32: `actor.<layer>.weight` (out, in) and
+`actor.<layer>.bias`, layers in order, tanh between them; of a deep set also `phi.<layer>.weight`,
+or `phi.<type>.<layer>.weight` for each type of neighbour; all behind `<type>/` where each type of
+vehicle has a network of its own. The note, under the key `swarm_envs`, says what the policy was
+trained for. Files of the first version, which have perceptrons alone, are read too. numpy is all
+that a policy needs to fly.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
 
-from swarm_envs.agents.feature_sets import FEATURE_SETS
-from swarm_envs.agents.networks import act
-from swarm_envs.agents.policy_file import Policy, read_policy
+from swarm_envs import TASKS
+from swarm_envs.agents.features import FEATURE_SETS, GOAL, FeatureSizes
+from swarm_envs.agents.networks import (
+    ANY,
+    ENCODERS,
+    POOLINGS,
+    Network,
+    act,
+    layers_from_tensors,
+    to_tensors,
+)
 from swarm_envs.agents.protocol import Actions, Observations, check_requirements
-from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.actions import ACTIONS
+from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.errors import check_integer, check_name
+from swarm_envs.files import written_whole
+from swarm_envs.vehicles import VEHICLES
 
 FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of what a killed run goes on from, beside it."""
+FORMAT = "swarm-envs-policy-3"
+"""What a file of a policy says it is."""
+_BEFORE = {
+    "swarm-envs-policy-1": {"fewest", "encoder", "pooling", "types", "per_type"},
+    "swarm-envs-policy-2": {"fewest"},
+}
+"""Formats that are read, though no longer written: what their notes do not say."""
+LARGEST = 1e4
+"""No weight of a policy that was trained comes near it; one beyond it was damaged."""
+
+
+@dataclass(frozen=True)
+class PolicyNote:
+    """What a policy was trained for, and so where alone it may fly."""
+
+    task: str
+    """versioned name, such as `swap_v0`"""
+    drones: int
+    """largest team it may fly in: that of its training"""
+    action: str
+    """what its numbers mean"""
+    decision_rate: int
+    """how often it decides, 1/s"""
+    num_neighbors: int
+    """K, how many neighbours it observes"""
+    features: str = GOAL
+    """what is made of an observation row before the network sees it"""
+    encoder: str = "mlp"
+    """how neighbours are encoded: one of `ENCODERS`"""
+    pooling: str = "mean"
+    """of a deep set: one of `POOLINGS`"""
+    types: tuple[str, ...] = ()
+    """types of vehicles it was trained with and alone flies; none if it makes no difference"""
+    per_type: bool = False
+    """whether each of these types has a network of its own"""
+    fewest: int = 1
+    """smallest team it may fly in: places of neighbours that were never empty in its training can
+    mislead it when they are"""
+
+    @property
+    def sizes(self) -> FeatureSizes:
+        """How many numbers its features are."""
+        return FEATURE_SETS[self.features].sizes(self.num_neighbors)
+
+    @property
+    def teams(self) -> str:
+        """Team sizes in which it flies, for people."""
+        return f"{self.fewest} to {self.drones}" if self.fewest < self.drones else f"{self.drones}"
+
+    @property
+    def owners(self) -> tuple[str, ...]:
+        """Types of vehicles that have a network each; `ANY` alone if all share one."""
+        return self.types if self.per_type else (ANY,)
+
+    def networks(self, tensors: Mapping[str, Float32Array]) -> dict[str, Network]:
+        """The networks that a file holds for such a policy, every layer's widths checked.
+
+        Raises:
+            ValueError: layers do not fit each other, features or actions, or a tensor is left over.
+            KeyError: a tensor is missing.
+        """
+        found = {
+            owner: self._network(tensors, f"{owner}/" if owner else "") for owner in self.owners
+        }
+        extra = set(tensors) - set(to_tensors(found))
+        if extra:
+            raise ValueError(f"it holds tensors that no network has: {', '.join(sorted(extra))}")
+        return found
+
+    def _network(self, tensors: Mapping[str, Float32Array], prefix: str) -> Network:
+        inputs, phi, actions = self.sizes.width, None, ACTIONS[self.action].width
+        if self.encoder == "deep-set":
+            phi = {
+                token: layers_from_tensors(
+                    tensors, f"{prefix}phi.{token}".removesuffix("."), self.sizes.neighbor
+                )
+                for token in self.types or (ANY,)
+            }
+            widths = {len(layers[-1][1]) for layers in phi.values()}
+            if len(widths) > 1:
+                raise ValueError(f"networks of neighbours give different numbers: {sorted(widths)}")
+            inputs = self.sizes.own + widths.pop()
+        layers = layers_from_tensors(tensors, f"{prefix}actor", inputs)
+        if len(layers[-1][1]) != actions:
+            raise ValueError(
+                f"its layers do not lead from {inputs} features to the {actions} numbers of "
+                f"action {self.action!r}"
+            )
+        return Network(layers, phi, self.pooling)
+
+    def check(self) -> None:
+        """Refuse a note that speaks of what does not exist here.
+
+        Raises:
+            ValueError: naming the entry.
+        """
+        check_name("task", self.task, TASKS)
+        check_name("action", self.action, ACTIONS)
+        check_name("features", self.features, FEATURE_SETS)
+        check_name("encoder", self.encoder, ENCODERS)
+        check_name("pooling", self.pooling, POOLINGS)
+        for token in self.types:
+            check_name("types", token, VEHICLES)
+        if (self.types and not self.sizes.typed) or (self.per_type and not self.types):
+            raise ValueError(
+                f"types are {self.types}, per_type is {self.per_type} and features "
+                f"{self.features!r}, but types are named only where they are told"
+            )
+        check_integer("fewest", self.fewest, 1)
+        check_integer("drones", self.drones, self.fewest)
+        check_integer("decision_rate", self.decision_rate, 1)
+        check_integer("num_neighbors", self.num_neighbors, 0)
+
+
+@dataclass(frozen=True)
+class Policy:
+    """A network that acts, and what it was trained for."""
+
+    note: PolicyNote
+    """What it was trained for."""
+    networks: Mapping[str, Network]
+    """One under `ANY`, or one for each type of vehicle."""
+    provenance: Mapping[str, Any]
+    """How it came about: command, seed, steps ..."""
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the weights."""
+        return _digest(to_tensors(self.networks))
+
+    def actions(self, rows: Float32Array) -> Float32Array:
+        """Actions (..., width) for observation rows (..., row width) of any number of drones.
+
+        Raises:
+            ValueError: the rows have another width.
+        """
+        values = FEATURE_SETS[self.note.features].make(rows, self.note.num_neighbors)
+        actions: Float32Array = np.clip(act(self.networks, values, self.note.sizes), -1.0, 1.0)
+        return actions
+
+
+def write_policy(path: Path, policy: Policy) -> None:
+    """Write a policy, whole or not at all.
+
+    Raises:
+        OSError: the folder cannot be made or written.
+        ValueError: a weight is not finite.
+    """
+    tensors = to_tensors(policy.networks)
+    _check_numbers(tensors)
+    note = {
+        "format": FORMAT,
+        **asdict(policy.note),
+        "observation": layout_digest(policy.note.num_neighbors),
+        "weights_sha256": _digest(tensors),
+        "provenance": dict(policy.provenance),
+    }
+    with written_whole(path) as partial:
+        save_file(tensors, partial, metadata={"swarm_envs": json.dumps(note, allow_nan=False)})
+        partial.chmod(0o644)  # safetensors makes files that only their owner can read
+
+
+def read_policy(path: Path) -> Policy:
+    """Read a policy.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        ValueError: it is damaged, of no format that is known, or of another observation layout.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"there is no {str(path)!r}; train a policy by `swarm-envs train`")
+    if path.suffix != ".safetensors":
+        raise ValueError(
+            f"policy {str(path)!r} is no .safetensors file: a pickle, such as .pt or .zip, can "
+            "run any code when it is read, and is refused; write it by `swarm-envs train`"
+        )
+    try:
+        tensors, note = _read(path)
+        if note.get("format") not in (FORMAT, *_BEFORE):
+            raise ValueError(f"its format is {note.get('format')!r}, not {FORMAT!r}")
+        if _digest(tensors) != note["weights_sha256"]:
+            raise ValueError("its weights are not those that were written")
+        about = _about(note)
+        networks = about.networks(tensors)
+        provenance = dict(note["provenance"])
+    except (SafetensorError, KeyError, TypeError, ValueError, OSError) as error:
+        raise ValueError(
+            f"policy {str(path)!r} is damaged or no policy of this version ({error}); train it "
+            "again by `swarm-envs train`, or reinstall the package"
+        ) from error
+    if note.get("observation") != layout_digest(about.num_neighbors):
+        raise ValueError(
+            f"policy {str(path)!r} was trained on another layout of observations than this "
+            "version's; train it again by `swarm-envs train`"
+        )
+    return Policy(about, networks, provenance)
+
+
+def layout_digest(num_neighbors: int) -> str:
+    """SHA-256 of the observation layout: names, places, units and scales of its fields."""
+    layout = [
+        [field.name, field.where.start, field.where.stop, field.unit, field.scale]
+        for field in observation_layout(num_neighbors)
+    ]
+    return hashlib.sha256(json.dumps(layout).encode()).hexdigest()
+
+
+def _read(path: Path) -> tuple[dict[str, Float32Array], dict[str, Any]]:
+    with safe_open(path, framework="numpy") as file:
+        metadata = file.metadata() or {}
+        names = file.keys()  # the file itself cannot be iterated
+        tensors = {name: np.asarray(file.get_tensor(name), np.float32) for name in names}
+    note = json.loads(metadata.get("swarm_envs", "{}"))
+    if not isinstance(note, dict):
+        raise ValueError(f"its note is {note!r:.80}, not a JSON object")
+    _check_numbers(tensors)
+    return tensors, note
+
+
+def _check_numbers(tensors: Mapping[str, Float32Array]) -> None:
+    for name, tensor in tensors.items():
+        if not np.isfinite(tensor).all():
+            raise ValueError(f"tensor {name!r} holds a number that is not finite")
+        if (np.abs(tensor) > LARGEST).any():
+            raise ValueError(f"tensor {name!r} holds a number beyond {LARGEST:g}")
+
+
+def _about(note: Mapping[str, Any]) -> PolicyNote:
+    """The note, checked; what older files do not say is as it was then."""
+    later = _BEFORE.get(note["format"], set())
+    known = {
+        field.name: note[field.name] for field in fields(PolicyNote) if field.name not in later
+    }
+    if "types" in known:
+        known["types"] = tuple(known["types"])
+    about = PolicyNote(**known)
+    about.check()
+    return about
+
+
+def _digest(tensors: Mapping[str, Float32Array]) -> str:
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        digest.update(f"{name}{tensors[name].shape}".encode())
+        digest.update(tensors[name].tobytes())
+    return digest.hexdigest()
 
 
 class PolicyAgent:
@@ -99,33 +371,20 @@ class PolicyAgent:
         Raises:
             ValueError: the rows have another width.
         """
-        note = self.policy.note
-        values = FEATURE_SETS[note.features].make(rows, note.num_neighbors)
-        actions: Float32Array = np.clip(act(self.policy.networks, values, note.sizes), -1.0, 1.0)
-        return actions
+        return self.policy.actions(rows)
 
 
-def _shipped(name: str) -> PolicyAgent:
+def _shipped_policy(name: str) -> PolicyAgent:
     weights = resources.files("swarm_envs.agents").joinpath("weights")
     with resources.as_file(weights.joinpath(f"{name}.safetensors")) as path:
         return PolicyAgent.load(path)
 
 
-def swap_ppo() -> PolicyAgent:
-    """The policy that ships for swaps of four drones; see `weights/MODEL_CARD.md`."""
-    return _shipped("swap-ppo")
-
-
-def swap_ppo_8() -> PolicyAgent:
-    """The policy that ships for swaps of two to eight drones; see `weights/MODEL_CARD.md`."""
-    return _shipped("swap-ppo-8")
-
-
-def formation_ppo() -> PolicyAgent:
-    """The policy that ships for formations of six to eight drones; see `weights/MODEL_CARD.md`."""
-    return _shipped("formation-ppo")
-
-
-def ring_ppo() -> PolicyAgent:
-    """The policy that ships for rings of up to five drones; see `weights/MODEL_CARD.md`."""
-    return _shipped("ring-ppo")
+swap_ppo = partial(_shipped_policy, "swap-ppo")
+"""The policy that ships for swaps of four drones; see `weights/MODEL_CARD.md`."""
+swap_ppo_8 = partial(_shipped_policy, "swap-ppo-8")
+"""The policy that ships for swaps of two to eight drones."""
+formation_ppo = partial(_shipped_policy, "formation-ppo")
+"""The policy that ships for formations of six to eight drones."""
+ring_ppo = partial(_shipped_policy, "ring-ppo")
+"""The policy that ships for rings of up to five drones."""

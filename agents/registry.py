@@ -18,14 +18,14 @@ from swarm_envs.errors import unknown_name
 
 SHIPPED: Mapping[str, str] = MappingProxyType(
     {
-        "hover": "swarm_envs.agents.simple:HoverAgent",
-        "random": "swarm_envs.agents.simple:RandomAgent",
-        "straight-line": "swarm_envs.agents.simple:StraightLineAgent",
+        "hover": "swarm_envs.agents.scripted:HoverAgent",
+        "random": "swarm_envs.agents.scripted:RandomAgent",
+        "straight-line": "swarm_envs.agents.scripted:StraightLineAgent",
         "tracking": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent",
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
         ),
-        "detour": "swarm_envs.agents.detour:DetourAgent",
+        "detour": "swarm_envs.agents.scripted:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         "swap-ppo": "swarm_envs.agents.policy:swap_ppo",
         "swap-ppo-8": "swarm_envs.agents.policy:swap_ppo_8",
@@ -47,7 +47,7 @@ _USERS_MODULE = "swarm_envs_users_agent_"
 
 
 @typed
-def load(name: str | os.PathLike[str]) -> Agent:
+def load_agent(name: str | os.PathLike[str]) -> Agent:
     """Make an agent.
 
     Args:
@@ -70,7 +70,7 @@ def load(name: str | os.PathLike[str]) -> Agent:
         inner = name.removesuffix(FILTER)
         if inner.endswith(FILTER):
             raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
-        return SafetyFilter(load(inner))
+        return SafetyFilter(load_agent(inner))
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path)

@@ -18,11 +18,17 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.barrier import LIMITS, WALLS, Barrier, Places, Scratch, filter_accelerations
-from swarm_envs.agents.batch import BatchAgent
+from swarm_envs.agents.barrier import (
+    LIMITS,
+    WALLS,
+    Barrier,
+    BarrierWorkspace,
+    filter_accelerations,
+    new_workspace,
+)
 from swarm_envs.agents.evaluation import source_digest
-from swarm_envs.agents.nearest import new_workspace
-from swarm_envs.agents.protocol import Actions, Agent, Observations, check_requirements
+from swarm_envs.agents.features import observation_columns
+from swarm_envs.agents.protocol import Actions, Agent, BatchAgent, Observations, check_requirements
 from swarm_envs.arguments import typed
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.envs.observation import Float32Array
@@ -45,7 +51,7 @@ class Safety:
     horizon_s: float = 0.7
     """How far ahead that distance is kept, if both fly straight on, s."""
     response_s: float = 0.08
-    """Time after which a drone does what it is told, s: positions and velocities are predicted as
+    """Time until a drone follows its command, s: positions and velocities are predicted as
     far, one's own with the acceleration that its thrust gives it."""
     rate: float = 8.0
     """Share of what is left of safety that may be used up a second, 1/s; at most the rate of
@@ -93,7 +99,7 @@ class Safety:
 class SafetyFilter:
     """Flies as an agent does, but keeps its drones apart. By name: `swap-ppo+filter`.
 
-    An agent that acts on arrays (`swarm_envs.agents.batch.BatchAgent`) still does so: then the
+    An agent that acts on arrays (`swarm_envs.agents.protocol.BatchAgent`) still does so: then the
     filter has `act_batch` too.
 
     Args:
@@ -125,7 +131,7 @@ class SafetyFilter:
         self.digest = self._digest()
         if isinstance(agent, BatchAgent):
             self.act_batch = self._act_batch
-        self._tally = _Tally()
+        self._statistics = _Statistics()
         self._twin: SwarmParallelEnv | None = None
         self._dropped = slice(0, 0)
 
@@ -143,14 +149,14 @@ class SafetyFilter:
             ValueError: the environment lacks what is required; or as the agent's reset.
         """
         check_requirements(env, self)
-        fields = {field.name: field.where for field in env.observation_layout}
-        watched = env.core.config.num_neighbors
+        columns = observation_columns({field.name: field.where for field in env.observation_layout})
+        watched = columns.num_neighbors
         observed = self.agent.requires.get("num_neighbors", watched)
-        first, width = _neighbor_fields(fields)
+        first, width = columns.neighbors, columns.neighbor_width
         self._dropped = slice(first + observed * width, first + watched * width)
-        self._places = _places(fields, first, width, watched)
+        self._columns = columns
         self._arena, rows = np.array(env.core.task.arena), LIMITS + WALLS + watched
-        self._scratch = Scratch(
+        self._scratch = BarrierWorkspace(
             np.zeros((rows, 3)), np.zeros(rows), np.zeros(3), np.zeros(3), new_workspace(rows)
         )
         self.agent.reset(env if observed == watched else self._twin_of(env, observed, seed), seed)
@@ -186,11 +192,7 @@ class SafetyFilter:
         return seen
 
     def _filter(self, rows: Float32Array, asked: Float32Array) -> Float32Array:
-        """Safe actions near those asked for, both (..., 3).
-
-        Raises:
-            ValueError: what is asked for is not finite, or of another shape.
-        """
+        """Safe actions near those asked for, both (..., 3)."""
         shape = (*rows.shape[:-1], 3)
         if asked.shape != shape or not np.isfinite(asked).all():
             raise ValueError(
@@ -205,7 +207,7 @@ class SafetyFilter:
             flat,
             wanted,
             self.safety.barrier(),
-            self._places,
+            self._columns,
             _RATIOS,
             _RADII,
             self._arena,
@@ -214,7 +216,7 @@ class SafetyFilter:
             broken,
         )
         spent = time.perf_counter_ns() - begun
-        self._tally.take(wanted, actions, broken, spent if rows.ndim == 2 else None)
+        self._statistics.take(wanted, actions, broken, spent if rows.ndim == 2 else None)
         return actions.reshape(shape)
 
     def statistics(self) -> dict[str, Any]:
@@ -225,10 +227,10 @@ class SafetyFilter:
         inequality, and `worst_broken_mps2`, by how much at most; `cost_us`: median and 99th
         percentile of the time for a team, where one is flown at a time.
         """
-        return self._tally.report()
+        return self._statistics.report()
 
 
-class _Tally:
+class _Statistics:
     """What a filter has done."""
 
     def __init__(self) -> None:
@@ -267,15 +269,3 @@ class _Tally:
 
 _RATIOS = np.array([vehicle.thrust_to_weight for vehicle in VEHICLES.values()])
 _RADII = np.array([vehicle.radius for vehicle in VEHICLES.values()])
-
-
-def _neighbor_fields(fields: Mapping[str, slice]) -> tuple[int, int]:
-    """Where the fields of the first neighbour begin, and how many numbers they are."""
-    own = [where for name, where in fields.items() if name.startswith("neighbor_0.")]
-    return own[0].start, own[-1].stop - own[0].start
-
-
-def _places(fields: Mapping[str, slice], first: int, width: int, watched: int) -> Places:
-    names = ("position", "velocity", "attitude", "thrust", "type")
-    own = {name: fields[f"self.{name}"].start for name in names}
-    return Places(**own, neighbors=first, neighbor_width=width, num_neighbors=watched)

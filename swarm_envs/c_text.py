@@ -1,14 +1,20 @@
-"""Numbers and comments as C99 source has them, for the headers that models are exported to."""
+"""C99 source as text: numbers, arrays and comments, filled into the templates of `c_templates/`.
+
+Both exported headers are made with it: force models by `swarm_envs.interactions.c_header`, trained
+policies by `swarm_envs.agents.c_header`.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from importlib import resources
 
 import numpy as np
 import numpy.typing as npt
 
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
+_NUMBERS_A_LINE = 7
 
 
 def check_prefix(name: str) -> None:
@@ -23,23 +29,27 @@ def check_prefix(name: str) -> None:
         )
 
 
-def filled(text: str, words: Mapping[str, str]) -> str:
-    """A text with its @words@ replaced."""
+def fill_templates(names: Iterable[str], words: Mapping[str, str]) -> str:
+    """The text of templates, one after another, with their @words@ replaced.
+
+    Args:
+        names: of files in `c_templates/`.
+        words: by name; what replaces a word is not searched for further words.
+    """
+    folder = resources.files("swarm_envs").joinpath("c_templates")
+    text = "".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
     return re.sub(r"@(\w+)@", lambda found: words[found[1]], text)
 
 
-def comment(lines: Iterable[str]) -> str:
+def comment_lines(lines: Iterable[str]) -> str:
     """Lines of a block comment, which they cannot end."""
     return "\n".join(" *   " + line.replace("*/", "* /").replace("/*", "/ *") for line in lines)
 
 
-def enumeration(prefix: str, types: tuple[str, ...], taken: tuple[str, ...]) -> str:
+def type_enumeration(prefix: str, types: tuple[str, ...], taken: tuple[str, ...]) -> str:
     """Constants of types of vehicles, under their names as far as C takes them, and their number.
 
-    Args:
-        prefix: of each, in capitals.
-        types: their names.
-        taken: names after the prefix that mean something else.
+    Each begins with the prefix; `taken` are names after it that mean something else.
     """
     names = [re.sub(r"\W", "_", kind, flags=re.ASCII) for kind in types]
     if len({*names, *taken}) < len(names) + len(taken):
@@ -48,27 +58,26 @@ def enumeration(prefix: str, types: tuple[str, ...], taken: tuple[str, ...]) -> 
     return "\n".join([*rows, f"    {prefix}_TYPES = {len(types)}"])
 
 
-def array(name: str, values: npt.ArrayLike) -> str:
+def array_definition(name: str, values: npt.ArrayLike) -> str:
     """Definition of a constant array of float32, of one dimension or two."""
     numbers = np.asarray(values)
     if numbers.ndim == 1:
-        return f"static const float {name}[] = {{\n{lines(map(number, numbers))}}};"
-    return f"static const float {name}[][{numbers.shape[1]}] = {{\n{rows(numbers)}}};"
+        return f"static const float {name}[] = {{\n{_literals(numbers)}}};"
+    return f"static const float {name}[][{numbers.shape[1]}] = {{\n{array_rows(numbers)}}};"
 
 
-def rows(numbers: npt.NDArray[np.generic]) -> str:
+def array_rows(numbers: npt.NDArray[np.generic]) -> str:
     """Initialisers of the rows of an array of two dimensions."""
-    return ",\n".join(f"    {{{lines(map(number, row)).lstrip()}}}" for row in numbers)
+    return ",\n".join(f"    {{{_literals(row).lstrip()}}}" for row in numbers)
 
 
-def lines(words: Iterable[str], each: int = 7) -> str:
-    """Words with commas between them, so many a line."""
-    given = list(words)
-    joined = [", ".join(given[k : k + each]) for k in range(0, len(given), each)]
-    return ",\n".join(f"    {line}" for line in joined)
+def _literals(numbers: npt.NDArray[np.generic]) -> str:
+    words = [literal(number) for number in numbers]
+    starts = range(0, len(words), _NUMBERS_A_LINE)
+    return ",\n".join(f"    {', '.join(words[k : k + _NUMBERS_A_LINE])}" for k in starts)
 
 
-def number(value: float) -> str:
+def literal(value: float | np.generic) -> str:
     """An integer, or the shortest text that gives the same float32."""
     if isinstance(value, np.integer):
         return str(value)

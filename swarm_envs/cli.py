@@ -155,8 +155,8 @@ def _export(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         print(export.OVERVIEW)
         return DONE if arguments else MISUSED
-    kind = export.find_kind(arguments[0])
-    kind.run(_read(f"export {arguments[0]}", kind.options, arguments[1:]))
+    options, export_kind = export.find_kind(arguments[0])
+    export_kind(_read(f"export {arguments[0]}", options, arguments[1:]))
     return DONE
 
 

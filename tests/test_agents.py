@@ -1,20 +1,25 @@
-"""Agents fly only in environments that are what they require."""
+"""Agents by name and what they require; the detour agent's smooth ways that do not meet."""
 
 from __future__ import annotations
 
 import copy
 import pickle
 import re
+from typing import Any
 
+import numpy as np
 import pytest
 
+import swarm_envs
 from swarm_envs import make, swap_v0
 from swarm_envs.agents import Agent, fly_episode, load
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import SHIPPED
-from swarm_envs.agents.simple import HoverAgent
+from swarm_envs.agents.scripted import DetourAgent, HoverAgent, along, bumps, choose_bumps
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.physics import BatchPhysics
+from swarm_envs.tasks.obstacles import Box, Column, obstacle_distances, obstacle_rows
+from swarm_envs.tasks.placing import arena_of
 
 
 def test_an_agent_is_not_flown_with_another_controller() -> None:
@@ -151,3 +156,130 @@ def test_what_cannot_be_flown_is_told_before_the_flight() -> None:
 def test_one_filter_is_enough() -> None:
     with pytest.raises(ValueError, match="one \\+filter at its end is enough"):
         load("straight-line+filter+filter")
+
+
+START = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 0.6]])
+
+
+GOAL = np.array([[1.0, 0.0, 1.0], [-1.0, 0.0, 1.0], [0.0, 0.0, 1.8]])
+
+
+RADIUS = np.full(3, 0.06)
+
+
+def chosen(
+    start: np.ndarray, goal: np.ndarray, obstacles: tuple[Any, ...] = (), seed: int = 0
+) -> np.ndarray:
+    n, rng = len(start), np.random.default_rng(seed)
+    rows = obstacle_rows(obstacles)
+    return choose_bumps(start, goal, RADIUS[:n], arena_of(n), rows, rng)
+
+
+def closest(start: np.ndarray, goal: np.ndarray, bump: np.ndarray) -> float:
+    """Smallest distance of two drones at 2,000 instants, m."""
+    times = np.linspace(0.0, 1.0, 2000)
+    p = along(start[:, None], goal[:, None], bump[:, None], 1.0, times).position
+    i, j = np.triu_indices(len(p), 1)
+    return float(np.linalg.norm(p[i] - p[j], axis=-1).min())
+
+
+def test_derivatives_are_those_of_the_position():
+    bump, step = bumps(START, GOAL)[:, 17], 1e-5
+    for time in (0.3, 1.1, 1.9):
+        here = along(START, GOAL, bump, 2.0, np.full(3, time))
+        before = along(START, GOAL, bump, 2.0, np.full(3, time - step))
+        after = along(START, GOAL, bump, 2.0, np.full(3, time + step))
+        for k in range(3):
+            slope = (after[k] - before[k]) / (2 * step)
+            np.testing.assert_allclose(here[k + 1], slope, rtol=1e-6, atol=1e-6)
+
+
+def test_ways_rest_at_both_ends():
+    bump = bumps(START, GOAL)[:, -1]
+    for time, place in ((0.0, START), (2.0, GOAL), (-1.0, START), (5.0, GOAL)):
+        way = along(START, GOAL, bump, 2.0, np.full(3, time))
+        np.testing.assert_allclose(way.position, place, atol=1e-12)
+        for part in way[1:]:
+            np.testing.assert_allclose(part, 0.0, atol=1e-9)
+    middle = along(START, GOAL, bump, 2.0, np.ones(3)).position
+    np.testing.assert_allclose(middle, (START + GOAL) / 2 + bump, atol=1e-12)
+
+
+def test_bumps_stand_across_the_way_and_the_first_is_none():
+    family = bumps(START, GOAL)
+    assert family.shape == (3, 61, 3)
+    assert not family[:, 0].any()
+    assert np.abs(family[:2] @ [1.0, 0.0, 0.0]).max() < 1e-12  # the first two fly along x
+    assert np.linalg.norm(family[0, 1:], axis=1).min() == pytest.approx(0.3)
+
+
+def test_alone_it_flies_straight():
+    assert not chosen(START[:1], GOAL[:1]).any()
+    apart = START[:2] + np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]])
+    assert not chosen(apart, apart * [-1.0, 1.0, 1.0]).any()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_drones_that_would_meet_do_not(seed):
+    assert closest(START, GOAL, np.zeros((3, 3))) < 0.01
+    assert closest(START, GOAL, chosen(START, GOAL, seed=seed)) > 0.25
+
+
+def test_it_flies_around_obstacles_and_stays_inside():
+    wall = Box(low=(-0.1, -0.8, 0.0), high=(0.1, 1.9, 2.5))
+    bump = chosen(START[:1], GOAL[:1], (wall,))
+    times = np.linspace(0.0, 1.0, 500)
+    way = along(START[:1, None], GOAL[:1, None], bump[:, None], 1.0, times).position
+    assert obstacle_distances(obstacle_rows((wall,)), way).min() > 0.06
+    assert bump[0, 1] < -0.5
+    edge = np.array([[-1.0, 1.7, 1.0], [1.0, 1.7, 1.0]])
+    bump = chosen(edge, edge[::-1].copy())
+    for start, goal, off in zip(edge, edge[::-1], bump, strict=True):
+        assert along(start, goal, off, 1.0, times).position[:, 1].max() < 1.94
+
+
+SOLVED: list[tuple[str, dict[str, Any]]] = [
+    ("swap_v0", {"layout": "random", "num_drones": 4}),
+    ("swap_v0", {"layout": "random", "team": "SLS*SLS"}),
+    ("swap_v0", {"layout": "random", "num_drones": 32}),
+    ("swap_v0", {"layout": "circle", "num_drones": 2}),
+    ("swap_v0", {"layout": "circle", "num_drones": 16}),
+    ("swap_v0", {"layout": "random", "obstacles": (Column(center=(0.0, 0.0), radius=0.3),)}),
+    ("swap_v0", {"layout": "stacked", "num_drones": 3}),
+    ("ring_v0", {"num_drones": 5}),
+    ("formation_v0", {"num_drones": 9}),
+    ("formation_v0", {"num_drones": 8, "labels": "random"}),
+    ("formation_v0", {"num_drones": 16, "labels": "mirror", "shapes": ("rings", "rings")}),
+    ("formation_v0", {"num_drones": 18, "labels": "blocks", "shapes": ("blocks", "blocks")}),
+]
+
+
+@pytest.mark.parametrize(("task", "options"), SOLVED)
+def test_it_solves_each_task(task, options):
+    """Through the air of `learned`, its controller compensating what a fit to flights believes."""
+    agent = load("detour-compensated")
+    env = swarm_envs.make(task, physics="batch", **options, **agent.requires)
+    metrics = fly_episode(env, agent, seed=0)
+    assert metrics["success"]
+    assert metrics["near_misses"] == 0
+
+
+def test_without_compensation_it_swaps_too():
+    agent = load("detour")
+    env = swarm_envs.make("swap_v0", physics="batch", num_drones=8, **agent.requires)
+    assert all(fly_episode(env, agent, seed)["success"] for seed in range(3))
+
+
+def test_it_plans_anew_in_each_episode():
+    """And alike for the same seed."""
+    agent = DetourAgent()
+    env = swarm_envs.make("swap_v0", physics="batch", num_drones=3, **agent.requires)
+    lengths = [fly_episode(env, agent, seed)["energy_j"] for seed in (0, 1, 0)]
+    assert lengths[0] == lengths[2] != lengths[1]
+
+
+def test_what_it_refuses():
+    with pytest.raises(ValueError, match=r"share is 0.0, but must lie in \(0, 1\]"):
+        DetourAgent(share=0.0)
+    with pytest.raises(ValueError, match=r"privileged: pass env\.view"):
+        DetourAgent().act({}, None)

@@ -104,7 +104,7 @@ def test_names_in_docstrings_are_resolved_where_they_stand():
     assert resolve("load", model) == "swarm_envs.interactions.base.load"
     assert resolve("parse_team()", "swarm_envs.vehicles") == "swarm_envs.vehicles.parse_team"
     assert resolve("nothing", model) is None
-    assert ("load", "swarm_envs.agents.registry.load") in exports("swarm_envs.agents")
+    assert ("load", "swarm_envs.agents.registry.load_agent") in exports("swarm_envs.agents")
 
 
 def test_docstrings_become_what_sphinx_reads():

@@ -15,8 +15,17 @@ import pytest
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode, load
-from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, frozen_seeds
-from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean, rate_interval, score
+from swarm_envs.agents.evaluation import (
+    TIMED,
+    Episode,
+    EpisodeFile,
+    bootstrap_interval,
+    evaluate_agent,
+    frozen_seeds,
+    interquartile_mean,
+    rate_interval,
+    score_episodes,
+)
 from swarm_envs.cli import main
 from swarm_envs.files import LOCK
 from tests.helpers.users_agents import FAILING, FINE
@@ -195,7 +204,7 @@ def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     env = swap_v0.parallel_env(**options)
     kept = {seeds[-3]: {"seed": seeds[-3], "metrics": {"flown": "before"}, "act_us": []}}
     calls: list[tuple[Episode, ...]] = []
-    episodes = list(evaluate(env, agent, seeds, kept, lambda *new: calls.append(new)))
+    episodes = list(evaluate_agent(env, agent, seeds, kept, lambda *new: calls.append(new)))
     assert [episode["seed"] for episode in episodes] == seeds
     assert [len(new) for new in calls] == [1] * TIMED + [4]  # the last four at once
     assert all(episode["act_us"] for episode in episodes[:TIMED])
@@ -241,14 +250,6 @@ def test_who_leaves_in_the_middle_is_named_and_the_others_fly(tmp_path):
     assert stayed["success_rate"] == 0.0
 
 
-def test_a_run_without_a_policy_and_a_folder_that_is_not_there_are_named(tmp_path):
-    (tmp_path / "checkpoint.safetensors").touch()
-    with pytest.raises(FileNotFoundError, match="has kept no policy yet; the same `swarm-envs tra"):
-        load(str(tmp_path))
-    with pytest.raises(FileNotFoundError, match=r"there is no '.*none' to take an agent from"):
-        load(str(tmp_path / "none"))
-
-
 def test_seeds_are_frozen_and_fewer_are_the_first_of_more():
     assert frozen_seeds(7, 3) == frozen_seeds(7, 300)[:3]
     assert not set(frozen_seeds(7, 2048)) & set(frozen_seeds(8, 2048))
@@ -264,4 +265,4 @@ def test_statistics_against_what_is_known():
     assert (low, high) == pytest.approx((sample.mean() - half, sample.mean() + half), abs=0.02)
     assert rate_interval(0, 100) == pytest.approx([0.0, 0.0370], abs=1e-4)  # 3.84 / 103.84
     with pytest.raises(ValueError, match="no episode"):
-        score([])
+        score_episodes([])

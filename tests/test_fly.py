@@ -11,7 +11,7 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.commands.fly import find_task
 from swarm_envs.physics import bullet_available
-from swarm_envs.viewing import film as films
+from swarm_envs.viewing import video as films
 from swarm_envs.viewing.trajectory import read_trajectory
 
 STACKED = ["fly", "--layout", "stacked", "--team", "L2S", "--physics", "batch", "--seed", "1"]

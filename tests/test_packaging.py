@@ -76,7 +76,7 @@ def wheel(dist):
 
 
 def published(name: str) -> bool:
-    text = {".py", ".json", ".md", ".typed", ".html", ".css", ".js"}
+    text = {".py", ".json", ".md", ".typed", ".html", ".css", ".js", ".h"}
     return Path(name).suffix in {*text, ".safetensors"}
 
 

@@ -1,4 +1,4 @@
-"""Policies as files and agents: what they are told, what they answer, what is refused."""
+"""Policies as files and agents: features, answers, refusals, and what those that ship achieve."""
 
 from __future__ import annotations
 
@@ -14,16 +14,24 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from swarm_envs import make, swap_v0
-from swarm_envs.agents import fly_episode, load
-from swarm_envs.agents.batch import fly_batch
-from swarm_envs.agents.features import features
+from swarm_envs import formation_v0, make, ring_v0, swap_v0
+from swarm_envs.agents import Agent, fly_episode, load
+from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
+from swarm_envs.agents.features import FEATURE_SETS, REFERENCE, goal_features
 from swarm_envs.agents.networks import ANY, plain
-from swarm_envs.agents.policy import FILE, PolicyAgent
-from swarm_envs.agents.policy_file import Policy, PolicyNote, read_policy, write_policy
+from swarm_envs.agents.policy import (
+    FILE,
+    Policy,
+    PolicyAgent,
+    PolicyNote,
+    read_policy,
+    write_policy,
+)
+from swarm_envs.agents.protocol import fly_batch
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.options import batch_of
+from swarm_envs.envs.parallel import SwarmParallelEnv
 
 NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2, fewest=2)
 
@@ -58,7 +66,7 @@ def observed(count: int, neighbors: int, drones: int) -> tuple[np.ndarray, dict[
 def test_features_are_what_is_said_of_them(neighbors, drones):
     """Against plain Python, a number at a time; closest approaches by looking along both ways."""
     rows, where = observed(40, neighbors, drones)
-    made = features(rows, neighbors)
+    made = goal_features(rows, neighbors)
     assert made.shape == (40, 18 + 17 * neighbors)
     assert made.dtype == np.float32
     for row, out in zip(rows.astype(np.float64), made, strict=True):
@@ -88,9 +96,10 @@ def test_features_are_what_is_said_of_them(neighbors, drones):
             np.testing.assert_allclose(seen[12:15], cut, atol=1e-6)
 
 
-def test_features_need_rows_of_their_width():
+@pytest.mark.parametrize("name", FEATURE_SETS)
+def test_features_need_rows_of_their_width(name):
     with pytest.raises(ValueError, match="rows have 80 numbers, but those with num_neighbors=3"):
-        features(np.zeros((2, 80), np.float32), 3)
+        FEATURE_SETS[name].make(np.zeros((2, 80), np.float32), 3)
 
 
 def test_a_file_gives_back_what_was_written(tmp_path):
@@ -201,6 +210,11 @@ def test_pickles_and_missing_files_are_refused(tmp_path):
         load(str(tmp_path))
     with pytest.raises(FileNotFoundError, match="train a policy"):
         load(str(tmp_path / "runs" / "a.safetensors"))
+    with pytest.raises(FileNotFoundError, match=r"there is no '.*none' to take an agent from"):
+        load(str(tmp_path / "none"))
+    (tmp_path / "checkpoint.safetensors").touch()
+    with pytest.raises(FileNotFoundError, match="has kept no policy yet; the same `swarm-envs tra"):
+        load(str(tmp_path))
 
 
 def test_weights_that_are_no_numbers_are_not_written(tmp_path):
@@ -209,3 +223,103 @@ def test_weights_that_are_no_numbers_are_not_written(tmp_path):
     with pytest.raises(ValueError, match=r"actor\.0\.weight.* not finite"):
         write_policy(tmp_path / FILE, broken)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("neighbors", [0, 1, 4, 5])
+def test_reference_features_are_what_is_said_of_them(neighbors):
+    env = ring_v0.parallel_env(num_drones=5, physics="batch", num_neighbors=neighbors)
+    rng, rows = np.random.default_rng(0), list[np.ndarray]()
+    env.reset(seed=0)
+    while env.agents and len(rows) < 60:
+        rows += list(env.step({a: rng.uniform(-1, 1, 3) for a in env.agents})[0].values())
+    env.close()
+    sizes, make = FEATURE_SETS[REFERENCE]
+    made = make(np.stack(rows), neighbors)
+    assert made.shape == (len(rows), sizes(neighbors).width)
+    assert made.dtype == np.float32
+    for row, got in zip(rows, made, strict=True):
+        np.testing.assert_allclose(got, _by_hand(row, neighbors), rtol=1e-5, atol=1e-6)
+
+
+def _by_hand(row: np.ndarray, neighbors: int) -> list[float]:
+    """In the units of the layout: positions m, velocities m/s, accelerations m/s^2."""
+    said = {f.name: f.scale * row[f.where].astype(float) for f in observation_layout(neighbors)}
+    error, velocity = said["task.reference_position"], said["self.velocity"]
+    far = math.dist(error, [0, 0, 0])
+    told = [*(error / 0.2 if far < 0.2 else error / far), far]
+    told += [*((said["task.reference_velocity"] - velocity) / 0.5)]
+    told += [*said["task.reference_velocity"], *said["task.reference_acceleration"]]
+    told += [*said["self.attitude"].reshape(3, 3)[:, 2], *said["self.thrust"]]
+    told += [*((said["self.setpoint_offset"] - error) / 0.2), *said["self.type"]]
+    for k in range(neighbors):
+        mask = float(said[f"neighbor_{k}.mask"][0])
+        x, y, z = said[f"neighbor_{k}.position"]
+        beside = math.exp(-math.hypot(x, y) / 0.2)
+        one = [x, y, z, *(said[f"neighbor_{k}.velocity"] / 2), beside]
+        one += [beside * min(max(z / 0.5, -1), 1), *said[f"neighbor_{k}.type"], mask]
+        told += [mask * value for value in one]
+    return told
+
+
+SEEDS = frozen_seeds(11, 64)
+
+
+def successes(env: SwarmParallelEnv, agent: Agent, seeds: list[int]) -> float:
+    flown = evaluate_agent(env, agent, seeds)
+    return float(np.mean([episode["metrics"]["success"] for episode in flown]))
+
+
+def formation(agent: Agent, layout: str, **options) -> SwarmParallelEnv:
+    given = {"num_drones": 8, "layout": layout, "physics": "batch", **agent.requires, **options}
+    return formation_v0.parallel_env(**given)
+
+
+def test_places_that_were_matched_are_always_reached():
+    agent = load("formation-ppo")
+    env = formation(agent, "cube")
+    assert successes(env, agent, SEEDS[:32]) == 1.0
+    env.close()
+
+
+def test_drawn_places_are_reached_far_more_often_than_straight_ahead():
+    rates = []
+    for name in ("formation-ppo", "straight-line"):
+        agent = load(name)
+        env = formation(agent, "shuffle", force_rate=48)
+        rates.append(successes(env, agent, SEEDS))
+        env.close()
+    assert rates[0] > 0.6
+    assert rates[0] > rates[1] + 0.25
+
+
+def test_who_hovers_below_others_is_held_up_against_their_downwash():
+    """The set-point hangs above a drone of the lower layer, where the uncompensated one sinks."""
+    agent = load("formation-ppo")
+    env = formation(agent, "cube", end_on_success=False, horizon_s=8.0)
+    fly_episode(env, agent, seed=0)
+    position, goal = env.view.state.position, env.view.goals
+    lower = goal[:, 2] < goal[:, 2].mean()
+    assert lower.sum() == 4
+    assert np.abs(position - goal).max() < 0.1
+    lift = (env.view.setpoint.position - position)[:, 2]
+    assert lift[lower].min() > 0.15 > np.abs(lift[~lower]).max()
+    env.close()
+    tracking = load("tracking")
+    env = formation(tracking, "cube", end_on_success=False, horizon_s=8.0)
+    fly_episode(env, tracking, seed=0)
+    sunk = (env.view.goals - env.view.state.position)[lower, 2]
+    assert sunk.min() > 0.1
+    env.close()
+
+
+def test_heights_on_rings_are_kept_better_than_without_compensation():
+    worst = {}
+    for name, count in (("ring-ppo", 8), ("tracking", 1)):
+        agent = load(name)
+        env = ring_v0.parallel_env(num_drones=5, physics="batch", **agent.requires)
+        flown = [fly_episode(env, agent, seed) for seed in SEEDS[:count]]
+        assert all(metrics["success"] for metrics in flown)
+        worst[name] = max(metrics["worst_height_error_m"] for metrics in flown)
+        env.close()
+    assert worst["ring-ppo"] < 0.5 * worst["tracking"]
+    assert worst["tracking"] == pytest.approx(0.09, abs=0.02)

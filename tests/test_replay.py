@@ -15,10 +15,9 @@ from PIL import Image
 from swarm_envs import swap_v0
 from swarm_envs.agents import load, record_episode
 from swarm_envs.vehicles import GRAM_FORCE
-from swarm_envs.viewing.palette import drone_colors
-from swarm_envs.viewing.record import Recording
+from swarm_envs.viewing.record import Recording, Solid
 from swarm_envs.viewing.replay import page_data, replay_page, share_script, write_replay
-from swarm_envs.viewing.solids import Solid
+from swarm_envs.viewing.style import drone_colors
 from swarm_envs.viewing.summary import events, near_misses
 from tests.helpers.browsers import OVERFLOW, chromium, complaints, requests
 

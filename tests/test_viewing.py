@@ -1,10 +1,12 @@
-"""Camera, video, plots: what they draw stands where geometry says, and files are whole."""
+"""Pictures: what they draw stands where geometry says; films, videos and plots are whole."""
 
 from __future__ import annotations
 
 import re
 import subprocess
 import sys
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import imageio.v3 as iio
@@ -16,18 +18,30 @@ from hypothesis import strategies as st
 from PIL import Image, ImageSequence
 
 from swarm_envs import swap_v0
-from swarm_envs.files import write_json, written_whole
+from swarm_envs.agents import load, record_episode
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import SwarmState, hover_state
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
-from swarm_envs.viewing.camera import Camera
-from swarm_envs.viewing.lens import Lens, aim
-from swarm_envs.viewing.plots import COMPENSATED_COLOR, WITHOUT_COLOR, plot_comparisons
-from swarm_envs.viewing.record import Comparison, FlightRecord, Recorder
-from swarm_envs.viewing.side_by_side import HEIGHT, WIDTH, SideBySide
+from swarm_envs.viewing import frames
+from swarm_envs.viewing import video as films
+from swarm_envs.viewing.camera import Camera, Lens, aim
+from swarm_envs.viewing.comparison import (
+    COMPENSATED_COLOR,
+    HEIGHT,
+    WIDTH,
+    WITHOUT_COLOR,
+    Comparison,
+    SideBySide,
+    plot_comparisons,
+)
+from swarm_envs.viewing.overlay import Overlay, arena_edges, draw_behind, visible_parts
+from swarm_envs.viewing.record import FlightRecord, Solid
+from swarm_envs.viewing.style import drone_colors, type_color
 from swarm_envs.viewing.video import VideoError, write_video, write_video_or_gif
 
 needs_bullet = pytest.mark.skipif(not bullet_available(), reason="pybullet draws")
+
+
 LS = parse_team("LS")
 
 
@@ -45,14 +59,15 @@ def camera():
     with_client.close()
 
 
-def looking_along_y() -> Lens:
+def looking_along_y(distance: float = 1.0) -> Lens:
+    """The middle of the picture at (0, 0, 1); half its height, 50 pixels, is 1 m at 1 m."""
     x, y, z = np.eye(3)
-    return Lens(200, 100, 1.0, eye=np.array([0.0, -2.0, 1.0]), right=x, up=z, forward=y)
+    return Lens(200, 100, 1.0, eye=np.array([0.0, -distance, 1.0]), right=x, up=z, forward=y)
 
 
 def test_a_pinhole_projects_by_similar_triangles():
-    # Half the picture's height, 50 pixels, is 1 m at 1 m and so 2 m at 2 m: 25 pixels a metre.
-    lens = looking_along_y()
+    # At 2 m half the picture's height, 50 pixels, is 2 m: 25 pixels a metre.
+    lens = looking_along_y(2.0)
     points = [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.0, 0.0, 2.0], [1.0, 2.0, 1.0]]
     np.testing.assert_allclose(
         lens.project(points), [[100.0, 50.0], [125.0, 50.0], [100.0, 25.0], [112.5, 50.0]]
@@ -62,7 +77,7 @@ def test_a_pinhole_projects_by_similar_triangles():
 
 
 def test_rays_lead_back_to_their_pixels():
-    lens = looking_along_y()
+    lens = looking_along_y(2.0)
     columns, rows = np.meshgrid(np.arange(200) + 0.5, np.arange(100) + 0.5)
     seen = lens.project(lens.eye + 3.0 * lens.rays())
     np.testing.assert_allclose(seen, np.stack([columns, rows], axis=-1))
@@ -112,24 +127,6 @@ def test_the_camera_stands_still_until_a_drone_leaves_the_picture(camera):
     away = state_at((-3.0, 0.0, 1.2), (3.0, 0.0, 0.8))
     camera.picture(away)
     assert camera.lens.sees(away.position).all()
-
-
-@needs_bullet
-@pytest.mark.parametrize("engine", ["batch", "bullet"])
-def test_environments_render_from_any_engine(engine):
-    env = swap_v0.parallel_env(team="LS", physics=engine, render_mode="rgb_array")
-    env.reset(seed=0)
-    first = env.render()
-    assert first is not None
-    assert first.shape == (480, 640, 3)
-    assert first.dtype == np.uint8
-    for _ in range(24):
-        env.step({agent: np.array([0.5, 0.0, 0.0], np.float32) for agent in env.agents})
-    last = env.render()
-    assert last is not None
-    assert not np.array_equal(last, first)
-    env.close()
-    env.close()
 
 
 @needs_bullet
@@ -202,18 +199,6 @@ def test_a_broken_ffmpeg_gives_a_gif(tmp_path, monkeypatch):
         assert (gif.size, gif.info["duration"]) == ((32, 24), 100)
 
 
-def test_a_file_is_written_whole_or_not_at_all(tmp_path):
-    file = tmp_path / "new" / "a.json"
-    write_json(file, {"a": 1})
-    with pytest.raises(ValueError, match="JSON"):
-        write_json(file, {"a": float("nan")})
-    with pytest.raises(RuntimeError), written_whole(file) as partial:
-        partial.write_text("half")
-        raise RuntimeError
-    assert file.read_text() == '{\n "a": 1\n}\n'
-    assert list(file.parent.iterdir()) == [file]
-
-
 def drop(depth: float, steps: int = 40) -> FlightRecord:
     """Two drones that cross at 0.5 s, the lower of which dips by `depth`, m."""
     time = np.linspace(0.0, 1.0, steps)
@@ -235,24 +220,6 @@ def test_a_record_measures_the_lowest_drone():
     assert flight.height_error_cm().min() == pytest.approx(-17.0)
     assert flight.vertical_force_g().min() == pytest.approx(-10.0)
     assert flight.worst_height_error_cm(0) == 0.0
-
-
-def test_a_recorder_keeps_what_the_environment_was():
-    env = swap_v0.parallel_env(team="LS", layout="stacked", physics="batch")
-    recorder, kept = Recorder(), []
-    with pytest.raises(RuntimeError, match="nothing was recorded"):
-        recorder.record()
-    env.reset(seed=3)
-    for _ in range(5):
-        recorder(env)
-        kept.append(env.view.state.position.copy())
-        env.step({agent: np.zeros(3, np.float32) for agent in env.agents})
-    record = recorder.record()
-    np.testing.assert_array_equal(record.position, kept)
-    np.testing.assert_allclose(record.time, np.arange(5) / 48)
-    np.testing.assert_array_equal(record.reference[0], kept[0])
-    assert record.force.shape == (5, 2, 3)
-    env.close()
 
 
 def has_color(picture: np.ndarray, color: str) -> bool:
@@ -283,3 +250,141 @@ def test_two_flights_beside_each_other():
     left, right = np.s_[:, 4 : WIDTH // 2 - 4], np.s_[:, WIDTH // 2 + 4 : WIDTH - 4]
     np.testing.assert_array_equal(start[scene][left], start[scene][right])
     assert (middle[scene][left] != middle[scene][right]).any(axis=2).sum() > 500
+
+
+WHITE = np.full((100, 200, 3), 255, dtype=np.uint8)
+
+
+def inked(picture: np.ndarray) -> tuple[float, float, float, float]:
+    """First and last column, first and last row, of what is not white."""
+    rows, columns = np.nonzero((picture < 250).any(axis=2))
+    return columns.min(), columns.max(), rows.min(), rows.max()
+
+
+@pytest.mark.parametrize("enlarged", [True, False])
+def test_marks_stand_where_geometry_says(enlarged):
+    point = np.array([[1.0, 0.0, 1.4]])  # 50 pixels right of the middle, 20 above
+    overlay = Overlay(colors=["#1f5fbf"], goals=point, enlarged=enlarged)
+    picture = draw_behind(WHITE, looking_along_y(), overlay)
+    assert picture.shape == WHITE.shape
+    assert (WHITE == 255).all()
+    left, right, top, bottom = inked(picture)
+    assert (left + right) / 2 == pytest.approx(150, abs=1.0)
+    assert (top + bottom) / 2 == pytest.approx(30, abs=1.0)
+    assert 8 <= right - left <= 30
+
+
+def test_a_trail_runs_from_the_oldest_point_to_the_newest():
+    trail = np.array([[[-1.0, 0.0, 1.0]], [[0.0, 0.0, 1.0]], [[0.5, 0.0, 1.0]]])
+    left, right, top, bottom = inked(
+        draw_behind(WHITE, looking_along_y(), Overlay(colors=["#1f5fbf"], trails=trail))
+    )
+    assert left == pytest.approx(50, abs=1.5)
+    assert right == pytest.approx(125, abs=1.5)
+    assert bottom - top <= 3
+
+
+@pytest.mark.parametrize("round_one", [True, False])
+def test_an_obstacle_covers_its_shadow(round_one):
+    solid = Solid(round_one, (-0.5, 0.0, 0.6), (0.5, 1.0, 1.4))
+    picture = draw_behind(WHITE, looking_along_y(), Overlay(colors=[], solids=[solid]))
+    left, right, top, bottom = inked(picture)
+    if not round_one:  # the near face of a box is in the plane of 50 pixels a metre
+        np.testing.assert_allclose([left, right], [75, 125], atol=1.5)
+    np.testing.assert_allclose([top, bottom], [30, 70], atol=4)
+    assert (picture[50, 100] < 200).all()
+
+
+def test_arrows_point_and_weak_ones_are_left_out():
+    foot = np.array([0.0, 0.0, 1.0])
+    arrow = np.array([[foot, foot - [0.0, 0.0, 0.6]], [foot, [0.02, 0.0, 1.0]]])
+    left, right, top, bottom = inked(
+        draw_behind(WHITE, looking_along_y(), Overlay(colors=[], arrows=arrow))
+    )
+    np.testing.assert_allclose([top, bottom], [50, 80], atol=1.5)
+    assert (left + right) / 2 == pytest.approx(100, abs=1.0)
+
+
+def test_edges_of_a_box_and_what_of_them_lies_before_the_camera():
+    edges = arena_edges(np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]]))
+    lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
+    np.testing.assert_allclose(sorted(lengths), [2.5] * 4 + [4.0] * 8)
+    lens = looking_along_y()
+    (part,) = visible_parts(lens, np.array([[2.0, -2.0, 0.0], [2.0, 2.0, 0.0]]))
+    np.testing.assert_allclose(part, [[2.0, -0.95, 0.0], [2.0, 2.0, 0.0]])
+    assert not list(visible_parts(lens, np.array([[2.0, -2.0, 0.0], [2.0, -1.5, 0.0]])))
+
+
+def test_colours_tell_types_and_drones_apart():
+    colors = drone_colors(parse_team("SSLS*"))
+    assert len(set(colors)) == 4
+    assert colors[2] == type_color("L")  # alone of its type
+    assert len({type_color(token) for token in ("S", "L", "S*", "other")}) == 4
+
+
+@needs_bullet
+@pytest.mark.parametrize("engine", ["batch", "bullet"])
+def test_environments_draw_goals_trails_and_obstacles(engine):
+    env = swap_v0.parallel_env(num_drones=2, physics=engine, render_mode="rgb_array")
+    env.reset(seed=0)
+    first = env.render()
+    assert first is not None
+    assert first.shape == (480, 640, 3)
+    np.testing.assert_array_equal(env.render(), first)
+    for _ in range(10):
+        env.step({agent: np.array([0.5, 0.5, 0.0], np.float32) for agent in env.agents})
+        later = env.render()
+    assert later is not None
+    assert (later != first).any(axis=2).sum() > 100
+    env.reset(seed=0)  # nothing of the last episode is left
+    np.testing.assert_array_equal(env.render(), first)
+    env.close()
+
+
+@needs_bullet
+def test_a_film_shows_the_whole_flight(monkeypatch):
+    monkeypatch.setattr(films, "FPS", 4)
+    agent = load("tracking")
+    env = swap_v0.parallel_env(
+        team="LS", layout="stacked", physics="batch", horizon_s=1.0, **agent.requires
+    )
+    recording = record_episode(env, agent, seed=0)
+    env.close()
+    column = Solid(True, (-0.2, -0.2, 0.0), (0.2, 0.2, 2.0))
+    recording = replace(recording, about=replace(recording.about, solids=(column,)))
+    pictures = list(films.film(recording))
+    assert len(pictures) == films.count_frames(recording) == 9
+    assert {p.shape for p in pictures} == {(films.HEIGHT, films.WIDTH, 3)}
+    moving = [(a != b).any() for a, b in pairwise(pictures)]
+    assert moving == [True] * 4 + [False] * 4  # then the last one stands
+
+
+@needs_bullet
+def test_without_a_display_human_says_what_to_do():
+    env = swap_v0.parallel_env(num_drones=1, physics="batch", render_mode="human")
+    with pytest.raises(RuntimeError, match=r"no display.*use render_mode='rgb_array'"):
+        env.reset(seed=0)  # matplotlib's backend is Agg in tests
+    env.close()
+
+
+@needs_bullet
+def test_human_shows_every_decision(monkeypatch):
+    """With a backend that takes what a window would; a display is not at hand in tests."""
+    monkeypatch.setattr(frames, "_FILES_ONLY", set())
+    shown: list[np.ndarray] = []
+    show = frames.Window.show
+
+    def note(window: frames.Window, picture: np.ndarray) -> None:
+        shown.append(picture)
+        show(window, picture)
+
+    monkeypatch.setattr(frames.Window, "show", note)
+    env = swap_v0.parallel_env(num_drones=1, physics="batch", render_mode="human")
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step({"drone_0": np.ones(3, np.float32)})
+    assert len(shown) == 4
+    assert env.render() is None
+    assert (shown[0] != shown[-1]).any()
+    env.close()
+    env.close()

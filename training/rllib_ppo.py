@@ -24,10 +24,9 @@ from pettingzoo.utils import BaseParallelWrapper
 from tqdm import tqdm
 
 from swarm_envs import __version__, swap_v0
-from swarm_envs.agents.feature_sets import FEATURE_SETS, GOAL
+from swarm_envs.agents.features import FEATURE_SETS, GOAL
 from swarm_envs.agents.networks import Layers, plain
-from swarm_envs.agents.policy import FILE
-from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
+from swarm_envs.agents.policy import FILE, Policy, PolicyNote, write_policy
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.errors import check_integer

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from swarm_envs.agents.feature_sets import FEATURE_SETS
+from swarm_envs.agents.features import FEATURE_SETS
 from swarm_envs.envs.config import check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import split_teams

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.agents import Actions, Observations
-from swarm_envs.agents.detour import DetourAgent
-from swarm_envs.agents.planned import PlannedAgent
+from swarm_envs.agents.scripted import DetourAgent, PlannedAgent
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.pipeline import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan

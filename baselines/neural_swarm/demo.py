@@ -36,8 +36,7 @@ from swarm_envs.baselines.neural_swarm.flights import (
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.viewing.plots import plot_comparisons
-from swarm_envs.viewing.record import Comparison
+from swarm_envs.viewing.comparison import Comparison, plot_comparisons
 
 __all__ = ["crashed_flights", "format_table", "run_demo"]
 
@@ -172,7 +171,7 @@ def _flight(flights: Flights, e: int) -> dict[str, Any]:
 
 def _film(path: Path, comparison: Comparison, duration_s: float, progress: bool) -> Path:
     """Film the swap whose error without compensation is the middle one; return the video's path."""
-    from swarm_envs.viewing.side_by_side import SideBySide
+    from swarm_envs.viewing.comparison import SideBySide
     from swarm_envs.viewing.video import write_video_or_gif
 
     typical = int(np.argsort(comparison.without_cm)[len(comparison.without) // 2])

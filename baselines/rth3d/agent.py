@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from swarm_envs.agents.planned import PlannedAgent
+from swarm_envs.agents.scripted import PlannedAgent
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, faster, smooth

@@ -140,7 +140,7 @@ def _reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, 
 
 def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[str, Any]:
     from swarm_envs.agents import SafetyFilter
-    from swarm_envs.agents.scores import score
+    from swarm_envs.agents.evaluation import score_episodes
 
     report: dict[str, Any] = {"agent": name}
     try:
@@ -149,7 +149,7 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
         return {**report, "error": unflyable(error)}
     report |= described(agent, env)
     try:
-        scores = score(_fly(name, env, agent, options, about))
+        scores = score_episodes(_fly(name, env, agent, options, about))
         counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
         return {**report, **scores, **counted}
     except Exception as error:
@@ -179,10 +179,10 @@ def prepare(name: str, options: EvaluateOptions, task: str) -> tuple[Agent, Swar
     """
     from swarm_envs import make
     from swarm_envs.agents import load
-    from swarm_envs.agents.protocol import check_wishes
+    from swarm_envs.agents.protocol import check_options_agree
 
     agent, given = load(name), options.setting()
-    check_wishes(agent, given)
+    check_options_agree(agent, given)
     return agent, make(task, **{**given, **agent.requires})
 
 
@@ -192,14 +192,14 @@ def _fly(
     """Every episode of an agent, with a progress bar; what is kept is not flown again."""
     from tqdm import tqdm
 
-    from swarm_envs.agents.evaluation import evaluate, frozen_seeds
+    from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 
     seeds = frozen_seeds(options.seed, options.episodes)
     kept = open_episodes(name, agent, options, about)
     found = kept.episodes if kept is not None else {}
     tell_before(name, sum(seed in found for seed in seeds), len(seeds))
     episodes, good = [], 0
-    flown = evaluate(env, agent, seeds, dict(found), kept.add if kept is not None else None)
+    flown = evaluate_agent(env, agent, seeds, dict(found), kept.add if kept is not None else None)
     with tqdm(total=len(seeds), desc=name[-30:], unit="episode", mininterval=0.5) as bar:
         for episode in flown:
             episodes.append(episode)

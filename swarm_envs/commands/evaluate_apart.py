@@ -7,9 +7,8 @@ from typing import Any
 
 from tqdm import tqdm
 
-from swarm_envs.agents.batch import flies_batches
-from swarm_envs.agents.evaluation import Episode, frozen_seeds, source_digest
-from swarm_envs.agents.scores import score
+from swarm_envs.agents.evaluation import Episode, frozen_seeds, score_episodes, source_digest
+from swarm_envs.agents.protocol import flies_batches
 from swarm_envs.commands.evaluate import (
     EvaluateOptions,
     described,
@@ -90,7 +89,7 @@ def _fly(agents: list[AgentEpisodes], options: EvaluateOptions, task: str) -> No
 
 def _scores(record: AgentEpisodes, options: EvaluateOptions) -> dict[str, Any]:
     if record.failure is None:
-        return score(record.flown(frozen_seeds(options.seed, options.episodes)))
+        return score_episodes(record.flown(frozen_seeds(options.seed, options.episodes)))
     if ":" in record.name:  # whoever wrote the file needs to see where it failed
         sys.stderr.write(record.trace)
     return {"error": record.failure}

@@ -245,8 +245,7 @@ def _write_replay(path: Path, recording: Recording) -> None:
 def _write_video(path: Path, recording: Recording) -> None:
     from tqdm import tqdm
 
-    from swarm_envs.viewing.film import FPS, count_frames, film
-    from swarm_envs.viewing.video import VideoError, write_gif, write_video
+    from swarm_envs.viewing.video import FPS, VideoError, count_frames, film, write_gif, write_video
 
     total = count_frames(recording)
     frames = tqdm(film(recording), total=total, desc="video", unit="frame", mininterval=0.5)

@@ -17,10 +17,8 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs import __version__
-from swarm_envs.agents.evaluation import frozen_seeds
-from swarm_envs.agents.policy import FILE
-from swarm_envs.agents.policy_file import read_policy
-from swarm_envs.agents.scores import bootstrap_interval, interquartile_mean
+from swarm_envs.agents.evaluation import bootstrap_interval, frozen_seeds, interquartile_mean
+from swarm_envs.agents.policy import FILE, read_policy
 from swarm_envs.commands import train
 from swarm_envs.commands.checks import Misuse, check_file, check_folder
 from swarm_envs.errors import check_integer

@@ -1,4 +1,4 @@
-"""A flight's files: for each drone its pieces and its samples, and what they ask for."""
+"""A flight's files: for each drone its pieces and its samples, a report, and a picture."""
 
 from __future__ import annotations
 
@@ -7,17 +7,26 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.deploy.fit import fit_pieces
 from swarm_envs.deploy.flight import AT_REST, Flight
-from swarm_envs.deploy.pieces import MOST_PIECES, Pieces, evaluate, write_pieces
-from swarm_envs.deploy.plot import plot_export
+from swarm_envs.deploy.pieces import (
+    MOST_PIECES,
+    Pieces,
+    deviations,
+    evaluate,
+    fit_pieces,
+    write_pieces,
+)
 from swarm_envs.deploy.report import TeamReport, report
 from swarm_envs.files import claimed, write_json, written_whole
+from swarm_envs.viewing.style import GREY, INK, drone_colors, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 REPORT = "report.json"
 """Name of the file with everything but the trajectories."""
@@ -101,13 +110,13 @@ def export_flight(
         for name, pieces in zip(flight.names, fitted, strict=True):
             write_pieces(out / f"{name}.csv", pieces)
             _write_samples(out / f"{name}_samples.csv", pieces, rate)
-        plot_export(out / PICTURE, flight, fitted, found)
+        _plot(out / PICTURE, flight, fitted, found)
         write_json(out / REPORT, {"source": dict(source or {}), **report_content(found)})
     return found
 
 
 def report_content(found: TeamReport) -> dict[str, Any]:
-    """A report as JSON has it; of a single drone, which is far from nobody, with null."""
+    """A report as JSON; distances that are infinite, as those of a single drone, are null."""
     content: dict[str, Any] = asdict(found)
     for name in ("flown", "fitted"):
         measured = getattr(found, name)._asdict()
@@ -148,3 +157,56 @@ def _write_samples(path: Path, pieces: Pieces, rate: float) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(SAMPLE_COLUMNS)
         writer.writerows([[f"{value:.6g}" for value in row] for row in rows])
+
+
+_MOST_COMPARED = 64
+"""Of more drones distances over time are not drawn."""
+
+
+def _plot(path: Path, flight: Flight, fitted: Sequence[Pieces], found: TeamReport) -> None:
+    """Draw paths from above, heights, deviations and the least clearance over time."""
+    headline = f"{len(fitted)} drones, {found.duration_s:.1f} s"
+    with picture(path, 11.0, 6.4, headline) as figure:
+        grid = figure.add_gridspec(3, 2, width_ratios=[1.1, 1.0])
+        above = figure.add_subplot(grid[:, 0])
+        beside = [figure.add_subplot(grid[k, 1]) for k in range(3)]
+        for i, (pieces, color) in enumerate(zip(fitted, drone_colors(flight.team), strict=True)):
+            _draw(above, beside, flight, i, pieces, color)
+        above.set(xlabel="x (m)", ylabel="y (m)", title="From above: start ●, end ■, knots |")
+        above.set_aspect("equal", adjustable="datalim")
+        beside[0].set(ylabel="Height (m)")
+        beside[1].set(ylabel="Deviation (mm)")
+        beside[1].axhline(found.tolerance_m * 1e3, color=GREY, linestyle=":", linewidth=0.9)
+        _clearance(beside[2], flight, fitted)
+        beside[2].set(xlabel="Time (s)", ylabel="Nearest hulls (m)")
+
+
+def _draw(
+    above: Axes, beside: Sequence[Axes], flight: Flight, i: int, pieces: Pieces, color: str
+) -> None:
+    time = flight.dense_time
+    place = evaluate(pieces, time)
+    above.plot(place[:, 0], place[:, 1], color=color, linewidth=1.4)
+    first = (float(place[0, 0]), float(place[0, 1]))
+    above.plot(*first, "o", color=color, markersize=6)
+    above.plot(*place[-1, :2], "s", color=color, markersize=6)
+    above.annotate(str(i), first, xytext=(5, 5), textcoords="offset points", color=color)
+    knots = evaluate(pieces, pieces.knots[1:-1])
+    above.plot(knots[:, 0], knots[:, 1], "|", color=INK, markersize=7)
+    beside[0].plot(time, place[:, 2], color=color, linewidth=1.2)
+    distance, _ = deviations(pieces, time, flight.rows(i))
+    beside[1].plot(time, distance * 1e3, color=color, linewidth=0.9)
+
+
+def _clearance(axis: Axes, flight: Flight, fitted: Sequence[Pieces]) -> None:
+    """Distance of the two nearest hulls over time."""
+    if not 1 < len(fitted) <= _MOST_COMPARED:
+        return
+    time, radius = flight.dense_time, np.array([vehicle.radius for vehicle in flight.team])
+    place = np.stack([evaluate(pieces, time)[:, :3] for pieces in fitted], axis=1)
+    nearest = np.full(len(time), np.inf)
+    for i in range(len(fitted) - 1):
+        gap = np.linalg.norm(place[:, i + 1 :] - place[:, i : i + 1], axis=-1)
+        nearest = np.minimum(nearest, (gap - radius[i + 1 :] - radius[i]).min(axis=1))
+    axis.plot(time, nearest, color=INK, linewidth=1.2)
+    axis.axhline(0.0, color=GREY, linewidth=0.8)

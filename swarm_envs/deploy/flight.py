@@ -1,4 +1,7 @@
-"""The flight of a team as curves in time: from a recording, a plan, or arrays; checked by name."""
+"""The flight of a team as curves in time: from a recording, a plan, or arrays; checked by name.
+
+Ramps before and behind a flight make it begin and end at rest.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ from swarm_envs.viewing.record import About, Recording
 PATHS = ("flown", "setpoint")
 """What of a recording is exported: where drones were, or where the tracking loop wanted them."""
 LONGEST_STEP_S = 0.25
-"""Between samples so far apart nobody knows where a drone was, s."""
+"""Longest time between samples: where a drone was in a longer gap is not known, s."""
 SHORTEST_S = 0.5
 """Shorter flights are none, s."""
 YAWS = ("hold", "flown")
@@ -143,18 +146,13 @@ class Flight:
         """
         since = self.time - self.time[0]
         inside = (since >= begin_s - _ROUNDING) & (since <= end_s + _ROUNDING)
+        return replace(self, **self._each(lambda array: array[inside]))
 
-        def cut(array: FloatArray | None) -> FloatArray | None:
-            return None if array is None else array[inside]
-
-        return replace(
-            self,
-            time=self.time[inside],
-            position=self.position[inside],
-            velocity=cut(self.velocity),
-            yaw=cut(self.yaw),
-            force=cut(self.force),
-        )
+    def _each(self, change: Callable[[FloatArray], FloatArray]) -> dict[str, Any]:
+        """Every array that is known, changed, by its name."""
+        names = ("time", "position", "velocity", "yaw", "force")
+        known = {name: getattr(self, name) for name in names}
+        return {name: change(array) for name, array in known.items() if array is not None}
 
 
 def flight_of(recording: Recording, path: str = "flown", yaw: str = "hold") -> Flight:
@@ -243,3 +241,59 @@ def _check_time(time: npt.NDArray[np.float64]) -> None:
             f"there is a gap of {steps[k]:.3g} s after {time[k]:g} s, but samples must be at most "
             f"{LONGEST_STEP_S} s apart: nobody knows where drones were in between"
         )
+
+
+_RATE = 50.0
+
+
+def settled(flight: Flight, seconds: float) -> Flight:
+    """A flight whose drones are brought from rest before it, and to rest after it.
+
+    The ramps are polynomials of 5th degree, over half of what the speed at that end would cover in
+    their time; they replace nothing that was flown. Yaw and force stay as they are at the ends. At
+    an end where all drones stand still there is none.
+
+    Args:
+        flight: of N drones.
+        seconds: duration of each ramp, s.
+
+    Raises:
+        ValueError: the duration is not positive.
+    """
+    if not 0.0 < seconds < np.inf:
+        raise ValueError(f"seconds is {seconds}, but must be positive and finite")
+    first, last = flight.end_speeds.max(axis=1)
+    if last > AT_REST:
+        flight = _with_ramp(flight, seconds)
+    if first > AT_REST:
+        flight = _reversed(_with_ramp(_reversed(flight), seconds))
+    return flight
+
+
+def _with_ramp(flight: Flight, seconds: float) -> Flight:
+    from scipy.interpolate import BPoly
+
+    slopes = [flight.curve(flight.duration_s, order) for order in (1, 2)]
+    there = flight.position[-1] + 0.5 * seconds * slopes[0]
+    still = np.zeros_like(there)
+    rows = np.array([[flight.position[-1], *slopes], [there, still, still]])
+    ramp = BPoly.from_derivatives([0.0, seconds], rows)
+    steps = np.linspace(0.0, seconds, max(int(np.ceil(seconds * _RATE)), 2) + 1)[1:]
+
+    longer = flight._each(
+        lambda array: np.concatenate([array, np.repeat(array[-1:], len(steps), axis=0)])
+    )
+    known = flight.velocity
+    if known is None:
+        known = flight.curve(flight.time - flight.time[0], 1)
+    longer["time"] = np.concatenate([flight.time, flight.time[-1] + steps])
+    longer["position"] = np.concatenate([flight.position, ramp(steps)])
+    longer["velocity"] = np.concatenate([known, ramp(steps, 1)])
+    return replace(flight, **longer)
+
+
+def _reversed(flight: Flight) -> Flight:
+    """Backwards in time."""
+    arrays = flight._each(lambda array: array[::-1])
+    arrays |= {name: -arrays[name] for name in ("time", "velocity") if name in arrays}
+    return replace(flight, **arrays)

@@ -9,12 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.deploy.fit import deviations
 from swarm_envs.deploy.flight import AT_REST, Flight
-from swarm_envs.deploy.pieces import MOST_PIECES, PIECE_BYTES, Pieces, evaluate, largest_jump
+from swarm_envs.deploy.pieces import (
+    MOST_PIECES,
+    PIECE_BYTES,
+    Pieces,
+    deviations,
+    evaluate,
+    largest_jump,
+)
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Vehicle
-from swarm_envs.viewing.solids import Solid
+from swarm_envs.viewing.record import Solid
 
 
 @dataclass(frozen=True)

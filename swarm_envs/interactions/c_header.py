@@ -11,9 +11,16 @@ from itertools import pairwise
 
 import numpy as np
 
-from swarm_envs.c_text import array, check_prefix, comment, enumeration, filled, number, rows
+from swarm_envs.c_text import (
+    array_definition,
+    array_rows,
+    check_prefix,
+    comment_lines,
+    fill_templates,
+    literal,
+    type_enumeration,
+)
 from swarm_envs.interactions.base import InteractionModel
-from swarm_envs.interactions.c_source import HEADER
 from swarm_envs.interactions.field import LEARNED, ForceField
 from swarm_envs.interactions.forces import all_forces
 from swarm_envs.interactions.packed import packed
@@ -51,22 +58,22 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
     words = {
         "name": name,
         "NAME": name.upper(),
-        "provenance": comment(_provenance(model)),
-        "costs": comment(_costs(field)),
+        "provenance": comment_lines(_provenance(model)),
+        "costs": comment_lines(_costs(field)),
         "lateral": f"{field.window[1]:g}",
         "vertical": f"{field.window[3]:g}",
-        "types": enumeration(name.upper(), model.types, _TAKEN),
+        "types": type_enumeration(name.upper(), model.types, _TAKEN),
         "tables": "\n".join(_tables(name, field)),
         "phi": ",\n    ".join(networks[:kinds]),
         "environment": networks[kinds],
         "rho": ",\n    ".join(networks[kinds + 1 :]),
         "widest": str(_widest(field)),
         "hidden": str(_widths(field, 0)[-1]),
-        "gram": number(GRAM_FORCE),
-        "anchor": number(field.anchor_height),
+        "gram": literal(GRAM_FORCE),
+        "anchor": literal(field.anchor_height),
         **_self_test(field, np.random.default_rng(seed)),
     }
-    return filled(HEADER, words)
+    return fill_templates(["force.h"], words)
 
 
 def _provenance(model: InteractionModel) -> list[str]:
@@ -113,15 +120,15 @@ def _tables(name: str, field: ForceField) -> list[str]:
     fades = field.window.reshape(2, 2)
     steep = [1.0 / (end - full) if end > full else 0.0 for full, end in fades]
     tables = [
-        array(f"{name}_window", np.column_stack([fades, steep]).ravel()),
-        array(f"{name}_environment_range", field.environment_range),
-        array(f"{name}_pair_range", field.pair_range),
-        array(f"{name}_drag", field.drag),
+        array_definition(f"{name}_window", np.column_stack([fades, steep]).ravel()),
+        array_definition(f"{name}_environment_range", field.environment_range),
+        array_definition(f"{name}_pair_range", field.pair_range),
+        array_definition(f"{name}_drag", field.drag),
     ]
     for n in range(len(field.layout)):
         widths = ", ".join(map(str, _widths(field, n)))
         tables.append(f"static const int {name}_widths_{n}[] = {{{widths}}};")
-        tables.append(array(f"{name}_weights_{n}", _by_output(field, n)))
+        tables.append(array_definition(f"{name}_weights_{n}", _by_output(field, n)))
     return tables
 
 
@@ -153,6 +160,6 @@ def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
     return {
         "samples": str(SAMPLES),
         "neighbours": str(NEIGHBOURS),
-        "test_types": rows(types),
-        "test_states": rows(np.concatenate(states, axis=1)),
+        "test_types": array_rows(types),
+        "test_states": array_rows(np.concatenate(states, axis=1)),
     }

@@ -1,1 +1,7 @@
-"""Pictures of flights: a camera that needs no display, videos, plots."""
+"""Pictures of flights: recordings and their files, replay pages, a camera that needs no display."""
+
+from swarm_envs.viewing.record import Recorder, Recording
+from swarm_envs.viewing.replay import write_replay
+from swarm_envs.viewing.trajectory import read_trajectory, write_trajectory
+
+__all__ = ["Recorder", "Recording", "read_trajectory", "write_replay", "write_trajectory"]

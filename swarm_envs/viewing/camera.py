@@ -1,4 +1,8 @@
-"""A camera that draws a swarm with Bullet's renderer on the CPU: it needs no display."""
+"""A camera that draws a swarm with Bullet's renderer on the CPU: it needs no display.
+
+`Lens` is the geometry of its pinhole. Behind the drones stand a floor with a grid, a pale sky, and
+soft shadows.
+"""
 
 from __future__ import annotations
 
@@ -6,17 +10,186 @@ import importlib
 import math
 import weakref
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.physics.bullet_bodies import build_body
-from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.state import BoolArray, FloatArray, SwarmState
 from swarm_envs.vehicles import Vehicle, parse_team
-from swarm_envs.viewing.backdrop import Backdrop
-from swarm_envs.viewing.lens import Lens, aim
 from swarm_envs.viewing.overlay import Overlay, draw_behind
+
+_NEAREST = 0.5
+"""No point is nearer to the eye than this, m."""
+
+
+@dataclass(frozen=True)
+class Lens:
+    """A pinhole camera. World frame, m; pixels count from the upper left corner."""
+
+    width: int
+    """Of the picture, pixels."""
+    height: int
+    """Of the picture, pixels."""
+    tangent: float
+    """Tangent of half the vertical field of view."""
+    eye: FloatArray
+    """(3,) where the camera stands."""
+    right: FloatArray
+    """(3,) unit vector to the right of the picture."""
+    up: FloatArray
+    """(3,) unit vector to its top."""
+    forward: FloatArray
+    """(3,) unit vector into it."""
+
+    def project(self, points: npt.ArrayLike) -> FloatArray:
+        """Pixels (..., 2), as (column, row), of points (..., 3) before the camera."""
+        ray = np.asarray(points, dtype=np.float64) - self.eye
+        scale = self.height / (2.0 * self.tangent) / (ray @ self.forward)
+        column = self.width / 2 + scale * (ray @ self.right)
+        row = self.height / 2 - scale * (ray @ self.up)
+        return np.stack([column, row], axis=-1)
+
+    def sees(self, points: npt.ArrayLike) -> BoolArray:
+        """Whether each of the points (..., 3) lies in the picture."""
+        p = np.asarray(points, dtype=np.float64)
+        before = (p - self.eye) @ self.forward > 0.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column, row = np.moveaxis(self.project(p), -1, 0)
+        inside = (column >= 0) & (column < self.width) & (row >= 0) & (row < self.height)
+        return np.asarray(before & inside)
+
+    def rays(self) -> FloatArray:
+        """Direction (height, width, 3) of the ray through the centre of each pixel."""
+        size = 2.0 * self.tangent / self.height
+        columns = (np.arange(self.width) + 0.5 - self.width / 2) * size
+        rows = (self.height / 2 - np.arange(self.height) - 0.5) * size
+        across = columns[None, :, None] * self.right
+        return np.asarray(across + rows[:, None, None] * self.up + self.forward)
+
+
+def aim(
+    points: npt.ArrayLike,
+    width: int,
+    height: int,
+    azimuth_deg: float,
+    elevation_deg: float,
+    field_of_view_deg: float,
+    margin_m: float,
+) -> Lens:
+    """Place a camera so that it sees points, as near as that allows.
+
+    Args:
+        points: (..., 3) m.
+        width: of the picture, pixels.
+        height: of the picture, pixels.
+        azimuth_deg: where the camera stands seen from the points, counter-clockwise from x.
+        elevation_deg: how far above their horizon it stands.
+        field_of_view_deg: vertical.
+        margin_m: what must be seen around each point.
+    """
+    flat = np.asarray(points, dtype=np.float64).reshape(-1, 3)
+    target = (flat.min(axis=0) + flat.max(axis=0)) / 2
+    azimuth, elevation = math.radians(azimuth_deg), math.radians(elevation_deg)
+    cosine = math.cos(elevation)
+    back = np.array([cosine * math.cos(azimuth), cosine * math.sin(azimuth), math.sin(elevation)])
+    right = np.array([-math.sin(azimuth), math.cos(azimuth), 0.0])
+    up = np.cross(back, right)
+    tangent = math.tan(math.radians(field_of_view_deg) / 2)
+    offset = flat - target
+    # A point p is inside if |p . up| + margin <= tangent (distance - p . back), same to the side.
+    beside = (np.abs(offset @ right) + margin_m) / (tangent * width / height)
+    above = (np.abs(offset @ up) + margin_m) / tangent
+    distance = float((np.maximum(np.maximum(beside, above), _NEAREST) + offset @ back).max())
+    return Lens(width, height, tangent, target + distance * back, right, up, -back)
+
+
+_ZENITH = np.array([206.0, 220.0, 235.0])
+_HORIZON = np.array([246.0, 248.0, 250.0])
+_FLOOR = np.array([226.0, 228.0, 230.0])
+_LINE = np.array([168.0, 174.0, 182.0])
+_GRIDS = ((0.25, 0.006, 0.35), (1.0, 0.014, 0.9))
+"""Spacing and width of the grid's lines, m, and how dark they are."""
+_HAZE_M = 9.0
+"""Distance over which the floor fades into the sky, m."""
+_SHADOW = 0.30
+_STEEPEST_SKY = 0.35
+"""Slope of the ray at which the sky has its darkest blue."""
+
+
+class _Backdrop:
+    """The scene without drones, as one camera sees it: drawn once, then copied."""
+
+    def __init__(self, lens: Lens) -> None:
+        self.lens = lens
+        rays = lens.rays()
+        slope = rays[..., 2]
+        below = slope < -1e-6
+        reach = np.where(below, lens.eye[2] / np.where(below, -slope, 1.0), np.inf)
+        reach[reach <= 0.0] = np.inf
+        seen = np.isfinite(reach)
+        self._floor = np.full((*slope.shape, 2), np.inf)
+        """Point (x, y) of the floor behind each pixel, m; infinite where there is sky."""
+        self._floor[seen] = lens.eye[:2] + rays[seen][:, :2] * reach[seen][:, None]
+        picture = _sky(slope)
+        picture[seen] = _floor(self._floor[seen], _footprint(lens, rays, reach)[seen], reach[seen])
+        self._picture = np.rint(picture).astype(np.uint8)
+
+    def draw(self, position: FloatArray, radius: FloatArray) -> npt.NDArray[np.uint8]:
+        """A new picture (height, width, 3) with shadows of drones at (N, 3), of radii (N,), m."""
+        picture = self._picture.copy()
+        for p, r in zip(position, radius, strict=True):
+            self._cast(picture, p, 1.3 * float(r) + 0.03 * float(p[2]))
+        return picture
+
+    def _cast(self, picture: npt.NDArray[np.uint8], position: FloatArray, radius: float) -> None:
+        angle = np.linspace(0.0, 2 * math.pi, 16, endpoint=False)
+        rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(16)], axis=1) * 1.05 * radius
+        foot = np.array([position[0], position[1], 0.0])
+        if ((foot + rim - self.lens.eye) @ self.lens.forward <= 0.1).any():
+            return
+        corners = self.lens.project(foot + rim)
+        (left, top), (right, bottom) = corners.min(axis=0), corners.max(axis=0) + 1
+        rows = slice(max(int(top), 0), max(int(bottom), 0))
+        columns = slice(max(int(left), 0), max(int(right), 0))
+        patch = picture[rows, columns]
+        if patch.size:
+            away = np.hypot(*np.moveaxis(self._floor[rows, columns] - foot[:2], -1, 0)) / radius
+            shade = _SHADOW * np.square(np.maximum(1.0 - np.square(away), 0.0))
+            patch[:] = patch * (1.0 - shade[..., None])
+
+
+def _sky(slope: FloatArray) -> FloatArray:
+    height = np.clip(slope / _STEEPEST_SKY, 0.0, 1.0)[..., None]
+    return _HORIZON + height * (_ZENITH - _HORIZON)
+
+
+def _footprint(lens: Lens, rays: FloatArray, reach: FloatArray) -> FloatArray:
+    """Extent of each pixel on the floor, m: (height, width, 2) along x and y."""
+    pixel = 2.0 * lens.tangent / lens.height
+    slope = np.where(np.isfinite(reach), rays[..., 2], -1.0)
+    far = np.where(np.isfinite(reach), reach, 0.0)
+    lean = rays[..., :2] / slope[..., None]
+    along = np.abs(lens.right[:2] - lean * lens.right[2])
+    down = np.abs(lens.up[:2] - lean * lens.up[2])
+    return np.asarray(far[..., None] * pixel * np.maximum(along, down))
+
+
+def _floor(points: FloatArray, footprint: FloatArray, distance: FloatArray) -> FloatArray:
+    dark = np.zeros(len(points))
+    for spacing, width, strength in _GRIDS:
+        away = np.abs(points - spacing * np.rint(points / spacing))
+        blur = np.maximum(footprint, 1e-9)
+        # The part of the pixel that the line covers, by the overlap of two intervals.
+        overlap = np.minimum(away + blur / 2, width / 2) - np.maximum(away - blur / 2, -width / 2)
+        cover = np.clip(overlap / blur, 0.0, 1.0) * np.clip(spacing / (4 * blur), 0.0, 1.0)
+        dark = np.maximum(dark, strength * cover.max(axis=1))
+    color = _FLOOR + dark[:, None] * (_LINE - _FLOOR)
+    clear = np.exp(-np.square(distance / _HAZE_M))[:, None]
+    return _HORIZON + clear * (color - _HORIZON)
+
 
 _BACKGROUND = -1
 """What Bullet's segmentation says where it drew nothing."""
@@ -60,7 +233,7 @@ class Camera:
         self.width, self.height = width, height
         self._angles = azimuth_deg, elevation_deg, field_of_view_deg
         self._radius = np.array([vehicle.radius for vehicle in self.team])
-        self._backdrop: Backdrop | None = None
+        self._backdrop: _Backdrop | None = None
         self._matrices: tuple[Any, Any] = ((), ())
         self._bullet = _import_renderer()
         self._client = int(self._bullet.connect(self._bullet.DIRECT))
@@ -87,7 +260,7 @@ class Camera:
         """Stand so that points (..., 3), m, are in the picture, with room around them."""
         margin = 2.0 * float(self._radius.max()) + 0.05
         lens = aim(points, self.width, self.height, *self._angles, margin)
-        self._backdrop = Backdrop(lens)
+        self._backdrop = _Backdrop(lens)
         view = self._bullet.computeViewMatrix(
             lens.eye.tolist(), (lens.eye + lens.forward).tolist(), [0.0, 0.0, 1.0]
         )

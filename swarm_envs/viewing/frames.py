@@ -12,13 +12,12 @@ import numpy.typing as npt
 from swarm_envs.state import FloatArray
 from swarm_envs.viewing.camera import Camera
 from swarm_envs.viewing.overlay import Overlay
-from swarm_envs.viewing.palette import drone_colors
-from swarm_envs.viewing.solids import solids
+from swarm_envs.viewing.record import solids
+from swarm_envs.viewing.style import drone_colors
 
 if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
     from swarm_envs.envs.view import View
-    from swarm_envs.tasks.base import Task
 
 WIDTH, HEIGHT = 640, 480
 """Size of a picture, pixels."""
@@ -29,28 +28,31 @@ _PATH_POINTS = 24
 """Of each drone's reference, for the camera's aim."""
 
 
-class FrameMaker:
+class Screen:
     """Draws an environment as it is now: drones, arena, obstacles, goals, references, trails.
 
     The camera aims once an episode, at what the drones are going to pass. Trails join what was
     drawn, so they are as fine as `render()` is called often.
 
     Args:
-        task: what is flown, by whom and where.
+        core: the environment.
+        mode: `rgb_array`, or `human` for a window.
 
     Raises:
         ImportError: pybullet is not installed.
+        RuntimeError: `human` without a display.
     """
 
-    def __init__(self, task: Task) -> None:
+    def __init__(self, core: SwarmCore, mode: str) -> None:
+        task = core.task
         self._camera = Camera(task.team, WIDTH, HEIGHT)
         self._arena = task.arena
         self._solids = solids(getattr(task, "obstacles", ()), float(task.arena[1, 2]))
-        self._goals: FloatArray = np.empty(0)
         self._past: deque[tuple[float, FloatArray]] = deque()
+        self._window = Window(task.name, core.config.decision_rate) if mode == "human" else None
 
-    def picture(self, view: View) -> npt.NDArray[np.uint8]:
-        """RGB (480, 640, 3) of the environment, a new array."""
+    def render(self, view: View) -> npt.NDArray[np.uint8] | None:
+        """A new RGB picture (480, 640, 3), or None after it was shown in the window."""
         time, position = view.time, np.array(view.state.position)
         if not self._past or time < self._past[-1][0] or self._is_new(view):
             self._begin(view)
@@ -68,11 +70,17 @@ class FrameMaker:
             references=np.array(reference) if moving else None,
             trails=np.array([p for _, p in self._past]),
         )
-        return self._camera.picture(view.state, overlay)
+        picture = self._camera.picture(view.state, overlay)
+        if self._window is None:
+            return picture
+        self._window.show(picture)
+        return None
 
     def close(self) -> None:
-        """Free the camera. May be called more than once."""
+        """Free camera and window. May be called more than once."""
         self._camera.close()
+        if self._window is not None:
+            self._window.close()
 
     def _is_new(self, view: View) -> bool:
         """Whether another episode is on although the clock did not go back."""
@@ -87,39 +95,6 @@ class FrameMaker:
         times = np.linspace(0.0, view.horizon_s, _PATH_POINTS)
         paths = [view.reference(float(t)).position for t in times]
         self._camera.aim(np.concatenate([view.state.position, view.goals, *paths]))
-
-
-class Screen:
-    """What `render()` of an environment draws on: an array, or a window.
-
-    Args:
-        core: the environment.
-        mode: `rgb_array` or `human`.
-
-    Raises:
-        ImportError: pybullet is not installed.
-        RuntimeError: `human` without a display.
-    """
-
-    def __init__(self, core: SwarmCore, mode: str) -> None:
-        self._frames = FrameMaker(core.task)
-        self._window: Window | None = None
-        if mode == "human":
-            self._window = Window(core.task.name, core.config.decision_rate)
-
-    def render(self, view: View) -> npt.NDArray[np.uint8] | None:
-        """The picture (480, 640, 3), or None after it was shown in the window."""
-        picture = self._frames.picture(view)
-        if self._window is None:
-            return picture
-        self._window.show(picture)
-        return None
-
-    def close(self) -> None:
-        """Free what it holds. May be called more than once."""
-        self._frames.close()
-        if self._window is not None:
-            self._window.close()
 
 
 class Window:

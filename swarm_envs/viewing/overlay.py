@@ -10,11 +10,12 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.state import FloatArray
-from swarm_envs.viewing.lens import Lens
-from swarm_envs.viewing.solids import Solid
+from swarm_envs.viewing.record import Solid
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
+
+    from swarm_envs.viewing.camera import Lens
 
 Picture = npt.NDArray[np.uint8]
 """(height, width, 3) red, green, blue."""
@@ -61,7 +62,7 @@ def draw_behind(picture: Picture, lens: Lens, overlay: Overlay) -> Picture:
     canvas = Image.fromarray(picture)
     if not overlay.enlarged:  # PIL does not smooth lines: draw at twice the size, then average
         canvas = canvas.resize((2 * lens.width, 2 * lens.height), Image.Resampling.NEAREST)
-    pen = Pen(ImageDraw.Draw(canvas, "RGBA"), lens, 1 if overlay.enlarged else 2)
+    pen = _Pen(ImageDraw.Draw(canvas, "RGBA"), lens, 1 if overlay.enlarged else 2)
     for part in overlay.solids:
         pen.solid(part)
     if overlay.arena is not None:
@@ -81,20 +82,16 @@ def draw_behind(picture: Picture, lens: Lens, overlay: Overlay) -> Picture:
     return np.array(canvas if overlay.enlarged else canvas.reduce(2))
 
 
-class Pen:
+class _Pen:
     """Draws shapes of the world on a picture that is drawn at twice its final size.
 
-    Args:
-        canvas: on which to draw.
-        lens: through which the world is seen.
-        zoom: pixels of the canvas that one of the lens is.
+    A pixel of the lens is `zoom` pixels of the canvas.
     """
 
     def __init__(self, canvas: ImageDraw, lens: Lens, zoom: int) -> None:
         self._canvas, self._lens, self._zoom = canvas, lens, zoom
 
     def line(self, path: FloatArray, ink: Color, width: int) -> None:
-        """A path (K, 3), m, in pixels of the final picture wide."""
         points = np.asarray(path)
         if ((points - self._lens.eye) @ self._lens.forward > _NEAREST).all():
             pieces = [points]
@@ -105,7 +102,6 @@ class Pen:
                 self._canvas.line(self._pixels(piece), fill=ink, width=2 * width)
 
     def solid(self, solid: Solid) -> None:
-        """An obstacle, seen through."""
         bottom, top = solid.rings()
         around = [
             np.array([a, b, d, c])
@@ -121,20 +117,17 @@ class Pen:
             self.line(line, _SOLID_EDGE, 1)
 
     def diamond(self, point: FloatArray, ink: Color) -> None:
-        """A goal."""
         r = 11.0
         for x, y in self._pixels(point[None]):
             corners = [(x - r, y), (x, y - r), (x + r, y), (x, y + r), (x - r, y)]
             self._canvas.line(corners, fill=ink, width=4, joint="curve")
 
     def circle(self, point: FloatArray, ink: Color) -> None:
-        """A reference."""
         r = 9.0
         for x, y in self._pixels(point[None]):
             self._canvas.ellipse((x - r, y - r, x + r, y + r), outline=ink, width=3)
 
     def arrow(self, foot: FloatArray, tip: FloatArray) -> None:
-        """A force."""
         ends = self._pixels(np.stack([foot, tip]))
         if len(ends) < 2:
             return

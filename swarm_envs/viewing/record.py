@@ -2,18 +2,66 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray, SwarmState
 from swarm_envs.vehicles import GRAM_FORCE, Team
-from swarm_envs.viewing.solids import Solid, solids
 
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
+
+_SIDES = 20
+"""Of the prism that stands for a cylinder."""
+
+
+class Solid(NamedTuple):
+    """A box with edges along the axes, or the upright cylinder that just fits into one."""
+
+    round: bool
+    """Whether it is the cylinder."""
+    low: tuple[float, float, float]
+    """Lowest corner of the box, m."""
+    high: tuple[float, float, float]
+    """Highest corner of the box, m."""
+
+    def rings(self) -> FloatArray:
+        """Outlines (2, K, 3) of its bottom and its top, m, counter-clockwise from above."""
+        low, high = np.array(self.low), np.array(self.high)
+        if self.round:
+            angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+            unit = 0.5 + 0.5 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        else:
+            unit = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+        outline = low[:2] + unit * (high - low)[:2]
+        return np.stack(
+            [np.column_stack([outline, np.full(len(unit), z)]) for z in (low[2], high[2])]
+        )
+
+
+def solids(obstacles: Iterable[Any], ceiling: float) -> tuple[Solid, ...]:
+    """The obstacles of a task as solids, in the same order, cut off at the ceiling.
+
+    Args:
+        obstacles: boxes, which have corners `low` and `high` (3,), m, and columns, which stand on
+            the ground and have a `center` (x, y), a `radius` and a `height`, m.
+        ceiling: height of the arena, m.
+    """
+    found = []
+    for obstacle in obstacles:
+        if hasattr(obstacle, "radius"):
+            (x, y), r = obstacle.center[:2], obstacle.radius
+            low, high = (x - r, y - r, 0.0), (x + r, y + r, obstacle.height)
+        else:
+            low, high = obstacle.low, obstacle.high
+        top = min(float(high[2]), ceiling)
+        lowest = (float(low[0]), float(low[1]), float(low[2]))
+        highest = (float(high[0]), float(high[1]), top)
+        found.append(Solid(hasattr(obstacle, "radius"), lowest, highest))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -32,6 +80,12 @@ class FlightRecord:
     """(T, N, 3) where the drones should have been, m."""
     force: FloatArray
     """(T, N, 3) interaction force, N."""
+
+    def state(self, index: int) -> SwarmState:
+        """The poses of a sample, for a camera; all else is at rest."""
+        rest, n = np.zeros_like(self.position[index]), len(self.team)
+        pose = self.position[index], self.quaternion[index]
+        return SwarmState(pose[0], rest, pose[1], rest, np.zeros((n, 4)), np.ones(n))
 
     def height_error_cm(self, drone: int = -1) -> FloatArray:
         """Height over the reference (T,) of a drone, cm; by default of the lowest, the last."""
@@ -136,7 +190,7 @@ class Recorder:
         """
         task, agents = env.core.task, env.possible_agents
         self._team, self._names = env.view.team, task.reward_names
-        told = [(infos or {}).get(agent, {}) for agent in agents]
+        by_drone = [(infos or {}).get(agent, {}) for agent in agents]
         self._about = About(
             task=task.name,
             agent=self._agent,
@@ -145,11 +199,11 @@ class Recorder:
             decision_rate=env.core.config.decision_rate,
             arena=tuple(map(tuple, task.arena.tolist())),
             solids=solids(getattr(task, "obstacles", ()), float(task.arena[1, 2])),
-            metrics=told[0].get("episode_metrics", {}),
+            metrics=by_drone[0].get("episode_metrics", {}),
         )
         row = _sample(env)
         row["reward"] = np.array([(rewards or {}).get(agent, np.nan) for agent in agents])
-        terms = [info.get("reward_terms", {}) for info in told]
+        terms = [info.get("reward_terms", {}) for info in by_drone]
         self._terms.append([[t.get(name, np.nan) for t in terms] for name in self._names])
         self._rows.append(row)
 
@@ -190,25 +244,3 @@ def _sample(env: SwarmParallelEnv) -> dict[str, Any]:
         "tumbling": contacts.tumbling,
     }
     return {name: np.array(value) for name, value in row.items()}
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The same flights by two controllers: flight `i` of one has the same task as of the other."""
-
-    title: str
-    """Such as `L2S`."""
-    without: Sequence[FlightRecord]
-    """Flown without compensation."""
-    compensated: Sequence[FlightRecord]
-    """Flown with it."""
-
-    @property
-    def without_cm(self) -> FloatArray:
-        """Worst height error of the lowest drone in each flight without compensation, cm."""
-        return np.array([flight.worst_height_error_cm() for flight in self.without])
-
-    @property
-    def compensated_cm(self) -> FloatArray:
-        """Worst height error of the lowest drone in each flight with compensation, cm."""
-        return np.array([flight.worst_height_error_cm() for flight in self.compensated])

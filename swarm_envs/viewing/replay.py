@@ -21,8 +21,8 @@ import numpy as np
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
-from swarm_envs.viewing.palette import drone_colors, type_color
 from swarm_envs.viewing.record import Recording
+from swarm_envs.viewing.style import drone_colors, type_color
 from swarm_envs.viewing.summary import (
     Event,
     events,

@@ -1,9 +1,15 @@
-"""One look for every picture: figures without a display, colours, drones seen from the side."""
+"""One look for every picture: figures without a display, colours, the font, drones from the side.
+
+A type of vehicle has one hue, and each of its drones a shade. The font is DejaVu Sans, which
+matplotlib carries, so that it is everywhere.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import colorsys
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +22,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
+    from PIL.ImageFont import FreeTypeFont
 
 INK = "#202428"
 """Colour of text and axes."""
@@ -101,3 +108,43 @@ def draw_ground(axis: Axes) -> None:
     """Draw the ground as the dashed line of the paper's figure, hatched below."""
     axis.axhspan(-0.06, 0.0, facecolor="#EDEFF1", edgecolor="#A8ADB3", hatch="////", zorder=2)
     axis.axhline(0.0, color=INK, linewidth=1.2, linestyle="--", zorder=3)
+
+
+_HUES = {"S": 0.585, "L": 0.072, "S*": 0.405}
+_OTHER_HUE = 0.78
+_SATURATION = 0.68
+_SHADES = (0.40, 0.64)
+"""Lightness of the darkest and the palest drone of a type: both stand out from white and black."""
+_TYPICAL = 0.52
+
+
+def type_color(token: str) -> str:
+    """The colour, `#rrggbb`, of a type of vehicle."""
+    return _hex(token, _TYPICAL)
+
+
+def drone_colors(team: Sequence[Vehicle]) -> list[str]:
+    """A colour, `#rrggbb`, for each drone: shades of its type's, from dark to pale."""
+    tokens = [vehicle.token for vehicle in team]
+    colors = []
+    for i, token in enumerate(tokens):
+        count, place = tokens.count(token), tokens[:i].count(token)
+        share = place / (count - 1) if count > 1 else 0.5
+        colors.append(_hex(token, _SHADES[0] + share * (_SHADES[1] - _SHADES[0])))
+    return colors
+
+
+def _hex(token: str, lightness: float) -> str:
+    hue = _HUES.get(token, _OTHER_HUE)
+    parts = colorsys.hls_to_rgb(hue, lightness, _SATURATION)
+    return "#" + "".join(f"{round(255 * part):02x}" for part in parts)
+
+
+@cache
+def font(size: int, bold: bool = False) -> FreeTypeFont | Any:
+    """The font of a size, pixels."""
+    from matplotlib import get_data_path
+    from PIL import ImageFont
+
+    name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
+    return ImageFont.truetype(str(Path(get_data_path()) / "fonts" / "ttf" / name), size)

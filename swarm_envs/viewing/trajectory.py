@@ -13,7 +13,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,45 +22,32 @@ from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.vehicles import Vehicle
-from swarm_envs.viewing.record import About, Recording
-from swarm_envs.viewing.solids import Solid
+from swarm_envs.viewing.record import About, Recording, Solid
 
-
-class Group(NamedTuple):
-    """Columns of the table that hold one field of a `Recording`."""
-
-    columns: tuple[str, ...]
-    """Names of the columns."""
-    dtype: str
-    """Of their numbers."""
-    unit: str
-    """Unit and frame."""
-
-
-GROUPS: Mapping[str, Group] = {
-    "position": Group(("x", "y", "z"), "float64", "m, world frame, z up"),
-    "velocity": Group(("vx", "vy", "vz"), "float64", "m/s, world frame"),
-    "quaternion": Group(("qx", "qy", "qz", "qw"), "float64", "unit quaternion, body to world"),
-    "rotor_thrust": Group(tuple(f"thrust{k}" for k in (1, 2, 3, 4)), "float64", "N, each rotor"),
-    "force": Group(("fx", "fy", "fz"), "float64", "N, interaction force, world frame"),
-    "reference": Group(("x_reference", "y_reference", "z_reference"), "float64", "m"),
-    "goal": Group(("x_goal", "y_goal", "z_goal"), "float64", "m"),
-    "setpoint": Group(("x_setpoint", "y_setpoint", "z_setpoint"), "float64", "m"),
-    "contact_drone": Group(("contact_drone",), "int64", "index of the drone it touches, or -1"),
-    "contact_floor": Group(("contact_floor",), "bool", "touches the floor"),
-    "contact_wall": Group(("contact_wall",), "bool", "touches a wall or the ceiling"),
-    "contact_obstacle": Group(
-        ("contact_obstacle",), "int64", "index of the obstacle it touches, or -1"
-    ),
-    "tumbling": Group(("tumbling",), "bool", "turns faster than 150 rad/s"),
-    "reward": Group(("reward",), "float64", "weighted sum of the terms; NaN if unknown"),
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    "position": ("x", "y", "z"),  # m, world frame, z up
+    "velocity": ("vx", "vy", "vz"),  # m/s, world frame
+    "quaternion": ("qx", "qy", "qz", "qw"),  # unit quaternion, body to world
+    "rotor_thrust": ("thrust1", "thrust2", "thrust3", "thrust4"),  # N
+    "force": ("fx", "fy", "fz"),  # N, interaction force, world frame
+    "reference": ("x_reference", "y_reference", "z_reference"),  # m
+    "goal": ("x_goal", "y_goal", "z_goal"),  # m
+    "setpoint": ("x_setpoint", "y_setpoint", "z_setpoint"),  # m
+    "contact_drone": ("contact_drone",),  # index of the drone it touches, or -1
+    "contact_floor": ("contact_floor",),
+    "contact_wall": ("contact_wall",),  # or the ceiling
+    "contact_obstacle": ("contact_obstacle",),  # index of the obstacle it touches, or -1
+    "tumbling": ("tumbling",),  # turns faster than 150 rad/s
+    "reward": ("reward",),  # weighted sum of the terms; NaN if unknown
 }
-"""Columns of numbers by the field of `Recording` that they hold."""
+"""Columns of the table by the field of `Recording` whose numbers they hold."""
 
-COLUMNS = ("time", "drone", "type", *(c for group in GROUPS.values() for c in group.columns))
+COLUMNS = ("time", "drone", "type", *(c for group in GROUPS.values() for c in group))
 """Every column but `reward_<term>`, of which there is one for each term of the task."""
 
 _TERM = "reward_"
+_INTEGERS = ("contact_drone", "contact_obstacle")
+_FLAGS = ("contact_floor", "contact_wall", "tumbling")
 _KEY = b"swarm_envs"
 _SUFFIXES = (".parquet", ".npz")
 
@@ -135,8 +122,8 @@ def columns(recording: Recording) -> dict[str, npt.NDArray[Any]]:
         "type": np.tile(tokens, steps),
     }
     for field, group in GROUPS.items():
-        values = getattr(recording, field).reshape(steps * drones, len(group.columns))
-        table |= zip(group.columns, values.T, strict=True)
+        values = getattr(recording, field).reshape(steps * drones, len(group))
+        table |= zip(group, values.T, strict=True)
     for name, term in recording.reward_terms.items():
         table[_TERM + name] = term.reshape(-1)
     return table
@@ -185,9 +172,10 @@ def _read_parquet(path: Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
 
     arrays: dict[str, npt.NDArray[Any]] = {"time": column("time")[:, 0].copy()}
     for field, group in GROUPS.items():
-        parts = [column(name) for name in group.columns]
+        parts = [column(name) for name in group]
         joined = np.stack(parts, axis=-1) if len(parts) > 1 else parts[0]
-        arrays[field] = np.array(joined, dtype=group.dtype)
+        dtype = np.int64 if field in _INTEGERS else np.bool_ if field in _FLAGS else np.float64
+        arrays[field] = np.array(joined, dtype=dtype)
     arrays |= {name: np.array(column(name), dtype=np.float64) for name in terms}
     return arrays, text
 

@@ -11,10 +11,9 @@ import pytest
 
 from swarm_envs import TASKS, swap_v0
 from swarm_envs.agents import load
-from swarm_envs.agents.features import features
+from swarm_envs.agents.features import goal_features
 from swarm_envs.agents.networks import plain
-from swarm_envs.agents.policy import PolicyAgent
-from swarm_envs.agents.policy_file import Policy
+from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.cli import main
 
 pytest.importorskip("ray.rllib", reason="run by `make test-compat`")
@@ -101,7 +100,7 @@ def test_the_policy_that_is_written_acts_as_rllib_s_module(cluster, tmp_path):
     agent = PolicyAgent(Policy(config.note(), plain(rllib_ppo.actor(module, 3)), {}))
     env = swap_v0.parallel_env(num_drones=2, physics="batch", **agent.requires)
     rows = np.stack(list(env.reset(seed=3)[0].values()))
-    told = features(rows, 1)
+    told = goal_features(rows, 1)
     assert told.shape[1] == config.note().sizes.width
     with torch.no_grad():
         given = module.forward_inference({"obs": torch.as_tensor(told)})["action_dist_inputs"]

@@ -15,7 +15,7 @@ import numpy as np
 
 import swarm_envs
 from swarm_envs.agents import load as load_agent
-from swarm_envs.agents.features import features
+from swarm_envs.agents.features import goal_features
 from swarm_envs.baselines import mlr_dmpc, rth3d
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
@@ -125,7 +125,10 @@ def filtered() -> Arrays:
     rows = np.stack([observations[name] for name in observations])
     neighbors = env.core.config.num_neighbors
     env.close()
-    return {"actions": np.array(acts), "features": features(rows, neighbors).astype(np.float64)}
+    return {
+        "actions": np.array(acts),
+        "features": goal_features(rows, neighbors).astype(np.float64),
+    }
 
 
 def grid_plans() -> Arrays:

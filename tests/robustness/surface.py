@@ -19,7 +19,7 @@ import numpy as np
 
 from swarm_envs import agents, make
 from swarm_envs.agents import fly_episode, record_episode
-from swarm_envs.agents.simple import HoverAgent
+from swarm_envs.agents.scripted import HoverAgent
 from swarm_envs.control.config import PositionGains
 from swarm_envs.envs.options import EnvOptions
 from swarm_envs.interactions import load

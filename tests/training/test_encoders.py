@@ -13,10 +13,9 @@ import torch
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
-from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPED
+from swarm_envs.agents.features import FEATURE_SETS, TYPED
 from swarm_envs.agents.networks import ANY, Network
-from swarm_envs.agents.policy import PolicyAgent
-from swarm_envs.agents.policy_file import Policy, read_policy, write_policy
+from swarm_envs.agents.policy import Policy, PolicyAgent, read_policy, write_policy
 from swarm_envs.training.rl.ppo import PpoLearner
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.run import policy_note

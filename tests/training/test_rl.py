@@ -22,8 +22,7 @@ from safetensors import safe_open
 from swarm_envs import swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds
-from swarm_envs.agents.policy import FILE, PolicyAgent
-from swarm_envs.agents.policy_file import Policy, PolicyNote
+from swarm_envs.agents.policy import FILE, Policy, PolicyAgent, PolicyNote
 from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
 from swarm_envs.files import claimed

@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
-from swarm_envs.agents.policy_file import Policy, PolicyNote
+from swarm_envs.agents.policy import Policy, PolicyNote
 from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.recipes import evaluate_policy
 from swarm_envs.training.rl.rl_config import RlConfig

@@ -11,7 +11,7 @@ import numpy as np
 from swarm_envs.training.reproduce.flight_cases import PLAIN_SWAPS, Case
 from swarm_envs.training.reproduce.flown import Flown
 from swarm_envs.training.reproduce.style import GREY, INK, picture
-from swarm_envs.viewing.plots import COMPENSATED_COLOR, WITHOUT_COLOR
+from swarm_envs.viewing.comparison import COMPENSATED_COLOR, WITHOUT_COLOR
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

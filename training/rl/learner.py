@@ -18,7 +18,7 @@ import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import Tensor, nn
 
-from swarm_envs.agents.feature_sets import FEATURE_SETS, TYPES
+from swarm_envs.agents.features import FEATURE_SETS, TYPES
 from swarm_envs.agents.networks import Layers, Network
 from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.training.rl.recipes import RECIPES, with_recipe

@@ -20,7 +20,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
-from swarm_envs.agents.feature_sets import FeatureSizes
+from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.agents.networks import ANY, Network
 from swarm_envs.training.rl.learner import (
     Entry,

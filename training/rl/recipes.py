@@ -15,10 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.batch import AT_ONCE, fly_batch
-from swarm_envs.agents.feature_sets import GOAL, REFERENCE, TYPED
-from swarm_envs.agents.policy import PolicyAgent
-from swarm_envs.agents.policy_file import Policy
+from swarm_envs.agents.features import GOAL, REFERENCE, TYPED
+from swarm_envs.agents.policy import Policy, PolicyAgent
+from swarm_envs.agents.protocol import AT_ONCE, fly_batch
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import check_name

@@ -17,8 +17,7 @@ from safetensors import SafetensorError, safe_open
 from tqdm import tqdm
 
 from swarm_envs import __version__
-from swarm_envs.agents.policy import CHECKPOINT, FILE
-from swarm_envs.agents.policy_file import Policy, PolicyNote, write_policy
+from swarm_envs.agents.policy import CHECKPOINT, FILE, Policy, PolicyNote, write_policy
 from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.checkpoint import write_safetensors
 from swarm_envs.training.force_model.tensorboard import scalar_writer

@@ -21,10 +21,16 @@ from typing import Any
 
 from swarm_envs import make
 from swarm_envs.agents import Agent
-from swarm_envs.agents.batch import AT_ONCE
-from swarm_envs.agents.evaluation import TIMED, Episode, EpisodeFile, evaluate, source_digest
+from swarm_envs.agents.evaluation import (
+    TIMED,
+    Episode,
+    EpisodeFile,
+    evaluate_agent,
+    source_digest,
+)
 from swarm_envs.agents.policy import FILE
-from swarm_envs.agents.registry import FILTER, SHIPPED, load
+from swarm_envs.agents.protocol import AT_ONCE
+from swarm_envs.agents.registry import FILTER, SHIPPED, load_agent
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.files import written_whole
 from swarm_envs.training.scale_out.jobs import Job, WorkerPool
@@ -84,7 +90,7 @@ class EvaluationSpec:
     seeds: Sequence[int]
     """of the episodes, each once"""
     refusals: bool = False
-    """whether an episode that the agent refuses counts as one; see `fly_or_refuse`"""
+    """whether an episode that the agent refuses counts as one; see `fly_seed`"""
 
     @property
     def missing(self) -> list[int]:
@@ -198,7 +204,7 @@ def fly_chunk(
     made, env = _at_hand(json.dumps([agent, task, setting, files]))
     try:
         keep = flown.extend
-        for _ in evaluate(env, made, seeds, None, lambda *new: keep(new), timed, refusals):
+        for _ in evaluate_agent(env, made, seeds, None, lambda *new: keep(new), timed, refusals):
             if time.monotonic() - begun > PATIENCE_S:
                 break
     except Exception as error:
@@ -233,7 +239,7 @@ def _load(agent: Mapping[str, Any]) -> Agent:
     if "file" in agent:
         part, behind = agent["part"], FILTER if name.endswith(FILTER) else ""
         name = str(receive(agent["file"])) + (part if ":" in part else "") + behind
-    made = load(name)
+    made = load_agent(name)
     if source_digest(made) != agent["digest"]:
         raise ValueError(
             f"agent {agent['name']!r} is another here than where the command was given: install "

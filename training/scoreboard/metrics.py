@@ -19,9 +19,9 @@ from typing import Any, Literal
 import numpy as np
 
 from swarm_envs import make
-from swarm_envs.agents.evaluation import Episode
-from swarm_envs.agents.scores import (
+from swarm_envs.agents.evaluation import (
     COLLISIONS,
+    Episode,
     bootstrap_interval,
     interquartile_mean,
     rate_interval,

@@ -20,9 +20,8 @@ from tqdm import tqdm
 import swarm_envs
 from swarm_envs import __version__
 from swarm_envs.agents import Agent, load
-from swarm_envs.agents.batch import flies_batches
 from swarm_envs.agents.evaluation import Episode, EpisodeFile, frozen_seeds, source_digest
-from swarm_envs.agents.protocol import check_wishes
+from swarm_envs.agents.protocol import check_options_agree, flies_batches
 from swarm_envs.files import write_json
 from swarm_envs.training.scale_out.episodes import (
     AgentEpisodes,
@@ -210,7 +209,7 @@ def _prepare(task: ScoredTask, loaded: LoadedAgent, seeds: Sequence[int], out: P
     if agent is None:
         return cell
     try:
-        check_wishes(agent, task.setting)
+        check_options_agree(agent, task.setting)
         env = swarm_envs.make(task.environment, **{**task.setting, **agent.requires})
     except (ValueError, TypeError, ImportError) as error:
         cell.refusal = str(error)

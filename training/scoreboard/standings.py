@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.agents.scores import CONFIDENCE, RESAMPLES
+from swarm_envs.agents.evaluation import CONFIDENCE, RESAMPLES
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.training.scoreboard.board import FILE, FORMAT, VERSION

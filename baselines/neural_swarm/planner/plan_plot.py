@@ -14,8 +14,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_force
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, team_string
-from swarm_envs.viewing.palette import drone_colors
-from swarm_envs.viewing.style import GREY, INK, draw_drone, picture
+from swarm_envs.viewing.style import GREY, INK, draw_drone, drone_colors, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

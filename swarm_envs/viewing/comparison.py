@@ -1,23 +1,158 @@
-"""Two flights of the same task in one video: without and with compensation."""
+"""Flights without and with compensation, side by side: plots of them, and frames of a video."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from types import TracebackType
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.files import written_whole
+from swarm_envs.state import FloatArray
 from swarm_envs.viewing.camera import Camera
-from swarm_envs.viewing.plots import COMPENSATED_COLOR, WITHOUT_COLOR
 from swarm_envs.viewing.record import FlightRecord
-from swarm_envs.viewing.typeface import font
+from swarm_envs.viewing.style import font
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
     from PIL.ImageDraw import ImageDraw
+
+WITHOUT_COLOR = "#D55E00"
+"""Vermilion of Okabe and Ito's palette, which colour-blind readers can tell from the blue."""
+COMPENSATED_COLOR = "#0072B2"
+"""Blue of the same."""
+
+_STYLE: Any = {
+    "font.size": 10,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#E3E6EA",
+    "grid.linewidth": 0.8,
+    "axes.axisbelow": True,
+    "axes.edgecolor": "#60656B",
+    "axes.labelcolor": "#202428",
+}
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The same flights by two controllers: flight `i` of one has the same task as of the other."""
+
+    title: str
+    """Such as `L2S`."""
+    without: Sequence[FlightRecord]
+    """Flown without compensation."""
+    compensated: Sequence[FlightRecord]
+    """Flown with it."""
+
+    @property
+    def without_cm(self) -> FloatArray:
+        """Worst height error of the lowest drone in each flight without compensation, cm."""
+        return np.array([flight.worst_height_error_cm() for flight in self.without])
+
+    @property
+    def compensated_cm(self) -> FloatArray:
+        """Worst height error of the lowest drone in each flight with compensation, cm."""
+        return np.array([flight.worst_height_error_cm() for flight in self.compensated])
+
+
+def plot_comparisons(path: Path, comparisons: Sequence[Comparison], headline: str) -> None:
+    """Plot height error and force of the lowest drone over time, one column a comparison.
+
+    Thin lines are flights, bold ones their median at each time. Drawn without a display.
+
+    Args:
+        path: PNG, PDF or SVG to write.
+        comparisons: one or more, each with at least one flight a side.
+        headline: stands above all.
+
+    Raises:
+        ValueError: there is nothing to plot.
+        OSError: the file cannot be written.
+    """
+    if not comparisons:
+        raise ValueError("no comparison was given; plot at least one")
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(1.6 + 3.7 * len(comparisons), 6.4), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = figure.subplots(
+            2,
+            len(comparisons),
+            sharex=True,
+            sharey="row",
+            squeeze=False,
+            height_ratios=[3, 2],
+        )
+        for comparison, column in zip(comparisons, axes.T, strict=True):
+            _plot_column(comparison, *column)
+        axes[0, 0].set_ylabel("Height error of the lowest drone (cm)")
+        axes[1, 0].set_ylabel("Vertical interaction force\non the lowest drone (g)")
+        _add_legend(figure, axes[0, 0], len(comparisons[0].without))
+        figure.suptitle(headline, fontsize=13, fontweight="bold")
+        with written_whole(path) as partial:
+            figure.savefig(partial, dpi=150)
+
+
+def _plot_column(comparison: Comparison, upper: Axes, lower: Axes) -> None:
+    sides = (
+        (comparison.without, WITHOUT_COLOR),
+        (comparison.compensated, COMPENSATED_COLOR),
+    )
+    for flights, color in sides:
+        time = max((flight.time for flight in flights), key=len)
+        _plot_lines(upper, time, [flight.height_error_cm() for flight in flights], color)
+        _plot_lines(lower, time, [flight.vertical_force_g() for flight in flights], color)
+    for axis in (upper, lower):
+        axis.axhline(0.0, color="#60656B", linewidth=0.8, zorder=1)
+        meeting = _meeting_time(comparison.without[0])
+        if meeting is not None:
+            axis.axvline(meeting, color="#60656B", linewidth=0.8, linestyle=":", zorder=1)
+    before, after = np.median(comparison.without_cm), np.median(comparison.compensated_cm)
+    upper.set_title(
+        f"{comparison.title}\nmedian of worst errors: {before:.1f} → {after:.1f} cm", fontsize=11
+    )
+    lower.set_xlabel("Time (s)")
+    lower.set_xlim(0.0, float(time[-1]))
+
+
+def _plot_lines(axis: Axes, time: FloatArray, rows: Sequence[FloatArray], color: str) -> None:
+    table = np.full((len(rows), len(time)), np.nan)  # a flight may have ended early
+    for line, row in zip(table, rows, strict=True):
+        line[: len(row)] = row
+        axis.plot(time[: len(row)], row, color=color, linewidth=0.8, alpha=0.5)
+    axis.plot(time, np.nanmedian(table, axis=0), color=color, linewidth=2.0)
+
+
+def _meeting_time(flight: FlightRecord) -> float | None:
+    """When the drones should be above one another, s; None if the team is a single drone."""
+    if len(flight.team) < 2:
+        return None
+    across = flight.reference[:, :, :2] - flight.reference[:, -1:, :2]
+    return float(flight.time[np.argmin(np.linalg.norm(across, axis=2).max(axis=1))])
+
+
+def _add_legend(figure: Figure, axis: Axes, flights: int) -> None:
+    from matplotlib.lines import Line2D
+
+    lines = [
+        Line2D([], [], color=WITHOUT_COLOR, linewidth=2.0, label="without compensation"),
+        Line2D([], [], color=COMPENSATED_COLOR, linewidth=2.0, label="with compensation"),
+        Line2D([], [], color="#60656B", linewidth=0.7, label=f"one of {flights} swaps"),
+        Line2D([], [], color="#60656B", linewidth=2.0, label="median"),
+        Line2D([], [], color="#60656B", linewidth=0.8, linestyle=":", label="drones in line"),
+    ]
+    figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), frameon=False)
+
 
 WIDTH, HEIGHT = 1280, 720
 """Size of a picture, pixels."""
@@ -66,17 +201,8 @@ class SideBySide:
         """Use as a context that closes itself."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Close."""
-        self.close()
-
-    def close(self) -> None:
-        """Free the renderer. May be called more than once."""
+    def __exit__(self, *failure: object) -> None:
+        """Free the renderer."""
         self._camera.close()
 
     def count(self, fps: int) -> int:
@@ -99,7 +225,7 @@ class SideBySide:
         canvas = Image.new("RGB", (_SMOOTH * WIDTH, _SMOOTH * HEIGHT), _PAPER)
         for side, flight in enumerate(self.flights):
             index = min(int(np.searchsorted(flight.time, time + 1e-9)), len(flight.time)) - 1
-            half = Image.fromarray(self._camera.picture(_state(flight, index)))
+            half = Image.fromarray(self._camera.picture(flight.state(index)))
             self._annotate(ImageDraw.Draw(half), side, index)
             canvas.paste(half, (side * _SMOOTH * WIDTH // 2, _SMOOTH * _HEADER))
         pen = ImageDraw.Draw(canvas)
@@ -162,13 +288,6 @@ def _beside(flight: FlightRecord) -> float:
     """Azimuth, degrees, from which the lowest drone's way is seen from the side."""
     way = flight.reference[-1, -1] - flight.reference[0, -1]
     return math.degrees(math.atan2(float(way[1]), float(way[0]))) - 90.0
-
-
-def _state(flight: FlightRecord, index: int) -> SwarmState:
-    n = len(flight.team)
-    zero = np.zeros((n, 3))
-    pose = flight.position[index], flight.quaternion[index]
-    return SwarmState(pose[0], zero, pose[1], zero, np.zeros((n, 4)), np.ones(n))
 
 
 def _signed(value: float, digits: int = 1) -> str:

@@ -1,6 +1,3 @@
-"""The C99 text of an exported force model, with @words@ where `c_header` puts numbers and names."""
-
-HEADER = """\
 /* Vertical interaction force on a drone, made by `swarm-envs export force`. C99, float only.
  *
 @provenance@
@@ -171,5 +168,3 @@ static inline float @name@_self_test(void)
 #endif
 
 #endif
-"""
-"""The text, with its words in place of numbers and names."""

@@ -1,0 +1,362 @@
+"""Scripted agents: hovering, random, straight to the goal, along a plan, and around each other.
+
+The detour agent is a geometric baseline for any task and team. Every drone flies from rest to rest,
+all in the same time, along its straight way plus a bump: one vector that says how far from the
+straight way it is half way. Bumps are taken from a fixed family, one drone after another and again,
+each the cheapest given the others', until nobody changes: best responses in a game whose potential
+is the sum of all costs, so this ends. What costs: to come close to another, farther off below or
+above it, where downwash is; to come close to an obstacle; length.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Any, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from swarm_envs.agents.protocol import Actions, Observations
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
+from swarm_envs.tasks.motion import ORBITS
+from swarm_envs.tasks.obstacles import obstacle_distances, obstacle_rows
+from swarm_envs.trajectories import Reference, rest_to_rest
+
+
+class HoverAgent:
+    """Stays where it starts: asks for no acceleration."""
+
+    requires: Mapping[str, Any] = MappingProxyType({"action": "acceleration"})
+    privileged = False
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Nothing to prepare."""
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Zeros for every drone."""
+        return {agent: np.zeros(3, dtype=np.float32) for agent in observations}
+
+
+class RandomAgent:
+    """Draws every number evenly from [-1, 1]: in a space for which that is all there is."""
+
+    requires: Mapping[str, Any] = MappingProxyType({})
+    privileged = False
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(0)
+        self._width = 0
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Begin the draws that the seed stands for.
+
+        Raises:
+            ValueError: actions have no bounds, as set-points in SI.
+        """
+        space = env.action_space(env.possible_agents[0])
+        if not space.is_bounded():
+            raise ValueError(
+                f"RandomAgent needs bounded actions, but action={env.core.config.action!r} has "
+                "none; make the environment with action='acceleration'"
+            )
+        self._rng, self._width = np.random.default_rng(seed), int(space.shape[0])
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """New draws for every drone."""
+        return {
+            agent: self._rng.uniform(-1.0, 1.0, self._width).astype(np.float32)
+            for agent in observations
+        }
+
+
+class StraightLineAgent:
+    """Flies straight at its goal, whoever is in the way: a PD law on what it observes of itself.
+
+    What any policy that avoids others must beat. The acceleration asked for is
+    4 / s^2 (goal - position) - 4 / s velocity, the way to the goal cut at 1 m.
+    """
+
+    requires: Mapping[str, Any] = MappingProxyType(
+        {"action": "acceleration", "observation": "flat", "decision_rate": 48}
+    )
+    privileged = False
+
+    def __init__(self) -> None:
+        self._goal = self._velocity = slice(0)
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Note where observations have goal and velocity."""
+        places = {field.name: field.where for field in env.observation_layout}
+        self._goal, self._velocity = places["task.goal"], places["self.velocity"]
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """The acceleration of every drone, cut at what the environment allows."""
+        actions = self.act_batch(np.stack(list(observations.values())))
+        return dict(zip(observations, actions, strict=True))
+
+    def act_batch(self, rows: Float32Array) -> Float32Array:
+        """Actions (..., 3) for observation rows (..., row width)."""
+        way, velocity = rows[..., self._goal], SPEED_LIMIT * rows[..., self._velocity]
+        distance = np.sqrt(np.square(way).sum(axis=-1, keepdims=True))
+        asked = 4.0 * way / np.maximum(distance, 1.0) - 4.0 * velocity
+        size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
+        actions: Float32Array = (asked / ACCELERATION_LIMIT / np.maximum(size, 1.0)).astype(
+            np.float32
+        )
+        return actions
+
+
+class Flyable(Protocol):
+    """A plan that says where everyone should be."""
+
+    def reference(self, time: float) -> Reference:
+        """Where the drones should be at a time since the start, s: arrays (N, 3)."""
+
+
+P = TypeVar("P", bound=Flyable)
+
+
+class PlannedAgent(ABC, Generic[P]):
+    """Plans when goals are set, and emits the plan's set-points.
+
+    Args:
+        requires: options of the environment.
+    """
+
+    privileged = True
+
+    def __init__(self, requires: Mapping[str, Any]) -> None:
+        self.requires = requires
+        self.plans: list[P] = []
+        """The episode's plans, one for each set of goals."""
+        self._agents: list[str] = []
+        self._task: Task | None = None
+        self._goals, self._began, self._seed = np.zeros((0, 3)), 0.0, 0
+
+    @abstractmethod
+    def plan(self, task: Task, view: View, seed: int) -> P:
+        """The way from the set-points of this moment to the goals."""
+
+    def check(self, task: Task) -> None:
+        """Refuse a task to which there is no plan.
+
+        Raises:
+            ValueError: goals that circle.
+        """
+        if task.motion.kind == ORBITS:
+            raise ValueError(
+                f"{type(self).__name__} plans to goals at rest, but those of {task.name} circle; "
+                "use swap or formation, or the agent 'tracking-compensated'"
+            )
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Plan the way to the first goals; the seed is that of the planner.
+
+        Raises:
+            ValueError: there is no plan for such a task, or for these starts and goals.
+        """
+        task = env.core.task
+        self.check(task)
+        self._agents, self._task, self._seed, self.plans = list(env.agents), task, seed, []
+        self._plan(env.view)
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Position, velocity, acceleration and jerk of the plan; no yaw.
+
+        Raises:
+            ValueError: there is no view, without which goals are unknown.
+        """
+        if view is None:
+            raise ValueError(
+                f"{type(self).__name__} is privileged: pass env.view as the view, for its goals"
+            )
+        if not np.array_equal(view.goals, self._goals):
+            self._plan(view)
+        reference = self.plans[-1].reference(view.time - self._began)
+        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
+        return dict(zip(self._agents, rows, strict=True))
+
+    def _plan(self, view: View) -> None:
+        assert self._task is not None
+        self._goals, self._began = view.goals.copy(), view.time
+        self.plans.append(self.plan(self._task, view, self._seed))
+
+
+SAMPLES = 61
+"""Instants at which ways are compared."""
+SWEEPS = 12
+"""How often each drone chooses at most."""
+BESIDE_M, BELOW_M = 0.25, 0.6
+"""Half axes, beyond the sum of radii, of the ellipsoid in which another drone costs, m."""
+TOUCHING_M = 0.12
+"""Distance beyond the sum of radii within which it costs a hundred times as much, m."""
+_HARD = 100.0
+_LENGTH = 0.02
+_AMPLITUDES = (0.3, 0.6, 0.9, 1.2, 1.5)
+_TURNS = 12
+_BUMP = np.polynomial.Polynomial([0.0, 1.0, -1.0]) ** 4 * 256.0
+"""Share of the bump over the share of the time: 1 half way; at rest, up to the third derivative, at
+both ends."""
+
+
+def bumps(start: FloatArray, goal: FloatArray) -> FloatArray:
+    """The family (N, M, 3), m, from which drones choose; the first is no bump.
+
+    Args:
+        start: (N, 3) m.
+        goal: (N, 3) m.
+    """
+    way = goal - start
+    level = np.stack([-way[:, 1], way[:, 0], np.zeros(len(way))], axis=1)
+    size = np.linalg.norm(level, axis=1, keepdims=True)
+    side = np.where(size > 1e-6, level / np.maximum(size, 1e-6), [1.0, 0.0, 0.0])
+    angle = 2 * np.pi * np.arange(_TURNS) / _TURNS
+    out = [np.zeros((len(way), 1, 3))]
+    for amplitude in _AMPLITUDES:
+        sideways = side[:, None] * np.cos(angle)[:, None]
+        upwards = np.array([0.0, 0.0, 1.0]) * np.sin(angle)[:, None]
+        out.append(amplitude * (sideways + upwards))
+    return np.concatenate(out, axis=1)
+
+
+def along(
+    start: FloatArray, goal: FloatArray, bump: FloatArray, duration: float, time: FloatArray | float
+) -> Reference:
+    """The way with a bump: arrays (..., 3), of arguments (..., 3) and times (...), s."""
+    straight = rest_to_rest(start, goal, duration, time)
+    u = np.clip(np.asarray(time, dtype=np.float64) / duration, 0.0, 1.0)
+    parts = []
+    for k, part in enumerate(straight):
+        share = _BUMP.deriv(k)(u) if k else _BUMP(u)
+        parts.append(part + bump * (share / duration**k)[..., None])
+    return Reference(*parts)
+
+
+def choose_bumps(
+    start: FloatArray,
+    goal: FloatArray,
+    radius: FloatArray,
+    arena: FloatArray,
+    obstacles: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Bumps (N, 3), m, with which drones get past each other, if the family has any.
+
+    Args:
+        start: (N, 3) m.
+        goal: (N, 3) m.
+        radius: (N,) of the drones, m.
+        arena: (2, 3) corners, m.
+        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
+        rng: draws the order in which they choose.
+    """
+    family, times = bumps(start, goal), np.linspace(0.0, 1.0, SAMPLES)
+    ways = along(
+        start[:, None, None], goal[:, None, None], family[:, :, None], 1.0, times
+    ).position  # (N, M, T, 3)
+    own = _LENGTH * np.linalg.norm(family, axis=-1) + _obstacle_cost(ways, radius, arena, obstacles)
+    chosen = np.zeros(len(start), dtype=np.int64)
+    for _ in range(SWEEPS):
+        before = chosen.copy()
+        for i in rng.permutation(len(start)).tolist():
+            others = np.delete(np.arange(len(start)), i)
+            met = ways[others, chosen[others]]
+            chosen[i] = (
+                own[i] + _proximity_cost(ways[i], met, radius[i] + radius[others])
+            ).argmin()
+        if (chosen == before).all():
+            break
+    return family[np.arange(len(start)), chosen]
+
+
+def _proximity_cost(ways: FloatArray, others: FloatArray, touching: FloatArray) -> FloatArray:
+    """Cost (M,) of ways (M, T, 3) among others (K, T, 3) that touch at distances (K,), m."""
+    cost = np.zeros(len(ways))
+    for other, contact in zip(others, touching, strict=True):
+        square = np.square(ways - other)
+        level, height = square[..., 0] + square[..., 1], square[..., 2]
+        for beside, below, weight in (
+            (BESIDE_M, BELOW_M, 1.0),
+            (TOUCHING_M, TOUCHING_M, _HARD),
+        ):
+            ratio = level / (contact + beside) ** 2 + height / (contact + below) ** 2
+            cost += weight * np.square(np.maximum(1.0 - ratio, 0.0)).mean(axis=1)
+    return cost
+
+
+def _obstacle_cost(
+    ways: FloatArray, radius: FloatArray, arena: FloatArray, obstacles: FloatArray
+) -> FloatArray:
+    """Cost (N, M) of ways (N, M, T, 3) that leave the arena or come close to obstacles."""
+    margin = (radius + TOUCHING_M)[:, None, None]
+    inside = np.minimum(ways - arena[0], arena[1] - ways).min(axis=-1)
+    cost = np.square(np.maximum(1.0 - inside / margin, 0.0)).mean(axis=-1)
+    if len(obstacles):
+        near = obstacle_distances(obstacles, ways).min(axis=-1)
+        cost += np.square(np.maximum(1.0 - near / margin, 0.0)).mean(axis=-1)
+    return np.asarray(_HARD * cost)
+
+
+class DetourAgent:
+    """Flies the ways of `choose_bumps`, or the task's reference where that moves.
+
+    Args:
+        controller: configuration of the tracking loop; None for its default, which compensates no
+            force.
+        share: of the time that a stage lasts, in which it is flown.
+
+    Raises:
+        ValueError: the share is none.
+    """
+
+    privileged = True
+
+    def __init__(self, controller: ControllerConfig | None = None, share: float = 0.75) -> None:
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
+        self.requires: Mapping[str, Any] = {
+            "action": "setpoint",
+            "controller": controller or ControllerConfig(),
+        }
+        self._share = share
+        self._agents: list[str] = []
+        self._arena: FloatArray = np.empty(0)
+        self._rng = np.random.default_rng(0)
+        self._plan: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._since = self._duration = 0.0
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Forget the last episode; the seed draws the order in which drones choose."""
+        self._agents, self._arena = list(env.agents), env.core.task.arena
+        self._rng, self._plan = np.random.default_rng(seed), None
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Position, velocity, acceleration and jerk on the way at this time; no yaw.
+
+        Raises:
+            ValueError: there is no view: goals and radii are part of it.
+        """
+        if view is None:
+            raise ValueError("the detour agent is privileged: pass env.view as the view")
+        reference = view.reference(view.time) if view.reference_moves else self._detour(view)
+        rows = np.concatenate([*reference, np.zeros((len(self._agents), 2))], axis=1)
+        return dict(zip(self._agents, rows, strict=True))
+
+    def _detour(self, view: View) -> Reference:
+        if self._plan is None or not np.array_equal(self._plan[1], view.goals):
+            start = np.array(view.state.position) if self._plan is None else self._plan[1]
+            goal = np.array(view.goals)
+            radius = np.array([vehicle.radius for vehicle in view.team])
+            rows = obstacle_rows(view.obstacles)
+            bump = choose_bumps(start, goal, radius, self._arena, rows, self._rng)
+            self._plan, self._since = (start, goal, bump), view.time
+            self._duration = self._share * view.stage_s
+        start, goal, bump = self._plan
+        since = view.time - self._since
+        return along(start, goal, bump, self._duration, np.full(len(goal), since))
