@@ -87,7 +87,7 @@ INTERPRETED := $(addprefix tests/test_,barrier.py motors.py neighbors.py noise.p
 	$(addprefix tests/tasks/,test_motion.py test_rewards.py) \
 	$(addprefix tests/baselines/rth3d/,test_planes.py test_validation.py) \
 	$(addprefix tests/baselines/neural_swarm/planner/,test_kd_tree.py test_steering.py) \
-	$(addprefix tests/baselines/mlr_dmpc/,test_closest.py test_corridors.py test_reach.py)
+	$(addprefix tests/baselines/mlr_dmpc/,test_trajectory.py test_corridors.py test_reach.py)
 
 coverage: $(VENV)/.dev
 	rm -rf build/coverage && mkdir -p build/coverage

@@ -32,10 +32,10 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
         "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.agent:PlanAgent",
-        "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent",
-        "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc.agent:MlrDmpcAgent.compensated",
-        "rth3d": "swarm_envs.baselines.rth3d.agent:GridAgent",
-        "rth3d-compensated": "swarm_envs.baselines.rth3d.agent:GridAgent.compensated",
+        "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent",
+        "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent.compensated",
+        "rth3d": "swarm_envs.baselines.rth3d.grid_agent:GridAgent",
+        "rth3d-compensated": "swarm_envs.baselines.rth3d.grid_agent:GridAgent.compensated",
     }
 )
 """Shipped agents as `"module:Class"`, imported when they are asked for. What follows the colon is

@@ -20,7 +20,7 @@ from swarm_envs.agents.barrier import (
 )
 from swarm_envs.agents.evaluation import TIMED, evaluate_agent, frozen_seeds
 from swarm_envs.agents.protocol import BatchAgent
-from swarm_envs.baselines.mlr_dmpc.solvers import solver
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
 

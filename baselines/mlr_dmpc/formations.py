@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.shapes import shape_points
@@ -21,7 +21,7 @@ _SPHERE_RADIUS_M = 1.25
 _LEAN_RAD = np.radians(20.0)
 
 
-def circle(num_drones: int, radius: float, height: float) -> tuple[FloatArray, FloatArray]:
+def circle_swap(num_drones: int, radius: float, height: float) -> tuple[FloatArray, FloatArray]:
     """Starts and targets (N, 3), m: evenly on a circle, each to the opposite side."""
     angle = 2.0 * np.pi * np.arange(num_drones) / num_drones
     level = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 
-from swarm_envs.baselines.mlr_dmpc.messages import DroneState, UnitMessage
-from swarm_envs.baselines.mlr_dmpc.network import Inbox
-from swarm_envs.baselines.mlr_dmpc.views import Absences, View, ViewId
+from swarm_envs.baselines.mlr_dmpc.messages import DroneState, MembershipView, UnitMessage, ViewId
+from swarm_envs.baselines.mlr_dmpc.radio import Inbox
 
 LISTENING_ROUNDS = 2
 """A unit that comes back is silent for so long: a slot given away before stays given away."""
@@ -14,26 +13,57 @@ _ANNOUNCED_ROUNDS = 20
 _LONE_ROUNDS = 15
 
 
-class Membership:
-    """The view of one compute unit.
+_SILENCE = 11.5
+"""A unit is left out when only one silence in exp(11) would be as long by loss alone."""
+_LEAST_SILENT_ROUNDS = 6
+"""Rounds of silence below which no unit is left out of a view."""
 
-    Args:
-        unit: whose.
-        view: the view at deployment.
-        num_units: M.
-        num_drones: N.
-        since: round at which the unit starts or comes back.
+
+class _Absences:
+    """For how long each unit has been silent, weighed by how much else was lost meanwhile.
+
+    A round in which most messages were lost says little about a missing one; in a blackout nobody
+    is left out.
     """
 
-    def __init__(self, unit: int, view: View, num_units: int, num_drones: int, since: int) -> None:
+    def __init__(self, num_units: int) -> None:
+        self.count = num_units
+        self._rounds = [0] * num_units
+        self._evidence = [0.0] * num_units
+
+    def observe(self, heard: frozenset[int], log_odds: float) -> None:
+        """Note who was heard, and minus the logarithm of the share lost in that round."""
+        for unit in range(len(self._rounds)):
+            silent = unit not in heard
+            self._rounds[unit] = self._rounds[unit] + 1 if silent else 0
+            self._evidence[unit] = self._evidence[unit] + log_odds if silent else 0.0
+
+    def gone(self, unit: int) -> bool:
+        """Whether a unit has been silent for too long for loss alone."""
+        enough = self._rounds[unit] >= _LEAST_SILENT_ROUNDS
+        return enough and self._evidence[unit] >= _SILENCE
+
+    def present(self, unit: int) -> bool:
+        """Whether a unit was heard lately."""
+        return self._rounds[unit] < _LEAST_SILENT_ROUNDS
+
+
+class Membership:
+    """The view of one compute unit, which starts or comes back in round `since`."""
+
+    def __init__(
+        self, unit: int, view: MembershipView, num_units: int, num_drones: int, since: int
+    ) -> None:
         self.view = view
         self.adopted = since
         """Round at which the view was adopted."""
         self._unit, self._num_drones, self._since = unit, num_drones, since
         self._highest = view.id
-        self._absences = Absences(num_units)
-        self._joining: set[int] = set()
-        self._gone: set[int] = set()
+        self._absences = _Absences(num_units)
+        self.joining: set[int] = set()
+        """Drones that have said that they are not in the air yet."""
+        self.gone: set[int] = set()
+        """Drones that have said that they have left the air."""
         self._behind_since: int | None = None
         self._others_behind = False
         self._retry = since + LISTENING_ROUNDS
@@ -41,9 +71,7 @@ class Membership:
     def update(self, inbox: Inbox[UnitMessage], present: frozenset[int]) -> bool:
         """Take in a round; whether another view is now in force.
 
-        Args:
-            inbox: what was heard.
-            present: units that were heard, or whose slots are known to be given away.
+        `present`: units that were heard, or whose slots are known to be given away.
         """
         drones = len(self.view.drones)
         lost = max(drones - len(inbox.states), 0)
@@ -74,7 +102,7 @@ class Membership:
         if self._unit not in self.view.units:
             return round_ >= self._retry and self._proposed(round_)
         gone = {unit for unit in self.view.units if self._absences.gone(unit)}
-        joining, left = self._joining - self.view.drones, self._gone & self.view.drones
+        joining, left = self.joining - self.view.drones, self.gone & self.view.drones
         if not (gone or joining or left):
             return False
         first = min((u for u in self.view.units if u not in gone), default=self._unit)
@@ -85,14 +113,14 @@ class Membership:
         """Whether the unit belongs to the highest view that it knows of."""
         return self._unit in self.view.units and self._highest <= self.view.id
 
-    def announced(self, round_: int) -> View | None:
+    def announced(self, round_: int) -> MembershipView | None:
         """The view, as long as somebody may not have heard of it."""
         new = self.view.id.epoch > 0 and round_ - self.adopted < _ANNOUNCED_ROUNDS
         return self.view if new or self._others_behind else None
 
     def _note(self, state: DroneState) -> None:
         self._highest = max(self._highest, state.lock)
-        for mark, drones in ((state.joining, self._joining), (state.gone, self._gone)):
+        for mark, drones in ((state.joining, self.joining), (state.gone, self.gone)):
             if mark:
                 drones.add(state.drone)
             else:
@@ -108,18 +136,14 @@ class Membership:
 
     def _proposed(self, round_: int, drones: frozenset[int] | None = None) -> bool:
         units = {unit for unit in self.view.units if not self._absences.gone(unit)} | {self._unit}
-        units |= {unit for unit in self._seen if self._absences.present(unit)}
+        units |= {unit for unit in range(self._absences.count) if self._absences.present(unit)}
         if drones is None:
-            drones = (self.view.drones | self._joining) - self._gone
+            drones = (self.view.drones | self.joining) - self.gone
         id_ = ViewId(self._highest.epoch + 1, self._unit)
         self._retry = round_ + 2 * (self._retry - self._since)
-        self._adopt(View(id_, tuple(sorted(units)), drones), round_)
+        self._adopt(MembershipView(id_, tuple(sorted(units)), drones), round_)
         self._highest = id_
         return True
 
-    @property
-    def _seen(self) -> range:
-        return range(self._absences.count)
-
-    def _adopt(self, view: View, round_: int) -> None:
+    def _adopt(self, view: MembershipView, round_: int) -> None:
         self.view, self.adopted = view, round_

@@ -1,13 +1,51 @@
-"""What drones and compute units tell each other in their slots."""
+"""What drones and compute units tell each other in their slots, and how it is packed into bytes.
+
+Views say who takes part; drones lock to them so that no two of them plan at a time.
+"""
 
 from __future__ import annotations
 
+import math
+import struct
 from enum import IntEnum
-from typing import NamedTuple
+from io import BytesIO
+from typing import Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
-from swarm_envs.baselines.mlr_dmpc.views import View, ViewId
 from swarm_envs.state import FloatArray
+
+
+class ViewId(NamedTuple):
+    """What orders views: a later epoch wins, then the higher proposer."""
+
+    epoch: int
+    """Counts up with each proposal."""
+    proposer: int
+    """Compute unit that proposed it."""
+
+
+class MembershipView(NamedTuple):
+    """Compute units and drones that take part."""
+
+    id: ViewId
+    """Its place in the order."""
+    units: tuple[int, ...]
+    """Compute units that plan, ascending."""
+    drones: frozenset[int]
+    """Drones that are planned for and avoided."""
+
+    def leader(self, round_: int) -> int:
+        """Who says in a round which drones are planned in the next one."""
+        return self.units[round_ % len(self.units)]
+
+    def rank(self, unit: int, round_: int) -> int:
+        """Which of the selected drones a unit takes: (k + w) mod M over the members."""
+        return (round_ + self.units.index(unit)) % len(self.units)
+
 
 NONE = -1
 """No drone."""
@@ -45,7 +83,7 @@ class DroneState(NamedTuple):
         return len(self.kinematics) == 1
 
 
-class Kind(IntEnum):
+class MessageKind(IntEnum):
     """What a message in a compute unit's slot carries."""
 
     EMPTY = 0
@@ -70,7 +108,7 @@ class Missing(NamedTuple):
 class UnitMessage(NamedTuple):
     """What is said in a compute unit's slot."""
 
-    kind: Kind
+    kind: MessageKind
     """What it carries."""
     round: int
     """When it is sent."""
@@ -94,11 +132,199 @@ class UnitMessage(NamedTuple):
     """Contents that the unit lacks."""
     complete: bool = False
     """Whether it lacks nothing else and has located every drone."""
-    members: View | None = None
+    members: MembershipView | None = None
     """The view itself, while it is new."""
     priorities: tuple[tuple[int, int], ...] = ()
     """Drones and their priorities, highest first, as many as fit."""
 
 
-SlotMessages = dict[int, UnitMessage]
-"""By slot."""
+STATE_BYTES = 32
+"""A drone's slot."""
+SLOT_BYTES = 242
+"""A compute unit's slot."""
+REQUEST_BYTES = 132
+"""A message without a trajectory."""
+_TRAJECTORY_BYTES = 204  # for which the reference's slots are made
+_STEPS = 65535
+_FLAGS = ("joining", "gone", "reinitialised")
+
+
+class Codec:
+    """Packs and unpacks the messages of a swarm.
+
+    Slots and sender are known from when a message arrives, so no message carries them.
+    """
+
+    def __init__(self, num_drones: int, num_units: int, config: MlrDmpcConfig) -> None:
+        self._config, self._num_units = config, num_units
+        self._id_bytes = 1 if num_drones <= 254 else 2
+        self._mask_bytes = (math.ceil(num_units / 8), math.ceil(num_drones / 8))
+        # Plans with more jerks than the reference's need larger slots.
+        self._slot_bytes = SLOT_BYTES + max(0, _trajectory_bytes(config) - _TRAJECTORY_BYTES)
+        lower, upper = np.array(config.box)
+        self._lower = np.stack([lower, *([[-1.0] * 3] * 2)])
+        self._span = np.stack([upper - lower, *([[2.0] * 3] * 2)])
+        limits = np.array([config.speed_limit, config.acceleration_limit])[:, None]
+        self._lower[1:] *= limits
+        self._span[1:] *= limits
+
+    def carried(self, kinematics: FloatArray) -> FloatArray:
+        """(n, 3) position (and velocity, acceleration) as 16 bit carry them, within bounds."""
+        count = len(kinematics)
+        return self._lower[:count] + self._steps(kinematics) * (self._span[:count] / _STEPS)
+
+    def carried_targets(self, targets: FloatArray) -> FloatArray:
+        """(N, 3) targets as 16 bit carry them."""
+        steps = np.rint((targets - self._lower[0]) / self._span[0] * _STEPS)
+        return np.asarray(self._lower[0] + steps * (self._span[0] / _STEPS))
+
+    def pack_state(self, state: DroneState) -> bytes:
+        """A drone's message, at most 32 bytes."""
+        flags = sum(getattr(state, name) << bit for bit, name in enumerate(_FLAGS))
+        head = _packed_identity(state.identity) + struct.pack("<HBB", *state.lock, flags)
+        target = self._steps(state.target[None]).astype("<u2").tobytes()
+        if state.resting:
+            return head + target + state.kinematics.astype("<f4").tobytes()
+        return head + target + self._steps(state.kinematics).astype("<u2").tobytes()
+
+    def unpack_state(self, data: bytes, drone: int, round_: int) -> DroneState:
+        """The message that a drone has sent in a round."""
+        identity = _unpacked_identity(data[:3], round_)
+        epoch, proposer, bits = struct.unpack("<HBB", data[3:7])
+        flags = {name: bool(bits >> bit & 1) for bit, name in enumerate(_FLAGS)}
+        target = self._unsteps(np.frombuffer(data[7:13], "<u2").reshape(1, 3))[0]
+        body = data[13:]
+        if len(body) == 12:
+            kinematics = np.frombuffer(body, "<f4").astype(np.float64).reshape(1, 3)
+        else:
+            kinematics = self._unsteps(np.frombuffer(body, "<u2").reshape(3, 3))
+        lock = ViewId(epoch, proposer)
+        return DroneState(drone, round_, identity, lock, target, kinematics, **flags)
+
+    def filled(self, message: UnitMessage, order: list[tuple[int, int]]) -> UnitMessage:
+        """The message with as many priorities as fit; what others can do without goes first.
+
+        Raises:
+            ValueError: even without them it does not fit.
+        """
+        empty = message.kind is MessageKind.EMPTY
+        limit = REQUEST_BYTES if empty else self._slot_bytes
+        if len(self.pack(message)) > limit:
+            message = message._replace(members=None)
+        if len(self.pack(message)) > limit:
+            message = message._replace(current=None)
+        while len(self.pack(message)) > limit and message.missing:
+            message = message._replace(missing=message.missing[:-1], complete=False)
+        room = (limit - len(self.pack(message))) // (self._id_bytes + 1)
+        if room < 0:
+            raise ValueError(f"{message} does not fit into {limit} bytes: use fewer compute units")
+        return message._replace(priorities=tuple(order[:room]))
+
+    def pack(self, message: UnitMessage) -> bytes:
+        """A message in a compute unit's slot."""
+        head = message.kind | (message.selection is not None) << 2
+        head |= (message.members is not None) << 3
+        head |= len(message.donations) << 4 | len(message.missing) << 6
+        flags = message.complete | (message.current is not None) << 1
+        out = struct.pack("<BHBB", head, *message.view, flags)
+        if message.kind is not MessageKind.ANSWER:
+            out += self._ids(message.recent)
+        for selection in (message.selection, message.current):
+            if selection is not None:
+                padding = (NONE,) * (self._num_units - len(selection))
+                out += self._ids(selection + padding)
+        out += self._ids(message.donations)
+        for missing in message.missing:
+            out += self._ids((missing.drone,)) + _packed_identity(missing.identity)
+        if message.members is not None:
+            for ids, size in zip((message.members.units, message.members.drones), self._mask_bytes):
+                out += sum(1 << i for i in ids).to_bytes(size, "little")
+        if message.trajectory is not None:
+            out += self._ids((message.drone,))
+            out += pack_trajectory(message.trajectory, message.kind is not MessageKind.PLAN)
+        for drone, level in message.priorities:
+            out += self._ids((drone,)) + bytes([level])
+        return out
+
+    def unpack(self, data: bytes, unit: int, round_: int) -> UnitMessage:
+        """The message that was sent in a unit's slot in a round."""
+        reader = BytesIO(data)
+        head, epoch, proposer, flags = struct.unpack("<BHBB", reader.read(5))
+        view, kind = ViewId(epoch, proposer), MessageKind(head & 3)
+        found: dict[str, Any] = {"complete": bool(flags & 1)}
+        if kind is not MessageKind.ANSWER:
+            found["recent"] = self._read_ids(reader, RECENT)
+        if head >> 2 & 1:
+            found["selection"] = self._read_ids(reader, self._num_units)
+        if flags >> 1 & 1:
+            found["current"] = self._read_ids(reader, self._num_units)
+        found["donations"] = self._read_ids(reader, head >> 4 & 3)
+        wanted = [(self._read_ids(reader, 1)[0], reader.read(3)) for _ in range(head >> 6)]
+        found["missing"] = tuple(Missing(i, _unpacked_identity(d, round_)) for i, d in wanted)
+        if head >> 3 & 1:
+            masks = [int.from_bytes(reader.read(size), "little") for size in self._mask_bytes]
+            units, drones = (
+                [i for i in range(bits.bit_length()) if bits >> i & 1] for bits in masks
+            )
+            found["members"] = MembershipView(view, tuple(units), frozenset(drones))
+        if kind is not MessageKind.EMPTY:
+            (found["drone"],) = self._read_ids(reader, 1)
+            sent = Identity(round_ + 1, unit) if kind is MessageKind.PLAN else None
+            found["trajectory"] = unpack_trajectory(reader, sent, round_, self._config)
+        rest = reader.read()
+        pairs = [rest[k : k + self._id_bytes + 1] for k in range(0, len(rest), self._id_bytes + 1)]
+        found["priorities"] = tuple((int.from_bytes(p[:-1], "little"), p[-1]) for p in pairs)
+        return UnitMessage(kind, round_, unit, view, **found)
+
+    def _steps(self, kinematics: FloatArray) -> npt.NDArray[np.int64]:
+        count = len(kinematics)
+        share = (kinematics - self._lower[:count]) / self._span[:count]
+        return np.rint(np.minimum(np.maximum(share, 0.0), 1.0) * _STEPS).astype(np.int64)
+
+    def _unsteps(self, steps: npt.NDArray[np.uint16]) -> FloatArray:
+        count = len(steps)
+        return np.asarray(self._lower[:count] + steps * (self._span[:count] / _STEPS))
+
+    def _ids(self, ids: tuple[int, ...]) -> bytes:
+        size = self._id_bytes  # negative ones, NONE and UNSURE, become the largest numbers
+        return b"".join((i % 256**size).to_bytes(size, "little") for i in ids)
+
+    def _read_ids(self, reader: BytesIO, count: int) -> tuple[int, ...]:
+        size = self._id_bytes
+        read = (int.from_bytes(reader.read(size), "little") for _ in range(count))
+        return tuple(i - 256**size if i >= 256**size + UNSURE else i for i in read)
+
+
+def _trajectory_bytes(config: MlrDmpcConfig) -> int:
+    return 36 + 12 * (config.num_inputs - 1)
+
+
+def pack_trajectory(trajectory: Trajectory, named: bool) -> bytes:
+    """A trajectory in float32, after its identity if that is not clear from the slot.
+
+    The last jerk is zero and is not sent.
+    """
+    name = _packed_identity(trajectory.identity) if named else b""
+    numbers = np.concatenate([trajectory.state, trajectory.jerk[:-1]])
+    return name + numbers.astype("<f4").tobytes()
+
+
+def unpack_trajectory(
+    reader: BytesIO, identity: Identity | None, round_: int, config: MlrDmpcConfig
+) -> Trajectory:
+    """A trajectory that was sent in a round; its identity is read if it is not given."""
+    if identity is None:
+        identity = _unpacked_identity(reader.read(3), round_)
+    numbers = np.frombuffer(reader.read(_trajectory_bytes(config)), "<f4").reshape(-1, 3)
+    jerk = np.concatenate([numbers[3:], np.zeros((1, 3))])
+    return Trajectory(identity, numbers[:3], jerk, config.input_sampling_s)
+
+
+def _packed_identity(identity: Identity) -> bytes:
+    return struct.pack("<HB", identity.start_round & 0xFFFF, identity.compute_unit)
+
+
+def _unpacked_identity(data: bytes, round_: int) -> Identity:
+    """The identity whose start, known to 16 bit, is not after the next round."""
+    low, unit = struct.unpack("<HB", data)
+    return Identity(round_ + 1 - ((round_ + 1 - low) & 0xFFFF), unit)

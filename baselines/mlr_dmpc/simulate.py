@@ -2,21 +2,87 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.mlr_dmpc.checks import checked_points
-from swarm_envs.baselines.mlr_dmpc.closest import closest_distances
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.loss import LossModel
-from swarm_envs.baselines.mlr_dmpc.planning import Obstacles
-from swarm_envs.baselines.mlr_dmpc.result import MlrDmpcResult, Unreachable, Violation
-from swarm_envs.baselines.mlr_dmpc.samples import end_position
-from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, RoundReport, UnitOutage
+from swarm_envs.baselines.mlr_dmpc.input_checks import checked_points
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import LossModel, RoundLog
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound
+from swarm_envs.baselines.mlr_dmpc.trajectory import closest_distances, end_position
 from swarm_envs.state import FloatArray
+
+
+class Violation(NamedTuple):
+    """Two references that came too close at a collision sample."""
+
+    time_s: float
+    """When."""
+    first: int
+    """A drone."""
+    second: int
+    """Another."""
+    distance_m: float
+    """Their scaled distance."""
+
+
+class Unreachable(NamedTuple):
+    """A target that a drone cannot take."""
+
+    drone: int
+    """Whose target it is."""
+    other: int
+    """The drone that rests on it."""
+
+    def __str__(self) -> str:
+        return (
+            f"the target of drone {self.drone} is unreachable because another drone, {self.other}, "
+            "rests on it"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MlrDmpcResult:
+    """A simulated flight of a swarm under MLR-DMPC."""
+
+    reference_times: FloatArray
+    """(time,) at 100 Hz, s."""
+    reference_positions: FloatArray
+    """(time, N, 3) of the references, m; NaN for who is not in the air."""
+    targets: FloatArray
+    """(N, 3) at the end, m."""
+    arrival_time_s: float | None
+    """When all were near their targets for good, s; None: they never were."""
+    arrival_times_s: FloatArray
+    """(N,) when each was, s; NaN: it never was."""
+    solve_ms: FloatArray
+    """(plans,) in the solver for each, ms."""
+    plan_ms: FloatArray
+    """(plans,) for each, with all that building and checking takes, ms."""
+    solver_failures: int
+    """Plans for which no trajectory was found or accepted although the flown one was feasible."""
+    least_shifted_slack_m: float
+    """Least slack of any row at the plan that was flown; by Theorem 1 not negative."""
+    violations: tuple[Violation, ...]
+    """References too close at collision samples, by more than 1e-6 m."""
+    pair_distances_m: FloatArray
+    """(N, N) exact minimum of each pair's scaled distance, also between samples, m."""
+    least_distance_m: float
+    """Least of them, m."""
+    least_sampled_distance_m: float
+    """Least scaled distance at the collision samples, m."""
+    unreachable: tuple[Unreachable, ...]
+    """Targets that other drones rest on."""
+    reports: tuple[SwarmRound, ...]
+    """What happened in each round."""
+    log: tuple[RoundLog[Any], ...]
+    """All messages of each round, and to whom they came."""
+
 
 Targets = FloatArray | Callable[[float], FloatArray]
 """(N, 3), m, or what gives them at a time, s."""
@@ -25,8 +91,7 @@ REFERENCE_RATE = 100.0
 """Samples of the reference positions per second."""
 _DAY_S = 86_400
 _TOLERANCE = 1e-6
-_SETTLED_ROUNDS = 35
-"""After so many rounds at rest a drone is taken to stay."""
+_SETTLED_ROUNDS = 35  # after so many rounds at rest a drone is taken to stay
 
 
 @typed
@@ -41,15 +106,9 @@ def simulate(
     duration_s: float = 60.0,
     *,
     config: MlrDmpcConfig | None = None,
-    solver: str = "daqp",
-    measure: str = "end",
-    informed: bool = True,
-    outages: Sequence[UnitOutage] = (),
-    joins: Mapping[int, int] | None = None,
-    leaves: Mapping[int, int] | None = None,
-    obstacles: Obstacles | None = None,
     stop_on_arrival: bool = True,
     progress: bool = False,
+    **options: Any,
 ) -> MlrDmpcResult:
     """Fly a swarm from starts to targets.
 
@@ -59,20 +118,13 @@ def simulate(
         compute_units: M, at most N.
         trigger: which drones are planned anew: `HT`, `RR` or `DT`.
         loss: share of messages lost, a preset's name or a model.
-        recovery: True: ours; "paper": Algorithms 1 and 2 to the letter; False: loss is ignored, and
-            drones collide.
+        recovery: True: ours; "paper": Algorithms 1 and 2; False: none, drones then collide.
         seed: of losses and detours: the same seed gives the same flight.
         duration_s: longest flight, s.
         config: parameters.
-        solver: `daqp`, `quadprog` or `osqp`.
-        measure: priorities by the `end` of plans or by the `next` round's position, (A2).
-        informed: whether compute units know the starts; else they know nothing.
-        outages: of compute units.
-        joins: round at which a drone, by index, switches on.
-        leaves: round in which a drone, by index, leaves the air, clear of the others.
-        obstacles: half-spaces for the plans.
         stop_on_arrival: whether the flight ends when all have arrived; never with moving targets.
         progress: whether to show a bar.
+        options: further ones of `MlrDmpcSwarm`, such as `outages` or `obstacles`.
 
     Returns:
         References, statistics and all messages.
@@ -95,18 +147,12 @@ def simulate(
         loss=loss,
         recovery=recovery,
         seed=seed,
-        solver=solver,
-        measure=measure,
-        informed=informed,
-        outages=outages,
-        joins=joins,
-        leaves=leaves,
-        obstacles=obstacles,
+        **options,
     )
-    flight = _Flight(swarm)
+    flight = _FlightRecorder(swarm)
     ends = stop_on_arrival and not callable(targets)
     for k in tqdm(range(rounds), desc="rounds", unit="round", disable=not progress):
-        flight.note()
+        flight.record_round()
         if ends and flight.over():
             break
         flight.reports.append(swarm.run_round(course[k] if callable(targets) else None))
@@ -123,11 +169,11 @@ def _course(targets: Targets, rounds: int, config: MlrDmpcConfig, count: int) ->
     ]
 
 
-class _Flight:
-    """What is noted along a flight."""
+class _FlightRecorder:
+    """Records a flight round by round."""
 
     def __init__(self, swarm: MlrDmpcSwarm) -> None:
-        self.swarm, self.reports = swarm, list[RoundReport]()
+        self.swarm, self.reports = swarm, list[SwarmRound]()
         config = swarm.config
         self._pieces = round(config.round_s / config.input_sampling_s)
         per_round = round(config.round_s * REFERENCE_RATE)
@@ -140,8 +186,8 @@ class _Flight:
         self._violations: list[Violation] = []
         self._least = np.inf
 
-    def note(self) -> None:
-        """Note the references of the round that begins."""
+    def record_round(self) -> None:
+        """Record the references of the round that begins."""
         swarm = self.swarm
         times = np.concatenate([self._fine, self._coarse, self._knots])
         states = swarm.reference(times)
@@ -168,8 +214,8 @@ class _Flight:
     def over(self) -> bool:
         """Whether all who can have arrived, or nothing will change any more."""
         swarm = self.swarm
-        flying = [drone for drone in swarm.crew.drones if drone.airborne]
-        waiting = any(not d.airborne and not d.gone for d in swarm.crew.drones)
+        flying = [drone for drone in swarm.nodes.drones if drone.airborne]
+        waiting = any(not d.airborne and not d.gone for d in swarm.nodes.drones)
         ends = [end_position(drone.flying, swarm.config) for drone in flying]
         near = [
             np.linalg.norm(end - swarm.targets[drone.index]) <= swarm.config.arrival_m
@@ -186,7 +232,7 @@ class _Flight:
     def unreachable(self) -> tuple[Unreachable, ...]:
         """Targets that other drones rest on."""
         swarm, config = self.swarm, self.swarm.config
-        drones = [drone for drone in swarm.crew.drones if drone.airborne]
+        drones = [drone for drone in swarm.nodes.drones if drone.airborne]
         settled = swarm.round - config.horizon_rounds - _SETTLED_ROUNDS
         rest = [d for d in drones if d.flying.identity.start_round <= settled]
         out = []
@@ -201,7 +247,7 @@ class _Flight:
         return tuple(out)
 
     def result(self) -> MlrDmpcResult:
-        """All that was noted."""
+        """The flight as a whole."""
         swarm, config = self.swarm, self.swarm.config
         references = np.concatenate(self._references, axis=1).swapaxes(0, 1)
         arrivals = _arrivals(np.concatenate(self._errors, axis=1), config.arrival_m)

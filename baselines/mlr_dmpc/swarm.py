@@ -9,19 +9,19 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.mlr_dmpc.checks import (
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach
+from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
+from swarm_envs.baselines.mlr_dmpc.input_checks import (
     checked_indices,
     checked_options,
     checked_points,
 )
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.crew import Crew, OurCrew, PaperCrew
-from swarm_envs.baselines.mlr_dmpc.loss import LossModel
-from swarm_envs.baselines.mlr_dmpc.network import Network, RoundLog
-from swarm_envs.baselines.mlr_dmpc.planning import Obstacles, PlanningOptions
-from swarm_envs.baselines.mlr_dmpc.reach import out_of_reach
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.nodes import RecoveryNodes, SwarmNodes
+from swarm_envs.baselines.mlr_dmpc.paper_protocol import PaperNodes, TrustingNodes
+from swarm_envs.baselines.mlr_dmpc.radio import LossModel, LossProcess, RoundLog
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, hover
-from swarm_envs.baselines.mlr_dmpc.unit import UnitRound
+from swarm_envs.baselines.mlr_dmpc.unit_planner import Obstacles, PlanningOptions
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.state import FloatArray
 
@@ -44,7 +44,7 @@ class UnitOutage:
 
 
 @dataclass(frozen=True)
-class RoundReport:
+class SwarmRound:
     """What happened in a round."""
 
     round: int
@@ -68,8 +68,9 @@ class MlrDmpcSwarm:
         compute_units: M, at most as many as drones.
         trigger: `HT`, `RR` or `DT` (Appendix A).
         loss: share of messages lost, a preset's name or a model.
-        recovery: True: ours; "paper": Algorithms 1 and 2; False: none, drones then collide.
-        seed: of losses and detours.
+        recovery: True: ours; "paper": Algorithms 1 and 2 to the letter; False: loss is ignored, and
+            drones collide.
+        seed: of losses and detours: the same seed gives the same flight.
         solver: `daqp`, `quadprog` or `osqp`.
         measure: of priorities, `end` or `next` (A2).
         informed: whether the units know the starts, as in the public simulation.
@@ -105,7 +106,8 @@ class MlrDmpcSwarm:
         given = config or MlrDmpcConfig()
         starts = checked_points("starts", starts, given)
         self.config = given.for_swarm(len(starts))
-        self._targets = checked_points("targets", targets, self.config, len(starts))
+        self.targets = checked_points("targets", targets, self.config, len(starts))
+        """(N, 3) where the drones are to go, m."""
         checked_options(compute_units, len(starts), trigger, recovery, measure, seed)
         self.round = 0
         """The round that comes next."""
@@ -115,7 +117,7 @@ class MlrDmpcSwarm:
         self._outages = tuple(outages)
         failing = {outage.unit: outage.first_round for outage in self._outages}
         checked_indices("outages", failing, compute_units, "unit")
-        self._network: Network[Any] = Network(len(starts), compute_units, LossModel.of(loss), seed)
+        self._loss = LossProcess(LossModel.of(loss), len(starts), compute_units, seed)
         options = PlanningOptions(
             config=self.config,
             num_drones=len(starts),
@@ -128,8 +130,8 @@ class MlrDmpcSwarm:
         )
         steps, sampling = self.config.num_inputs, self.config.input_sampling_s
         hovers = [hover(start, steps, sampling) for start in starts]
-        kind = OurCrew if recovery is True else PaperCrew
-        self.crew: Crew = kind(hovers, self._targets, options, informed, self._joins, recovery)
+        nodes = RecoveryNodes if recovery is True else PaperNodes if recovery else TrustingNodes
+        self.nodes: SwarmNodes = nodes(hovers, self.targets, options, informed, self._joins)
         """Drones and compute units."""
         self.log: list[RoundLog[Any]] = []
         """All messages."""
@@ -138,28 +140,18 @@ class MlrDmpcSwarm:
         messages are lost or not; empty where it is not in the air."""
 
     @property
-    def num_drones(self) -> int:
-        """N."""
-        return len(self.crew.drones)
-
-    @property
-    def targets(self) -> FloatArray:
-        """(N, 3) where the drones are to go, m."""
-        return self._targets
-
-    @property
     def flying(self) -> list[Trajectory]:
         """What each drone flies in the round that comes next."""
-        return [drone.flying for drone in self.crew.drones]
+        return [drone.flying for drone in self.nodes.drones]
 
     @property
     def airborne(self) -> list[bool]:
         """Which drones are in the air."""
-        return [drone.airborne for drone in self.crew.drones]
+        return [drone.airborne for drone in self.nodes.drones]
 
     def run_round(
         self, targets: FloatArray | None = None, measured: FloatArray | None = None
-    ) -> RoundReport:
+    ) -> SwarmRound:
         """Plan, send and receive: one round.
 
         Args:
@@ -170,29 +162,29 @@ class MlrDmpcSwarm:
         Raises:
             ValueError: targets outside the box or too close to each other.
         """
-        k, crew = self.round, self.crew
+        k, nodes = self.round, self.nodes
         if targets is not None:
-            self._targets = checked_points("targets", targets, self.config, self.num_drones)
+            self.targets = checked_points("targets", targets, self.config, len(self.nodes.drones))
         if measured is not None:
-            for drone, seen in zip(crew.drones, measured, strict=True):
+            for drone, seen in zip(nodes.drones, measured, strict=True):
                 drone.give_up(seen, k)
         for index, since in self._leaves.items():
             if k >= since:
-                crew.drones[index].leave()
+                nodes.drones[index].leave()
         alive = {
             unit
-            for unit in range(crew.num_units)
+            for unit in range(nodes.options.num_units)
             if not any(o.unit == unit and o.covers(k) for o in self._outages)
         }
-        present = {i for i in range(self.num_drones) if k >= self._joins.get(i, 0)}
-        states, slots, senders = crew.speak(k, self._targets, alive, present)
-        log = self._network.carry(k, states, slots, senders)
+        present = {i for i in range(len(self.nodes.drones)) if k >= self._joins.get(i, 0)}
+        sent = nodes.send(k, self.targets, alive, present)
+        log: RoundLog[Any] = RoundLog(k, *sent, self._loss.arrivals(k))
         self.log.append(log)
-        self.may_fly = crew.may_fly(log)
-        accepted = crew.listen(log, self._network, alive, present)
+        self.may_fly = nodes.may_fly(log)
+        accepted = nodes.receive(log, alive, present)
         self.round = k + 1
-        reports = tuple(crew.reports[unit] for unit in sorted(alive))
-        return RoundReport(k, reports, accepted, crew.bytes_sent(log))
+        reports = tuple(nodes.reports[unit] for unit in sorted(alive))
+        return SwarmRound(k, reports, accepted, nodes.bytes_sent(log))
 
     def reference(self, times: FloatArray) -> FloatArray:
         """What the drones follow (N, T, 4, 3): position, velocity, acceleration and jerk.
@@ -200,7 +192,7 @@ class MlrDmpcSwarm:
         Args:
             times: (T,) since the start of the round that comes next, s, within it.
         """
-        out = np.empty((self.num_drones, len(times), 4, 3))
+        out = np.empty((len(self.nodes.drones), len(times), 4, 3))
         for i, one in enumerate(self.flying):
             since = times + self.config.round_s * (self.round - one.identity.start_round)
             out[i, :, :3] = one.states(since)

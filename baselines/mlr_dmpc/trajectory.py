@@ -1,12 +1,17 @@
-"""Reference trajectories of the nominal system, a triple integrator: pieces of constant jerk."""
+"""Reference trajectories of the nominal system, a triple integrator: pieces of constant jerk.
+
+They are sampled once at the instants that rounds ask for; `closest_distances` is exact between.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray
 
@@ -43,7 +48,6 @@ class Trajectory:
     input_sampling_s: float
 
     def __post_init__(self) -> None:
-        """Round to what a message carries, and freeze."""
         for name in ("state", "jerk"):
             rounded = np.array(getattr(self, name), dtype=np.float32).astype(np.float64)
             rounded.flags.writeable = False
@@ -69,7 +73,6 @@ class Trajectory:
 
 @kernel
 def _states(state: FloatArray, jerk: FloatArray, step: float, times: FloatArray) -> FloatArray:
-    """What `Trajectory.states` says."""
     intervals = jerk.shape[0]
     knots = np.empty((intervals + 1, 3, 3))
     knots[0] = state
@@ -101,3 +104,103 @@ def hover(position: FloatArray, num_inputs: int, input_sampling_s: float) -> Tra
     state = np.zeros((3, 3))
     state[0] = position
     return Trajectory(Identity(0, NOBODY), state, np.zeros((num_inputs, 3)), input_sampling_s)
+
+
+@lru_cache(maxsize=4096)
+def _all_positions(trajectory: Trajectory, step: float, count: int) -> FloatArray:
+    """Positions (2 count + 1, 3) at 0, step, ... since its start, at rest after count steps."""
+    flown = trajectory.positions(step * np.arange(count + 1, dtype=np.float64))
+    return np.concatenate([flown, np.repeat(flown[-1:], count, axis=0)])
+
+
+def sampled_positions(
+    trajectory: Trajectory, start_round: int, config: MlrDmpcConfig
+) -> FloatArray:
+    """Positions (S, 3) at the collision samples t + T_c, t + 2 T_c, ... of a round's start t, m."""
+    count = config.num_samples
+    age = (start_round - trajectory.identity.start_round) * config.samples_per_round
+    first = min(age, count) + 1
+    return _all_positions(trajectory, config.collision_sampling_s, count)[first : first + count]
+
+
+@lru_cache(maxsize=4096)
+def _all_states(trajectory: Trajectory, round_s: float, rounds: int) -> FloatArray:
+    return trajectory.states(round_s * np.arange(rounds + 1, dtype=np.float64))
+
+
+def state_at(trajectory: Trajectory, round_: int, config: MlrDmpcConfig) -> FloatArray:
+    """State (3, 3), position, velocity and acceleration, at the start of a round."""
+    age = round_ - trajectory.identity.start_round
+    states = _all_states(trajectory, config.round_s, config.horizon_rounds)
+    return states[min(age, config.horizon_rounds)]
+
+
+def end_position(trajectory: Trajectory, config: MlrDmpcConfig) -> FloatArray:
+    """Position (3,) at which it comes to rest, m."""
+    start = trajectory.identity.start_round
+    return state_at(trajectory, start + config.horizon_rounds, config)[0]
+
+
+def is_at_rest(trajectory: Trajectory, round_: int, config: MlrDmpcConfig) -> bool:
+    """Whether it has ended by the start of a round."""
+    if not trajectory.jerk.any() and not trajectory.state[1:].any():
+        return True
+    return round_ - trajectory.identity.start_round >= config.horizon_rounds
+
+
+def least_distances(one: FloatArray, others: FloatArray, config: MlrDmpcConfig) -> FloatArray:
+    """Least scaled distances (C,) of positions (S, 3) from others (C, S, 3), m."""
+    apart = (others - one) * config.inverse_scaling
+    return np.sqrt(np.einsum("csi,csi->cs", apart, apart).min(axis=1))
+
+
+_PARTS = 8
+
+
+def closest_distances(
+    states: FloatArray, jerks: FloatArray, duration_s: float, shrink: FloatArray
+) -> FloatArray:
+    """Least scaled distance (N, N) of each pair over all intervals, inf on the diagonal, m.
+
+    Within an interval of constant jerk the squared distance is a polynomial of degree six; it is
+    least at an end or at a root of its derivative.
+
+    Args:
+        states: (R, N, 3, 3) position, velocity and acceleration at the start of each interval; NaN
+            for who is not in the air.
+        jerks: (R, N, 3) m/s^3.
+        duration_s: of an interval.
+        shrink: (3,) diagonal of the inverse of Theta.
+    """
+    count = states.shape[1]
+    out = np.full((count, count), np.inf)
+    scaled = np.concatenate([states, jerks[:, :, None]], axis=2) * shrink
+    factors = np.array([1.0, 1.0, 0.5, 1.0 / 6.0])[:, None]
+    powers = np.linspace(0.0, duration_s, _PARTS + 1)[:, None] ** np.arange(4)
+    for i in range(count - 1):
+        terms = (scaled[:, i + 1 :] - scaled[:, i, None]) * factors
+        points = np.einsum("tk,rjkx->rjtx", powers, terms)
+        sampled = np.sqrt((points * points).sum(axis=-1)).min(axis=-1)
+        sampled = np.where(np.isnan(sampled), np.inf, sampled)
+        lengths = np.linalg.norm(terms, axis=-1)
+        speed = lengths[..., 1:] @ (np.arange(1, 4) * duration_s ** np.arange(3))
+        bound = sampled - speed * duration_s / (2 * _PARTS)
+        best = sampled.min(axis=0)
+        for r, k in np.argwhere(bound < best):
+            if bound[r, k] < best[k]:
+                best[k] = min(best[k], _least_length(terms[r, k], duration_s))
+        out[i, i + 1 :] = out[i + 1 :, i] = best
+    return out
+
+
+def _least_length(terms: FloatArray, duration_s: float) -> float:
+    """Least length of a cubic curve with coefficients (4, 3) over an interval from 0."""
+    square = np.sum([np.convolve(terms[:, x], terms[:, x]) for x in range(3)], axis=0)
+    slope = square[1:] * np.arange(1, 7)
+    size = np.abs(slope).max(initial=0.0)
+    slope[np.abs(slope) < 1e-14 * size] = 0.0
+    roots = np.roots(slope[::-1])
+    real = roots.real[np.abs(roots.imag) < 1e-6]
+    times = np.concatenate([[0.0, duration_s], np.clip(real, 0.0, duration_s)])
+    points = (times[:, None] ** np.arange(4)) @ terms
+    return float(np.sqrt((points * points).sum(axis=1).min()))

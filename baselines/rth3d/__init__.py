@@ -4,13 +4,11 @@
 the guaranteed methods take, `make_instance` draws instances of `FAMILIES`.
 """
 
-from swarm_envs.baselines.rth3d.grid import GridInstance
+from swarm_envs.baselines.rth3d.grid import FAMILIES, GridInstance, building_columns, make_instance
+from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PhaseRecord, PlanTimeout
+from swarm_envs.baselines.rth3d.grid_planning import METHODS, PlanNotFound, plan
+from swarm_envs.baselines.rth3d.grid_validation import ValidationReport, validate
 from swarm_envs.baselines.rth3d.highways import max_density
-from swarm_envs.baselines.rth3d.instances import FAMILIES, buildings, make_instance
-from swarm_envs.baselines.rth3d.plan import GridPlan, plan
-from swarm_envs.baselines.rth3d.records import PhaseRecord, PlanTimeout
-from swarm_envs.baselines.rth3d.solvers import METHODS, PlanNotFound
-from swarm_envs.baselines.rth3d.validation import ValidationReport, validate
 
 __all__ = [
     "FAMILIES",
@@ -21,7 +19,7 @@ __all__ = [
     "PlanNotFound",
     "PlanTimeout",
     "ValidationReport",
-    "buildings",
+    "building_columns",
     "make_instance",
     "max_density",
     "plan",

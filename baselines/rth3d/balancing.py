@@ -267,11 +267,8 @@ def balance(
 ) -> npt.NDArray[np.int32]:
     """Paths that take every robot, no matter which, to a sink of its own, in the fewest steps.
 
-    Args:
-        table: the grid, from `neighbor_table`.
-        starts: (n,) all different.
-        sinks: (V,) which vertices are sinks, at least n of them.
-        check: called now and then; what it raises ends the work.
+    From starts (n,), all different, to at least as many sinks (V,), on the grid of a
+    `neighbor_table`. `check` is called now and then; what it raises ends the work.
 
     Returns:
         (T + 1, n) vertices. T is the least possible up to 8 steps, and then of those that grow by

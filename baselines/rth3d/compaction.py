@@ -71,16 +71,8 @@ def advance(
 ) -> int:
     """Move all events of `paths` forward in time, in place; return the new makespan.
 
-    Args:
-        paths: (T + 1, n) a valid plan; afterwards the new one in its first rows.
-        at: (n,) the vertices of the start.
-        holder: (V,) the robot on each vertex at the start, or -1.
-        arrived: (n,) zeros.
-        left: (V,) zeros.
-        aim: (n,) for work.
-        time: (n,) for work.
-        movers: (n,) for work.
-        chain: (n,) for work.
+    `at` (n,) and `holder` (V,) say who is where at the start; `arrived` (n,) and `left` (V,) are
+    zeros; the others (n,) are for work. The new plan is in the first rows of `paths`.
     """
     steps, count = paths.shape
     makespan = 0
@@ -116,14 +108,9 @@ def advance(
 
 
 def compact(paths: Paths, total: int) -> Paths:
-    """Shorten a plan without a change of who visits a vertex after whom.
+    """Shorten a plan (T + 1, n) without a change of who visits a vertex after whom.
 
-    Args:
-        paths: (T + 1, n) a valid plan; its memory is used for the result.
-        total: vertices of the grid.
-
-    Returns:
-        (T' + 1, n) with T' <= T.
+    Its memory is used for the result. `total`: vertices of the grid.
     """
     count = paths.shape[1]
     at: Vertices = paths[0].copy()

@@ -1,18 +1,20 @@
-"""A labelled instance on a 6-connected grid: what is given, what is refused, what binds.
+"""Labelled instances on a 6-connected grid: what is refused, what binds, and families to draw.
 
 A vertex (x, y, z) of a grid of shape (m1, m2, m3) has the number (x m2 + y) m3 + z.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import BoolArray
 
 Array = npt.NDArray[Any]
@@ -51,6 +53,11 @@ class GridInstance:
     def density(self) -> float:
         """Robots per vertex, those of obstacles included, as the paper counts."""
         return len(self.starts) / float(np.prod(self.shape))
+
+    def facts(self) -> dict[str, Any]:
+        """What a `GridPlan` repeats of its instance."""
+        names = ("starts", "goals", "shape", "obstacles", "lower_bound")
+        return {name: getattr(self, name) for name in names}
 
 
 def numbers(points: npt.NDArray[np.integer], shape: Shape) -> Vertices:
@@ -133,7 +140,7 @@ def check_pattern(obstacles: BoolArray) -> None:
         )
 
 
-def check_points(
+def check_vertices(
     name: str, given: npt.ArrayLike, shape: Shape, obstacles: BoolArray
 ) -> Coordinates:
     """Vertices as an (n, 3) array, all different, in the grid and free.
@@ -187,23 +194,165 @@ def check_instance(
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
 ) -> GridInstance:
-    """Check an instance as a user gives it.
-
-    Args:
-        starts: (n, 3) integers, all different; (n, 2) on a grid one vertex high.
-        goals: as many, all different.
-        shape: (m1, m2, m3) or (m1, m2).
-        obstacles: booleans of that shape, or None.
+    """Check an instance as a user gives it (arguments as for `plan`).
 
     Raises:
         ValueError: what is wrong, at which robot, and the rule.
     """
     sides = check_shape(shape)
     walls = check_obstacles(obstacles, sides)
-    first = check_points("starts", starts, sides, walls)
-    last = check_points("goals", goals, sides, walls)
+    first = check_vertices("starts", starts, sides, walls)
+    last = check_vertices("goals", goals, sides, walls)
     if len(first) != len(last):
         raise ValueError(
             f"there are {len(first)} starts, but {len(last)} goals; give each robot one"
         )
     return GridInstance(sides, first, last, walls)
+
+
+_Pair = tuple[Coordinates, Coordinates]
+
+
+class _Draw(NamedTuple):
+    shape: Shape
+    robots: int | None
+    generator: np.random.Generator
+    obstacles: BoolArray
+
+
+@typed
+def building_columns(shape: Shape) -> BoolArray:
+    """The tall buildings of Fig. 1: a column at every (3i + 1, 3j + 1)."""
+    found = np.zeros(shape, dtype=np.bool_)
+    found[1::3, 1::3, :] = True
+    return found
+
+
+def _default_count(draw: _Draw) -> int:
+    """A third of the vertices, less those of buildings."""
+    return int(np.prod(draw.shape)) // 3 - int(draw.obstacles.sum())
+
+
+def _uniform(draw: _Draw) -> _Pair:
+    free = np.flatnonzero(~draw.obstacles)
+    count = _default_count(draw) if draw.robots is None else draw.robots
+    if not 1 <= count <= len(free):
+        raise ValueError(f"count is {count}, but must be from 1 to the {len(free)} free vertices")
+    starts, goals = (draw.generator.choice(free, count, replace=False) for _ in range(2))
+    return points(starts, draw.shape), points(goals, draw.shape)
+
+
+def _balanced_choice(draw: _Draw) -> Coordinates:
+    """Vertices of which every 3 x 3 x 3 block holds 9, or 6 with buildings, in random order."""
+    a, b, c = (side // 3 for side in draw.shape)
+    blocks = np.arange(np.prod(draw.shape)).reshape(a, 3, b, 3, c, 3)
+    blocks = blocks.transpose(0, 2, 4, 1, 3, 5).reshape(-1, 27)
+    key = draw.generator.random(blocks.shape)
+    key[draw.obstacles.reshape(-1)[blocks]] = 2.0
+    held = 6 if draw.obstacles.any() else 9
+    chosen = np.take_along_axis(blocks, np.argsort(key, axis=1)[:, :held], axis=1).reshape(-1)
+    return points(draw.generator.permutation(chosen), draw.shape)
+
+
+def _quasi(draw: _Draw) -> _Pair:
+    return _balanced_choice(draw), _balanced_choice(draw)
+
+
+def _mirror(draw: _Draw) -> _Pair:
+    starts = _balanced_choice(draw)
+    return starts, np.array(draw.shape, dtype=np.int32) - 1 - starts
+
+
+def _rings(draw: _Draw) -> _Pair:
+    """Concentric square rings in each plane, every third one; goals by point reflection."""
+    m1, m2, _ = draw.shape
+    x, y = np.indices((m1, m2))
+    depth = np.minimum.reduce([x, y, m1 - 1 - x, m2 - 1 - y])
+    plane = np.argwhere(depth % 3 == 1)
+    height = np.arange(draw.shape[2])
+    starts = np.column_stack([np.repeat(plane, len(height), axis=0), np.tile(height, len(plane))])
+    return starts.astype(np.int32), (np.array(draw.shape) - 1 - starts).astype(np.int32)
+
+
+def _moved_blocks(draw: _Draw, parts: Shape | None = None) -> _Pair:
+    """The grid cut into parts, each with a third of it, moved by a random permutation.
+
+    If not given, parts are all blocks of 3 x 3 x 3.
+    """
+    parts = parts or (draw.shape[0] // 3, draw.shape[1] // 3, draw.shape[2] // 3)
+    starts, goals = _balanced_choice(draw), _balanced_choice(draw)
+    size = np.array(draw.shape) // parts
+    origin, target = (np.ravel_multi_index((p // size).T, parts) for p in (starts, goals))
+    permutation = draw.generator.permutation(int(np.prod(parts)))
+    by_origin = np.argsort(origin, kind="stable")
+    by_target = np.argsort(target, kind="stable").reshape(len(permutation), -1)
+    found = np.empty_like(goals)
+    found[by_origin] = goals[by_target[permutation].reshape(-1)]
+    return starts, found
+
+
+class Family(NamedTuple):
+    """A kind of instance."""
+
+    summary: str
+    """What it is, in a line."""
+    draw: Callable[[_Draw], _Pair]
+    """Draws starts and goals."""
+    sides: int = 1
+    """Every side must be a multiple of it."""
+    free_count: bool = False
+    """Whether the number of robots may be chosen."""
+    buildings: bool = False
+    """Whether there are obstacles."""
+
+
+FAMILIES: Mapping[str, Family] = {
+    "uniform": Family("starts and goals uniformly random", _uniform, free_count=True),
+    "quasi-random": Family("random, every 3 x 3 x 3 block holds 9 of each", _quasi, 3),
+    "mirror": Family("quasi-random starts, goals reflected at the centre", _mirror, 3),
+    "rings": Family("concentric square rings, goals reflected at the centre", _rings),
+    "blocks": Family(
+        "27 blocks change places, as the paper says", partial(_moved_blocks, parts=(3, 3, 3)), 9
+    ),
+    "small-blocks": Family("all 3 x 3 x 3 blocks change places", _moved_blocks, 3),
+    "buildings": Family(
+        "uniform, between tall buildings", _uniform, free_count=True, buildings=True
+    ),
+    "quasi-buildings": Family(
+        "random, between tall buildings, every block holds 6 of each", _quasi, 3, buildings=True
+    ),
+}
+"""Every family by its name."""
+
+
+@typed
+def make_instance(
+    family: str, shape: Shape, count: int | None = None, seed: int = 0
+) -> GridInstance:
+    """Draw an instance.
+
+    Args:
+        family: a name in `FAMILIES`.
+        shape: (m1, m2, m3).
+        count: robots, for families that leave it free; a third of the vertices by default, less
+            those of buildings.
+        seed: of the generator; the same seed gives the same instance.
+
+    Raises:
+        ValueError: an unknown family, a shape that it cannot have, or a count it cannot hold.
+    """
+    kind = FAMILIES[check_name("family", family, FAMILIES)]
+    sides = check_shape(shape)
+    if any(side % kind.sides for side in sides):
+        raise ValueError(
+            f"shape is {sides}, but every side must be a multiple of {kind.sides} for {family!r}"
+        )
+    if count is not None and not kind.free_count:
+        free = ", ".join(repr(name) for name, other in FAMILIES.items() if other.free_count)
+        raise ValueError(f"count is {count}, but {family!r} fixes it; leave it out, or take {free}")
+    generator = np.random.default_rng(check_integer("seed", seed, 0))
+    walls = building_columns(sides) if kind.buildings else np.zeros(sides, dtype=np.bool_)
+    starts, goals = kind.draw(_Draw(sides, count, generator, walls))
+    if len(starts) == 0:
+        raise ValueError(f"shape is {sides}, which is too small for one robot of {family!r}")
+    return GridInstance(sides, starts, goals, walls)

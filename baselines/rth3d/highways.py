@@ -6,6 +6,9 @@ at the far edge of a side that is no multiple of 3 holds robots only before and 
 A *slot* is a vertex in the middle column (x = 3i + 1) of a cell, three to a cell and plane: robots
 between shuffles stand in slots, so that each has free lanes on both sides. Where an obstacle stands
 in the middle of a cell, the whole row y = 3j + 1 has no slots.
+
+Where goals are the starts reflected (rings and mirrors, Sec. V-C), both sides are balanced alike,
+each the other's image: columns then belong into columns as a whole, and two shuffles vanish.
 """
 
 from __future__ import annotations
@@ -13,14 +16,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
+from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
     Shape,
+    Vertices,
     check_obstacles,
     check_pattern,
     check_shape,
@@ -127,3 +133,40 @@ def max_density(shape: Sequence[int], obstacles: npt.ArrayLike | None = None) ->
     check_pattern(walls)
     most = max(highways.capacity for highways in _highways(sides, walls))
     return most / float(np.prod(sides))
+
+
+Image = npt.NDArray[np.int32]
+"""(V,) the vertex that each vertex is reflected to."""
+
+
+def _images(highways: Highways) -> list[Image]:
+    """Reflections of the grid that keep its slots and obstacles; the first is the identity."""
+    vertex = np.arange(np.prod(highways.shape), dtype=np.int32).reshape(highways.shape)
+    found = []
+    for flips in product((False, True), repeat=3):
+        axes = tuple(axis for axis, flipped in enumerate(flips) if flipped)
+        image = np.flip(vertex, axes).reshape(-1)
+        kept = np.array_equal(np.flip(highways.obstacles, axes), highways.obstacles)
+        if kept and _same(image[highways.slots.ravel()], highways.slots.ravel(), len(image)):
+            found.append(image)
+    return found
+
+
+def _same(first: Vertices, second: Vertices, total: int) -> bool:
+    return np.array_equal(np.bincount(first, minlength=total), np.bincount(second, minlength=total))
+
+
+def reflection(highways: Highways, starts: Vertices, goals: Vertices) -> Image | None:
+    """The reflection of the grid that makes the set of goals from that of the starts, if any.
+
+    Of several, the one that takes the most robots to their own goals.
+    """
+    images = [i for i in _images(highways) if _same(i[starts], goals, len(i))]
+    return max(images, key=lambda image: int((image[starts] == goals).sum()), default=None)
+
+
+def reflected(paths: Paths, image: Image, goals: Vertices) -> Paths:
+    """Paths (T + 1, n) from the goals that are the image of paths from the starts."""
+    holder = np.empty(len(image), dtype=np.int32)
+    holder[image[paths[0]]] = np.arange(paths.shape[1], dtype=np.int32)
+    return image[paths[:, holder[goals]]]

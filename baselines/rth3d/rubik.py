@@ -16,18 +16,18 @@ import numpy.typing as npt
 from swarm_envs.baselines.rth3d.balancing import balance, neighbor_table
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Vertices
-from swarm_envs.baselines.rth3d.highways import CELL, Highways
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.highways import CELL, Highways, Image, reflected, reflection
 from swarm_envs.baselines.rth3d.matching import assign_levels
-from swarm_envs.baselines.rth3d.patterns import STEPS, lane_changes
-from swarm_envs.baselines.rth3d.records import Clock
 from swarm_envs.baselines.rth3d.shuffles import (
+    STEPS,
     LongShift,
     Shift,
+    lane_changes,
     park_in_cells,
     write_long_shift,
     write_shift,
 )
-from swarm_envs.baselines.rth3d.symmetry import Image, reflected, reflection
 
 _Ints = npt.NDArray[np.int32]
 
@@ -37,10 +37,8 @@ class _Table:
     """The Rubik table: items, numbered by their first slot, and the slots they belong into."""
 
     highways: Highways
-    goal: _Ints
-    """(items,) the slot that each item belongs into; slot (c, r, z) is (c R + r) Z + z."""
-    real: npt.NDArray[np.bool_]
-    """(items,) whether the item is a robot."""
+    goal: _Ints  # (items,) the slot that each item belongs into; slot (c, r, z) is (c R + r) Z + z
+    real: npt.NDArray[np.bool_]  # (items,) whether the item is a robot
 
     @property
     def rows(self) -> int:
@@ -88,8 +86,8 @@ def _split_rows(table: _Table, height: _Ints, bounded: bool) -> _Ints:
     return found
 
 
-def _cross(table: _Table, height: _Ints, row: _Ints) -> tuple[_Ints, _Ints, LongShift]:
-    """Plan the long shuffle; return the items' rows and (unused) strips after it, and the shift."""
+def _cross(table: _Table, height: _Ints, row: _Ints) -> tuple[_Ints, LongShift]:
+    """Plan the long shuffle; return the items' rows after it, and the shift."""
     highways, items = table.highways, np.arange(len(height))
     source = (items // (table.heights * table.rows)).astype(np.int32)
     goal = (table.goal // (table.heights * table.rows)).astype(np.int32)
@@ -106,7 +104,7 @@ def _cross(table: _Table, height: _Ints, row: _Ints) -> tuple[_Ints, _Ints, Long
         park_in_cells(tables, source, goal, lane_changes(int(number)), place, spot)
     after = np.where(spot < 0, row, first_row[row] + np.where(held[row] == 3, spot, spot // 2))
     y = highways.rows[row] % CELL
-    return after.astype(np.int32), spot, _long_shift(highways, source, goal, y, place, spot)
+    return after.astype(np.int32), _long_shift(highways, source, goal, y, place, spot)
 
 
 def _long_shift(
@@ -125,18 +123,18 @@ def _long_shift(
 
 
 @dataclass(frozen=True, eq=False)
-class Balanced:
+class _Balanced:
     """Paths into the slots, from the starts and from the goals."""
 
-    first: Paths
-    """(T1 + 1, n) from the starts."""
-    last: Paths
-    """(T2 + 1, n) from the goals."""
+    first: Paths  # (T1 + 1, n) from the starts
+    last: Paths  # (T2 + 1, n) from the goals
+    # (V,) the reflection that makes `last` from `first`; the identity if there is none
     image: Image
-    """(V,) the reflection that makes `last` from `first`; the identity if there is none."""
 
 
-def balance_both(highways: Highways, starts: Vertices, goals: Vertices, clock: Clock) -> Balanced:
+def balance_both(
+    highways: Highways, starts: Vertices, goals: Vertices, clock: PlanningClock
+) -> _Balanced:
     """Balance the starts and the goals (Algorithm 1, line 2), alike where they are reflections."""
     table = neighbor_table(highways.shape, highways.obstacles)
     sinks = np.zeros(len(table), dtype=np.bool_)
@@ -151,20 +149,13 @@ def balance_both(highways: Highways, starts: Vertices, goals: Vertices, clock: C
         else:
             last = reflected(first, image, goals)
         record(len(last) - 1)
-    return Balanced(first, last, np.arange(len(table), dtype=np.int32) if image is None else image)
+    return _Balanced(first, last, np.arange(len(table), dtype=np.int32) if image is None else image)
 
 
-def shuffle(highways: Highways, balanced: Balanced, bounded: bool, clock: Clock) -> Paths:
-    """The whole plan, phase after phase, before compaction.
+def shuffle(highways: Highways, balanced: _Balanced, bounded: bool, clock: PlanningClock) -> Paths:
+    """The whole plan (T + 1, n) before compaction, phase after phase.
 
-    Args:
-        highways: slots and lanes.
-        balanced: paths into the slots.
-        bounded: choose matchings with small shifts (RTH3D-LBA).
-        clock: of the phases.
-
-    Returns:
-        (T + 1, n) paths from the starts to the goals.
+    `bounded`: choose matchings with small shifts (RTH3D-LBA).
     """
     slot = np.full(int(np.prod(highways.shape)), -1, dtype=np.int32)
     slot[highways.slots.reshape(-1)] = np.arange(highways.capacity, dtype=np.int32)
@@ -178,7 +169,7 @@ def shuffle(highways: Highways, balanced: Balanced, bounded: bool, clock: Clock)
         row = _split_rows(table, height, bounded)
         record(0)
     with clock.phase("change of lanes") as record:
-        after, _, long = _cross(table, height, row)
+        after, long = _cross(table, height, row)
         record(0)
     shifts = _shifts(table, height, row, after, long, first)
     return _write(highways, balanced, shifts, clock)
@@ -204,11 +195,10 @@ def _shifts(
 
 def _write(
     highways: Highways,
-    balanced: Balanced,
+    balanced: _Balanced,
     shifts: list[tuple[str, Shift | LongShift]],
-    clock: Clock,
+    clock: PlanningClock,
 ) -> Paths:
-    """All phases one after another."""
     side = highways.shape[1] * highways.shape[2]
     lengths = [len(balanced.first) - 1, *(shift.duration for _, shift in shifts)]
     whole = sum(lengths) + len(balanced.last) - 1

@@ -119,7 +119,7 @@ def _write(files: Mapping[str, Path], found: GridPlan) -> None:
 def _instance(options: PlanOptions) -> GridInstance:
     import numpy as np
 
-    from swarm_envs.baselines.rth3d import FAMILIES, buildings, make_instance, max_density
+    from swarm_envs.baselines.rth3d import FAMILIES, building_columns, make_instance, max_density
     from swarm_envs.baselines.rth3d.grid import check_shape
     from swarm_envs.errors import check_name
 
@@ -129,7 +129,7 @@ def _instance(options: PlanOptions) -> GridInstance:
         if options.density is not None:
             count = round(options.density * float(np.prod(shape)))
         elif count is None and FAMILIES[check_name("family", options.family, FAMILIES)].free_count:
-            walls = buildings(shape) if FAMILIES[options.family].buildings else None
+            walls = building_columns(shape) if FAMILIES[options.family].buildings else None
             count = max(1, int(max_density(shape, walls) * float(np.prod(shape)) + 1e-6))
         return make_instance(options.family, shape, count, options.seed)
     except ValueError as error:
@@ -216,6 +216,6 @@ def _write_json(path: Path, found: GridPlan) -> None:
 
 
 def _draw(path: Path, found: GridPlan) -> None:
-    from swarm_envs.baselines.rth3d.plot import plot_plan
+    from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
 
-    plot_plan(path, found)
+    plot_grid_plan(path, found)

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from tests.helpers.mlr_rounds import Rounds, circle, scattered
 
 Row = dict[str, Any]

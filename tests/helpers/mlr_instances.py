@@ -8,12 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.crew import OurCrew
-from swarm_envs.baselines.mlr_dmpc.loss import Jam, LossModel
-from swarm_envs.baselines.mlr_dmpc.samples import sampled
-from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, RoundReport, UnitOutage
-from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.nodes import RecoveryNodes
+from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound, UnitOutage
+from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, sampled_positions
 from swarm_envs.files import write_json
 from swarm_envs.state import FloatArray
 
@@ -101,7 +100,7 @@ class Instance:
         """Fly it, and note all that is broken."""
         swarm, findings = self.swarm(), Findings()
         for _ in range(self.rounds):
-            before = [(drone.flying, drone.lock) for drone in swarm.crew.drones]
+            before = [(drone.flying, drone.lock) for drone in swarm.nodes.drones]
             report = swarm.run_round()
             findings.check(swarm, report, before)
         return findings
@@ -119,7 +118,7 @@ class Findings:
     covering: int = 0
     up_to_date: int = 0
 
-    def check(self, swarm: MlrDmpcSwarm, report: RoundReport, before: list[tuple]) -> None:
+    def check(self, swarm: MlrDmpcSwarm, report: SwarmRound, before: list[tuple]) -> None:
         """Check a round that has just ended."""
         self._distances(swarm, report.round)
         self.accepted += len(report.accepted)
@@ -133,8 +132,8 @@ class Findings:
                     f"round {report.round}: what drone {unit.drone} flies breaks a row by "
                     f"{-unit.planned.shifted_slack:.2e} m (Theorem 1)"
                 )
-        if isinstance(swarm.crew, OurCrew):
-            self._lemmas(swarm.crew, report.round, before)
+        if isinstance(swarm.nodes, RecoveryNodes):
+            self._lemmas(swarm.nodes, report.round, before)
 
     def _distances(self, swarm: MlrDmpcSwarm, round_: int) -> None:
         """Whatever any may fly keeps its distance from whatever any other may."""
@@ -142,7 +141,7 @@ class Findings:
         owner, paths = [], []
         for drone, may in enumerate(swarm.may_fly):
             owner += [drone] * len(may)
-            paths += [sampled(one, round_ + 1, config) for one in may]
+            paths += [sampled_positions(one, round_ + 1, config) for one in may]
         gap = distances(np.array(paths), config)
         gap[np.equal.outer(owner, owner)] = np.inf
         least = float(gap.min(initial=np.inf))
@@ -153,26 +152,26 @@ class Findings:
                 f"round {round_}: drones {owner[i]} and {owner[j]} may come to {least:.6f} m"
             )
 
-    def _lemmas(self, crew: OurCrew, round_: int, before: list[tuple]) -> None:
+    def _lemmas(self, nodes: RecoveryNodes, round_: int, before: list[tuple]) -> None:
         equal: dict[tuple, tuple[int, list]] = {}
-        for unit in filter(None, crew.units):
-            know = unit.knowledge
-            for drone in know.flying():
-                tracker, (flown, lock) = know.trackers[drone], before[drone]
-                if lock == know.view.id and tracker.covering:
+        for unit in filter(None, nodes.units):
+            info = unit.information
+            for drone in info.flying():
+                tracker, (flown, lock) = info.trackers[drone], before[drone]
+                if lock == info.view.id and tracker.covering:
                     self.covering += 1
                     if not any(same(one, flown, round_) for one in tracker.candidates):
                         self.broken.append(
-                            f"round {round_}: unit {know.unit} does not know that drone {drone} "
+                            f"round {round_}: unit {info.unit} does not know that drone {drone} "
                             f"flies {flown.identity} (Lemma 1)"
                         )
-                if tracker.up_to_date(round_) and lock == know.view.id:
+                if tracker.up_to_date(round_) and lock == info.view.id:
                     self.up_to_date += 1
                     mine = sorted(tracker.possible)
-                    other, theirs = equal.setdefault((know.view.id, drone), (know.unit, mine))
+                    other, theirs = equal.setdefault((info.view.id, drone), (info.unit, mine))
                     if theirs != mine:
                         self.broken.append(
-                            f"round {round_}: units {other} and {know.unit} hold {theirs} and "
+                            f"round {round_}: units {other} and {info.unit} hold {theirs} and "
                             f"{mine} of drone {drone} (Lemma 2)"
                         )
 

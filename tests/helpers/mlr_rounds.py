@@ -6,15 +6,16 @@ from collections.abc import Callable
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.condensed import condensed
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.detour import Snapshot, next_detours, no_detours
-from swarm_envs.baselines.mlr_dmpc.neighbors import HalfSpaces, Neighbors
-from swarm_envs.baselines.mlr_dmpc.plan import Planned, plan_trajectory
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces, Neighbors
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
+from swarm_envs.baselines.mlr_dmpc.deadlock import SwarmSnapshot, next_detours, no_detours
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, hover
+from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned, plan_trajectory
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 PlanesFor = Callable[[Trajectory, int], HalfSpaces]
+Situation = tuple[Trajectory, int, Neighbors, FloatArray]
 
 
 class Rounds:
@@ -69,7 +70,7 @@ class Rounds:
         """The plan of drone i from the next round on; `known` may hold the drone itself."""
         own, target = self.candidates[i][0], self.detours.current(self.targets)[i]
         start = self.round + 1
-        planes = self.planes_for(own, start) if self.planes_for else None
+        planes = [self.planes_for(own, start)] if self.planes_for else []
         return plan_trajectory(
             own,
             start,
@@ -92,9 +93,9 @@ class Rounds:
         ]
         flat = [t for candidates in self.candidates for t in candidates]
         positions = [t.positions(s + times) for t, s in zip(flat, since, strict=True)]
-        return Neighbors(np.array(positions), drone, np.isin(drone, chosen))
+        return Neighbors(np.array(positions), drone, np.isin(drone, chosen % len(self.candidates)))
 
-    def snapshot(self) -> Snapshot:
+    def snapshot(self) -> SwarmSnapshot:
         """The swarm at the beginning of the round."""
         states, ends = [], []
         for candidates in self.candidates:
@@ -103,7 +104,16 @@ class Rounds:
             states.append(begun.states(np.array([since]))[0])
             ends.append(candidates[-1].positions(np.array([candidates[-1].duration_s]))[0])
         state = np.array(states)
-        return Snapshot(state[:, 0], state[:, 1], np.array(ends), self.targets)
+        return SwarmSnapshot(state[:, 0], state[:, 1], np.array(ends), self.targets)
+
+    def situation(self) -> Situation:
+        """What the first drone that may be planned flies, the next round, the others, its target.
+
+        Every second one of the others is planned at the same time.
+        """
+        i = next(i for i, known in enumerate(self.candidates) if len(known) == 1)
+        known = others(self.known(np.arange(i, i + len(self.candidates), 2)), i)
+        return self.candidates[i][0], self.round + 1, known, self.targets[i]
 
     def arrived(self) -> BoolArray:
         """(N,) who is at the target."""
@@ -174,3 +184,16 @@ def scattered(
         if not (np.linalg.norm(between, axis=1) < spacing).any():
             places.append(place)
     return np.array(places)
+
+
+def situation(
+    seed: int, rounds: int, n: int, config: MlrDmpcConfig, compute_units: int = 2
+) -> Situation:
+    """A drone in a swarm under way: what it flies, the next round, the others, its target."""
+    rng = np.random.default_rng(seed)
+    swarm = Rounds(
+        scattered(n, config, rng), scattered(n, config, rng), compute_units, config, seed
+    )
+    while swarm.round < rounds or all(len(known) == 2 for known in swarm.candidates):
+        swarm.step()
+    return swarm.situation()

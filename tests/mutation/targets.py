@@ -44,14 +44,14 @@ GROUPS = (
             "swarm_envs/control/loop.py": _TRACKING,
             "swarm_envs/control/tracking.py": _TRACKING,
             "swarm_envs/control/mixer.py": _MIXER,
-            "baselines/mlr_dmpc/tracker.py": _TRACKER,
+            "baselines/mlr_dmpc/information_tracker.py": _TRACKER,
         },
     ),
     Group(
         "validators",
         {
-            "baselines/rth3d/validation.py": _PATHS,
-            "baselines/mlr_dmpc/checks.py": _CHECKS,
+            "baselines/rth3d/grid_validation.py": _PATHS,
+            "baselines/mlr_dmpc/input_checks.py": _CHECKS,
             "baselines/neural_swarm/planner/verify.py": _VERIFY,
         },
     ),

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.cli import main
 from swarm_envs.training.reproduce.dmpc_swarm import cells
 from swarm_envs.training.reproduce.dmpc_swarm.flights import Setting, fly

@@ -4,25 +4,291 @@ After Hoenig et al. 2018, whose corridors are separating planes: each robot's co
 moved to lower acceleration and jerk within planes that move half way between it and the others, and
 all robots at once, for the planes are shared. The flight before is a solution of every program, so
 no round makes it less safe; a robot whose program fails keeps its way.
+
+A step of a spline lies in the hull of its four Bezier points, and so does the difference of two: if
+all four Bezier differences lie beyond a plane at distance d from the origin, the robots keep d.
+
+With the free control points X and the Hessian H = L L', a robot's cost is |L' X - Y|^2 / 2, the
+same for every robot and round: one factorisation serves all. Of the thousands of rows that planes
+and boxes put up, few are met. They are added as the solution breaks them, which is exact when none
+is broken.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
-from swarm_envs.baselines.rth3d.flight.planes import joined, planes_between, planes_to_boxes
-from swarm_envs.baselines.rth3d.flight.program import FIXED, improve, smoothness
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
+from swarm_envs.compiled import kernel
 from swarm_envs.errors import check_integer
-from swarm_envs.state import FloatArray
+from swarm_envs.state import FloatArray, IntArray
 
-_ROUNDING = 1e-5
-"""By which robots may come closer, m: what planes are broken by."""
+BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
+"""The Bezier points of a step, by row, from its four control points."""
+
+
+class _Planes(NamedTuple):
+    """For each of P pairs of a robot and a step: normal . B_k >= offset_k, k = 0..3."""
+
+    robot: IntArray  # (P,) who keeps it
+    step: IntArray  # (P,) in which step
+    normal: FloatArray  # (P, 3) of unit length in the scaled metric
+    offset: FloatArray  # (P, 4) one for each Bezier point, m
+
+    def some(self, which: IntArray | slice) -> _Planes:
+        """Those of a selection."""
+        robot, step = self.robot[which], self.step[which]
+        return _Planes(robot, step, self.normal[which], self.offset[which])
+
+
+def _join(parts: Sequence[_Planes]) -> _Planes:
+    return _Planes(*(np.concatenate(arrays) for arrays in zip(*parts)))
+
+
+def bezier_points(flight: SplineFlight) -> FloatArray:
+    """(steps, n, 4, 3) Bezier points of every step, m."""
+    control = flight.control
+    windows = np.stack([control[k : k + flight.num_steps] for k in range(4)], axis=2)
+    return np.asarray(np.einsum("bk,snkx->snbx", BEZIER, windows))
+
+
+def planes_between(
+    flight: SplineFlight, distance: float, scaling: FloatArray, travel: float
+) -> _Planes:
+    """Planes half way between robots that could meet, for both of each pair.
+
+    The flight as it is now satisfies every plane: pairs that are closer than `distance` keep what
+    they have. Who is farther off than control points may travel by axis, m, cannot meet.
+    """
+    points = bezier_points(flight) / scaling
+    steps, first, second = _near_pairs(points, distance, travel / float(scaling.min()))
+    a, b = points[steps, first], points[steps, second]
+    normal, apart = _nearest_points(np.ascontiguousarray(a - b))
+    world = normal / scaling
+    meet = (apart - distance) / 2 < travel * np.abs(world).sum(axis=1)
+    steps, first, second, a, b = (x[meet] for x in (steps, first, second, a, b))
+    normal, world, apart = normal[meet], world[meet], apart[meet]
+    half = np.minimum(distance, apart)[:, None] / 2
+    middle = np.einsum("px,pkx->pk", normal, (a + b) / 2)
+    return _Planes(
+        np.concatenate([first, second]),
+        np.concatenate([steps, steps]),
+        np.concatenate([world, -world]),
+        np.concatenate([middle + half, half - middle]),
+    )
+
+
+def _near_pairs(
+    points: FloatArray, distance: float, travel: float
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Steps and pairs of robots, first below second, that could come within a distance."""
+    middle = points.mean(axis=2)
+    radius = np.linalg.norm(points - middle[:, :, None], axis=-1).max(axis=2)
+    apart = distance + 2.0 * np.sqrt(3.0) * travel
+    reach = apart + 2.0 * radius.max(initial=0.0)
+    found = [cKDTree(row).query_pairs(reach, output_type="ndarray") for row in middle]
+    steps = np.repeat(np.arange(len(found)), [len(pairs) for pairs in found])
+    pairs = np.concatenate(found) if found else np.empty((0, 2), dtype=np.int64)
+    first, second = pairs[:, 0].astype(np.int64), pairs[:, 1].astype(np.int64)
+    between = np.linalg.norm(middle[steps, first] - middle[steps, second], axis=-1)
+    near = between < apart + radius[steps, first] + radius[steps, second]
+    return steps[near], first[near], second[near]
+
+
+def planes_to_boxes(
+    flight: SplineFlight, boxes: FloatArray, distance: float, travel: float
+) -> _Planes:
+    """The face of each near box (B, 2, 3) from which a robot is farthest, at a distance, m.
+
+    Where a robot is closer now, it keeps what it has. `travel` as for `planes_between`.
+    """
+    points = bezier_points(flight)
+    parts = [_no_planes()]
+    for low, high in boxes:
+        gaps = np.concatenate([low - points.max(axis=2), points.min(axis=2) - high], axis=-1)
+        face = gaps.argmax(axis=-1)
+        best = np.take_along_axis(gaps, face[..., None], axis=-1)[..., 0]
+        step, robot = np.nonzero(best < distance + 2.0 * travel)
+        chosen = face[step, robot]
+        normal = np.concatenate([-np.eye(3), np.eye(3)])[chosen]
+        surface = np.concatenate([-low, high])[chosen]
+        keep = surface + np.minimum(distance, best[step, robot])
+        parts.append(_Planes(robot, step, normal, np.repeat(keep[:, None], 4, axis=1)))
+    return _join(parts)
+
+
+def _no_planes() -> _Planes:
+    nothing = np.empty(0, dtype=np.int64)
+    return _Planes(nothing, nothing, np.empty((0, 3)), np.empty((0, 4)))
+
+
+def _nearest_points(hulls: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Unit vectors (P, 3) to the point of each hull (P, 4, 3) nearest to zero, and distances."""
+    nearest = np.empty((len(hulls), 3))
+    _nearest(hulls, nearest)
+    apart = np.linalg.norm(nearest, axis=1)
+    if (apart <= 1e-9).any():
+        raise ValueError("two robots of this flight touch: no plane separates them")
+    return nearest / apart[:, None], apart
+
+
+@kernel
+def _nearest(hulls: FloatArray, out: FloatArray) -> None:
+    """The point of each hull nearest to zero, by Gilbert's iteration (Frank-Wolfe with away steps).
+
+    Converged when no vertex is nearer along the direction, to 1e-10.
+    """
+    for p in range(len(hulls)):
+        points = hulls[p]
+        weight = np.full(4, 0.25)
+        for _ in range(2000):
+            x = np.zeros(3)
+            for k in range(4):
+                x += weight[k] * points[k]
+            along = points @ x
+            toward, away = np.argmin(along), -1
+            for k in range(4):
+                if weight[k] > 0.0 and (away < 0 or along[k] > along[away]):
+                    away = k
+            square = x @ x
+            if square - along[toward] <= 1e-10 * square + 1e-22:
+                break
+            direction = points[toward] - points[away]
+            length = direction @ direction
+            if length == 0.0:
+                break
+            step = min(float(weight[away]), -float(x @ direction) / float(length))
+            weight[toward] += step
+            weight[away] -= step
+        for axis in range(3):
+            out[p, axis] = 0.0
+            for k in range(4):
+                out[p, axis] += weight[k] * points[k, axis]
+
+
+FIXED = 3
+"""Control points at either end that stay: the robot rests there."""
+_solve = solver("daqp")
+_TOLERANCE = 1e-6  # by which a row may be broken, m
+_AT_ONCE = 60  # broken rows that are added before the program is solved again
+_ROUNDS = 30  # how often rows are added; what is found by then is drawn towards the old way
+
+
+class _Smoothness(NamedTuple):
+    """The cost of K control points, of which the F = K - 6 in the middle are free."""
+
+    pull: FloatArray  # (F, K) L' times the best free points, as a function of all control points
+    inverse: FloatArray  # (F, F) inverse of L
+    # (4 S + F, F) by row, L^-1 times the weights of a Bezier point of a step, or of a point
+    rows: FloatArray
+
+
+def smoothness(count: int, jerk_weight: float) -> _Smoothness:
+    """The cost of K control points, at least 7: squared second and weighted third differences."""
+    eye = np.eye(count)
+    second, third = np.diff(eye, n=2, axis=0), np.diff(eye, n=3, axis=0)
+    hessian = second.T @ second + jerk_weight * (third.T @ third)
+    free = slice(FIXED, count - FIXED)
+    held = np.r_[:FIXED, count - FIXED : count]
+    lower = np.linalg.cholesky(hessian[free, free])
+    inverse = solve_triangular(lower, np.eye(len(lower)), lower=True)
+    pull = np.zeros((len(lower), count))
+    pull[:, held] = -inverse @ hessian[free][:, held]
+    weights = np.zeros((count - 3, 4, count))
+    for step in range(count - 3):
+        weights[step, :, step : step + 4] = BEZIER
+    every = np.concatenate([weights.reshape(-1, count), eye[free]])[:, free]
+    return _Smoothness(pull, inverse, np.ascontiguousarray(every @ inverse.T))
+
+
+class _Rows(NamedTuple):
+    """normal . point >= offset, for Bezier points and for the free control points themselves."""
+
+    point: IntArray  # (R,) which row of `_Smoothness.rows`
+    normal: FloatArray  # (R, 3)
+    offset: FloatArray  # (R,) m
+
+
+def _rows(planes: _Planes, low: FloatArray, high: FloatArray) -> _Rows:
+    """Those of planes, and of boxes (F, 3) around the free control points."""
+    count = len(low)
+    point = (4 * planes.step[:, None] + np.arange(4)).ravel()
+    own = np.repeat(4 * (count + FIXED) + np.arange(count), 3)
+    sides = np.tile(np.eye(3), (count, 1))
+    return _Rows(
+        np.concatenate([point, own, own]),
+        np.concatenate([np.repeat(planes.normal, 4, axis=0), sides, -sides]),
+        np.concatenate([planes.offset.ravel(), low.ravel(), -high.ravel()]),
+    )
+
+
+def _points(control: FloatArray) -> FloatArray:
+    """(4 S + F, 3) Bezier points of each step, then the free control points."""
+    windows = np.stack([control[k : len(control) - 3 + k] for k in range(4)], axis=1)
+    bezier = np.einsum("bk,skx->sbx", BEZIER, windows).reshape(-1, 3)
+    return np.concatenate([bezier, control[FIXED:-FIXED]])
+
+
+def _slack(rows: _Rows, control: FloatArray) -> FloatArray:
+    """(R,) by how much control points (K, 3) keep each row, m."""
+    points = _points(control)[rows.point]
+    return np.asarray(np.einsum("rx,rx->r", points, rows.normal) - rows.offset)
+
+
+def improve(
+    control: FloatArray, planes: _Planes, low: FloatArray, high: FloatArray, cost: _Smoothness
+) -> FloatArray:
+    """Better control points (K, 3) of one robot within its planes, or the same.
+
+    The free ones (F, 3) stay between `low` and `high`, m. `control` keeps every row.
+    """
+    rows, slope = _rows(planes, low, high), -(cost.pull @ control)
+    held, better = control.copy(), control.copy()
+    held[FIXED:-FIXED] = 0.0
+    still = -_slack(rows, held)
+    chosen, active = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_)
+    y = -slope
+    for _ in range(_ROUNDS):
+        better[FIXED:-FIXED] = cost.inverse.T @ y
+        broken = _worst(_slack(rows, better))
+        if not len(broken):
+            return better
+        chosen, active = np.r_[chosen, broken], np.r_[active, np.zeros(len(broken), np.bool_)]
+        matrix = cost.rows[rows.point[chosen], :, None] * rows.normal[chosen, None, :]
+        found = _solve(slope.ravel(), matrix.reshape(len(chosen), -1), still[chosen], active)
+        if not found.solved:
+            return control
+        y, active = found.y.reshape(slope.shape), found.active
+    return _between(rows, control, better)
+
+
+def _worst(slack: FloatArray) -> IntArray:
+    broken = np.flatnonzero(slack < -_TOLERANCE)
+    if len(broken) <= _AT_ONCE:
+        return broken
+    return np.asarray(broken[np.argpartition(slack[broken], _AT_ONCE)[:_AT_ONCE]])
+
+
+def _between(rows: _Rows, control: FloatArray, better: FloatArray) -> FloatArray:
+    """The farthest point on the way from the old to the better that keeps every row."""
+    before, after = _slack(rows, control), _slack(rows, better)
+    worse = after < np.minimum(before, -_TOLERANCE)
+    room = np.maximum(before + _TOLERANCE, 0.0)
+    share = float((room[worse] / (before - after)[worse]).min(initial=1.0))
+    return np.asarray(control + share * (better - control))
+
+
+_ROUNDING = 1e-5  # by which robots may come closer, m: what planes are broken by
 
 
 @typed
@@ -56,7 +322,6 @@ class SmoothingConfig:
     """Largest acceleration by axis, m/s^2."""
 
     def __post_init__(self) -> None:
-        """Check what the class says."""
         for name in ("distance", "obstacle_distance", "travel", "speed", "acceleration"):
             if not 0.0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name} is {getattr(self, name)!r}, but must be positive")
@@ -105,7 +370,7 @@ def _round(flight: SplineFlight, config: SmoothingConfig, bar: tqdm) -> SplineFl
         planes_between(flight, config.distance, scaling, config.travel),
         planes_to_boxes(flight, boxes, config.obstacle_distance, config.travel),
     )
-    together = joined(planes)
+    together = _join(planes)
     together = together.some(np.argsort(together.robot, kind="stable"))
     bounds = np.searchsorted(together.robot, np.arange(flight.num_robots + 1))
     cost = smoothness(len(flight.control), config.jerk_weight)

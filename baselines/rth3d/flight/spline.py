@@ -46,7 +46,6 @@ class SplineFlight:
     step_s: float
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be flown, and freeze."""
         if np.ndim(self.control) != 3 or len(self.control) < DEGREE + 1:
             raise ValueError(
                 f"control points have shape {np.shape(self.control)}, but must be (K, n, 3) with K "

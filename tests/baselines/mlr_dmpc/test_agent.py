@@ -10,9 +10,9 @@ import pytest
 from swarm_envs import formation_v0, ring_v0, swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.protocol import fly_episode
-from swarm_envs.baselines.mlr_dmpc.agent import MlrDmpcAgent
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.formations import scaled_distances
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_agent import MlrDmpcAgent
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.obstacles import Column
 

@@ -7,8 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.mlr_dmpc.checks import checked_indices, checked_options, checked_points
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.input_checks import (
+    checked_indices,
+    checked_options,
+    checked_points,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 
 CONFIG = MlrDmpcConfig()
 GAP = CONFIG.distance_m

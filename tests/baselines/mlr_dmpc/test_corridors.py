@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.mlr_dmpc.condensed import condensed
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.corridors import obstacle_planes
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import obstacle_planes
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.trajectory import hover
 from swarm_envs.tasks.obstacles import Box, Column, obstacle_distances, obstacle_rows
 from tests.helpers.mlr_rounds import Rounds, keep_clear

@@ -7,16 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.deadlock import deadlocked, unbalanced
-from swarm_envs.baselines.mlr_dmpc.detour import NOBODY, Snapshot, next_detours, no_detours
+from swarm_envs.baselines.mlr_dmpc.deadlock import (
+    NOBODY,
+    SwarmSnapshot,
+    deadlocked,
+    next_detours,
+    no_detours,
+    unbalanced,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 
 CONFIG = MlrDmpcConfig()
 
 
-def snapshot(positions: list[list[float]], targets: list[list[float]]) -> Snapshot:
+def snapshot(positions: list[list[float]], targets: list[list[float]]) -> SwarmSnapshot:
     at = np.array(positions)
-    return Snapshot(at, np.zeros_like(at), at, np.array(targets))
+    return SwarmSnapshot(at, np.zeros_like(at), at, np.array(targets))
 
 
 def test_contacts_push_but_do_not_pull():

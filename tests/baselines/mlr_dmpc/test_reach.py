@@ -3,35 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm_envs.baselines.mlr_dmpc.condensed import condensed
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.generation import Rows
-from swarm_envs.baselines.mlr_dmpc.program import Program, optimum, program
-from swarm_envs.baselines.mlr_dmpc.reach import out_of_reach, reach
-from tests.helpers.mlr_rounds import Rounds, others, scattered
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach, reachable_boxes
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Program, RowGeneration, program
+from tests.helpers.mlr_rounds import situation
 
 WIDE = MlrDmpcConfig(box=((-5.0, -5.0, 0.3), (5.0, 5.0, 3.0)))
 CONFIGS = [WIDE, MlrDmpcConfig(), replace(WIDE, input_sampling_s=0.1, collision_sampling_s=0.05)]
 
 
-def posed(seed: int, rounds: int, config: MlrDmpcConfig) -> Program:
-    rng = np.random.default_rng(seed)
-    n = 20
-    swarm = Rounds(scattered(n, config, rng), scattered(n, config, rng), 4, config, seed)
-    for _ in range(rounds):
-        swarm.step()
-    i = next(i for i, known in enumerate(swarm.candidates) if len(known) == 1)
-    known = others(swarm.known(np.array([i, (i + 3) % n])), i)
-    return program(swarm.candidates[i][0], swarm.round + 1, known, swarm.targets[i], config)
-
-
-def fresh(rows: Rows) -> Rows:
+def fresh(rows: Any) -> Any:
     """The same rows with none out of reach."""
     return rows._replace(
         done=np.zeros_like(rows.done),
@@ -45,7 +34,7 @@ def extreme(problem: Program, rng: np.random.Generator) -> np.ndarray:
     alone = fresh(problem.rows)
     alone.done[:], alone.soft_done[:] = True, True
     slope = rng.normal(size=problem.slope.shape) * rng.choice([1.0, 100.0, 1e3], size=(1, 3))
-    found = optimum(replace(problem, rows=alone, slope=slope), "daqp")
+    found = RowGeneration(replace(problem, rows=alone, slope=slope), "daqp")
     assert not found.failure
     return found.z
 
@@ -54,9 +43,9 @@ def extreme(problem: Program, rng: np.random.Generator) -> np.ndarray:
 def test_no_plan_leaves_the_reach_or_breaks_a_row_left_out(config):
     rng = np.random.default_rng(3)
     for seed in range(3):
-        problem = posed(seed, 3 * seed + 1, config)
+        problem = program(*situation(seed, 3 * seed + 1, 20, config, 4), config)
         rows = problem.rows
-        low, high = reach(problem.state, rows.lower, rows.upper, config)
+        low, high = reachable_boxes(problem.state, rows.lower, rows.upper, config)
         left_out = out_of_reach(low, high, rows.normals, rows.offsets)
         assert left_out.any() and not left_out.all()
         for _ in range(8):
@@ -69,10 +58,10 @@ def test_no_plan_leaves_the_reach_or_breaks_a_row_left_out(config):
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10**6), rounds=st.integers(0, 12))
 def test_rows_left_out_change_no_optimum(seed, rounds):
-    problem = posed(seed, rounds, WIDE)
+    problem = program(*situation(seed, rounds, 20, WIDE, 4), WIDE)
     assert problem.rows.done.any()
     whole = replace(problem, rows=fresh(problem.rows))
-    found, expected = optimum(problem, "daqp"), optimum(whole, "daqp")
+    found, expected = RowGeneration(problem, "daqp"), RowGeneration(whole, "daqp")
     assert not found.failure and not expected.failure
     assert np.allclose(found.z, expected.z, atol=1e-6)
 
@@ -81,7 +70,7 @@ def test_the_reach_is_not_vast():
     """From rest, three seconds at two metres a second allow less than five metres."""
     fixed = condensed(WIDE)
     state = np.array([[0.0, 0.0, 1.0], [0.0] * 3, [0.0] * 3])
-    low, high = reach(state, fixed.lower, fixed.upper, WIDE)
+    low, high = reachable_boxes(state, fixed.lower, fixed.upper, WIDE)
     assert (high - low)[:, 0].max() < 10.0
     assert np.all(np.diff(high[:20, 0]) >= 0.0)
     assert high[0, 0] == pytest.approx(5.0 * 0.1**3 / 6, abs=2e-6)

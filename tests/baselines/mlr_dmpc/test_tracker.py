@@ -5,7 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.mlr_dmpc.tracker import Promise, Tracker
+from swarm_envs.baselines.mlr_dmpc.information_tracker import (
+    InformationTracker,
+    SeparationGuarantee,
+)
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, hover
 
 REST = hover(np.array([0.0, 0.0, 1.0]), 3, 0.2)
@@ -16,24 +19,24 @@ def planned(start_round: int, unit: int = 0) -> Trajectory:
 
 
 @pytest.fixture
-def heard() -> Tracker:
+def heard() -> InformationTracker:
     """A drone that said in round 4 that it rests where it started."""
-    tracker = Tracker()
+    tracker = InformationTracker()
     tracker.locate(REST.identity, 4, REST)
     return tracker
 
 
 def test_of_a_drone_never_heard_nothing_is_known() -> None:
-    tracker = Tracker()
+    tracker = InformationTracker()
     tracker.add(planned(1).identity, planned(1))
     assert not tracker.covering
     assert not tracker.up_to_date(0)
     assert tracker.sole is None and tracker.settled(5) is None
     tracker.add(planned(2).identity, None)
-    assert tracker.promise(planned(2).identity) is None
+    assert tracker.guarantee(planned(2).identity) is None
 
 
-def test_what_it_says_it_flies_is_all_it_flies(heard: Tracker) -> None:
+def test_what_it_says_it_flies_is_all_it_flies(heard: InformationTracker) -> None:
     assert heard.covering
     assert heard.sole is REST
     assert heard.candidates == [REST] and heard.missing == []
@@ -41,7 +44,7 @@ def test_what_it_says_it_flies_is_all_it_flies(heard: Tracker) -> None:
     assert [heard.up_to_date(round_) for round_ in (4, 5, 6)] == [False, True, False]
 
 
-def test_a_plan_sent_to_it_is_a_second_candidate(heard: Tracker) -> None:
+def test_a_plan_sent_to_it_is_a_second_candidate(heard: InformationTracker) -> None:
     plan = planned(6)
     heard.add(plan.identity, plan)
     assert heard.covering and heard.sole is None
@@ -49,14 +52,14 @@ def test_a_plan_sent_to_it_is_a_second_candidate(heard: Tracker) -> None:
     assert heard.newest() is plan
 
 
-def test_settled_is_the_newest_while_one_alone_can_have_begun(heard: Tracker) -> None:
+def test_settled_is_the_newest_while_one_alone_can_have_begun(heard: InformationTracker) -> None:
     plan = planned(6)
     heard.add(plan.identity, plan)
     assert heard.settled(6) is plan  # only the first began before round 6
     assert heard.settled(7) is None  # now it may fly either
 
 
-def test_a_plan_of_unknown_contents_leaves_a_promise(heard: Tracker) -> None:
+def test_a_plan_of_unknown_contents_leaves_a_promise(heard: InformationTracker) -> None:
     earlier, late, unknown = planned(5), planned(6), planned(6, 1).identity
     for known in (earlier, late):
         heard.add(known.identity, known)
@@ -64,18 +67,20 @@ def test_a_plan_of_unknown_contents_leaves_a_promise(heard: Tracker) -> None:
     assert heard.missing == [unknown]
     assert not heard.covering and heard.settled(0) is None and not heard.up_to_date(5)
     assert heard.newest() is late
-    assert heard.promise(unknown) == Promise(5, (REST, earlier))  # `late` begins after round 5
+    assert heard.guarantee(unknown) == SeparationGuarantee(
+        5, (REST, earlier)
+    )  # `late` begins after round 5
 
 
-def test_what_follows_an_unknown_plan_promises_nothing(heard: Tracker) -> None:
+def test_what_follows_an_unknown_plan_promises_nothing(heard: InformationTracker) -> None:
     first, beside, after = planned(6).identity, planned(6, 1).identity, planned(7).identity
     for unknown in (first, beside, after):
         heard.add(unknown, None)
-    assert heard.promise(first) == heard.promise(beside) == Promise(5, (REST,))
-    assert heard.promise(after) is None  # it may avoid what `first` would have flown
+    assert heard.guarantee(first) == heard.guarantee(beside) == SeparationGuarantee(5, (REST,))
+    assert heard.guarantee(after) is None  # it may avoid what `first` would have flown
 
 
-def test_locating_strikes_what_it_does_not_fly_but_no_later_plan(heard: Tracker) -> None:
+def test_locating_strikes_what_it_does_not_fly_but_no_later_plan(heard: InformationTracker) -> None:
     old, new, later = planned(5), planned(6), planned(7)
     for plan in (old, new, later):
         heard.add(plan.identity, plan)
@@ -83,10 +88,10 @@ def test_locating_strikes_what_it_does_not_fly_but_no_later_plan(heard: Tracker)
     heard.locate(new.identity, 6, None)
     assert heard.candidates == [new, later]
     assert heard.confirmed == 6 and heard.up_to_date(7)
-    assert heard.promise(planned(6, 1).identity) is None
+    assert heard.guarantee(planned(6, 1).identity) is None
 
 
-def test_a_lost_drone_is_located_anew_from_nothing(heard: Tracker) -> None:
+def test_a_lost_drone_is_located_anew_from_nothing(heard: InformationTracker) -> None:
     plan = planned(9)
     heard.add(plan.identity, plan)
     heard.lose()
@@ -97,7 +102,7 @@ def test_a_lost_drone_is_located_anew_from_nothing(heard: Tracker) -> None:
     assert heard.sole is REST  # its contents were remembered
 
 
-def test_contents_of_the_last_three_are_kept_for_others(heard: Tracker) -> None:
+def test_contents_of_the_last_three_are_kept_for_others(heard: InformationTracker) -> None:
     plans = [planned(k) for k in range(5, 9)]
     for plan in plans:
         heard.learn(plan)
@@ -108,13 +113,13 @@ def test_contents_of_the_last_three_are_kept_for_others(heard: Tracker) -> None:
     assert heard.contents(REST.identity) is None
 
 
-def test_what_it_says_at_rest_does_not_overwrite(heard: Tracker) -> None:
+def test_what_it_says_at_rest_does_not_overwrite(heard: InformationTracker) -> None:
     again = hover(np.array([0.0, 0.0, 1.0]), 3, 0.2)
     heard.locate(REST.identity, 5, again)
     assert heard.sole is REST
 
 
-def test_a_struck_plan_is_none(heard: Tracker) -> None:
+def test_a_struck_plan_is_none(heard: InformationTracker) -> None:
     plan = planned(6)
     heard.add(plan.identity, plan)
     heard.strike(plan.identity)

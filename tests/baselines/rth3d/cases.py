@@ -11,7 +11,7 @@ from types import ModuleType
 import numpy as np
 
 from swarm_envs.baselines.rth3d import FAMILIES, GridInstance, make_instance, max_density
-from swarm_envs.baselines.rth3d.instances import buildings
+from swarm_envs.baselines.rth3d.grid import building_columns
 
 
 def load_checker(shared: Path) -> Callable[..., dict]:
@@ -47,7 +47,7 @@ def random_instance(seed: int) -> GridInstance:
             if found.density > max_density(shape, found.obstacles) + 1e-9:
                 continue  # rings on sides that are no multiples of 3
             return found
-        walls = buildings(shape) if FAMILIES[family].buildings else None
+        walls = building_columns(shape) if FAMILIES[family].buildings else None
         most = round(max_density(shape, walls) * float(np.prod(shape)))
         most = min(most, int(np.prod(shape)) // 3)
         if most < 1:

@@ -8,7 +8,7 @@ import pytest
 from swarm_envs import formation_v0, ring_v0, swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.protocol import fly_episode
-from swarm_envs.baselines.rth3d.agent import GridAgent, Lattice
+from swarm_envs.baselines.rth3d.grid_agent import GridAgent, Lattice
 from swarm_envs.tasks.obstacles import (
     Column,
     Obstacle,

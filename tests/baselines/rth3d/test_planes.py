@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.rth3d.flight.planes import bezier_points, planes_between
+from swarm_envs.baselines.rth3d.flight.smooth import bezier_points, planes_between
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
 from swarm_envs.state import FloatArray
 
@@ -40,6 +40,8 @@ def test_planes_stand_where_two_robots_are_nearest(seed, scaling):
     planes = planes_between(flight, distance, theta, 10.0)  # so far that everyone could meet
     points, half = bezier_points(flight) / theta, len(planes.robot) // 2
     assert half == 3 * flight.num_steps
+    held = np.einsum("pkx,px->pk", bezier_points(flight)[planes.step, planes.robot], planes.normal)
+    assert (held >= planes.offset - 1e-7).all()  # the flight as it is satisfies all
     kept = 0
     for k in range(half):
         step, a, b = planes.step[k], planes.robot[k], planes.robot[half + k]

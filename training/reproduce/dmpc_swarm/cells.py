@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, circle, formation
-from swarm_envs.baselines.mlr_dmpc.loss import Jam, LossModel
+from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, circle_swap, formation
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
 from swarm_envs.training.reproduce.dmpc_swarm.flights import CRASH_M, Flight, Setting, fly
 from swarm_envs.training.reproduce.runs import Cell
 
@@ -79,7 +79,7 @@ def fly_sequence(setting: Setting) -> Flight:
 
 def fly_circle(setting: Setting) -> Flight:
     """Each of 16 drones to the opposite side of a circle."""
-    starts, targets = circle(DRONES, RADIUS_M, HEIGHT_M)
+    starts, targets = circle_swap(DRONES, RADIUS_M, HEIGHT_M)
     return fly(starts, [targets], setting, CIRCLE_LIMIT_S, MlrDmpcConfig())
 
 

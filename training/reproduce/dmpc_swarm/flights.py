@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.loss import LossModel
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import LossModel
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
 from swarm_envs.state import FloatArray
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.dmpc_swarm import cells as experiments
 from swarm_envs.training.reproduce.dmpc_swarm.flights import Flight, Setting

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.training.reproduce.dmpc_swarm.flights import Flight
 from swarm_envs.vehicles import SMALL
 from swarm_envs.viewing.record import About, Recording

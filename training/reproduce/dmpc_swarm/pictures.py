@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.training.reproduce.dmpc_swarm.cells import LOSSES, MODES, median_total
 from swarm_envs.training.reproduce.dmpc_swarm.flights import CRASH_M, Flight
 from swarm_envs.training.reproduce.runs import Cell

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.dmpc_swarm.cells import DRONES
 from swarm_envs.training.reproduce.style import GREY, picture

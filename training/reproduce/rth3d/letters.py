@@ -9,7 +9,7 @@ import numpy as np
 
 from swarm_envs import formation_v0
 from swarm_envs.agents import record_episode
-from swarm_envs.baselines.rth3d.agent import GridAgent
+from swarm_envs.baselines.rth3d.grid_agent import GridAgent
 from swarm_envs.files import write_json, write_table
 from swarm_envs.state import FloatArray
 from swarm_envs.training.reproduce.style import GREY, INK, picture

@@ -1,0 +1,298 @@
+"""A compute unit that keeps planning whatever the radio loses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces
+from swarm_envs.baselines.mlr_dmpc.membership import LISTENING_ROUNDS
+from swarm_envs.baselines.mlr_dmpc.messages import (
+    NONE,
+    RECENT,
+    UNSURE,
+    Codec,
+    MessageKind,
+    Missing,
+    UnitMessage,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import Inbox
+from swarm_envs.baselines.mlr_dmpc.swarm_information import (
+    SwarmInformation,
+    assign_to_units,
+    guaranteed_planes,
+    with_relay,
+)
+from swarm_envs.baselines.mlr_dmpc.trajectory import (
+    NOBODY,
+    Trajectory,
+    least_distances,
+    sampled_positions,
+)
+from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned
+from swarm_envs.baselines.mlr_dmpc.unit_planner import (
+    JUST_PLANNED,
+    REINITIALISED,
+    Levels,
+    OtherTrajectory,
+    Planner,
+    consensus,
+    rank_by_priority,
+)
+
+_CONTRADICTION = 1e-6
+
+
+@dataclass
+class UnitRound:
+    """What a unit did in a round, for the statistics."""
+
+    unit: int
+    """Who."""
+    doing: str = "idle"
+    """`planned`, or why not: `donated`, `unknown selection`, `not assigned`, ..."""
+    drone: int = NONE
+    """Whom it planned for."""
+    planned: Planned | None = None
+    """The plan, accepted or not."""
+    voided: bool = False
+    """Whether a drone gave up its reference lately, so that nothing is promised."""
+
+
+@dataclass
+class ComputeUnit:
+    """Our recovery: plans whenever what it knows is enough for the plan at hand.
+
+    It starts, or comes back, in round `since`.
+    """
+
+    information: SwarmInformation
+    planner: Planner
+    codec: Codec
+    since: int = 0
+    report: UnitRound = field(init=False)
+    """What the unit did in the last round."""
+    _recent: tuple[int, ...] = (UNSURE,) * RECENT
+    _sent: UnitMessage | None = None
+    _granted: dict[int, int] = field(default_factory=dict)
+    _trusted: bool = False
+    _in_the_way: list[int] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.report = UnitRound(self.information.unit)
+        if self.since == 0:
+            self._recent = (NONE,) * RECENT
+
+    def step(self, inbox: Inbox[UnitMessage] | None, round_: int) -> UnitMessage | None:
+        """The message of round k, if the slot is not given away, after what was heard in k - 1."""
+        info = self.information
+        self.report = UnitRound(info.unit)
+        if inbox is not None:
+            info.update(inbox, self._sent)
+        info.propose(round_)
+        lacking = info.missing()
+        complete = info.ready()
+        self._trusted |= complete and not lacking
+        own = self._priorities(round_)
+        selection = self._lead(own, round_)
+        given = round_ in self._granted or self._listening(round_)
+        message = self._carry(round_, selection, lacking)
+        if round_ in self._granted:
+            self.report.doing = "donated"
+        planned = message.kind is MessageKind.PLAN and not given
+        self._recent = (message.drone if planned else NONE, *self._recent[: RECENT - 1])
+        self._sent = None
+        if not given:
+            self._sent = self._completed(message, own, round_, lacking, complete)
+        return self._sent
+
+    def _completed(
+        self,
+        message: UnitMessage,
+        own: Levels,
+        round_: int,
+        lacking: list[Missing],
+        complete: bool,
+    ) -> UnitMessage:
+        wanted = sorted(lacking, key=self._request_order)[:3]
+        message = message._replace(
+            recent=self._recent,
+            current=self.information.selection(round_),
+            missing=tuple(wanted),
+            complete=complete and len(lacking) <= len(wanted),
+            members=self.information.membership.announced(round_),
+        )
+        order = [(i, int(own[i])) for i in rank_by_priority(own, round_) if own[i] > JUST_PLANNED]
+        return self.codec.filled(message, order)
+
+    def _request_order(self, missing: Missing) -> tuple[bool, bool, int]:
+        """Order of requests: what stood in the way, what is surely flown, then by turns."""
+        turn = (missing.drone + 5 * self.information.unit) % len(self.information.trackers)
+        return missing.drone not in self._in_the_way, not self._sure(missing), turn
+
+    def _sure(self, missing: Missing) -> bool:
+        """Whether the drone has said that it flies what is missing."""
+        confirmed = self.information.trackers[missing.drone].confirmed
+        return missing.identity.start_round <= confirmed
+
+    def _priorities(self, round_: int) -> Levels:
+        info = self.information
+        known = [tracker.newest() for tracker in info.trackers]
+        own = self.planner.prioritise(known, info.targets, round_)
+        current = info.selection(round_) or ()
+        view = info.view.drones
+        for drone, tracker in enumerate(info.trackers):
+            here = drone in view and drone not in info.membership.gone
+            newest = tracker.settled(round_) if here and drone not in current else None
+            if newest is None:
+                own[drone] = JUST_PLANNED
+            elif newest.identity.compute_unit == NOBODY and info.void(drone, round_):
+                own[drone] = REINITIALISED
+        return own
+
+    def _lead(self, own: Levels, round_: int) -> tuple[int, ...] | None:
+        """The drones of the next round, where this unit says which they are."""
+        info = self.information
+        view = info.view
+        if not info.membership.member or view.leader(round_) != info.unit:
+            return None
+        barred = {*(info.selection(round_) or ()), *info.membership.gone}
+        others = [
+            {drone: level for drone, level in message.priorities if drone not in barred}
+            for message in info.reported.values()
+        ]
+        joint = consensus(own, others)
+        ranked = rank_by_priority(joint, round_)
+        order = [i for i in ranked if joint[i] > JUST_PLANNED and i in view.drones]
+        chosen = assign_to_units(info, order[: len(view.units)], round_ + 1)
+        info.select(round_ + 1, chosen)
+        return chosen
+
+    def _carry(
+        self, round_: int, selection: tuple[int, ...] | None, lacking: list[Missing]
+    ) -> UnitMessage:
+        """A plan if possible, else what another asks for, else nothing; asks if need be."""
+        info = self.information
+        message = UnitMessage(
+            MessageKind.EMPTY, round_, info.unit, info.view.id, selection=selection
+        )
+        self._granted = {r: drone for r, drone in self._granted.items() if r >= round_}
+        if round_ in self._granted:
+            return message
+        planned = self._plan(round_)
+        if planned is not None and planned.accepted:
+            return message._replace(
+                kind=MessageKind.PLAN, drone=self.report.drone, trajectory=planned.trajectory
+            )
+        if lacking and planned is None and not self._listening(round_):
+            self._grant(lacking, round_)
+            slots = tuple(self._granted.get(round_ + ahead, NONE) for ahead in (1, 2, 3))
+            while slots and slots[-1] == NONE:
+                slots = slots[:-1]
+            message = message._replace(donations=slots)
+        return with_relay(info, message)
+
+    def _grant(self, lacking: list[Missing], round_: int) -> None:
+        """Give the next slots to drones, if so much is lacking that others cannot pass it on."""
+        info = self.information
+        asked = {drone for (_, r), drone in info.donated.items() if r > round_}
+        wanted = [m.drone for m in lacking if self._sure(m)]
+        plans = any(message.kind is MessageKind.PLAN for message in info.reported.values())
+        if len(wanted) <= len(info.view.units) and (plans or self._recent[0] != NONE):
+            return
+        wanted = [drone for drone in wanted if drone not in asked]
+        turn = info.unit * len(wanted) // max(len(info.view.units), 1)
+        for ahead, drone in enumerate([*wanted[turn:], *wanted[:turn]][:3], start=1):
+            self._granted[round_ + ahead] = drone
+
+    def _plan(self, round_: int) -> Planned | None:
+        """Plan for the assigned drone, if what is known is enough."""
+        info, report = self.information, self.report
+        self._in_the_way = []
+        report.doing = self._obstacle_to_planning(round_)
+        if report.doing:
+            return None
+        chosen = info.selection(round_)
+        assert chosen is not None
+        drone = chosen[info.view.rank(info.unit, round_)]
+        own = info.trackers[drone].sole
+        if own is None:
+            report.doing = "lacks own" if info.trackers[drone].missing else "several own"
+            self._in_the_way = [drone]
+            return None
+        others: list[OtherTrajectory] = []
+        planes: list[HalfSpaces] = []
+        for other in info.flying():
+            if other == drone:
+                continue
+            concurrent = other in chosen
+            if info.trackers[other].missing:
+                found = None
+                if self._trusted and not concurrent:
+                    found = guaranteed_planes(info, drone, own, other, round_, self._config)
+                if found is None:
+                    report.doing = "lacks another"
+                    self._in_the_way = [other]
+                    return None
+                planes.append(found)
+            candidates = info.trackers[other].candidates
+            others += [OtherTrajectory(other, one, concurrent) for one in candidates]
+        kept = self._possible(drone, own, others, round_)
+        if kept is None:
+            report.doing = "no room to join"
+            return None
+        report.doing, report.drone = "planned", drone
+        report.voided = any(info.void(i, round_) for i in range(len(info.trackers)))
+        report.planned = self.planner.plan(drone, own, kept, info.unit, round_, planes)
+        return report.planned
+
+    def _listening(self, round_: int) -> bool:
+        """Whether the slot may still be given away from before the unit crashed."""
+        return self.since > 0 and round_ < self.since + LISTENING_ROUNDS
+
+    def _obstacle_to_planning(self, round_: int) -> str:
+        info = self.information
+        if self._listening(round_):
+            return "listening"
+        if not info.membership.member:
+            return "not a member"
+        if not info.ready():
+            return "lacks locations"
+        chosen = info.selection(round_)
+        if chosen is None:
+            return "unknown selection"
+        rank = info.view.rank(info.unit, round_)
+        if rank >= len(chosen) or chosen[rank] == NONE:
+            return "not assigned"
+        return ""
+
+    def _possible(
+        self, drone: int, own: Trajectory, others: list[OtherTrajectory], round_: int
+    ) -> list[OtherTrajectory] | None:
+        """Trajectories that can be true; None if a joining drone must wait.
+
+        What is flown keeps its distance, so whatever does not keep it from what this drone surely
+        flies is not flown. A drone that is not in the air yet proves nothing.
+        """
+        info, start = self.information, round_ + 1
+        least = self._config.distance_m - _CONTRADICTION
+        mine = sampled_positions(own, start, self._config)
+        kept: list[OtherTrajectory] = []
+        if not others:
+            return kept
+        theirs = np.stack(
+            [sampled_positions(other.trajectory, start, self._config) for other in others]
+        )
+        gaps = least_distances(mine, theirs, self._config)
+        for other, near in zip(others, gaps < least, strict=True):
+            if near and drone in info.membership.joining:
+                return None
+            if not near or info.void(drone, round_) or info.void(other.drone, round_):
+                kept.append(other)
+        return kept
+
+    @property
+    def _config(self) -> MlrDmpcConfig:
+        return self.planner.options.config

@@ -1,0 +1,253 @@
+"""Plans as linear functions of few variables, and solvers of the quadratic programs in them.
+
+Each axis is a triple integrator with 15 jerks, of which three are spent on the rest at the end. The
+other twelve are scaled so that the quadratic part of the cost is half their squared length. So all
+solvers, DAQP and two more to check it by, solve min |y|^2 / 2 + slope . y, matrix @ y >= bound.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.errors import check_name
+from swarm_envs.state import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Affine:
+    """A quantity at some instants, of one axis: `start` times its first state, plus `free` times z.
+
+    Its value is (K,) for a state (3,) and variables z (n,), or (K, 3) for all axes at once.
+    """
+
+    start: FloatArray  # (K, 3) by position, velocity and acceleration at the start
+    free: FloatArray  # (K, n) by the variables
+
+    def at(self, state: FloatArray, z: FloatArray) -> FloatArray:
+        """Values (K, 3) for a state (3, 3), rows by derivative, and variables (n, 3) by axis."""
+        return self.start @ state + self.free @ z
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """What of the optimisation (13) depends on the parameters alone.
+
+    The cost of an axis is |z|^2 / 2 + (gradient @ offset) z, where offset is the first state with
+    the target taken off its position.
+    """
+
+    positions: _Affine
+    """At the collision samples, m."""
+    bounded: _Affine
+    """Position, velocity and acceleration at the state samples, then jerks: what is bounded."""
+    jerks: _Affine
+    """Of each interval, m/s^3."""
+    jerks_inverse: FloatArray
+    """(n, h_s) variables by jerks that end at rest."""
+    gradient: FloatArray
+    """(n, 3) slope of the cost at z = 0."""
+    lower: FloatArray
+    """(B, 3) least value of what is bounded."""
+    upper: FloatArray
+    """(B, 3) largest value of what is bounded."""
+    rest_by_state: FloatArray
+    """(2, 3) velocity and acceleration at the end, by the first state."""
+    rest_by_jerk: FloatArray
+    """(2, h_s) likewise, by the jerks."""
+    collision_times: FloatArray
+    """(S,) of the collision samples since the start, s."""
+    state_times: FloatArray
+    """(h_b,) of the state samples since the start, s."""
+
+
+def _derivatives(times: FloatArray, num_inputs: int, step: float) -> tuple[FloatArray, FloatArray]:
+    """Position, velocity and acceleration by the first state and by the jerks, of one axis.
+
+    At times (T,) since the start, s, for h_s jerks that each last a step, s: by the first state
+    (3, T, 3), by the jerks (3, T, h_s).
+    """
+    since = np.maximum(times[:, None] - step * np.arange(num_inputs + 1), 0.0)
+    by_jerk = np.stack([-np.diff(since**p, axis=1) / f for p, f in ((3, 6.0), (2, 2.0), (1, 1.0))])
+    one, zero = np.ones_like(times), np.zeros_like(times)
+    rows = [(one, times, times**2 / 2), (zero, one, times), (zero, zero, one)]
+    return np.stack([np.stack(row, axis=1) for row in rows]), by_jerk
+
+
+@lru_cache(maxsize=8)
+def condensed(config: MlrDmpcConfig) -> Condensed:
+    """The condensed program of a configuration."""
+    knots = _instants(config.input_sampling_s, config.num_inputs)
+    inputs = _resting_inputs(config)
+    states = _affine(knots, inputs, config)
+    weight = (config.path_weight, config.velocity_weight, config.acceleration_weight)
+    terms = [(2.0 * w, part) for w, part in zip(weight, states, strict=True)]
+    end = _Affine(states[0].start[-1:], states[0].free[-1:])
+    terms += [(2.0 * config.position_weight, end), (2.0 * config.jerk_weight, inputs)]
+    hessian = sum(w * part.free.T @ part.free for w, part in terms)
+    slope = sum(w * part.free.T @ part.start for w, part in terms)
+    scale = np.linalg.inv(np.linalg.cholesky(np.asarray(hessian)))
+    jerks = _Affine(inputs.start, inputs.free @ scale.T)
+    return _assembled(config, jerks, scale @ np.asarray(slope))
+
+
+def _assembled(config: MlrDmpcConfig, jerks: _Affine, gradient: FloatArray) -> Condensed:
+    collision = _instants(config.collision_sampling_s, config.num_samples)
+    sampled = _instants(config.state_sampling_s, config.num_states)
+    parts = [*_affine(sampled, jerks, config), jerks]
+    limits = (config.speed_limit, config.acceleration_limit, config.jerk_limit)
+    lower = [config.box[0], *((-limit,) * 3 for limit in limits)]
+    upper = [config.box[1], *((limit,) * 3 for limit in limits)]
+    counts = [len(part.start) for part in parts]
+    by_state, by_jerk = _end(config)
+    return Condensed(
+        positions=_affine(collision, jerks, config)[0],
+        bounded=_Affine(
+            np.concatenate([part.start for part in parts]),
+            np.concatenate([part.free for part in parts]),
+        ),
+        jerks=jerks,
+        jerks_inverse=np.asarray(np.linalg.pinv(jerks.free), dtype=np.float64),
+        gradient=gradient,
+        lower=np.repeat(np.array(lower), counts, axis=0),
+        upper=np.repeat(np.array(upper), counts, axis=0),
+        rest_by_state=by_state[1:, 0],
+        rest_by_jerk=by_jerk[1:, 0],
+        collision_times=collision,
+        state_times=sampled,
+    )
+
+
+def _affine(times: FloatArray, jerks: _Affine, config: MlrDmpcConfig) -> list[_Affine]:
+    """Position, velocity and acceleration at times, for jerks that depend on variables."""
+    by_state, by_jerk = _derivatives(times, config.num_inputs, config.input_sampling_s)
+    return [
+        _Affine(s + j @ jerks.start, j @ jerks.free) for s, j in zip(by_state, by_jerk, strict=True)
+    ]
+
+
+def _resting_inputs(config: MlrDmpcConfig) -> _Affine:
+    """Jerks that end at rest: the least ones that do, plus a base of those that change nothing."""
+    by_state, by_jerk = _end(config)
+    last = np.eye(config.num_inputs)[-1:]
+    rest = np.concatenate([by_jerk[1], by_jerk[2], last])
+    needed = np.concatenate([by_state[1], by_state[2], np.zeros((1, 3))])
+    base = np.linalg.svd(rest)[2][len(rest) :].T
+    return _Affine(-np.linalg.pinv(rest) @ needed, base)
+
+
+def _end(config: MlrDmpcConfig) -> tuple[FloatArray, FloatArray]:
+    end = np.array([config.num_inputs * config.input_sampling_s])
+    return _derivatives(end, config.num_inputs, config.input_sampling_s)
+
+
+def _instants(step: float, count: int) -> FloatArray:
+    """(count,) step, 2 step, ..."""
+    return np.arange(1, count + 1, dtype=np.float64) * step
+
+
+SOLVERS = ("daqp", "quadprog", "osqp")
+"""Names of the solvers."""
+_OSQP_TOLERANCE = 1e-6
+_TOLERANCE = 1e-8
+
+
+class QpSolution(NamedTuple):
+    """What a solver found."""
+
+    y: FloatArray
+    """(n,) the minimum, if there is one."""
+    active: BoolArray
+    """(m,) rows that hold with equality, to start the next program from."""
+    solved: bool
+    """Whether there is a minimum, to the solver's tolerance."""
+    iterations: int
+    """Steps that the solver took."""
+
+
+Solver = Callable[[FloatArray, FloatArray, FloatArray, BoolArray], QpSolution]
+"""Called with slope (n,), matrix (m, n), bound (m,) and the rows (m,) to try as active first."""
+
+
+def solver(name: str) -> Solver:
+    """A solver by its name.
+
+    Raises:
+        ValueError: there is no such solver; the message names the nearest.
+        ImportError: it is not installed; the message says how to install it.
+    """
+    return _SOLVERS[check_name("solver", name, SOLVERS)]
+
+
+def _daqp(
+    slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
+) -> QpSolution:
+    sense = active.astype(np.int32)
+    y, _, flag, info = _module("daqp").solve(
+        _identity(len(slope)), slope, -matrix, -bound, sense=sense, primal_tol=_TOLERANCE
+    )
+    return QpSolution(y, np.asarray(info["lam"]) != 0.0, flag == 1, info["iterations"])
+
+
+def _quadprog(
+    slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
+) -> QpSolution:
+    if not len(bound):  # it wants one row at least
+        return QpSolution(-slope, active, True, 0)
+    try:
+        y, _, _, iterations, multiplier, _ = _module("quadprog").solve_qp(
+            np.array(_identity(len(slope))), -slope, matrix.T.copy(), bound
+        )
+    except ValueError:  # how it says that no point satisfies every row
+        return QpSolution(np.zeros_like(slope), active, False, 0)
+    return QpSolution(y, multiplier > 0.0, True, int(iterations[0]))
+
+
+def _osqp(
+    slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
+) -> QpSolution:
+    from scipy import sparse
+
+    program: Any = _module("osqp").OSQP()
+    program.setup(
+        sparse.identity(len(slope), format="csc"),
+        slope,
+        sparse.csc_matrix(matrix),
+        bound,
+        np.full(len(bound), np.inf),
+        verbose=False,
+        eps_abs=_OSQP_TOLERANCE,
+        eps_rel=_OSQP_TOLERANCE,
+        max_iter=100_000,
+        polishing=True,
+    )
+    done = program.solve(raise_error=False)
+    solved = done.info.status == "solved"
+    y = np.asarray(done.x, dtype=np.float64) if solved else np.zeros_like(slope)
+    return QpSolution(y, active, solved, int(done.info.iter))
+
+
+@cache
+def _identity(size: int) -> FloatArray:
+    return np.eye(size)
+
+
+@cache
+def _module(name: str) -> ModuleType:
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ImportError(
+            f"solver {name!r} needs the package {name}: pip install {name}"
+        ) from error
+
+
+_SOLVERS: dict[str, Solver] = {"daqp": _daqp, "quadprog": _quadprog, "osqp": _osqp}

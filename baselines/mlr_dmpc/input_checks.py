@@ -1,0 +1,99 @@
+"""What is refused at the door, with the reason."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.unit_planner import MEASURES, TRIGGERS
+from swarm_envs.errors import check_integer
+from swarm_envs.state import FloatArray
+
+_MOST_UNITS = 254
+
+
+def checked_points(
+    what: str, points: FloatArray, config: MlrDmpcConfig, count: int | None = None
+) -> FloatArray:
+    """Points (N, 3) that drones can hover at together.
+
+    Raises:
+        ValueError: wrong shape, not finite, outside the box, or closer than (20) allows.
+    """
+    array = np.array(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] != 3 or not len(array):
+        raise ValueError(f"{what} have shape {array.shape}, but must be (N, 3) in metres")
+    if count is not None and len(array) != count:
+        raise ValueError(f"there are {len(array)} {what}, but {count} drones")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{what} hold values that are not finite: {array.tolist()}")
+    lower, upper = np.array(config.box)
+    outside = ((array < lower) | (array > upper)).any(axis=1)
+    if outside.any():
+        i = int(np.flatnonzero(outside)[0])
+        raise ValueError(
+            f"{what}[{i}] = {array[i].tolist()} is outside the box {config.box}: move it, or set "
+            "another box in MlrDmpcConfig"
+        )
+    _check_apart(what, array, config)
+    return array
+
+
+def _check_apart(what: str, points: FloatArray, config: MlrDmpcConfig) -> None:
+    gap = np.linalg.norm((points[:, None] - points) * config.inverse_scaling, axis=-1)
+    np.fill_diagonal(gap, np.inf)
+    if gap.min() < config.distance_m:
+        i, j = sorted(int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
+        raise ValueError(
+            f"{what}[{i}] and {what}[{j}] are {gap.min():.3f} m apart when heights are divided by "
+            f"{config.scaling[2] / config.scaling[0]:g}, but drones keep {config.distance_m} m: "
+            "move them apart"
+        )
+
+
+def checked_options(
+    compute_units: int,
+    num_drones: int,
+    trigger: str,
+    recovery: bool | str,
+    measure: str,
+    seed: int,
+) -> None:
+    """Refuse options that are none.
+
+    Raises:
+        ValueError: an option is none.
+    """
+    check_integer("compute_units", compute_units, 1)
+    check_integer("seed", seed, 0)
+    if not 1 <= compute_units <= min(num_drones, _MOST_UNITS):
+        raise ValueError(
+            f"compute_units is {compute_units!r}, but must be 1 to {min(num_drones, _MOST_UNITS)}: "
+            f"there are {num_drones} drones, and each unit plans for another one"
+        )
+    for name, value, allowed in (
+        ("trigger", trigger, TRIGGERS),
+        ("recovery", recovery, (True, False, "paper")),
+        ("measure", measure, MEASURES),
+    ):
+        if value not in allowed:
+            raise ValueError(f"{name} is {value!r}, but must be one of {list(allowed)}")
+
+
+def checked_indices(
+    what: str, given: Mapping[int, int], count: int, noun: str = "drone"
+) -> dict[int, int]:
+    """Rounds by index of a drone or a unit.
+
+    Raises:
+        ValueError: there is none of that index, or a round is no integer or negative.
+    """
+    for index, round_ in given.items():
+        check_integer(f"{what}[{index!r}]", round_, 0)
+        if check_integer(f"an index of {what}", index, 0) >= count:
+            raise ValueError(
+                f"{what} names {noun} {index}, but there are {count}: 0 to {count - 1}"
+            )
+    return dict(given)

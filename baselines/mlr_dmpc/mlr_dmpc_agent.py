@@ -1,0 +1,174 @@
+"""MLR-DMPC as an agent: a round every decision, its references flown by the tracking loop.
+
+The swarm of compute units, drones and radio lives inside the agent; the environment is what flies.
+A reference has constant jerk within a round, so that five set-points a second say all of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+
+from swarm_envs.agents import Actions, Observations
+from swarm_envs.arguments import typed
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import obstacle_planes
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import LossModel
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
+from swarm_envs.baselines.mlr_dmpc.unit_planner import Obstacles
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.motion import ORBITS
+from swarm_envs.tasks.obstacles import obstacle_rows
+
+_TRACKING_M = 0.05  # what is kept free between a reference and walls beside the drone's radius, m
+_ROOM = 1.2
+"""Distance of starts and of goals over that of references: at the very limit nobody gets past."""
+
+
+@typed
+class MlrDmpcAgent:
+    """Flies to goals at rest by distributed MPC over a radio that may lose messages.
+
+    Args:
+        compute_units: how many plan; None for three, or one for each drone where there are fewer.
+        trigger: who is planned next: `"HT"`, `"RR"` or `"DT"` (Appendix A).
+        loss: of messages: a rate or a model.
+        recovery: as for `simulate`.
+        controller: configuration of the tracking loop; None for its default, which assumes no
+            interaction force, as in the paper.
+        config: parameters; box and scaling are fitted to the episode.
+
+    The scaling of heights (Theta) is the configured one, the paper's 6, or less where starts and
+    goals of the episode stand closer above each other: `config.scaling` says which holds.
+    """
+
+    privileged = True
+
+    def __init__(
+        self,
+        compute_units: int | None = None,
+        trigger: Literal["HT", "RR", "DT"] = "HT",
+        loss: float | LossModel = 0.0,
+        recovery: bool | Literal["paper"] = True,
+        controller: ControllerConfig | None = None,
+        config: MlrDmpcConfig | None = None,
+    ) -> None:
+        self._given = MlrDmpcConfig() if config is None else config
+        self.requires: Mapping[str, Any] = {
+            "action": "setpoint",
+            "decision_rate": round(1.0 / self._given.round_s),
+            "controller": controller or ControllerConfig(),
+        }
+        self._compute_units, self._trigger = compute_units, trigger
+        self._loss, self._recovery = loss, recovery
+        self._agents: list[str] = []
+        self.config = self._given
+        """Parameters of the episode."""
+        self.swarm: MlrDmpcSwarm | None = None
+        """Compute units, drones and radio of the episode; None before the first."""
+
+    @classmethod
+    def compensated(cls) -> MlrDmpcAgent:
+        """The agent over the controller of Neural-Swarm2, which feeds `load_belief()` forward."""
+        return cls(controller=ControllerConfig(feedforward=load_belief()))
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Begin with everybody hovering; the seed draws which messages are lost.
+
+        Raises:
+            ValueError: goals that circle, or starts or goals too close to each other for any
+                scaling.
+        """
+        task, start = env.core.task, env.view.state.position
+        if task.motion.kind == ORBITS:
+            raise ValueError(
+                f"MlrDmpcAgent flies to goals at rest, but those of {task.name} circle; use swap, "
+                "formation, or the agent 'tracking-compensated'"
+            )
+        goals = env.core.world.goals[0]
+        self._agents = list(env.agents)
+        self.config = replace(
+            self._given,
+            box=_box(task, start, goals),
+            scaling=_scaling(self._given, np.concatenate([start[None], goals])),
+        )
+        units = min(3, len(start)) if self._compute_units is None else self._compute_units
+        self.swarm = MlrDmpcSwarm(
+            np.array(start),
+            np.array(goals[0]),
+            config=self.config,
+            compute_units=units,
+            trigger=self._trigger,
+            loss=self._loss,
+            recovery=self._recovery,
+            seed=seed,
+            obstacles=_obstacles(task, self.config),
+        )
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """Position, velocity, acceleration and jerk for the round that begins; no yaw.
+
+        Raises:
+            ValueError: there is no view, without which nobody knows where the drones are.
+        """
+        if view is None:
+            raise ValueError("the MLR-DMPC agent is privileged: pass env.view as the view")
+        assert self.swarm is not None, "reset the agent before it acts"
+        flown = self.swarm.reference(np.zeros(1))[:, 0]
+        rows = np.concatenate([flown.reshape(len(flown), 12), np.zeros((len(flown), 2))], axis=1)
+        measured = np.stack([view.state.position, view.state.velocity], axis=1)
+        self.swarm.run_round(targets=np.array(view.goals), measured=measured)
+        return dict(zip(self._agents, rows, strict=True))
+
+
+def _box(
+    task: Task, start: FloatArray, goals: FloatArray
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """The arena less a margin, and no smaller than starts (N, 3) and goals (S, N, 3) need."""
+    margin = float(task.radius.max()) + _TRACKING_M
+    points = np.concatenate([start, goals.reshape(-1, 3)])
+    low = np.minimum(task.arena[0] + margin, points.min(axis=0))
+    high = np.maximum(task.arena[1] - margin, points.max(axis=0))
+    return (
+        (float(low[0]), float(low[1]), float(low[2])),
+        (float(high[0]), float(high[1]), float(high[2])),
+    )
+
+
+def _obstacles(task: Task, config: MlrDmpcConfig) -> Obstacles | None:
+    if not task.obstacles:
+        return None
+    rows = obstacle_rows(task.obstacles)
+    margin = float(task.radius.max()) + _TRACKING_M
+    return lambda own, start_round: obstacle_planes(own, start_round, rows, margin, config)
+
+
+def _scaling(config: MlrDmpcConfig, places: FloatArray) -> tuple[float, float, float]:
+    """The largest scaling of heights, up to the configured, that (20) allows at places (S, N, 3).
+
+    Raises:
+        ValueError: two drones are too close to each other even with heights not scaled.
+    """
+    wanted = config.scaling
+    largest = wanted[2]
+    first, second = np.triu_indices(places.shape[1], 1)
+    apart = np.abs(places[:, first] - places[:, second])
+    level = np.hypot(apart[..., 0] / wanted[0], apart[..., 1] / wanted[1])
+    needed = np.sqrt(np.maximum((_ROOM * config.distance_m) ** 2 - level**2, 0.0))
+    close = needed > 0.0
+    if close.any():
+        largest = min(largest, float((apart[..., 2][close] / needed[close]).min()))
+    if largest < 1.0:
+        raise ValueError(
+            f"two starts or goals of this episode are closer than {_ROOM * config.distance_m:.3g} "
+            "m, what drones need; spread them, or give a config with a smaller distance_m"
+        )
+    return (wanted[0], wanted[1], largest)

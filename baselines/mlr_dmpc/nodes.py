@@ -1,0 +1,262 @@
+"""The nodes of the network: drones, which fly the plans they accept, and compute units."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.compute_unit import ComputeUnit, UnitRound
+from swarm_envs.baselines.mlr_dmpc.messages import (
+    Codec,
+    DroneState,
+    MembershipView,
+    MessageKind,
+    UnitMessage,
+    ViewId,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import Inbox, RoundLog
+from swarm_envs.baselines.mlr_dmpc.swarm_information import SwarmInformation
+from swarm_envs.baselines.mlr_dmpc.trajectory import (
+    NOBODY,
+    Identity,
+    Trajectory,
+    is_at_rest,
+    state_at,
+)
+from swarm_envs.baselines.mlr_dmpc.unit_planner import Planner, PlanningOptions
+from swarm_envs.state import FloatArray
+
+_CONTINUOUS = 1e-5  # by how much the first state of a plan may differ from the reference, SI
+_REPORTED_ROUNDS = 30
+_LOST_M, _LOST_SPEED = 0.5, 10.0
+
+
+class Drone:
+    """One drone, locked to the view at deployment; it flies a hover at first.
+
+    If it is not `airborne`, it joins once a plan for it is accepted.
+    """
+
+    def __init__(
+        self,
+        index: int,
+        start: Trajectory,
+        lock: ViewId,
+        config: MlrDmpcConfig,
+        codec: Codec,
+        airborne: bool = True,
+    ) -> None:
+        self.index, self.flying, self.lock = index, start, lock
+        self.airborne = airborne
+        """Whether it is in the air."""
+        self.gone = False
+        """Whether it has left the air."""
+        self._config, self._codec = config, codec
+        self._granted: dict[tuple[int, int], tuple[int, ...]] = {}
+        self._gave_up = -(10**6)
+
+    def leave(self) -> None:
+        """Leave the air. The others avoid it until they hear that it has."""
+        self.gone, self.airborne = True, False
+
+    def state(self, round_: int, target: FloatArray) -> DroneState:
+        """Its message of a round, with its target (3,) as messages carry it, m."""
+        kinematics = state_at(self.flying, round_, self._config)
+        if is_at_rest(self.flying, round_, self._config):
+            kinematics = kinematics[:1].astype(np.float32).astype(np.float64)
+        else:
+            kinematics = self._codec.carried(kinematics)
+        return DroneState(
+            self.index,
+            round_,
+            self.flying.identity,
+            self.lock,
+            target,
+            kinematics,
+            joining=not self.airborne and not self.gone,
+            gone=self.gone,
+            reinitialised=round_ - self._gave_up < _REPORTED_ROUNDS,
+        )
+
+    def answers(self, round_: int) -> dict[int, Any]:
+        """Its trajectory, in the slots that it was given, by slot."""
+        kind, drone, plan = MessageKind.ANSWER, self.index, self.flying
+        return {
+            unit: UnitMessage(kind, round_, unit, self.lock, drone, plan, donations=rest)
+            for (unit, granted), rest in self._granted.items()
+            if granted == round_
+        }
+
+    def accepts(self, message: Any) -> bool:
+        """Whether it would fly a plan, if it heard nothing else in that round."""
+        if message.kind is not MessageKind.PLAN or message.drone != self.index or self.gone:
+            return False
+        plan = message.trajectory
+        assert plan is not None
+        if message.view < self.lock or plan.identity.start_round != message.round + 1:
+            return False
+        here = state_at(self.flying, message.round + 1, self._config)
+        return bool(np.abs(plan.state - here).max() <= _CONTINUOUS)
+
+    def receive(self, inbox: Inbox[Any]) -> Trajectory | None:
+        """Take in a round's messages; the plan that it accepts, flown from the next round on."""
+        accepted = None
+        self._granted = {key: one for key, one in self._granted.items() if key[1] > inbox.round}
+        said = [m for m in inbox.slots.values() if m.kind is not MessageKind.ANSWER]
+        self.lock = max([self.lock, *(message.view for message in said)])
+        for message in said:
+            for ahead, drone in enumerate(message.donations, start=1):
+                if drone == self.index:
+                    rest = message.donations[ahead:]
+                    self._granted[message.unit, inbox.round + ahead] = rest
+            if message.view == self.lock and self.accepts(message):
+                accepted = message.trajectory
+        if self.gone:
+            return None
+        if accepted is not None:
+            self.flying, self.airborne = accepted, True
+            self._gave_up = -(10**6)
+        return accepted
+
+    def give_up(self, measured: FloatArray, round_: int) -> bool:
+        """Rest where it is measured to be, if that is far off its reference; whether it did.
+
+        `measured`: (2, 3) position and velocity at the start of a round, m and m/s.
+        """
+        off = np.linalg.norm(measured - state_at(self.flying, round_, self._config)[:2], axis=1)
+        if off[0] <= _LOST_M and off[1] <= _LOST_SPEED:
+            return False
+        state = np.zeros((3, 3))
+        state[0] = measured[0]
+        jerk = np.zeros_like(self.flying.jerk)
+        identity = Identity(round_, NOBODY)
+        self.flying = Trajectory(identity, state, jerk, self._config.input_sampling_s)
+        self._gave_up = round_
+        return True
+
+
+class SwarmNodes(ABC):
+    """The drones and compute units of a swarm, and what they say and hear in each round."""
+
+    def __init__(
+        self, drones: Sequence[Drone], targets: FloatArray, options: PlanningOptions, codec: Codec
+    ) -> None:
+        self.drones, self.options, self.codec = drones, options, codec
+        self.units: list[Any] = [
+            self.make_unit(unit, targets, 0) for unit in range(options.num_units)
+        ]
+        """By number; None where a unit is dead."""
+        self.reports: dict[int, UnitRound] = {}
+        """What each unit did in its last round, by number."""
+        self._inboxes: dict[int, Inbox[Any]] = {}
+
+    @abstractmethod
+    def make_unit(self, unit: int, targets: FloatArray, since: int) -> Any:
+        """A compute unit that starts, or is back, in a round, with what it then knows."""
+
+    @abstractmethod
+    def message_bytes(self, message: Any) -> int:
+        """Bytes of a message in a compute unit's slot."""
+
+    def send(
+        self, k: int, targets: FloatArray, alive: Collection[int], present: Collection[int]
+    ) -> tuple[dict[int, DroneState], dict[int, Any], dict[int, int]]:
+        """All messages of round k, of units that are alive and drones that are switched on.
+
+        Returns:
+            States by drone, messages by slot, and the node that sends in each slot.
+        """
+        states, slots, senders = {}, {}, {}
+        for unit in range(self.options.num_units):
+            message = self._step(unit, k, targets) if unit in alive else None
+            if unit not in alive:
+                self.units[unit] = None
+            if message is not None:
+                slots[unit], senders[unit] = message, len(self.drones) + unit
+        carried = self.codec.carried_targets(targets)
+        for drone in self.drones:
+            if drone.index not in present:
+                continue
+            states[drone.index] = drone.state(k, carried[drone.index])
+            for unit, answer in drone.answers(k).items():
+                if unit not in slots:
+                    slots[unit], senders[unit] = answer, drone.index
+        return states, slots, senders
+
+    def _step(self, unit: int, k: int, targets: FloatArray) -> Any:
+        if self.units[unit] is None:
+            self.units[unit] = self.make_unit(unit, targets, k)
+        message = self.units[unit].step(self._inboxes.get(unit), k)
+        self.reports[unit] = self.units[unit].report
+        return message
+
+    def receive(
+        self, log: RoundLog[Any], alive: Collection[int], present: Collection[int]
+    ) -> dict[int, Trajectory]:
+        """Take in what arrived of a round; the plans that drones accept, by drone."""
+        first_unit = len(self.drones)
+        self._inboxes = {unit: log.inbox(first_unit + unit) for unit in alive}
+        heard = {i: self.drones[i].receive(log.inbox(i)) for i in present}
+        return {i: plan for i, plan in heard.items() if plan is not None}
+
+    def may_fly(self, log: RoundLog[Any]) -> list[list[Trajectory]]:
+        """What each drone may fly next, whichever of a round's messages arrive."""
+        return [
+            ([drone.flying] if drone.airborne else [])
+            + [
+                message.trajectory
+                for message in log.slots.values()
+                if drone.index in log.states and message.trajectory and drone.accepts(message)
+            ]
+            for drone in self.drones
+        ]
+
+    def bytes_sent(self, log: RoundLog[Any]) -> int:
+        """Bytes of all messages of a round."""
+        states = sum(len(self.codec.pack_state(state)) for state in log.states.values())
+        return states + sum(self.message_bytes(message) for message in log.slots.values())
+
+
+class RecoveryNodes(SwarmNodes):
+    """Nodes that plan on whatever the radio loses.
+
+    `joins`: drones that are not in the air yet. `informed`: whether units know the hovers.
+    """
+
+    def __init__(
+        self,
+        hovers: list[Trajectory],
+        targets: FloatArray,
+        options: PlanningOptions,
+        informed: bool,
+        joins: Mapping[int, int],
+    ) -> None:
+        codec = Codec(len(hovers), options.num_units, options.config)
+        members = frozenset(range(len(hovers))) - joins.keys()
+        self._view = MembershipView(ViewId(0, 0), tuple(range(options.num_units)), members)
+        drones = [
+            Drone(i, one, self._view.id, options.config, codec, i not in joins)
+            for i, one in enumerate(hovers)
+        ]
+        super().__init__(drones, targets, options, codec)
+        for unit in self.units if informed else ():
+            for drone in members:
+                tracker = unit.information.trackers[drone]
+                tracker.learn(hovers[drone])
+                tracker.locate(hovers[drone].identity, -1, None)
+
+    def make_unit(self, unit: int, targets: FloatArray, since: int) -> ComputeUnit:
+        """A unit that knows the first view, and of targets what drones will say."""
+        options = self.options
+        information = SwarmInformation(
+            unit, self._view, options.num_units, targets, options.config, since
+        )
+        return ComputeUnit(information, Planner(options), self.codec, since)
+
+    def message_bytes(self, message: UnitMessage) -> int:
+        """Bytes of a message in a compute unit's slot."""
+        return len(self.codec.pack(message))

@@ -1,0 +1,305 @@
+"""The paper's own protocol: Algorithms 1 and 2 to the letter; and the one that ignores loss.
+
+Drones and compute units that speak one protocol: ours, or the paper's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from io import BytesIO
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
+from swarm_envs.baselines.mlr_dmpc.messages import (
+    NONE,
+    Codec,
+    ViewId,
+    pack_trajectory,
+    unpack_trajectory,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.nodes import Drone, SwarmNodes
+from swarm_envs.baselines.mlr_dmpc.radio import Inbox
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
+from swarm_envs.baselines.mlr_dmpc.unit_planner import (
+    JUST_PLANNED,
+    Levels,
+    OtherTrajectory,
+    Planner,
+    PlanningOptions,
+    consensus,
+    rank_by_priority,
+)
+from swarm_envs.state import FloatArray
+
+_UNKNOWN = 1
+
+
+class PaperKind(IntEnum):
+    """What a message in a compute unit's slot carries."""
+
+    EMPTY = 0
+    """Priorities only."""
+    TRAJECTORY = 1
+    """A new trajectory."""
+    REQUEST = 2
+    """Asks a drone for its trajectory."""
+    ANSWER = 3
+    """A drone's trajectory, in the slot of who asked."""
+
+
+class PaperMessage(NamedTuple):
+    """What is said in a compute unit's slot."""
+
+    kind: PaperKind
+    """What it carries."""
+    round: int
+    """When it is sent."""
+    unit: int
+    """Whose slot it is."""
+    drone: int = NONE
+    """Whose trajectory it carries, or who is asked."""
+    trajectory: Trajectory | None = None
+    """The trajectory."""
+    priorities: tuple[int, ...] = ()
+    """(N,) of all drones."""
+
+    def pack(self) -> bytes:
+        """The message as bytes."""
+        out = bytes([self.kind, self.drone & 0xFF])
+        if self.trajectory is not None:
+            out += pack_trajectory(self.trajectory, self.kind is PaperKind.ANSWER)
+        return out + bytes(self.priorities)
+
+    @classmethod
+    def unpack(cls, data: bytes, unit: int, round_: int, config: MlrDmpcConfig) -> PaperMessage:
+        """The message that was sent in a unit's slot in a round."""
+        reader = BytesIO(data)
+        code, drone = reader.read(2)
+        kind, trajectory = PaperKind(code), None
+        if kind in (PaperKind.TRAJECTORY, PaperKind.ANSWER):
+            sent = None if kind is PaperKind.ANSWER else Identity(round_ + 1, unit)
+            trajectory = unpack_trajectory(reader, sent, round_, config)
+        named = NONE if kind is PaperKind.EMPTY else drone
+        return cls(kind, round_, unit, named, trajectory, tuple(reader.read()))
+
+
+class PaperDrone(Drone):
+    """A drone that accepts whatever is newer, and answers who asks."""
+
+    def __init__(self, *args: object, **kwargs: object) -> None:
+        super().__init__(*args, **kwargs)  # type: ignore[arg-type]
+        self._asked: tuple[int, ...] = ()
+
+    def answers(self, round_: int) -> dict[int, PaperMessage]:
+        """Its trajectory, in the slots of those who asked in the last round, by slot."""
+        return {
+            unit: PaperMessage(PaperKind.ANSWER, round_, unit, self.index, self.flying)
+            for unit in self._asked
+        }
+
+    def accepts(self, message: PaperMessage) -> bool:
+        """Whether it would fly a plan, if it heard nothing else in that round."""
+        if message.kind is not PaperKind.TRAJECTORY or message.drone != self.index:
+            return False
+        assert message.trajectory is not None
+        return message.trajectory.identity > self.flying.identity or (
+            message.trajectory.identity.start_round > self.flying.identity.start_round
+        )
+
+    def receive(self, inbox: Inbox[PaperMessage]) -> Trajectory | None:
+        """Take in a round's messages; the plan that it accepts: the newest, of the highest unit."""
+        asking = [m for m in inbox.slots.values() if m.kind is PaperKind.REQUEST]
+        self._asked = tuple(m.unit for m in asking if m.drone == self.index)
+        plans = [m.trajectory for m in inbox.slots.values() if self.accepts(m) and m.trajectory]
+        if not plans:
+            return None
+        self.flying, self.airborne = max(plans, key=lambda plan: plan.identity), True
+        return self.flying
+
+
+class _UnitState(IntEnum):
+    """Of Algorithm 1."""
+
+    RUN_DMPC = 0  # plans
+    WAIT = 1  # learns which trajectories it lacks
+    REQUEST_TRAJECTORY = 2  # asks
+    WAIT_FOR_UPDATE = 3  # leaves its slot to the answer
+
+
+@dataclass
+class PaperUnit:
+    """Algorithm 1 on compute unit w, with Algorithm 2.
+
+    Ambiguities as in the public code: no match of metadata deprecates; an answer in a unit's slot
+    counts as that unit's message; all units ask for the lowest number first.
+
+    It starts with candidates D_iw(0) by drone, empty where nothing is known, and targets (N, 3).
+    """
+
+    unit: int
+    candidates: list[dict[Identity, Trajectory]]
+    targets: FloatArray
+    planner: Planner
+    num_units: int
+    report: UnitRound = field(init=False)
+    """What the unit did in the last round."""
+    state: _UnitState = _UnitState.REQUEST_TRAJECTORY
+    """Where the unit stands in Algorithm 2."""
+
+    def __post_init__(self) -> None:
+        self.deprecated = [not known for known in self.candidates]
+        self.report = UnitRound(self.unit)
+        self._just_planned = NONE
+        self._selection: tuple[int, ...] = ()
+
+    def step(self, inbox: Inbox[PaperMessage] | None, round_: int) -> PaperMessage | None:
+        """Lines 8 to 34 of Algorithm 1: the message of a round, if the slot is not given away."""
+        self.report = UnitRound(self.unit, doing=self.state.name.lower())
+        if inbox is not None:
+            self.update(inbox)
+        if not any(self.deprecated):
+            self.state = _UnitState.RUN_DMPC
+        elif self.state is _UnitState.RUN_DMPC:
+            self.state = _UnitState.WAIT
+        self.report.doing = self.state.name.lower()
+        own = self._priorities(round_)
+        message = PaperMessage(PaperKind.EMPTY, round_, self.unit)
+        self._just_planned = NONE
+        if self.state is _UnitState.RUN_DMPC:
+            message = self._run(message, inbox, own, round_)
+        elif self.state is _UnitState.WAIT:
+            self.state = _UnitState.REQUEST_TRAJECTORY
+        elif self.state is _UnitState.REQUEST_TRAJECTORY:
+            asked = self.deprecated.index(True)
+            message = message._replace(kind=PaperKind.REQUEST, drone=asked)
+            self.state = _UnitState.WAIT_FOR_UPDATE
+        else:
+            self.state = _UnitState.REQUEST_TRAJECTORY
+            return None
+        if self._just_planned != NONE:
+            own[self._just_planned] = JUST_PLANNED
+        return message._replace(priorities=tuple(int(level) for level in own))
+
+    def update(self, inbox: Inbox[PaperMessage]) -> None:
+        """Algorithm 2."""
+        for state in inbox.states:
+            self.targets[state.drone] = state.target
+            known = self.candidates[state.drone]
+            match = known.get(state.identity)
+            self.deprecated[state.drone] = match is None
+            if match is not None:
+                self.candidates[state.drone] = {state.identity: match}
+        if any(len(known) > 1 for known in self.candidates):
+            self._deprecate_all()
+        if len(inbox.slots) != self.num_units:
+            self._deprecate_all()
+        for message in inbox.slots.values():
+            if message.trajectory is not None:
+                known = self.candidates[message.drone]
+                known[message.trajectory.identity] = message.trajectory
+
+    def _deprecate_all(self) -> None:
+        self.deprecated = [True] * len(self.deprecated)
+
+    def _priorities(self, round_: int) -> Levels:
+        newest = [known[max(known)] if known else None for known in self.candidates]
+        own = self.planner.prioritise(newest, self.targets, round_)
+        own[[not known for known in self.candidates]] = _UNKNOWN
+        return own
+
+    def _run(
+        self, message: PaperMessage, inbox: Inbox[PaperMessage] | None, own: Levels, round_: int
+    ) -> PaperMessage:
+        """Lines 13 to 20."""
+        heard = (
+            [] if inbox is None else [m.priorities for m in inbox.slots.values() if m.priorities]
+        )
+        joint = own
+        if heard:
+            first = np.array(heard[0], dtype=np.int64)
+            joint = consensus(first, [dict(enumerate(levels)) for levels in heard[1:]])
+        chosen = rank_by_priority(joint, round_)[: self.num_units]
+        drone = chosen[(round_ + self.unit) % self.num_units]
+        if len(self.candidates[drone]) != 1:
+            self.report.doing = "several own"
+            return message
+        (trajectory,) = self.candidates[drone].values()
+        others = [
+            OtherTrajectory(other, one, other in chosen)
+            for other, known in enumerate(self.candidates)
+            for one in known.values()
+            if other != drone
+        ]
+        planned = self.planner.plan(drone, trajectory, others, self.unit, round_)
+        self.report.doing, self.report.drone, self.report.planned = "planned", drone, planned
+        if not planned.accepted:
+            return message
+        self._just_planned = drone
+        return message._replace(
+            kind=PaperKind.TRAJECTORY, drone=drone, trajectory=planned.trajectory
+        )
+
+
+class TrustingUnit(PaperUnit):
+    """DMPC that ignores loss: whatever was sent is taken to be flown. It collides."""
+
+    def update(self, inbox: Inbox[PaperMessage]) -> None:
+        """Every plan heard has arrived at its drone."""
+        for state in inbox.states:
+            self.targets[state.drone] = state.target
+        for message in inbox.slots.values():
+            if message.trajectory is not None:
+                self.candidates[message.drone] = {message.trajectory.identity: message.trajectory}
+
+
+class PaperNodes(SwarmNodes):
+    """Nodes that follow the paper (arguments as for `RecoveryNodes`).
+
+    Raises:
+        ValueError: drones are to join: the paper has no way to.
+    """
+
+    def __init__(
+        self,
+        hovers: list[Trajectory],
+        targets: FloatArray,
+        options: PlanningOptions,
+        informed: bool,
+        joins: Mapping[int, int],
+    ) -> None:
+        if joins:
+            raise ValueError(f"drones {sorted(joins)} join, which only recovery=True can handle")
+        codec = Codec(len(hovers), options.num_units, options.config)
+        drones = [
+            PaperDrone(i, one, ViewId(0, 0), options.config, codec) for i, one in enumerate(hovers)
+        ]
+        self._hovers = hovers if informed else []
+        super().__init__(drones, targets, options, codec)
+
+    def make_unit(self, unit: int, targets: FloatArray, since: int) -> PaperUnit:
+        """A unit that knows what it was told before the first round, or nothing."""
+        return self._make(PaperUnit, unit, targets, [] if since else self._hovers)
+
+    def _make(
+        self, kind: type[PaperUnit], unit: int, targets: FloatArray, known: list[Trajectory]
+    ) -> PaperUnit:
+        candidates = [{one.identity: one} for one in known] or [{} for _ in targets]
+        planner = Planner(self.options)
+        return kind(unit, candidates, targets.copy(), planner, self.options.num_units)
+
+    def message_bytes(self, message: PaperMessage) -> int:
+        """Bytes of a message in a compute unit's slot."""
+        return len(message.pack())
+
+
+class TrustingNodes(PaperNodes):
+    """Nodes that ignore loss: units know what drones fly when they start, and what was sent."""
+
+    def make_unit(self, unit: int, targets: FloatArray, since: int) -> PaperUnit:
+        """A unit that knows what all drones fly."""
+        return self._make(TrustingUnit, unit, targets, [drone.flying for drone in self.drones])

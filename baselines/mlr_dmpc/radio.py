@@ -1,0 +1,275 @@
+"""Synchronous rounds: everybody sends in a slot of their own, and the radio loses some of it.
+
+Jams, outages of receivers, single messages and bursts are lost by keyed draws.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.arguments import typed
+from swarm_envs.baselines.mlr_dmpc.messages import DroneState
+from swarm_envs.errors import check_integer
+from swarm_envs.state import BoolArray, FloatArray
+
+Who = str | tuple[str, ...]
+"""`all`, `drones`, `units`, `drone 3`, `unit 0`, or several of these."""
+
+_UINT = npt.NDArray[np.uint64]
+_MESSAGE, _OUTAGE, _TURN, _BURST = range(4)
+
+
+def _names(who: Who) -> tuple[str, ...]:
+    return (who,) if isinstance(who, str) else who
+
+
+def _check_probabilities(model: object, names: tuple[str, ...]) -> None:
+    for name in names:
+        value = getattr(model, name)
+        if not (math.isfinite(value) and 0.0 <= value <= 1.0):
+            raise ValueError(f"{name} is {value!r}, but must be a share in [0, 1]")
+
+
+@typed
+@dataclass(frozen=True, kw_only=True)
+class Jam:
+    """Rounds in which what some send does not reach some others.
+
+    Raises:
+        ValueError: the rounds are not in order, or a name is unknown.
+    """
+
+    first_round: int
+    """First round that is jammed."""
+    last_round: int
+    """Last round that is jammed."""
+    senders: Who = "all"
+    """Whose messages are lost."""
+    receivers: Who = "all"
+    """To whom they are lost."""
+    both_ways: bool = False
+    """Whether the receivers' messages to the senders are lost as well."""
+
+    def __post_init__(self) -> None:
+        for name in ("first_round", "last_round"):
+            check_integer(name, getattr(self, name), 0)
+        if not 0 <= self.first_round <= self.last_round:
+            raise ValueError(
+                f"a jam from round {self.first_round} to {self.last_round}: rounds must be in "
+                "order and not negative"
+            )
+        for field in ("senders", "receivers"):
+            for name in _names(getattr(self, field)):
+                if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", name):
+                    raise ValueError(
+                        f"{field} has {name!r}, which names nobody: write all, drones, units, "
+                        "'drone 3' or 'unit 0'"
+                    )
+
+
+@typed
+@dataclass(frozen=True, kw_only=True)
+class GilbertElliott:
+    """A channel by receiver that is good or bad, and turns at random between rounds.
+
+    Raises:
+        ValueError: a probability is outside [0, 1].
+    """
+
+    turns_bad: float
+    """Probability that a good channel is bad in the next round."""
+    turns_good: float
+    """Probability that a bad channel is good in the next round."""
+    loss_when_bad: float = 1.0
+    """Share of messages that a bad channel loses."""
+
+    def __post_init__(self) -> None:
+        _check_probabilities(self, ("turns_bad", "turns_good", "loss_when_bad"))
+
+
+@typed
+@dataclass(frozen=True, kw_only=True)
+class LossModel:
+    """A message arrives if none of these loses it; what one sends to oneself always arrives.
+
+    Raises:
+        ValueError: a probability is outside [0, 1].
+    """
+
+    unit_loss: float = 0.0
+    """Probability that a compute unit misses a message."""
+    drone_loss: float = 0.0
+    """Probability that a drone misses a message."""
+    outage: float = 0.0
+    """Probability that a receiver misses a whole round."""
+    bursts: GilbertElliott | None = None
+    """Channel of each receiver."""
+    jams: tuple[Jam, ...] = ()
+    """Windows in which messages are lost for certain."""
+
+    def __post_init__(self) -> None:
+        _check_probabilities(self, ("unit_loss", "drone_loss", "outage"))
+
+    @classmethod
+    def of(cls, loss: float | str | LossModel) -> LossModel:
+        """A model from a share of messages lost, the name of a preset, or a model.
+
+        Raises:
+            ValueError: a share outside [0, 1], or an unknown name.
+        """
+        if isinstance(loss, LossModel):
+            return loss
+        if isinstance(loss, str):
+            if loss not in PRESETS:
+                raise ValueError(f"loss is {loss!r}, but the presets are {sorted(PRESETS)}")
+            return PRESETS[loss]
+        if isinstance(loss, bool) or not isinstance(loss, int | float) or not 0.0 <= loss <= 1.0:
+            raise ValueError(f"loss is {loss!r}, but must be a share in [0, 1]")
+        return cls(unit_loss=float(loss), drone_loss=float(loss))
+
+
+PRESETS = {
+    "1e-4": LossModel.of(1e-4),
+    "1%": LossModel.of(0.01),
+    "10%": LossModel.of(0.1),
+    "50%": LossModel.of(0.5),
+    "bursts": LossModel(bursts=GilbertElliott(turns_bad=0.02, turns_good=0.2)),
+    "blackout": LossModel(jams=(Jam(first_round=0, last_round=9, receivers="units"),)),
+}
+"""The reference's: even losses, bursts of five rounds on average, two seconds of deaf units."""
+
+
+class LossProcess:
+    """What arrives in each round. Draws depend on seed, round, sender and receiver only.
+
+    Nodes are the drones, then the compute units.
+    """
+
+    def __init__(self, model: LossModel, num_drones: int, num_units: int, seed: int) -> None:
+        self._model, self._seed = model, seed
+        self._num_drones, self._nodes = num_drones, num_drones + num_units
+        self._jams = [
+            (jam, self._mask(jam.senders), self._mask(jam.receivers)) for jam in model.jams
+        ]
+        rates = np.full(self._nodes, model.unit_loss)
+        rates[:num_drones] = model.drone_loss
+        self._rates = rates
+        self._bad: list[BoolArray] = []
+
+    def arrivals(self, round_: int) -> BoolArray:
+        """(senders, receivers) whether a message of a round arrives."""
+        model, nodes = self._model, np.arange(self._nodes)
+        arrived = np.ones((self._nodes, self._nodes), dtype=bool)
+        if self._rates.any():
+            arrived &= self._draws(_MESSAGE, round_, nodes[:, None], nodes) >= self._rates
+        if model.outage:
+            arrived &= self._draws(_OUTAGE, round_, 0, nodes) >= model.outage
+        if model.bursts:
+            lost = self._draws(_BURST, round_, nodes[:, None], nodes) < model.bursts.loss_when_bad
+            arrived &= ~(lost & self._channel(model.bursts, round_))
+        for jam, senders, receivers in self._jams:
+            if jam.first_round <= round_ <= jam.last_round:
+                arrived &= ~np.outer(senders, receivers)
+                if jam.both_ways:
+                    arrived &= ~np.outer(receivers, senders)
+        np.fill_diagonal(arrived, True)
+        return arrived
+
+    def _channel(self, bursts: GilbertElliott, round_: int) -> BoolArray:
+        """(receivers,) whose channel is bad, stepped forward from round 0."""
+        nodes = np.arange(self._nodes)
+        while len(self._bad) <= round_:
+            draw = self._draws(_TURN, len(self._bad), 0, nodes)
+            if not self._bad:
+                share = bursts.turns_bad / max(bursts.turns_bad + bursts.turns_good, 1e-12)
+                self._bad.append(draw < share)
+                continue
+            before = self._bad[-1]
+            self._bad.append(np.where(before, draw >= bursts.turns_good, draw < bursts.turns_bad))
+        return self._bad[round_]
+
+    def _draws(
+        self, kind: int, round_: int, senders: int | npt.NDArray[np.int64], receivers: _Ints
+    ) -> FloatArray:
+        """Uniform in [0, 1) by hashing what they are keyed by."""
+        key = _mixed(np.array([self._seed], dtype=np.uint64) + np.uint64(kind << 48))
+        key = _mixed(key ^ np.uint64(round_))
+        key = _mixed(key ^ (np.asarray(senders).astype(np.uint64) << np.uint64(20)))
+        key = _mixed(key ^ receivers.astype(np.uint64))
+        return (key >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+    def _mask(self, who: Who) -> BoolArray:
+        mask = np.zeros(self._nodes, dtype=bool)
+        kinds = {
+            "all": slice(None),
+            "drones": slice(self._num_drones),
+            "units": slice(self._num_drones, None),
+        }
+        for name in _names(who):
+            if name in kinds:
+                mask[kinds[name]] = True
+                continue
+            kind, number = name.split()
+            base, count = (0, self._num_drones)
+            if kind == "unit":
+                base, count = self._num_drones, self._nodes - self._num_drones
+            if int(number) >= count:
+                raise ValueError(f"a jam names {name!r}, but there are {count} {kind}s")
+            mask[base + int(number)] = True
+        return mask
+
+
+_Ints = npt.NDArray[np.int64]
+
+
+def _mixed(key: _UINT) -> _UINT:
+    """The finaliser of splitmix64 (Steele et al. 2014), applied twice by its callers' chaining."""
+    key = key + np.uint64(0x9E3779B97F4A7C15)
+    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return key ^ (key >> np.uint64(31))
+
+
+M = TypeVar("M")
+"""What is said in compute units' slots."""
+
+
+@dataclass(frozen=True)
+class Inbox(Generic[M]):
+    """What a node has heard in a round."""
+
+    round: int
+    """When it was sent."""
+    states: list[DroneState]
+    """From drones' slots."""
+    slots: dict[int, M]
+    """From compute units' slots."""
+
+
+@dataclass(frozen=True)
+class RoundLog(Generic[M]):
+    """All that was said in a round, and to whom it came: enough to replay it."""
+
+    round: int
+    """When it was sent."""
+    states: dict[int, DroneState]
+    """By drone."""
+    slots: dict[int, M]
+    """By compute unit's slot."""
+    senders: dict[int, int]
+    """Node that sent in each unit's slot: a drone where the slot was given to it."""
+    arrived: BoolArray
+    """(senders, receivers) by node, drones first; whether a message sent there came through."""
+
+    def inbox(self, node: int) -> Inbox[M]:
+        """What a node has heard."""
+        heard = self.arrived[:, node]
+        states = [state for drone, state in self.states.items() if heard[drone]]
+        slots = {unit: m for unit, m in self.slots.items() if heard[self.senders[unit]]}
+        return Inbox(self.round, states, slots)

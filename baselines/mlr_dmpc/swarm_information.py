@@ -1,0 +1,270 @@
+"""What a compute unit knows of the swarm, and what follows for plans and for other units.
+
+A plan that was sent but not heard is avoided by what it is known to have kept. Drone j's plan q of
+round r, by unit v, has kept n . Theta^-1 (q - p) >= d against the trajectory p that drone i flew,
+with n the normal of the plane (15) between p and j's old trajectory c, if v knew p. If i still
+flies p, a new plan p' of i with n . Theta^-1 (p' - p) <= 0 keeps n . Theta^-1 (q - p') >= d,
+whatever q is. Half-spaces of this kind leave no slack to what is flown: half of `SPARE_M` goes into
+the rounding of its state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
+    SPARE_M,
+    HalfSpaces,
+    Neighbors,
+    voronoi_planes,
+)
+from swarm_envs.baselines.mlr_dmpc.information_tracker import InformationTracker
+from swarm_envs.baselines.mlr_dmpc.membership import Membership
+from swarm_envs.baselines.mlr_dmpc.messages import (
+    NONE,
+    UNSURE,
+    DroneState,
+    MembershipView,
+    MessageKind,
+    Missing,
+    UnitMessage,
+    ViewId,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import Inbox
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, sampled_positions
+from swarm_envs.state import FloatArray
+
+_VOID_ROUNDS = 2
+
+
+class SwarmInformation:
+    """What compute unit w knows: trackers of all drones, the view, what was said of next rounds.
+
+    It starts, or comes back, in round `since`, with the view at deployment and targets (N, 3), m.
+    """
+
+    def __init__(
+        self,
+        unit: int,
+        view: MembershipView,
+        num_units: int,
+        targets: FloatArray,
+        config: MlrDmpcConfig,
+        since: int = 0,
+    ) -> None:
+        self.unit, self._config = unit, config
+        self.membership = Membership(unit, view, num_units, len(targets), since)
+        self.trackers = [InformationTracker() for _ in targets]
+        self.targets = np.array(targets)
+        self.donated: dict[tuple[int, int], int] = {}
+        """Drone to which a unit (first) has given its slot in a round (second)."""
+        self.requests: dict[int, tuple[Missing, ...]] = {}
+        """What each unit lacked in the last round, as far as heard."""
+        self.reported: dict[int, UnitMessage] = {}
+        """The last round's messages of units."""
+        self._selections: dict[int, tuple[ViewId, tuple[int, ...]]] = {}
+        self._complete: dict[int, list[tuple[int, frozenset[int]]]] = {}
+        self._void: dict[int, int] = {}
+        self._since = since
+
+    @property
+    def view(self) -> MembershipView:
+        """The view in force at this unit."""
+        return self.membership.view
+
+    def selection(self, round_: int) -> tuple[int, ...] | None:
+        """Drones that may be planned anew in a round (A_ET), by rank, if that is known."""
+        view, chosen = self._selections.get(round_, (None, None))
+        return chosen if view == self.view.id else None
+
+    def select(self, round_: int, chosen: tuple[int, ...]) -> None:
+        """Note which drones may be planned anew in a round."""
+        self._selections[round_] = self.view.id, chosen
+
+    def flying(self) -> Iterator[int]:
+        """Drones of the view that have not left the air."""
+        return (drone for drone in sorted(self.view.drones) if drone not in self.membership.gone)
+
+    def ready(self) -> bool:
+        """Whether every drone was heard in the view, so that nobody can accept an older plan."""
+        located = all(self.trackers[drone].located for drone in self.view.drones)
+        return located and self.membership.member
+
+    def missing(self) -> list[Missing]:
+        """Trajectories that may be flown and are not known."""
+        return [Missing(i, one) for i in self.flying() for one in self.trackers[i].missing]
+
+    def void(self, drone: int, round_: int) -> bool:
+        """Whether a drone has given up its reference lately: no distance is promised then."""
+        return round_ - self._void.get(drone, -(10**6)) <= _VOID_ROUNDS * (
+            self._config.horizon_rounds
+        )
+
+    def knew(self, unit: int, drone: int, since: int, until: int) -> bool:
+        """Whether a unit is known to have had all that a drone may fly, in one of some rounds."""
+        return any(
+            since <= round_ <= until and drone not in lacking
+            for round_, lacking in self._complete.get(unit, [])
+        )
+
+    def update(self, inbox: Inbox[UnitMessage], own: UnitMessage | None) -> None:
+        """Take in what was heard in the last round, and what the unit itself sent."""
+        last = inbox.round
+        for message in inbox.slots.values():
+            for ahead, drone in enumerate(message.donations, start=1):
+                if drone != NONE:
+                    self.donated[message.unit, last + ahead] = drone
+            if message.kind is MessageKind.ANSWER:
+                self.donated[message.unit, last] = message.drone
+        given = {unit for unit, round_ in self.donated if round_ == last}
+        present = frozenset({*inbox.slots, *given, self.unit})
+        if self.membership.update(inbox, present):
+            self._lose()
+        for state in inbox.states:
+            self._locate(state)
+        for message in inbox.slots.values():
+            if message.current is not None and message.view == self.view.id:
+                self.select(last, message.current)
+        for unit in self.view.units:
+            said = own if unit == self.unit and own is not None else inbox.slots.get(unit)
+            self._account(unit, said, last, given)
+        self.reported = {
+            unit: message
+            for unit, message in inbox.slots.items()
+            if message.kind is not MessageKind.ANSWER and message.view == self.view.id
+        }
+        for message in self.reported.values():
+            self._hear(message, last)
+        self._forget(last)
+
+    def propose(self, round_: int) -> None:
+        """Adopt a new view if the present one no longer fits."""
+        if self.membership.propose(round_):
+            self._lose()
+
+    def _lose(self) -> None:
+        for tracker in self.trackers:
+            tracker.lose()
+
+    def _locate(self, state: DroneState) -> None:
+        drone, tracker = state.drone, self.trackers[state.drone]
+        self.targets[drone] = state.target
+        if state.reinitialised:
+            self._void[drone] = state.round
+        if state.lock != self.view.id:
+            if state.lock > self.view.id:
+                tracker.lose()
+            return
+        tracker.locate(state.identity, state.round, self._at_rest(state))
+
+    def _at_rest(self, state: DroneState) -> Trajectory | None:
+        """The trajectory of a drone that rests, which its message carries whole."""
+        if not state.resting:
+            return None
+        still = np.zeros((3, 3))
+        still[0] = state.kinematics[0]
+        jerk = np.zeros((self._config.num_inputs, 3))
+        return Trajectory(state.identity, still, jerk, self._config.input_sampling_s)
+
+    def _account(self, unit: int, message: UnitMessage | None, last: int, given: set[int]) -> None:
+        """Add what a member's slot may have told a drone in the last round."""
+        if message is not None and message.trajectory is not None:
+            tracker = self.trackers[message.drone]
+            tracker.learn(message.trajectory)
+            if message.kind is MessageKind.PLAN and message.view == self.view.id:
+                tracker.add(message.trajectory.identity, message.trajectory)
+        elif message is None and unit not in given and unit != self.unit:
+            selection = self.selection(last)
+            drones = list(self.view.drones)
+            if selection is not None:
+                rank = self.view.rank(unit, last)
+                chosen = selection[rank] if rank < len(selection) else NONE
+                drones = [] if chosen == NONE else [chosen]
+            for drone in drones:
+                self.trackers[drone].add(Identity(last + 1, unit), None)
+
+    def _hear(self, message: UnitMessage, last: int) -> None:
+        """Take in all but the trajectory of a unit's message."""
+        if message.selection is not None:
+            self.select(last + 1, message.selection)
+        self.requests[message.unit] = message.missing
+        if message.complete:
+            lacking = frozenset(missing.drone for missing in message.missing)
+            self._complete.setdefault(message.unit, []).append((last, lacking))
+        for ago, planned in enumerate(message.recent):
+            identity = Identity(last - ago + 1, message.unit)
+            if planned == UNSURE:
+                continue
+            for drone, tracker in enumerate(self.trackers):
+                if drone != planned and identity in tracker.possible:
+                    tracker.strike(identity)
+
+    def _forget(self, last: int) -> None:
+        self.donated = {key: one for key, one in self.donated.items() if key[1] >= last}
+        self._selections = {k: one for k, one in self._selections.items() if k >= last}
+        self.requests = {unit: w for unit, w in self.requests.items() if unit in self.reported}
+        oldest = last - 4 * self._config.horizon_rounds
+        for unit, entries in self._complete.items():
+            if entries and entries[0][0] < oldest:
+                self._complete[unit] = [entry for entry in entries if entry[0] >= oldest]
+
+
+def guaranteed_planes(
+    info: SwarmInformation,
+    drone: int,
+    own: Trajectory,
+    other: int,
+    round_: int,
+    config: MlrDmpcConfig,
+) -> HalfSpaces | None:
+    """Half-spaces that keep drone i clear of drone j's unknown plans, if any (round k)."""
+    if info.void(drone, round_) or info.void(other, round_):
+        return None
+    tracker = info.trackers[other]
+    parents: list[Trajectory] = []
+    for identity in tracker.missing:
+        guarantee = tracker.guarantee(identity)
+        start = own.identity.start_round
+        if guarantee is None or start > guarantee.round:
+            return None
+        author = identity.compute_unit
+        knows = own.identity.compute_unit == author
+        if not (knows or info.knew(author, drone, start, guarantee.round)):
+            return None
+        parents += guarantee.parents
+    positions = sampled_positions(own, round_ + 1, config)
+    others = np.stack([sampled_positions(parent, round_ + 1, config) for parent in parents])
+    nobody = np.zeros(len(others), dtype=np.int64)
+    beside = Neighbors(others, nobody, np.zeros(len(others), dtype=bool))
+    normals = voronoi_planes(positions, beside, config).normals
+    flown = np.einsum("psi,si->ps", normals, positions)
+    return HalfSpaces(normals, flown - SPARE_M / 2)
+
+
+def assign_to_units(info: SwarmInformation, chosen: list[int], round_: int) -> tuple[int, ...]:
+    """Selected drones, by rank, so that no unit gets one whose trajectory it lacks."""
+    size = len(info.view.units)
+    lacks = {unit: {m.drone for m in requests} for unit, requests in info.requests.items()}
+    lacks[info.unit] = {i for i in chosen if info.trackers[i].sole is None}
+    slots = [NONE] * size
+    taker = {info.view.rank(unit, round_): unit for unit in info.view.units}
+    for drone in chosen:
+        free = [rank for rank in range(size) if slots[rank] == NONE]
+        fits = [r for r in free if drone not in lacks.get(taker[r], ())]
+        slots[(fits or free)[0]] = drone
+    return tuple(slots)
+
+
+def with_relay(info: SwarmInformation, message: UnitMessage) -> UnitMessage:
+    """The message, with a trajectory that another unit lacks if this one has it."""
+    for unit in sorted(info.requests, key=lambda unit: (unit - info.unit) % 256):
+        for request in info.requests[unit]:
+            contents = info.trackers[request.drone].contents(request.identity)
+            if contents is not None:
+                return message._replace(
+                    kind=MessageKind.RELAY, drone=request.drone, trajectory=contents
+                )
+    return message

@@ -1,0 +1,211 @@
+"""RTH3D as an agent: a plan on a grid for every set of goals, flown as a spline.
+
+Starts and goals need not stand on the grid: each drone begins and ends on a vertex near its own,
+matched so that the squared ways sum to the least, and the flight is checked before it is flown.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from swarm_envs.agents.scripted import PlannedAgent
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
+from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, faster, smooth
+from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, shortest_step
+from swarm_envs.baselines.rth3d.grid_planning import plan
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.envs.view import View
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, NEAR_MISS, SPEED_LIMIT, Task
+from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
+
+MOST_SMOOTHED = 1000
+"""More drones than this fly the unsmoothed splines."""
+_SPACING_M = 0.4  # horizontal spacing where drones are small enough
+_OBSTACLE_M = 0.1  # distance to obstacles beside the radius, m, where the grid leaves as much
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A grid in space."""
+
+    origin: FloatArray
+    """(3,) where the vertex (0, 0, 0) stands, m."""
+    spacing: FloatArray
+    """(3,) m."""
+    shape: tuple[int, int, int]
+    """Vertices by axis."""
+
+    def points(self) -> FloatArray:
+        """(X, Y, Z, 3) where the vertices stand, m."""
+        return self.origin + self.spacing * np.moveaxis(np.indices(self.shape), 0, -1)
+
+    def near(self, points: FloatArray, free: BoolArray) -> IntArray:
+        """(N, 3) a vertex for each point (N, 3) among the free ones (X, Y, Z).
+
+        Raises:
+            ValueError: there are fewer free vertices than points.
+        """
+        cells = np.argwhere(free)
+        if len(cells) < len(points):
+            raise ValueError(
+                f"{len(points)} drones, but the grid {self.shape} in the arena has {len(cells)} "
+                "free vertices; give a smaller spacing"
+            )
+        places = self.origin + self.spacing * cells
+        square = ((points[:, None] - places) ** 2).sum(axis=-1)
+        return np.asarray(cells[linear_sum_assignment(square)[1]])
+
+
+class GridAgent(PlannedAgent[SplineFlight]):
+    """Plans every set of goals on a grid and flies the plan.
+
+    Args:
+        spacing: (x, y, z) of the grid, m, wide enough that drones keep 1.5 times the sum of their
+            radii whatever the plan, or it is refused; None for 0.4 m, or more for large drones, and
+            a quarter more in height.
+        method: as for `plan`; None for `auto`, and `pibt` where there are obstacles.
+        controller: configuration of the tracking loop; None for its default, which
+            assumes no interaction force.
+        share: of the time that a stage lasts, in which it is flown where limits allow.
+
+    Raises:
+        ValueError: a number is out of range.
+    """
+
+    def __init__(
+        self,
+        spacing: tuple[float, float, float] | None = None,
+        method: str | None = None,
+        controller: ControllerConfig | None = None,
+        share: float = 0.7,
+    ) -> None:
+        if spacing is not None and not (min(spacing) > 0.0 and np.isfinite(spacing).all()):
+            raise ValueError(f"spacing is {spacing}, but must be positive")
+        if not 0.0 < share <= 1.0:
+            raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
+        super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
+        self._spacing, self._method, self._share = spacing, method, share
+
+    @property
+    def flights(self) -> list[SplineFlight]:
+        """The episode's plans, which are splines."""
+        return self.plans
+
+    @classmethod
+    def compensated(cls) -> GridAgent:
+        """The agent over the controller of Neural-Swarm2, which feeds `load_belief()` forward."""
+        return cls(controller=ControllerConfig(feedforward=load_belief()))
+
+    def plan(self, task: Task, view: View, seed: int) -> SplineFlight:
+        """Paths on the grid, as smooth and as slow as the stage allows.
+
+        Raises:
+            ValueError: a spacing at which drones could meet, too few vertices, or starts or goals
+                so close to each other that the way onto the grid is not free.
+        """
+        flight = self._fly(task, view.setpoint.position, view.goals, seed)
+        stage_s = task.motion.stage_s or view.horizon_s
+        slower = max(1.0, self._share * stage_s / flight.duration_s)
+        return replace(flight, step_s=flight.step_s * slower)
+
+    def _fly(self, task: Task, starts: FloatArray, goals: FloatArray, seed: int) -> SplineFlight:
+        spacing = _usual_spacing(task) if self._spacing is None else np.array(self._spacing)
+        lattice = _lattice(task, spacing)
+        free = _free(task, lattice)
+        method = self._method or ("auto" if free.all() else "pibt")
+        found = plan(
+            lattice.near(starts, free),
+            lattice.near(goals, free),
+            lattice.shape,
+            obstacles=None if free.all() else ~free,
+            method=method,
+            seed=seed,
+        )
+        points = lattice.origin + lattice.spacing * found.paths
+        control = np.concatenate([[starts] * 3, points, [goals] * 3])
+        flight = SplineFlight(control, shortest_step(lattice.spacing, 1.0, 1.0))
+        return _checked(task, flight)
+
+
+def _usual_spacing(task: Task) -> FloatArray:
+    """(3,) m, for the team's largest drones."""
+    stretch = (1.0, 1.0, 1.25)
+    needed = 1.05 * NEAR_MISS * 2.0 * float(task.radius.max()) / worst_clearance(stretch)
+    return max(_SPACING_M, needed) * np.array(stretch)
+
+
+def _lattice(task: Task, spacing: FloatArray) -> Lattice:
+    touching = 2.0 * float(task.radius.max())
+    stretch = spacing / spacing[0]
+    kept = spacing[0] * worst_clearance((1.0, float(stretch[1]), float(stretch[2])))
+    if kept < NEAR_MISS * touching:
+        raise ValueError(
+            f"at spacing {spacing.tolist()} m drones could come as close as {kept:.3f} m, but must "
+            f"keep {NEAR_MISS * touching:.3f} m; use a wider spacing"
+        )
+    margin = touching / 2 + _OBSTACLE_M
+    low, high = task.arena[0] + margin, task.arena[1] - margin
+    cells = np.floor((high - low) / spacing + 1e-9).astype(int)
+    origin = (low + high - cells * spacing) / 2
+    return Lattice(origin, spacing, (int(cells[0]) + 1, int(cells[1]) + 1, int(cells[2]) + 1))
+
+
+def _free(task: Task, lattice: Lattice) -> BoolArray:
+    """(X, Y, Z) which vertices are clear of obstacles."""
+    if not task.obstacles:
+        return np.ones(lattice.shape, dtype=bool)
+    gap = obstacle_distances(obstacle_rows(task.obstacles), lattice.points().reshape(-1, 3))
+    clear = gap.min(axis=-1) > float(task.radius.max()) + _OBSTACLE_M
+    return np.asarray(clear.reshape(lattice.shape))
+
+
+def _checked(task: Task, flight: SplineFlight) -> SplineFlight:
+    """The flight, smoothed and as fast as limits allow, if no drone comes near another."""
+    least = NEAR_MISS * 2.0 * float(task.radius.max())
+    close = smallest_distance(flight, (1.0, 1.0, 1.0))
+    if close < least:
+        raise ValueError(
+            f"on the way between the grid and starts or goals, drones would come as close as "
+            f"{close:.3f} m, but must keep {least:.3f} m; spread them, or use another spacing"
+        )
+    if flight.num_robots > MOST_SMOOTHED:
+        return _clear(task, faster(flight, SPEED_LIMIT, ACCELERATION_LIMIT))
+    radius = float(task.radius.max())
+    low, high = task.arena[0] + radius, task.arena[1] - radius
+    config = SmoothingConfig(
+        distance=1.1 * least,
+        box=((low[0], low[1], low[2]), (high[0], high[1], high[2])),
+        obstacles=tuple(_corners(obstacle) for obstacle in task.obstacles),
+        obstacle_distance=radius + _OBSTACLE_M,
+        speed=SPEED_LIMIT,
+        acceleration=ACCELERATION_LIMIT,
+    )
+    return _clear(task, smooth(flight, config))
+
+
+def _clear(task: Task, flight: SplineFlight) -> SplineFlight:
+    if task.obstacles:
+        times = np.linspace(0.0, flight.duration_s, 8 * flight.num_steps + 1)
+        points = np.array([flight.reference(float(time)).position for time in times])
+        gap = obstacle_distances(obstacle_rows(task.obstacles), points.reshape(-1, 3)).min()
+        if gap < float(task.radius.max()):
+            raise ValueError(
+                f"the way around corners comes within {gap:.3f} m of an obstacle; use a smaller "
+                "spacing"
+            )
+    return flight
+
+
+def _corners(
+    obstacle: Any,
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    if isinstance(obstacle, Box):
+        return obstacle.low, obstacle.high
+    (x, y), r = obstacle.center, obstacle.radius
+    return (x - r, y - r, 0.0), (x + r, y + r, obstacle.height)

@@ -1,0 +1,266 @@
+"""A grid plan: its paths, the phases of planning it, its file, and a picture of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import time
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.grid import Coordinates, Shape, check_instance
+from swarm_envs.baselines.rth3d.grid_validation import ValidationReport, validate
+from swarm_envs.errors import unknown_name
+from swarm_envs.files import written_whole
+from swarm_envs.state import BoolArray
+
+VERSION = 1
+"""Of the file format; a file of another version is refused."""
+_KEPT = ("method", "winner", "seed", "bound", "before_compaction")
+_MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
+_MOST_DOTS = 6000
+
+
+@dataclass(frozen=True)
+class PhaseRecord:
+    """A phase of planning."""
+
+    name: str
+    """Of the phase."""
+    makespan: int
+    """Steps that it takes in the plan as first written; of "compaction" and "pibt", those of the
+    whole plan afterwards."""
+    seconds: float
+    """Wall time of planning it."""
+
+
+class PlanTimeout(TimeoutError):
+    """The time limit ended before there was any valid plan."""
+
+
+@dataclass
+class PlanningClock:
+    """Records the phases of planning and knows when the time limit ends."""
+
+    deadline: float = float("inf")
+    """By `time.monotonic`."""
+    watch: Callable[[str], None] | None = None
+    """Called with the name of each phase when it begins."""
+    phases: list[PhaseRecord] = field(default_factory=list)
+    """The phases so far."""
+
+    @contextmanager
+    def phase(self, name: str) -> Iterator[Callable[[int], None]]:
+        """Time a phase; the yielded function takes the phase's makespan.
+
+        Raises:
+            PlanTimeout: the time limit ended before the phase began.
+        """
+        self.check(name)
+        with self.last_phase(name) as record:
+            yield record
+
+    @contextmanager
+    def last_phase(self, name: str) -> Iterator[Callable[[int], None]]:
+        """Time a phase that runs even after the limit, because the plan exists already."""
+        if self.watch is not None:
+            self.watch(name)
+        makespan = 0
+
+        def record(steps: int) -> None:
+            nonlocal makespan
+            makespan = steps
+
+        begin = time.perf_counter()
+        yield record
+        self.phases.append(PhaseRecord(name, makespan, time.perf_counter() - begin))
+
+    @property
+    def remaining(self) -> float:
+        """Seconds until the time limit ends."""
+        return self.deadline - time.monotonic()
+
+    def check(self, what: str) -> None:
+        """Raise PlanTimeout if the time limit has ended."""
+        if self.remaining <= 0:
+            raise PlanTimeout(
+                f"the time limit ended at {what!r}, and there is no valid plan yet; give more "
+                "time, or method='pibt', which is faster and promises nothing"
+            )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GridPlan:
+    """Paths of all robots, and how they were found."""
+
+    paths: npt.NDArray[np.int16]
+    """(T + 1, n, 3) vertex (x, y, z) of each robot after each step; T is the makespan."""
+    starts: Coordinates
+    """(n, 3)."""
+    goals: Coordinates
+    """(n, 3)."""
+    shape: Shape
+    """(m1, m2, m3)."""
+    obstacles: BoolArray
+    """(m1, m2, m3)."""
+    method: str
+    """What was asked for."""
+    winner: str
+    """What the paths are by: of `auto`, "pibt", "rth3d-lba" or "pibt, then rth3d-lba"."""
+    seed: int
+    """Of the planner."""
+    lower_bound: int
+    """Largest Manhattan distance of a robot to its goal: no plan is shorter."""
+    bound: int | None
+    """What the makespan is guaranteed not to exceed, given the steps of balancing; None for PIBT,
+    which has none."""
+    before_compaction: int | None
+    """Makespan of RTH3D's phases one after another; None if the paths are not by it alone."""
+    phases: tuple[PhaseRecord, ...]
+    """Every phase of planning, with its makespan and its seconds."""
+    valid: bool
+    """Whether `validate` has found the paths feasible; `plan` returns no others."""
+
+    @property
+    def makespan(self) -> int:
+        """Steps until the last robot is at its goal."""
+        return len(self.paths) - 1
+
+    @property
+    def ratio(self) -> float:
+        """Makespan over lower bound, at least 1; 1 if nobody has to move."""
+        return self.makespan / self.lower_bound if self.lower_bound else 1.0
+
+    @property
+    def seconds(self) -> float:
+        """Wall time of all phases."""
+        return sum(phase.seconds for phase in self.phases)
+
+    def check(self) -> ValidationReport:
+        """Validate the paths anew."""
+        return validate(self.paths, self.starts, self.goals, self.shape, self.obstacles)
+
+    def save(self, path: str | Path) -> None:
+        """Write the plan as .npz, whole or not at all.
+
+        Raises:
+            ValueError: another suffix.
+            OSError: the file cannot be written.
+        """
+        about: dict[str, Any] = {name: getattr(self, name) for name in _KEPT}
+        about["phases"] = [dataclasses.asdict(phase) for phase in self.phases]
+        about |= {"version": VERSION, "shape": list(self.shape)}
+        # Steps compress four times better than places.
+        steps = np.diff(self.paths, axis=0).astype(np.int8)
+        with written_whole(_checked_path(path)) as partial:
+            np.savez_compressed(
+                partial,
+                steps=steps,
+                starts=self.starts,
+                goals=self.goals,
+                obstacles=self.obstacles,
+                about=np.array(json.dumps(about)),
+            )
+
+    @classmethod
+    def load(cls, path: str | Path) -> GridPlan:
+        """Read a plan; its paths are validated again.
+
+        Raises:
+            ValueError: the file is no plan, is damaged, or its paths are not feasible.
+            OSError: it cannot be read.
+        """
+        path = _checked_path(path)
+        try:
+            # numpy leaves a file open that it opens itself and cannot read.
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as content:
+                arrays = {name: content[name] for name in content.files}
+            return _from_arrays(json.loads(str(arrays.pop("about"))), arrays)
+        except OSError:
+            raise
+        except (ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+            raise ValueError(f"{str(path)!r} is no plan, or damaged: {what}") from error
+
+
+def _checked_path(path: str | Path) -> Path:
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise ValueError(unknown_name("suffix", path.suffix, (".npz",), f"of {str(path)!r}"))
+    return path
+
+
+def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
+    if about["version"] != VERSION:
+        raise ValueError(f"it is of version {about['version']!r}, but must be of {VERSION}")
+    given = (arrays["starts"], arrays["goals"], about["shape"], arrays["obstacles"])
+    instance = check_instance(*given)
+    steps = arrays["steps"]
+    if steps.dtype != np.int8 or steps.shape[1:] != instance.starts.shape:
+        raise ValueError(f"its steps are {steps.dtype} of shape {steps.shape}")
+    paths = np.empty((len(steps) + 1, *instance.starts.shape), dtype=np.int16)
+    paths[0] = instance.starts
+    for t, step in enumerate(steps):
+        np.add(paths[t], step, out=paths[t + 1])
+    report = validate(paths, *given)
+    if not report:
+        raise ValueError(f"its paths are not feasible: {report.reason}")
+    return GridPlan(
+        paths=paths,
+        phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
+        valid=bool(report),
+        **instance.facts(),
+        **{name: about[name] for name in _KEPT},
+    )
+
+
+def plot_grid_plan(path: Path, plan: GridPlan) -> None:
+    """Draw a plan as .png: five moments seen from above, and the distances to the goals.
+
+    A robot keeps the colour of its goal's place along the long side: at the end the colours are
+    sorted.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 5.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.add_gridspec(2, len(_MOMENTS), height_ratios=(1, 1.3))
+    shown = np.linspace(0, len(plan.starts) - 1, min(_MOST_DOTS, len(plan.starts))).astype(int)
+    for column, moment in enumerate(_MOMENTS):
+        t = round(moment * plan.makespan)
+        axes = figure.add_subplot(grid[0, column])
+        x, y, _ = plan.paths[t, shown].T
+        axes.scatter(x, y, c=plan.goals[shown, 0], s=2, cmap="viridis", linewidths=0)
+        axes.set(title=f"step {t}", aspect="equal", xticks=[], yticks=[])
+    _draw_distances(figure.add_subplot(grid[1, :]), plan)
+    sides = " x ".join(map(str, plan.shape))
+    figure.suptitle(
+        f"{len(plan.starts):,} robots on {sides}, {plan.winner}: makespan {plan.makespan}, "
+        f"lower bound {plan.lower_bound}, ratio {plan.ratio:.3f}"
+    )
+    with written_whole(path) as partial:
+        figure.savefig(partial, dpi=110)
+
+
+def _draw_distances(axes: Any, plan: GridPlan) -> None:
+    left = np.array([np.abs(now - plan.goals).sum(axis=1) for now in plan.paths])
+    steps = np.arange(len(left))
+    ideal = np.maximum(plan.lower_bound - steps, 0)
+    axes.plot(steps, left.max(axis=1), color="tab:red", label="farthest robot")
+    axes.plot(steps, left.mean(axis=1), color="tab:blue", label="mean")
+    axes.plot(steps, ideal, color="0.6", linestyle=":", label="no plan is faster")
+    axes.set(
+        xlabel="step", ylabel="Manhattan distance to the goal", xlim=(0, max(len(left) - 1, 1))
+    )
+    axes.legend(frameon=False)

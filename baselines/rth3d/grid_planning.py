@@ -1,0 +1,333 @@
+"""`plan`, and its four methods: two that always succeed, PIBT with restarts, the best of both.
+
+What is shorter than a plan that is known already is found whether that plan is known or not: the
+knowledge only ends attempts that cannot get below it, and only after the last step from which
+another attempt may go on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from numbers import Real
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.arguments import typed
+from swarm_envs.baselines.rth3d.compaction import Paths, compact
+from swarm_envs.baselines.rth3d.grid import (
+    GridInstance,
+    check_instance,
+    check_pattern,
+    numbers,
+    points,
+)
+from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
+from swarm_envs.baselines.rth3d.grid_validation import follow_paths, validate
+from swarm_envs.baselines.rth3d.highways import Highways, choose_highways
+from swarm_envs.baselines.rth3d.pibt import Pibt
+from swarm_envs.baselines.rth3d.rubik import balance_both, shuffle
+from swarm_envs.compiled import announce_compilation
+from swarm_envs.errors import check_integer, check_name
+
+_PATIENCE = 1.5
+"""An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
+_MARGIN = 60
+_RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
+"""From which part of the lower bound on PIBT is tried again, as long as it pays."""
+_WORK = 250_000
+"""Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
+of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
+_MOST_WORK = 12.0
+_VERDICT = 0.75
+"""Part of the lower bound after which the first attempt shows whether others may do better."""
+_HOPELESS = 1.1
+"""They may not if by then it cannot end within so many times the lower bound, and `_SLACK` more
+steps: true of rings and mirrors, whose robots meet in the middle, and never of random instances."""
+_SLACK = 4
+_GOOD_ENOUGH = 1.02  # multiple of the lower bound from which on PIBT is not tried again
+_STALL = 48
+"""PIBT has stalled when the farthest robot has come no nearer to its goal for so many steps."""
+_LOST = 16
+"""The robots are lost when it has not for so many: narrow passages are left by wandering about."""
+_GLANCE = 250_000  # moves of robots between two looks at the clock: a tenth of a second
+_STRIDE = 16  # steps between them, at most
+
+
+class PibtSearch:
+    """PIBT and its restarts; keeps the best plan that is shorter than a known makespan."""
+
+    def __init__(
+        self, instance: GridInstance, seed: int, clock: PlanningClock, known: int | None = None
+    ) -> None:
+        self.bound = instance.lower_bound
+        self.cap = int(_PATIENCE * self.bound) + _MARGIN
+        self.pibt = Pibt(instance, self.cap)
+        self.best: Paths | None = None
+        self.reached, self.left = 0, self.bound
+        """The last step of the last attempt, and the longest way left to a robot then."""
+        self._generator = np.random.default_rng(seed)
+        self._clock = clock
+        self._limit = self.cap if known is None else min(self.cap, known - 1)
+        self._robots = len(instance.starts)
+        self._chunk = min(_STRIDE, max(1, _GLANCE // self._robots))
+
+    def run(self) -> None:
+        """The first attempt, and restarts of it while there is something to gain."""
+        self._begin(0)
+        self._advance(int(_VERDICT * self.bound), self.cap)
+        hopeless = self.reached + self.left > _HOPELESS * self.bound + _SLACK
+        self._finish(last=hopeless)
+        if hopeless:
+            return
+        work = min(_MOST_WORK, _WORK / self._robots) * self.bound
+        for part in _RESTARTS:
+            done = self.best is not None and len(self.best) - 1 <= _GOOD_ENOUGH * self.bound
+            if done or work <= 0 or self._clock.remaining <= 0:
+                return
+            begin = min(int(part * self.bound), self.reached)
+            self._begin(begin)
+            self._finish(last=False)
+            work -= self.reached - begin
+
+    def _begin(self, step: int) -> None:
+        """Draw anew, and forget what came after a step."""
+        self.pibt.shuffle(self._generator)
+        self.pibt.rewind(step)
+        self.reached, self.left = step, -1
+
+    def _finish(self, last: bool) -> None:
+        """Bring an attempt to an end; keep its plan if it is the best."""
+        if not last:  # others will go on from there
+            self._advance(int(max(_RESTARTS) * self.bound), self.cap)
+        self._advance(self.cap, self._limit)
+        if self.left == 0 and self.reached <= self._limit:
+            self.best = self.pibt.paths[: self.reached + 1].copy()
+            self._limit = self.reached - 1
+
+    def _advance(self, end: int, limit: int) -> None:
+        """Go on until a step, all have arrived, none can in time, it has stalled, time is up."""
+        least, since = self.bound + 1, self.reached
+        while self.reached < end and self.left != 0 and self._clock.remaining > 0:
+            to = min(self.reached + self._chunk, end)
+            lost = self.reached >= since + _LOST
+            self.reached, self.left = self.pibt.run(self.reached, to, limit, self.left, lost)
+            if self.left < least:
+                least, since = self.left, self.reached
+            if self.reached < to or self.reached > max(self.bound, since + _STALL):
+                return
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    paths: Paths  # (T + 1, n) vertices of the given grid
+    method: str  # What found them: a method, or "pibt, then rth3d-lba"
+    # What the makespan could not exceed, whatever the labels; None without such a bound
+    bound: int | None
+    before_compaction: int | None = None  # Makespan of RTH3D's phases one after another
+
+    @property
+    def makespan(self) -> int:
+        """Steps of the plan."""
+        return len(self.paths) - 1
+
+
+class PlanNotFound(RuntimeError):
+    """A method without guarantee has found no plan."""
+
+
+Solver = Callable[[GridInstance, int, PlanningClock], _Solution]
+"""Finds paths from an instance, a seed and a clock."""
+
+SIDE_STEPS = 9
+"""What the five shuffles take beyond m1 + 2 m2 + 2 m3: 1 each where robots step out and back (they
+run over m - 1 edges at most), 5 where they change lanes, park and form a column."""
+
+
+def _renumber(paths: Paths, highways: Highways) -> Paths:
+    """Number the vertices as in the given grid, in place."""
+    given = np.arange(np.prod(highways.shape), dtype=np.int32)
+    back = tuple(np.argsort(highways.axes))
+    shape = tuple(highways.shape[k] for k in back)
+    where = points(given, highways.shape)[:, back]
+    given = numbers(where, shape)  # type: ignore[arg-type]
+    for row in paths:
+        row[:] = given[row]
+    return paths
+
+
+def _rth3d(instance: GridInstance, seed: int, clock: PlanningClock, bounded: bool) -> _Solution:
+    """RTH3D with any matchings or those whose shifts are small; nothing in it is random."""
+    highways = choose_highways(instance)
+    axes = list(highways.axes)
+    starts, goals = (numbers(p[:, axes], highways.shape) for p in (instance.starts, instance.goals))
+    balanced = balance_both(highways, starts, goals, clock)
+    paths = shuffle(highways, balanced, bounded, clock)
+    before = len(paths) - 1
+    balancing = len(balanced.first) + len(balanced.last) - 2
+    with clock.phase("compaction") as record:
+        paths = compact(paths, int(np.prod(highways.shape)))
+        record(len(paths) - 1)
+    return _Solution(
+        paths=_renumber(paths, highways),
+        method="rth3d-lba" if bounded else "rth3d",
+        bound=highways.length + SIDE_STEPS + balancing,
+        before_compaction=before,
+    )
+
+
+_solve_rth3d_lba = partial(_rth3d, bounded=True)
+
+
+def _search(
+    instance: GridInstance, seed: int, clock: PlanningClock, known: int | None = None
+) -> PibtSearch:
+    with clock.phase("pibt") as record:
+        search = PibtSearch(instance, seed, clock, known)
+        search.run()
+        record(search.reached if search.best is None else len(search.best) - 1)
+    return search
+
+
+def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """PIBT alone; PlanNotFound if not all robots arrive in any attempt."""
+    search = _search(instance, seed, clock)
+    if search.best is None:
+        if clock.remaining <= 0:
+            raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
+        raise PlanNotFound(
+            f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
+            "try another seed, or method='auto', which has one up to max_density(shape, obstacles)"
+        )
+    return _Solution(search.best, "pibt", None)
+
+
+def _finish_stalled(instance: GridInstance, search: PibtSearch, clock: PlanningClock) -> _Solution:
+    """Where PIBT has stalled, go on by RTH3D-LBA, and compact all of it."""
+    begin = search.reached
+    stalled = replace(instance, starts=points(search.pibt.paths[begin], instance.shape))
+    rest = _solve_rth3d_lba(stalled, 0, clock)
+    assert rest.bound is not None
+    whole = np.concatenate([search.pibt.paths[:begin], rest.paths])
+    with clock.phase("compaction of both") as record:
+        whole = compact(whole, int(np.prod(instance.shape)))
+        record(len(whole) - 1)
+    return _Solution(whole, "pibt, then rth3d-lba", begin + rest.bound)
+
+
+def _improve(
+    instance: GridInstance, seed: int, clock: PlanningClock, known: _Solution
+) -> _Solution:
+    """A shorter plan than the one that is known, by PIBT or from where it has stalled; or that."""
+    search = _search(instance, seed, clock, known.makespan)
+    if search.best is not None:
+        return _Solution(search.best, "pibt", None)
+    if search.reached + search.left >= known.makespan:
+        return known
+    return min(known, _finish_stalled(instance, search, clock), key=lambda found: found.makespan)
+
+
+def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """The best of RTH3D-LBA, PIBT, and RTH3D-LBA from where PIBT has stalled."""
+    found = sure = _solve_rth3d_lba(instance, seed, clock)
+    if sure.makespan > instance.lower_bound:
+        with suppress(PlanTimeout):
+            found = _improve(instance, seed, clock, sure)
+    bounds = [b for b in (found.bound, sure.bound) if b is not None]
+    return replace(found, bound=min(bounds))
+
+
+METHODS: Mapping[str, Solver] = {
+    "rth3d": partial(_rth3d, bounded=False),
+    "rth3d-lba": _solve_rth3d_lba,
+    "pibt": _solve_pibt,
+    "auto": _solve_auto,
+}
+"""Every method by its name."""
+
+
+def _check_limit(time_limit: float | None) -> float:
+    if time_limit is None:
+        return float("inf")
+    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
+    if not number or not time_limit > 0:
+        raise ValueError(f"time_limit is {time_limit!r}, but must be seconds above 0, or None")
+    return time.monotonic() + float(time_limit)
+
+
+@typed
+def plan(
+    starts: npt.ArrayLike,
+    goals: npt.ArrayLike,
+    shape: Sequence[int],
+    obstacles: npt.ArrayLike | None = None,
+    method: str = "auto",
+    seed: int = 0,
+    time_limit: float | None = None,
+    watch: Callable[[str], None] | None = None,
+) -> GridPlan:
+    """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
+
+    Args:
+        starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.
+        goals: (n, 3) integers, all different: where each must get.
+        shape: (m1, m2, m3), or (m1, m2) with (n, 2) starts and goals.
+        obstacles: booleans of that shape, True on whole columns at x = 3i + 1, y = 3j + 1, or for
+            `"pibt"` anywhere; or None.
+        method: `"rth3d"` (any matchings) and `"rth3d-lba"` (small shifts) always succeed up to
+            `max_density(shape, obstacles)`; `"pibt"` takes any density and promises nothing;
+            `"auto"` is the best of the last two.
+        seed: of PIBT's choices; the others make none. The same seed gives the same plan, unless a
+            time limit cuts it short.
+        time_limit: seconds after which no further phase begins.
+        watch: called with the name of each phase when it begins.
+
+    Returns:
+        A plan that `validate` has found feasible.
+
+    Raises:
+        ValueError: the instance is none, or not one for the method; the message says why.
+        PlanTimeout: the time ended before there was a valid plan.
+        PlanNotFound: `"pibt"` has found none.
+    """
+    instance = check_instance(starts, goals, shape, obstacles)
+    solver = METHODS[check_name("method", method, METHODS)]
+    if method != "pibt":
+        check_pattern(instance.obstacles)
+    check_integer("seed", seed, 0)
+    clock = PlanningClock(_check_limit(time_limit), watch)
+    announce_compilation(follow_paths)
+    if instance.lower_bound == 0:
+        solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
+    else:
+        solution = solver(instance, seed, clock)
+    return _result(instance, solution, method, seed, clock)
+
+
+def _result(
+    instance: GridInstance, solution: _Solution, method: str, seed: int, clock: PlanningClock
+) -> GridPlan:
+    total = int(np.prod(instance.shape))
+    where = points(np.arange(total, dtype=np.int32), instance.shape).astype(np.int16)
+    with clock.last_phase("validation") as record:
+        paths = where[solution.paths]
+        facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
+        report = validate(paths, *facts)
+        record(report.makespan)
+    if not report:
+        raise AssertionError(f"{method!r} has made an invalid plan: {report.reason}")
+    return GridPlan(
+        paths=paths,
+        method=method,
+        winner=solution.method,
+        seed=seed,
+        bound=solution.bound,
+        before_compaction=solution.before_compaction,
+        phases=tuple(clock.phases),
+        valid=bool(report),
+        **instance.facts(),
+    )

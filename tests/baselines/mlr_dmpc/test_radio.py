@@ -1,0 +1,240 @@
+"""Messages to the byte, and what the radio loses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarm_envs.baselines.mlr_dmpc.messages import (
+    NONE,
+    REQUEST_BYTES,
+    SLOT_BYTES,
+    STATE_BYTES,
+    UNSURE,
+    Codec,
+    DroneState,
+    MembershipView,
+    MessageKind,
+    Missing,
+    UnitMessage,
+    ViewId,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.paper_protocol import PaperKind, PaperMessage
+from swarm_envs.baselines.mlr_dmpc.radio import (
+    PRESETS,
+    GilbertElliott,
+    Jam,
+    LossModel,
+    LossProcess,
+)
+from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Identity, Trajectory
+
+CONFIG = MlrDmpcConfig()
+SIZES = [(4, 1), (16, 3), (64, 8), (256, 8)]
+
+
+def trajectory(rng: np.random.Generator, identity: Identity) -> Trajectory:
+    jerk = rng.normal(size=(15, 3))
+    jerk[-1] = 0.0
+    return Trajectory(identity, rng.normal(size=(3, 3)), jerk, 0.2)
+
+
+def identity_of(message: UnitMessage | PaperMessage) -> Identity | None:
+    return None if message.trajectory is None else message.trajectory.identity
+
+
+def random_message(rng: np.random.Generator, drones: int, units: int) -> UnitMessage:
+    round_ = int(rng.integers(70_000))
+    unit = int(rng.integers(units))
+    kind = MessageKind(int(rng.integers(4)))
+    identity = Identity(round_ + 1, unit)
+    if kind is not MessageKind.PLAN:
+        identity = Identity(max(round_ - int(rng.integers(50)), 0), NOBODY)
+    ids = rng.integers(drones, size=3)
+    missing = tuple(Missing(int(i), Identity(max(round_ - 3, 0), 0)) for i in ids)
+    view = ViewId(int(rng.integers(9)), unit)
+    everyone = frozenset(range(0, drones, 2))
+    carries = kind is not MessageKind.EMPTY
+    pick = tuple(int(i) for i in rng.integers(drones, size=units))
+    answer = kind is MessageKind.ANSWER
+    return UnitMessage(
+        kind,
+        round_,
+        unit,
+        view,
+        int(ids[0]) if carries else NONE,
+        trajectory(rng, identity) if carries else None,
+        selection=pick if rng.random() < 0.5 and not answer else None,
+        current=(*pick[1:], NONE) if rng.random() < 0.5 and not answer else None,
+        recent=(UNSURE,) * 4 if answer else (int(ids[1]), NONE, UNSURE, int(ids[2])),
+        donations=tuple(int(i) for i in ids)[: int(rng.integers(4))] if not carries else (),
+        missing=missing[: int(rng.integers(4))] if not answer else (),
+        complete=bool(rng.random() < 0.5) and not answer,
+        members=MembershipView(view, tuple(range(units)), everyone) if not answer else None,
+    )
+
+
+@pytest.mark.parametrize(("drones", "units"), SIZES)
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32))
+def test_messages_in_slots_survive_packing_and_fit(drones, units, seed):
+    rng, codec = np.random.default_rng(seed), Codec(drones, units, CONFIG)
+    order = [(int(i), int(rng.integers(2, 256))) for i in rng.permutation(drones)]
+    message = codec.filled(random_message(rng, drones, units), order)
+    data = codec.pack(message)
+    assert len(data) <= (REQUEST_BYTES if message.kind is MessageKind.EMPTY else SLOT_BYTES)
+    back = codec.unpack(data, message.unit, message.round)
+    assert codec.pack(back) == data
+    assert identity_of(back) == identity_of(message)
+    assert back._replace(trajectory=None) == message._replace(trajectory=None)
+
+
+def test_a_leaders_plan_still_carries_priorities_in_every_swarm():
+    rng = np.random.default_rng(0)
+    for drones, units in SIZES:
+        codec = Codec(drones, units, CONFIG)
+        picks = tuple(range(min(units, drones)))
+        message = UnitMessage(
+            *(
+                MessageKind.PLAN,
+                5,
+                0,
+                ViewId(0, 0),
+                1,
+                trajectory(rng, Identity(6, 0)),
+                picks,
+                picks,
+            )
+        )
+        filled = codec.filled(message, [(i, 9) for i in range(drones)])
+        assert len(filled.priorities) >= 2, (drones, units)
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 2**32), flags=st.tuples(*[st.booleans()] * 4))
+def test_drones_states_survive_packing_in_32_bytes(seed, flags):
+    rng, codec = np.random.default_rng(seed), Codec(16, 3, CONFIG)
+    lower, upper = np.array(CONFIG.box)
+    target = codec.carried_targets(rng.uniform(lower, upper, (1, 3)))[0]
+    place = rng.uniform(lower, upper)
+    rest, *marks = flags
+    moving = codec.carried(np.stack([place, rng.uniform(-2, 2, 3), rng.uniform(-5, 5, 3)]))
+    kinematics = place[None].astype(np.float32).astype(float) if rest else moving
+    round_ = int(rng.integers(100_000))
+    identity = Identity(max(round_ - int(rng.integers(60_000)), 0), 2)
+    state = DroneState(3, round_, identity, ViewId(7, 1), target, kinematics, *marks)
+    data = codec.pack_state(state)
+    back = codec.unpack_state(data, 3, round_)
+    assert len(data) <= STATE_BYTES
+    assert back[:4] == state[:4] and back[6:] == state[6:]
+    assert back.target == pytest.approx(state.target, abs=1e-12)
+    assert back.kinematics == pytest.approx(state.kinematics, abs=1e-12)
+
+
+def test_what_16_bit_carry_is_finer_than_a_tenth_of_a_millimetre():
+    codec, rng = Codec(16, 3, CONFIG), np.random.default_rng(0)
+    points = rng.uniform(CONFIG.box[0], CONFIG.box[1], (1000, 3))
+    assert np.abs(codec.carried_targets(points) - points).max() < 1e-4
+
+
+@pytest.mark.parametrize("kind", list(PaperKind))
+def test_the_papers_messages_survive_packing_within_its_slots(kind):
+    rng = np.random.default_rng(1)
+    priorities = tuple(int(p) for p in rng.integers(256, size=16))
+    message = PaperMessage(kind, 20, 2, NONE if kind is PaperKind.EMPTY else 7)
+    if kind is PaperKind.TRAJECTORY:
+        message = message._replace(trajectory=trajectory(rng, Identity(21, 2)))
+    if kind is PaperKind.ANSWER:
+        message = message._replace(trajectory=trajectory(rng, Identity(12, 1)))
+    else:
+        message = message._replace(priorities=priorities)
+    data = message.pack()
+    assert len(data) <= (132 if kind in (PaperKind.EMPTY, PaperKind.REQUEST) else 242)
+    back = PaperMessage.unpack(data, 2, 20, CONFIG)
+    assert back.pack() == data
+    assert identity_of(back) == identity_of(message)
+    assert back._replace(trajectory=None) == message._replace(trajectory=None)
+
+
+def test_draws_do_not_depend_on_order_or_on_other_traffic():
+    model = LossModel(unit_loss=0.3, drone_loss=0.2, bursts=PRESETS["bursts"].bursts, outage=0.1)
+    one, other = LossProcess(model, 5, 2, seed=3), LossProcess(model, 5, 2, seed=3)
+    forward = [one.arrivals(k) for k in range(40)]
+    backward = [other.arrivals(k) for k in reversed(range(40))][::-1]
+    assert np.array_equal(forward, backward)
+
+
+def test_rates_are_those_of_the_receiver_and_own_messages_always_arrive():
+    process = LossProcess(LossModel(unit_loss=0.5, drone_loss=0.1), 6, 3, seed=0)
+    arrived = np.array([process.arrivals(k) for k in range(4000)])
+    share = arrived.mean(axis=0)
+    assert (np.diag(share) == 1.0).all()
+    others = ~np.eye(9, dtype=bool)
+    assert share[:, :6][others[:, :6]] == pytest.approx(0.9, abs=0.02)
+    assert share[:, 6:][others[:, 6:]] == pytest.approx(0.5, abs=0.04)
+
+
+def test_draws_of_different_keys_are_independent():
+    process = LossProcess(LossModel.of(0.5), 4, 2, seed=1)
+    arrived = np.array([process.arrivals(k) for k in range(3000)])
+    pairs = arrived.reshape(3000, -1)[:, ~np.eye(6, dtype=bool).ravel()].astype(float)
+    assert np.abs(np.corrcoef(pairs.T) - np.eye(pairs.shape[1])).max() < 0.09
+    later = np.array([np.corrcoef(pairs[:-1, i], pairs[1:, i])[0, 1] for i in range(30)])
+    assert np.abs(later).max() < 0.08
+
+
+def test_an_outage_takes_the_whole_round_of_a_receiver():
+    arrived = LossProcess(LossModel(outage=0.5), 5, 1, seed=0).arrivals(7)
+    for receiver, heard in enumerate(arrived.T):
+        assert len(set(np.delete(heard, receiver))) == 1
+    assert 0 < arrived.sum() < 36
+
+
+def test_a_jam_covers_its_rounds_senders_receivers_and_direction():
+    jam = Jam(first_round=2, last_round=3, senders="units", receivers="drone 1")
+    both = Jam(first_round=5, last_round=5, senders="units", receivers="drone 1", both_ways=True)
+    process = LossProcess(LossModel(jams=(jam, both)), 3, 2, seed=0)
+    assert process.arrivals(1).all() and process.arrivals(4).all()
+    lost = np.argwhere(~process.arrivals(3)).tolist()
+    assert lost == [[3, 1], [4, 1]]
+    assert np.argwhere(~process.arrivals(5)).tolist() == [[1, 3], [1, 4], [3, 1], [4, 1]]
+
+
+def test_bursts_last_as_long_as_their_model_says():
+    process = LossProcess(PRESETS["bursts"], 1, 1, seed=0)
+    bad = np.array([not process.arrivals(k)[0, 1] for k in range(5_000)])
+    starts = np.flatnonzero(np.diff(bad.astype(int)) == 1)
+    assert bad.mean() == pytest.approx(0.02 / 0.22, rel=0.2)
+    assert bad.sum() / len(starts) == pytest.approx(5.0, rel=0.2)
+
+
+def test_the_blackout_preset_makes_units_deaf_for_ten_rounds():
+    process = LossProcess(PRESETS["blackout"], 2, 2, seed=0)
+    assert not process.arrivals(9)[:2, 2:].any() and process.arrivals(9)[:, :2].all()
+    assert process.arrivals(10).all()
+
+
+@pytest.mark.parametrize(
+    ("make", "reason"),
+    [
+        (lambda: LossModel.of(1.2), r"loss is 1\.2, but must be a share in \[0, 1\]"),
+        (lambda: LossModel.of(float("nan")), "must be a share"),
+        (lambda: LossModel.of("2%"), "the presets are"),
+        (lambda: LossModel(outage=-0.1), "outage is -0.1"),
+        (lambda: GilbertElliott(turns_bad=2.0, turns_good=0.1), "turns_bad is 2.0"),
+        (lambda: Jam(first_round=5, last_round=4), "rounds must be in order"),
+        (lambda: Jam(first_round=0, last_round=4, senders="uav"), "names nobody"),
+        (
+            lambda: LossProcess(
+                LossModel(jams=(Jam(first_round=0, last_round=1, senders="unit 2"),)), 3, 2, 0
+            ),
+            "there are 2 units",
+        ),
+    ],
+)
+def test_bad_models_are_refused_with_the_reason(make, reason):
+    with pytest.raises(ValueError, match=reason):
+        make()

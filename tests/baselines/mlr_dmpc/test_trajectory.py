@@ -1,0 +1,130 @@
+"""Trajectories: condensed maps against what is flown, exact minima of distances; parameters."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, closest_distances
+
+CONFIGS = [
+    MlrDmpcConfig(),
+    MlrDmpcConfig(horizon_rounds=8, collision_sampling_s=0.05),
+    MlrDmpcConfig(input_sampling_s=0.1, state_sampling_s=0.2),
+]
+
+
+def plan_of(config: MlrDmpcConfig, seed: int) -> tuple[Trajectory, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    state = rng.normal(size=(3, 3)).astype(np.float32).astype(float)
+    fixed = condensed(config)
+    z = rng.normal(size=(len(fixed.gradient), 3))
+    jerk = fixed.jerks.at(state, z)
+    plan = Trajectory(Identity(1, 0), state, jerk, config.input_sampling_s)
+    return plan, state, z
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_maps_give_what_the_trajectory_flies(config):
+    plan, state, z = plan_of(config, 0)
+    fixed = condensed(config)
+    assert np.allclose(
+        fixed.positions.at(state, z), plan.positions(fixed.collision_times), atol=1e-5
+    )
+    states = plan.states(fixed.state_times)
+    bounded = fixed.bounded.at(state, z)
+    count = config.num_states
+    for k in range(3):
+        assert np.allclose(bounded[k * count : (k + 1) * count], states[:, k], atol=1e-5)
+    assert np.allclose(bounded[3 * count :], plan.jerk, atol=1e-5)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_every_plan_ends_at_rest_whatever_its_variables(config):
+    plan = plan_of(config, 1)[0]
+    just_before = plan.states(np.array([plan.duration_s - 1e-6]))[0]
+    assert np.allclose(just_before[1:], 0.0, atol=2e-5)
+    assert np.allclose(plan.jerk[-1], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_the_cost_is_what_the_parameters_say(config):
+    """Half the squared length plus the gradient, against the weights summed over the plan."""
+    fixed, target = condensed(config), np.array([0.3, -0.2, 1.0])
+    _, state, z = plan_of(config, 2)
+
+    def cost(z: np.ndarray) -> float:
+        jerk = fixed.jerks.at(state, z)
+        flown = Trajectory(Identity(0, 0), state, jerk, config.input_sampling_s)
+        times = config.input_sampling_s * np.arange(1, config.num_inputs + 1)
+        p, v, a = np.moveaxis(flown.states(times), 1, 0)
+        total = config.path_weight * np.square(p - target).sum()
+        total += config.position_weight * np.square(p[-1] - target).sum()
+        total += config.velocity_weight * np.square(v).sum()
+        total += config.acceleration_weight * np.square(a).sum()
+        return float(total + config.jerk_weight * np.square(flown.jerk).sum())
+
+    def condensed_cost(z: np.ndarray) -> float:
+        offset = state - np.array([target, np.zeros(3), np.zeros(3)])
+        return float(np.square(z).sum() / 2 + np.sum((fixed.gradient @ offset) * z))
+
+    other = np.zeros_like(z)
+    difference = cost(z) - cost(other)
+    assert condensed_cost(z) - condensed_cost(other) == pytest.approx(difference, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("round_s", 0.0, "positive"),
+        ("soft_m", -0.1, "negative"),
+        ("path_weight", -1.0, "negative"),
+        ("collision_sampling_s", 0.15, "divide"),
+        ("input_sampling_s", 0.07, "divide"),
+        ("horizon_rounds", 2, "at least 3"),
+        ("box", ((0.0, 0.0, 0.0), (1.0, -1.0, 1.0)), "corners"),
+        ("scaling", (1.0, 0.0, 6.0), "positive"),
+        ("detour_rounds", 0, "at least 1"),
+        ("contact_factor", 0.9, "at least 1"),
+    ],
+)
+def test_impossible_parameters_are_refused(name, value, said):
+    with pytest.raises(ValueError, match=rf"{name} is .*{said}"):
+        MlrDmpcConfig(**{name: value})
+
+
+SHRINK = np.array([1.0, 1.0, 1.0 / 6.0])
+
+
+def test_two_that_fly_past_each_other_are_closest_where_geometry_says():
+    states = np.zeros((1, 2, 3, 3))
+    states[0, :, 0] = [[-0.013, 0.1, 1.0], [0.0, -0.05, 1.0]]
+    states[0, :, 1] = [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    found = closest_distances(states, np.zeros((1, 2, 3)), 0.2, SHRINK)
+    assert abs(found[0, 1] - 0.15) < 1e-12 and np.isinf(np.diag(found)).all()
+
+
+def test_exact_minima_agree_with_fine_sampling_and_are_never_above_it():
+    rng = np.random.default_rng(0)
+    rounds, drones, dt = 30, 5, 0.2
+    states, jerks = (
+        rng.normal(size=(rounds, drones, 3, 3)),
+        5 * rng.normal(size=(rounds, drones, 3)),
+    )
+    found = closest_distances(states, jerks, dt, SHRINK)
+    t = np.linspace(0.0, dt, 4001)[:, None, None, None]
+    p, v, a = np.moveaxis(states, 2, 0)
+    paths = (p + t * (v + t * (a / 2 + t * jerks / 6))) * SHRINK
+    for i in range(drones):
+        for j in range(i):
+            fine = np.linalg.norm(paths[:, :, i] - paths[:, :, j], axis=-1).min()
+            assert fine - 2e-3 * 0.2 <= found[i, j] <= fine + 1e-12
+
+
+def test_who_is_not_in_the_air_is_close_to_nobody():
+    states = np.zeros((2, 2, 3, 3))
+    states[0, 1] = np.nan
+    states[1, 1, 0, 0] = 3.0
+    assert closest_distances(states, np.zeros((2, 2, 3)), 0.2, SHRINK)[0, 1] == 3.0

@@ -1,0 +1,375 @@
+"""Plans: valid by two checkers, within their bounds, the same again, and refused with reason."""
+
+from __future__ import annotations
+
+import json
+from itertools import product
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.rth3d import (
+    METHODS,
+    GridPlan,
+    PlanNotFound,
+    PlanTimeout,
+    building_columns,
+    grid_planning,
+    make_instance,
+    max_density,
+    plan,
+    validate,
+)
+from swarm_envs.baselines.rth3d.grid import GridInstance, numbers, points
+from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
+from swarm_envs.baselines.rth3d.grid_planning import PibtSearch
+from swarm_envs.baselines.rth3d.highways import choose_highways, reflected, reflection
+from swarm_envs.cli import main
+from tests.baselines.rth3d.cases import load_checker, random_instance
+
+
+def plan_instance(instance, **options) -> GridPlan:
+    return plan(instance.starts, instance.goals, instance.shape, instance.obstacles, **options)
+
+
+def judge(found: GridPlan, checker) -> None:
+    """Both checkers, ours and the foreign one."""
+    assert found.valid and found.check()
+    m2, m3 = found.shape[1:]
+    wide = found.paths.astype(np.int64)
+    vertices = (wide[..., 0] * m2 + wide[..., 1]) * m3 + wide[..., 2]
+    report = checker(vertices, found.shape, found.starts, found.goals, found.obstacles)
+    assert report["ok"], report
+    assert report["lb"] == found.lower_bound
+    assert report["makespan"] == found.makespan
+
+
+def solve_by_all(seeds, shared_data) -> None:
+    checker = load_checker(shared_data)
+    for seed in seeds:
+        instance = random_instance(seed)
+        makespans = {}
+        for method in METHODS:
+            try:
+                found = plan_instance(instance, method=method, seed=seed)
+            except PlanNotFound:
+                assert method == "pibt"
+                continue
+            judge(found, checker)
+            makespans[method] = found.makespan
+            if found.bound is not None:
+                assert found.makespan <= found.bound
+        assert {"rth3d", "rth3d-lba", "auto"} <= set(makespans)
+        parts = [makespans[name] for name in ("pibt", "rth3d-lba") if name in makespans]
+        assert makespans["auto"] <= min(parts)
+
+
+def test_random_instances_by_every_method(shared_data):
+    solve_by_all(range(25), shared_data)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("block", range(10))
+def test_a_thousand_random_instances_by_every_method(block, shared_data):
+    solve_by_all(range(1000 + 100 * block, 1100 + 100 * block), shared_data)
+
+
+def test_the_same_seed_gives_the_same_plan():
+    instance = make_instance("uniform", (12, 9, 7), 200, seed=3)
+    for method in METHODS:
+        first, second = (plan_instance(instance, method=method, seed=5) for _ in range(2))
+        assert first.paths.tobytes() == second.paths.tobytes()
+        assert first.paths.dtype == np.int16
+
+
+def test_before_compaction_the_makespan_obeys_the_paper_s_bound():
+    """m1 + 2 m2 + 2 m3 + o(m1) of Proposition IV.2, with the constant that is claimed."""
+    for shape in [(12, 6, 3), (24, 12, 6), (48, 24, 12)]:
+        m1, m2, m3 = shape
+        for method in ("rth3d", "rth3d-lba"):
+            found = plan_instance(make_instance("uniform", shape, seed=1), method=method)
+            steps = {phase.name: phase.makespan for phase in found.phases}
+            balancing = steps["balance starts"] + steps["balance goals"]
+            assert found.bound is not None and found.before_compaction is not None
+            assert found.bound == m1 + 2 * m2 + 2 * m3 + 9 + balancing
+            assert found.makespan <= found.before_compaction <= found.bound
+
+
+@pytest.mark.parametrize(
+    ("family", "most", "shapes"),
+    [
+        ("quasi-random", 1.4, [(12, 6, 3), (24, 12, 6), (48, 24, 12)]),
+        ("mirror", 1.15, [(12, 6, 3), (24, 12, 6), (48, 24, 12)]),
+        ("rings", 1.15, [(12, 12, 6), (24, 24, 12), (48, 48, 24)]),
+    ],
+)
+def test_the_ratio_falls_with_size(family, most, shapes):
+    """Sec. V-C: that of rings and mirrors goes to 1, as equal sets are balanced alike."""
+    ratios = []
+    for shape in shapes:
+        instance = make_instance(family, shape, seed=1 if family == "mirror" else 2)
+        small = plan_instance(instance, method="rth3d-lba")
+        ratios.append(small.ratio)
+        if family == "quasi-random":
+            other = plan_instance(instance, method="rth3d")
+            assert small.before_compaction is not None and other.before_compaction is not None
+            assert small.before_compaction < other.before_compaction
+    assert ratios == sorted(ratios, reverse=True)
+    assert ratios[-1] <= most
+
+
+def test_what_is_known_hides_no_shorter_plan_from_pibt():
+    for seed in range(6):
+        instance = make_instance("uniform", (12, 9, 6), 200, seed)
+        alone = PibtSearch(instance, seed, PlanningClock())
+        alone.run()
+        assert alone.best is not None
+        makespan = len(alone.best) - 1
+        for known in (makespan + 1, makespan + 30):
+            informed = PibtSearch(instance, seed, PlanningClock(), known)
+            informed.run()
+            np.testing.assert_array_equal(informed.best, alone.best)
+        informed = PibtSearch(instance, seed, PlanningClock(), makespan)
+        informed.run()
+        assert informed.best is None or len(informed.best) - 1 < makespan
+
+
+def test_where_pibt_has_stalled_rth3d_goes_on():
+    instance = make_instance("mirror", (12, 6, 3), seed=0)
+    stalled = PibtSearch(instance, 0, PlanningClock())
+    stalled._begin(0)
+    stalled._advance(10, stalled.cap)
+    assert stalled.reached == 10
+    assert stalled.left > 0
+    whole = grid_planning._finish_stalled(instance, stalled, PlanningClock())
+    judged = validate(
+        points(whole.paths, instance.shape), instance.starts, instance.goals, instance.shape
+    )
+    assert judged.ok, judged
+    assert whole.bound is not None
+    assert instance.lower_bound <= whole.makespan <= whole.bound
+
+
+def test_pibt_alone_may_find_no_plan(monkeypatch):
+    """Its attempts must end before all can have arrived; `auto` then has RTH3D's."""
+    monkeypatch.setattr(grid_planning, "_PATIENCE", 0.6)
+    monkeypatch.setattr(grid_planning, "_MARGIN", 0)
+    instance = make_instance("mirror", (12, 6, 3), seed=0)
+    with pytest.raises(PlanNotFound, match=r"no plan of at most 10 steps \(lower bound 18\)"):
+        plan_instance(instance, method="pibt")
+    best, sure = (plan_instance(instance, method=name) for name in ("auto", "rth3d-lba"))
+    assert best.valid
+    assert best.makespan <= sure.makespan
+
+
+def test_a_flat_grid_and_one_on_its_side():
+    rng = np.random.default_rng(0)
+    vertices = np.argwhere(np.ones((12, 9), dtype=bool))
+    starts, goals = rng.permutation(vertices)[:36], rng.permutation(vertices)[:36]
+    flat = plan(starts, goals, (12, 9), method="rth3d-lba")
+    assert flat.paths.shape[2] == 3 and not flat.paths[..., 2].any()
+    begin, end = (np.column_stack([p[:, :1] * 0, p]) for p in (starts, goals))
+    turned = plan(begin, end, (1, 12, 9), method="rth3d-lba")
+    assert turned.makespan == flat.makespan
+
+
+def test_nobody_has_to_move():
+    starts = np.argwhere(np.ones((3, 3, 3), dtype=bool))[:9]
+    for method in METHODS:
+        found = plan(starts, starts, (3, 3, 3), method=method)
+        assert (found.makespan, found.ratio, found.bound) == (0, 1.0, 0)
+
+
+def test_few_robots_reach_the_bound():
+    found = plan_instance(make_instance("uniform", (24, 12, 6), 20, seed=1))
+    assert found.ratio <= 1.02
+
+
+@pytest.mark.parametrize(
+    ("shape", "obstacles", "density"),
+    [
+        ((9, 6, 3), None, 1 / 3),
+        ((12, 9, 6), building_columns((12, 9, 6)), 2 / 9),
+        ((4, 4, 4), None, 3 * 4 / 64),
+        ((8, 9, 5), None, 3 * 2 * 3 * 5 / 360),
+        ((5, 5, 2), building_columns((5, 5, 2)), 2 * 2 / 50),
+        ((2, 9, 2), None, 0.0),
+    ],
+)
+def test_what_the_highways_carry(shape, obstacles, density):
+    assert max_density(shape, obstacles) == pytest.approx(density)
+    most = round(density * np.prod(shape))
+    if most == 0:
+        return
+    free = np.argwhere(np.ones(shape, dtype=bool) if obstacles is None else ~obstacles)
+    rng = np.random.default_rng(1)
+    starts, goals = rng.permutation(free)[:most], rng.permutation(free)[:most]
+    assert plan(starts, goals, shape, obstacles, method="rth3d-lba").valid
+    with pytest.raises(ValueError, match=rf"carry {most} at most"):
+        plan(free[: most + 1], free[-most - 1 :], shape, obstacles, method="auto")
+
+
+STARTS, GOALS = [[0, 0, 0], [1, 0, 0]], [[2, 0, 0], [2, 1, 0]]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"starts": [[0, 0, 0], [0, 0, 0]]}, r"starts\[0\] and starts\[1\] are both \(0, 0, 0\)"),
+        ({"goals": [[2, 2, 2], [2, 2, 2]]}, r"goals\[0\] and goals\[1\]"),
+        ({"goals": [[2, 0, 0], [2, 6, 0]]}, r"goals\[1\] is \(2, 6, 0\), which is outside"),
+        ({"starts": [[0, 0, 0], [-1, 0, 0]]}, r"starts\[1\] is \(-1, 0, 0\)"),
+        ({"goals": [[2, 0, 0]]}, "2 starts, but 1 goals"),
+        ({"starts": [[0.0, 0, 0], [1, 0, 0]]}, "must be integers"),
+        ({"starts": np.zeros((0, 3), int)}, "at least one robot"),
+        ({"starts": [0, 1, 2]}, r"must be \(n, 3\)"),
+        ({"shape": (6, 6)}, "outside the grid|must be"),
+        ({"shape": (6, 0, 6)}, "shape is"),
+        ({"shape": (2, 3, 1), "goals": [[1, 1, 0], [1, 2, 0]]}, "too thin"),
+        ({"method": "rthd"}, "did you mean 'rth3d'"),
+        ({"seed": -1}, "seed is -1"),
+        ({"time_limit": 0.0}, "time_limit is 0.0"),
+        ({"time_limit": -1}, "time_limit is -1"),
+        ({"time_limit": float("nan")}, "time_limit is nan"),
+        ({"time_limit": "a"}, "time_limit is 'a'"),
+        ({"time_limit": True}, "time_limit is True"),
+        ({"obstacles": np.zeros((6, 6, 5), dtype=bool)}, "obstacles have shape"),
+        ({"obstacles": np.zeros((6, 6, 6))}, "must be booleans"),
+    ],
+)
+def test_bad_input_is_refused_with_the_reason(given, said):
+    full = {"starts": STARTS, "goals": GOALS, "shape": (6, 6, 6), "method": "rth3d-lba"} | given
+    if full["shape"] == (6, 6):
+        full["goals"] = [[2, 0, 1], [2, 1, 1]]
+    with pytest.raises(ValueError, match=said):
+        plan(**full)
+
+
+def test_obstacles_outside_the_pattern_are_named():
+    walls = np.zeros((6, 6, 6), dtype=bool)
+    walls[3, 4] = True
+    with pytest.raises(ValueError, match="at x = 3, y = 4, but obstacles may only stand at"):
+        plan(STARTS, GOALS, (6, 6, 6), walls)
+    walls[:] = False
+    walls[1, 4, :5] = True
+    with pytest.raises(ValueError, match="leaves z = 5 free"):
+        plan(STARTS, GOALS, (6, 6, 6), walls)
+    walls[1, 4] = True
+    with pytest.raises(ValueError, match=r"starts\[1\] is \(1, 4, 0\), where an obstacle stands"):
+        plan([[0, 0, 0], [1, 4, 0]], GOALS, (6, 6, 6), walls)
+
+
+def test_a_time_limit_gives_a_valid_plan_or_an_exception():
+    instance = make_instance("mirror", (24, 12, 6), seed=0)
+    plan_instance(instance, method="rth3d-lba")  # compiles
+    for limit in (1e-9, 1e-3, 3e-3, 1e-2, 3e-2, 10.0):
+        for method in ("rth3d-lba", "auto"):
+            try:
+                found = plan_instance(instance, method=method, time_limit=limit)
+            except PlanTimeout as error:
+                assert "time limit" in str(error)
+            else:
+                assert validate(found.paths, instance.starts, instance.goals, instance.shape)
+    with pytest.raises(PlanTimeout):
+        plan_instance(instance, method="rth3d-lba", time_limit=1e-9)
+
+
+def test_pibt_goes_around_any_obstacle():
+    """A wall with a door: no straight way leads through, and ways are searched."""
+    walls = np.zeros((9, 7, 4), dtype=bool)
+    walls[4] = True
+    walls[4, 3, 0] = False
+    starts = np.argwhere(~walls[:4])[:6]
+    goals = np.argwhere(~walls)[-6:]
+    found = plan(starts, goals, walls.shape, walls, method="pibt")
+    assert validate(found.paths, starts, goals, walls.shape, walls).ok
+    with pytest.raises(ValueError, match="may only stand at"):
+        plan(starts, goals, walls.shape, walls, method="auto")
+    walls[4, 3, 0] = True
+    with pytest.raises(ValueError, match="robot 0 cannot get from"):
+        plan(starts, goals, walls.shape, walls, method="pibt")
+
+
+SHAPE = (12, 9, 5)
+
+
+def flipped(where: np.ndarray, flips: tuple[bool, ...]) -> np.ndarray:
+    return np.where(flips, np.array(SHAPE) - 1 - where, where).astype(np.int32)
+
+
+def drawn(walls: np.ndarray) -> np.ndarray:
+    free = np.argwhere(~walls).astype(np.int32)
+    return np.random.default_rng(0).permutation(free)[: int(0.2 * walls.size)]
+
+
+@pytest.mark.parametrize("flips", list(product((False, True), repeat=3)))
+@pytest.mark.parametrize("walls", [np.zeros(SHAPE, dtype=bool), building_columns(SHAPE)])
+def test_reflected_goals_skip_the_first_shuffles(flips, walls):
+    starts = drawn(walls)
+    found = plan(starts, flipped(starts, flips), SHAPE, walls, method="rth3d-lba")
+    steps = {phase.name: phase.makespan for phase in found.phases}
+    if found.lower_bound:
+        assert steps["heights"] == steps["rows"] == 0
+        assert steps["balance starts"] == steps["balance goals"]
+
+
+def test_of_several_reflections_the_one_that_fits_the_labels():
+    rings = make_instance("rings", (12, 12, 6))  # any reflection keeps the set
+    highways = choose_highways(rings)
+    starts, goals = (numbers(p, rings.shape) for p in (rings.starts, rings.goals))
+    image = reflection(highways, starts, goals)
+    assert image is not None
+    np.testing.assert_array_equal(image[starts], goals)
+
+
+def test_paths_from_the_goals_are_images_whoever_stands_where():
+    walls = np.zeros(SHAPE, dtype=bool)
+    starts = drawn(walls)
+    goals = np.random.default_rng(1).permutation(flipped(starts, (True, False, True)))
+    highways = choose_highways(GridInstance(SHAPE, starts, goals, walls))
+    first, last = numbers(starts, SHAPE), numbers(goals, SHAPE)
+    image = reflection(highways, first, last)
+    assert image is not None
+    aside = points(first, SHAPE) + np.array([1, 0, 0])
+    paths = np.stack([first, numbers(np.minimum(aside, np.array(SHAPE) - 1), SHAPE)])
+    found = reflected(paths, image, last)
+    np.testing.assert_array_equal(found[0], last)
+    step = np.abs(points(found[1], SHAPE) - points(found[0], SHAPE)).sum(axis=1)
+    assert set(step) <= {0, 1} and step.any()
+    assert reflection(highways, first, np.sort(last)[::-1] ^ 1) is None
+
+
+def test_it_plans_prints_and_writes(tmp_path, capsys):
+    asked = ["--grid", "12x9x6", "--density", "0.2", "--seed", "1", "--out", str(tmp_path)]
+    assert main(["plan", *asked, "--method", "rth3d-lba"]) == 0
+    text = capsys.readouterr().out
+    facts = json.loads((tmp_path / "plan.json").read_text())
+    found = GridPlan.load(tmp_path / "plan.npz")
+    assert facts["robots"] == 130 == len(found.starts)
+    assert facts["makespan"] == found.makespan and facts["valid"] is True
+    assert f"makespan {found.makespan}" in text and "guaranteed: at most" in text
+    assert (tmp_path / "plan.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("asked", "code", "said"),
+    [
+        (["--grid", "12x9y6"], 2, "--grid is '12x9y6'"),
+        (["--density", "1.5"], 2, "--density is 1.5"),
+        (["--density", "0.1", "--robots", "5"], 2, "give one of them"),
+        (["--family", "unifrom"], 2, "did you mean 'uniform'"),
+        (["--method", "rthd"], 2, "did you mean 'rth3d'"),
+        (["--save", "plan.pkl"], 2, "must end in .npz"),
+        (["--grid", "6x6x6", "--density", "0.5"], 1, "carry 72 at most"),
+        (["--grid", "6x6x6", "--time-limit-s", "1e-9", "--method", "rth3d"], 1, "time limit"),
+    ],
+)
+def test_what_cannot_be_is_refused(asked, code, said, capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    try:
+        assert main(["plan", *asked]) == code
+    except SystemExit as end:
+        assert end.code == code
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
