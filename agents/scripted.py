@@ -253,7 +253,7 @@ def choose_bumps(
         goal: (N, 3) m.
         radius: (N,) of the drones, m.
         arena: (2, 3) corners, m.
-        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
         rng: draws the order in which they choose.
     """
     family, times = bumps(start, goal), np.linspace(0.0, 1.0, SAMPLES)

@@ -1,9 +1,12 @@
-"""PettingZoo environments for swarms of small quadrotors that blow on each other.
+"""PettingZoo environments for swarms of small quadrotors with downwash between them.
 
 from swarm_envs import swap_v0
 env = swap_v0.parallel_env(num_drones=4)
 
-Its import tells Gymnasium and PettingZoo the tasks' names; see `swarm_envs.registration`.
+Its import tells Gymnasium and PettingZoo the tasks' names: `gymnasium.make("swarm_envs/Swap-v0",
+num_drones=4)` flies a team as one agent, `gymnasium.make("swarm_envs/SwapSolo-v0", ...)` one drone
+of it, `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=1024, ...)` many teams at once, and
+`pettingzoo.make("parallel", "swarm_envs/swap_v0", num_drones=4)` is `swap_v0.parallel_env(...)`.
 """
 
 from __future__ import annotations
@@ -11,15 +14,63 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+import gymnasium
+import pettingzoo
+
 from swarm_envs.errors import check_name
-from swarm_envs.registration import TASKS, register
 
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
 __version__ = "0.1.0"
 
-register()
+TASKS = ("swap_v0", "ring_v0", "formation_v0")
+"""Every task by its versioned name: modules with a `parallel_env()`."""
+
+
+def gymnasium_name(task: str, suffix: str = "") -> str:
+    """`swarm_envs/Swap-v0` for `swap_v0`."""
+    name, version = task.rsplit("_", 1)
+    return f"swarm_envs/{name.capitalize()}{suffix}-{version}"
+
+
+def register() -> None:
+    """Tell Gymnasium and PettingZoo every task's names, unless they know them.
+
+    PettingZoo has a registry from version 1.27 on.
+    """
+    for task in TASKS:
+        if gymnasium_name(task) not in gymnasium.registry:
+            _register_with_gymnasium(task)
+        if task not in _known_to_pettingzoo():
+            _register_with_pettingzoo(task)
+
+
+def _register_with_gymnasium(task: str) -> None:
+    gymnasium.register(
+        id=gymnasium_name(task),
+        entry_point="swarm_envs.envs.joint:make_joint",
+        vector_entry_point="swarm_envs.envs.vector:make_vector",
+        kwargs={"task": task},
+    )
+    gymnasium.register(
+        id=gymnasium_name(task, "Solo"),
+        entry_point="swarm_envs.envs.joint:make_solo",
+        kwargs={"task": task},
+    )
+
+
+def _register_with_pettingzoo(task: str) -> None:
+    pettingzoo.register("parallel", f"swarm_envs/{task}", f"swarm_envs.{task}:parallel_env")
+    pettingzoo.register("aec", f"swarm_envs/{task}", f"swarm_envs.{task}:env")
+
+
+def _known_to_pettingzoo() -> tuple[str, ...]:
+    """Tasks that it need not be told of: those it knows, or all if it has no registry."""
+    if not hasattr(pettingzoo, "register"):
+        return TASKS
+    known = pettingzoo.parallel_registry  # where an id `x_v0` is kept as `x-v0`
+    return tuple(task for task in TASKS if f"swarm_envs/{task.replace('_v', '-v')}" in known)
 
 
 def make(task: str, **options: Any) -> SwarmParallelEnv:
@@ -36,5 +87,7 @@ def make(task: str, **options: Any) -> SwarmParallelEnv:
     env: SwarmParallelEnv = importlib.import_module(f"swarm_envs.{task}").parallel_env(**options)
     return env
 
+
+register()
 
 __all__ = ["TASKS", "__version__", "make"]

@@ -7,10 +7,11 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 from swarm_envs import __version__
-from swarm_envs.commands.checks import Misuse, forget_output
+from swarm_envs.arguments import Range, Seed
+from swarm_envs.commands.checks import Misuse, command_options, forget_output
 from swarm_envs.commands.checks import check_file as _check_file
 from swarm_envs.commands.checks import check_folder as _check_folder
 from swarm_envs.commands.checks import need_torch as _need_torch
@@ -34,6 +35,7 @@ class Command:
     """Takes the arguments after the command's name and gives the exit code."""
 
 
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
     """Fly randomised stacked swaps with and without compensation of the downwash.
@@ -43,21 +45,14 @@ class DemoOptions:
 
     out: Path = Path("demo")
     """folder for summary.json, demo.png and demo.mp4; made if missing"""
-    seed: int = 0
+    seed: Seed = 0
     """the swaps are drawn from it"""
-    swaps: int = 6
+    swaps: Annotated[int, Range(1, 1000)] = 6
     """randomised swaps of each scenario; each is flown twice"""
     video: bool = True
     """make the video; it takes most of the time"""
     json: Path | None = None
     """write what was measured to this file too"""
-
-    def __post_init__(self) -> None:
-        """Refuse numbers with which nothing can be flown."""
-        if self.seed < 0:
-            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
-        if not 1 <= self.swaps <= 1000:
-            raise ValueError(f"--swaps is {self.swaps}, but must be from 1 to 1000")
 
 
 def _demo(arguments: Sequence[str]) -> int:
@@ -133,20 +128,21 @@ def _curriculum(arguments: Sequence[str]) -> int:
 
 
 def _reproduce(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.reproduce import run
+    from swarm_envs.commands.reproduce import run_reproduce
 
-    return run(arguments, _read, main)
+    return run_reproduce(arguments, _read, main)
 
 
-def _in_module(name: str) -> Callable[[Sequence[str]], int]:
-    """A command whose module has `<Name>Options`, and a `run` that may count what failed."""
+def _in_module(name: str, module_name: str = "") -> Callable[[Sequence[str]], int]:
+    """A command whose module has `<Name>Options`, and `run_<name>`, which may count failures."""
 
-    def run(arguments: Sequence[str]) -> int:
-        module = importlib.import_module(f"swarm_envs.commands.{name}")
+    def read_and_run(arguments: Sequence[str]) -> int:
+        module = importlib.import_module(f"swarm_envs.commands.{module_name or name}")
         options: type[Any] = getattr(module, f"{name.title()}Options")
-        return FAILED if module.run(_read(name, options, arguments)) else DONE
+        run: Callable[[Any], object] = getattr(module, f"run_{name}")
+        return FAILED if run(_read(name, options, arguments)) else DONE
 
-    return run
+    return read_and_run
 
 
 def _export(arguments: Sequence[str]) -> int:
@@ -161,22 +157,22 @@ def _export(arguments: Sequence[str]) -> int:
 
 
 def _train(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.train import check, run
+    from swarm_envs.commands.train import check_training, run_train
     from swarm_envs.training.rl.rl_config import RlConfig
 
     config = _read("train", RlConfig, arguments, prefixes=True)
-    check(config)
+    check_training(config)
     _need_torch()
-    run(config)
+    run_train(config)
     return DONE
 
 
 def _train_sweep(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.train_sweep import SweepOptions, run
+    from swarm_envs.commands.train_sweep import SweepOptions, run_sweep
 
     options = _read("train-sweep", SweepOptions, arguments)
     _need_torch()
-    return FAILED if run(options) else DONE
+    return FAILED if run_sweep(options) else DONE
 
 
 COMMANDS: Mapping[str, Command] = {
@@ -185,7 +181,7 @@ COMMANDS: Mapping[str, Command] = {
     "evaluate": Command("many episodes of agents, and their scores", _in_module("evaluate")),
     "benchmark": Command("every agent on every task, and a report of it", _in_module("benchmark")),
     "grade": Command("points for the assignments of a course", _in_module("grade")),
-    "replay": Command("play a recorded episode in a browser", _in_module("replay")),
+    "replay": Command("play a recorded episode in a browser", _in_module("replay", "fly")),
     "plan": Command("plan paths on a grid for up to 100,000 robots and more", _in_module("plan")),
     "collect": Command("fly drones through each other's wakes and log the forces", _collect),
     "curriculum": Command("learn the force in rounds, each flown closer together", _curriculum),

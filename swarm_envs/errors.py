@@ -51,18 +51,6 @@ def check_integer(name: str, value: object, least: int, most: int | None = None)
     return int(value)
 
 
-def check_kind(name: str, value: object, kind: type, example: str) -> None:
-    """Refuse an option of a wrong type.
-
-    Raises:
-        TypeError: naming the option, what it is and what it must be.
-    """
-    if not isinstance(value, kind):
-        raise TypeError(
-            f"{name} is {value!r:.80}, but must be a {kind.__name__}, such as {example}"
-        )
-
-
 def check_array(
     name: str, value: npt.ArrayLike, shape: tuple[int, ...], rule: str = ""
 ) -> npt.NDArray[np.float64]:

@@ -33,111 +33,94 @@ truncated by the clock, 6 s for each shape that is flown to.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any, Unpack
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
 
-from swarm_envs.arguments import typed
-from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.options import (
-    Blueprint,
-    EnvOptions,
-    aec_view,
-    check_common,
-    parallel_view,
-    refuse_unknown,
-    team_of,
+from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed_options
+from swarm_envs.envs.options import NumDrones, TaskOptions, aec_view, blueprint_view, parallel_view
+from swarm_envs.tasks.formation import (
+    LABELS,
+    LAYOUTS,
+    STARTS,
+    FormationTask,
+    shapes_of,
 )
-from swarm_envs.errors import check_kind, check_name
-from swarm_envs.tasks.formation import LAYOUTS, FormationTask, shapes_of
-from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
-from swarm_envs.vehicles import Vehicle
 
 
-@typed
-def blueprint(
-    *,
-    num_drones: int = 9,
-    team: str | Sequence[Vehicle] | None = None,
-    layout: str | None = None,
-    shapes: Sequence[str] | None = None,
-    letters: str | None = None,
-    labels: str | None = None,
-    start: str = "shape",
-    spacing_m: float | None = None,
-    shape_s: float | None = None,
-    travel_s: float = 4.0,
-    turn_rad: tuple[float, float] | None = None,
-    obstacles: Sequence[Obstacle] = (),
-    reward_weights: Mapping[str, float] | None = None,
-    render_mode: str | None = None,
-    **options: Unpack[EnvOptions],
-) -> Blueprint:
-    """Make a formation environment: what every interface is made from.
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class FormationOptions(TaskOptions):
+    """Options of a formation environment."""
 
-    Args:
-        num_drones: N small drones, if no team is given.
-        team: the vehicles, or a string such as `"SSLL"`; overrides `num_drones`.
-        layout: a mission by name, instead of shapes, letters, labels and shape_s: `tour`, `cube` or
-            `shuffle`; see `LAYOUTS` of `swarm_envs.tasks.formation`.
-        shapes: names of the shapes, in order; None: `tour`'s.
-        letters: a text such as `"ARC"` to write, letter by letter, instead of `shapes`.
-        labels: who goes where: `nearest`, `random`, `mirror` or `blocks`; None: the first.
-        start: on the first `shape`, or on the `ground`.
-        spacing_m: smallest distance between two places of a shape, m; None: 0.5, or what fits.
-        shape_s: time for each shape, s; None: 6.
-        travel_s: time in which the reference gets there, s.
-        turn_rad: range of the turn of all shapes about the vertical, rad; None: anything, but
-            letters are not turned.
-        obstacles: what stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`.
-        reward_weights: weight of each reward term; terms left out keep their default.
-        render_mode: `rgb_array` (pictures), `human` (a window) or None.
-        **options: those of every task; see `swarm_envs.envs.config.EnvConfig`.
+    num_drones: NumDrones = 9
+    """N small drones, if no team is given."""
+    layout: Annotated[str, OneOf(tuple(LAYOUTS))] | None = None
+    """A mission by name, instead of shapes, letters, labels and shape_s: `tour`, `cube` or
+    `shuffle`; see `LAYOUTS` of `swarm_envs.tasks.formation`."""
+    shapes: Sequence[str] | None = None
+    """Names of the shapes, in order; None: `tour`'s."""
+    letters: str | None = None
+    """A text such as `"ARC"` to write, letter by letter, instead of `shapes`."""
+    labels: Annotated[str, OneOf(LABELS)] | None = None
+    """Who goes where: `nearest`, `random`, `mirror` or `blocks`; None: the first."""
+    start: Annotated[str, OneOf(STARTS)] = "shape"
+    """Where drones start: on the first `shape`, or on the `ground`."""
+    spacing_m: Annotated[float, POSITIVE_M] | None = None
+    """Smallest distance between two places of a shape, m; None: 0.5, or what fits."""
+    shape_s: Annotated[float, POSITIVE_S] | None = None
+    """Time for each shape, s; None: 6."""
+    travel_s: Annotated[float, POSITIVE_S] = 4.0
+    """Time in which the reference gets there, s."""
+    turn_rad: Annotated[tuple[float, float], Interval(Range(unit="rad"))] | None = None
+    """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
+    turned."""
 
-    Raises:
-        TypeError: an option does not exist (the message names the nearest), or has a wrong type.
-        ValueError: an option has an impossible value or contradicts the layout, or a shape does not
-            fit the arena.
-        ImportError: `physics="bullet"` without pybullet.
-    """
-    refuse_unknown(blueprint, options)
-    weights, standing = check_common(reward_weights, obstacles)
-    if letters is not None:
-        check_kind("letters", letters, str, "'ARC'")
-        if not letters:
-            raise ValueError("letters is '', but must have at least one, such as 'ARC'")
-        shapes = shapes_of(letters)
-    mission = {"shapes": shapes, "labels": labels, "shape_s": shape_s}
-    if turn_rad is None:
-        turn_rad = (0.0, 2 * math.pi) if letters is None else (0.0, 0.0)
-    task = FormationTask(
-        team=team_of(team, num_drones),
-        **_mission(layout, {k: v for k, v in mission.items() if v is not None}),
-        start=start,
-        spacing_m=spacing_m,
-        travel_s=travel_s,
-        turn_rad=turn_rad,
-        reward_weights={**REWARD_WEIGHTS, **weights},
-        obstacles=standing,
-    )
-    return Blueprint(task, EnvConfig(**options), render_mode)
+    def make_task(self) -> FormationTask:
+        """Formations as these options say.
 
-
-def _mission(layout: str | None, given: dict[str, Any]) -> dict[str, Any]:
-    """Options of the task that a layout or the caller gives."""
-    if layout is None:
-        return {**given, **({"shapes": tuple(given["shapes"])} if "shapes" in given else {})}
-    found = dict(LAYOUTS[check_name("layout", layout, LAYOUTS)])
-    if given:
-        raise ValueError(
-            f"layout={layout!r} already says what is flown, but {', '.join(given)} are given too; "
-            "give either"
+        Raises:
+            ValueError: the options contradict each other, or a shape does not fit the arena.
+        """
+        turn_rad = self.turn_rad
+        if turn_rad is None:
+            turn_rad = (0.0, 2 * math.pi) if self.letters is None else (0.0, 0.0)
+        return FormationTask(
+            team=self.vehicles,
+            **self._mission(),
+            start=self.start,
+            spacing_m=self.spacing_m,
+            travel_s=self.travel_s,
+            turn_rad=turn_rad,
+            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
+            obstacles=tuple(self.obstacles),
         )
-    return found
+
+    def _mission(self) -> dict[str, Any]:
+        """Options of the task that a layout or the caller gives."""
+        shapes = self.shapes
+        if self.letters is not None:
+            if not self.letters:
+                raise ValueError("letters is '', but must have at least one, such as 'ARC'")
+            shapes = shapes_of(self.letters)
+        mission = {"shapes": shapes, "labels": self.labels, "shape_s": self.shape_s}
+        given = {name: value for name, value in mission.items() if value is not None}
+        if self.layout is not None:
+            if given:
+                raise ValueError(
+                    f"layout={self.layout!r} already says what is flown, but {', '.join(given)} "
+                    "are given too; give either"
+                )
+            return dict(LAYOUTS[self.layout])
+        return given if shapes is None else {**given, "shapes": tuple(shapes)}
 
 
-parallel_env = parallel_view(blueprint)
-"""Make the environment with PettingZoo's parallel interface; options as of `blueprint`."""
+blueprint = blueprint_view(FormationOptions)
+"""Make what every interface is made from: the task, the configuration and the render mode."""
 
-env = aec_view(blueprint)
+parallel_env = parallel_view(FormationOptions)
+"""Make the environment with PettingZoo's parallel interface."""
+
+env = aec_view(FormationOptions)
 """The same one agent at a time, with PettingZoo's AEC interface."""

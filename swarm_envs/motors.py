@@ -15,10 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import NOT_NEGATIVE, Range, typed
 from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Record
@@ -89,16 +91,21 @@ def max_rotor_force_g(
     return a + b * np.asarray(pwm, dtype=np.float64) + c * np.asarray(voltage, dtype=np.float64)
 
 
+@typed
 @dataclass(frozen=True)
 class BatteryModel:
-    """How batteries empty. The defaults are a Crazyflie's: six minutes of hover at 34 g."""
+    """How batteries empty. The defaults are a Crazyflie's: six minutes of hover at 34 g.
 
-    capacity_ah: float = 0.25
+    Raises:
+        ValueError: a value that no battery has; the message names it, the rule and the fix.
+    """
+
+    capacity_ah: Annotated[float, Range(0.0, above=True, unit="Ah")] = 0.25
     """Capacity of the battery of `SMALL`, ampere-hours: what a Crazyflie 2.X is sold with. Other
     vehicles carry the same share of their mass, an assumption: theirs are not published."""
-    idle_current_a: float = 0.24
+    idle_current_a: Annotated[float, NOT_NEGATIVE] = 0.24
     """Current with the rotors at rest, A (Bitcraze, "PWM to thrust", at 0 % PWM)."""
-    current_per_newton: float = 7.0
+    current_per_newton: Annotated[float, NOT_NEGATIVE] = 7.0
     """Current for a newton of total thrust, A/N: a line through the rows of the same table up to
     37 g, which it meets within 0.1 A. Taken for every vehicle."""
     open_circuit_v: tuple[float, ...] = _LITHIUM_POLYMER_V
@@ -106,19 +113,7 @@ class BatteryModel:
     lithium-polymer cell, rising with charge."""
 
     def __post_init__(self) -> None:
-        """Refuse values that no battery has.
-
-        Raises:
-            ValueError: naming the value, the rule and the fix.
-        """
-        if not 0.0 < self.capacity_ah < np.inf:
-            raise ValueError(
-                f"capacity_ah is {self.capacity_ah}, but must be above 0, such as 0.25"
-            )
-        for name in ("idle_current_a", "current_per_newton"):
-            value = getattr(self, name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{name} is {value}, but must be a finite number of at least 0")
+        """Refuse voltages that no battery has."""
         volts = np.array(self.open_circuit_v, dtype=np.float64)
         if volts.size < 2 or not (np.diff(volts) > 0.0).all() or not volts[0] > 0.0:
             raise ValueError(

@@ -31,72 +31,44 @@ truncated by the clock, after 2 + 10 s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
-from swarm_envs.arguments import typed
-from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.options import (
-    MOST_DRONES,
-    Blueprint,
-    EnvOptions,
-    aec_view,
-    check_common,
-    parallel_view,
-    refuse_unknown,
-    team_of,
-)
-from swarm_envs.errors import check_integer, check_kind
-from swarm_envs.tasks.obstacles import Obstacle
-from swarm_envs.tasks.ring import REWARD_WEIGHTS, RingTask, ring_team
-from swarm_envs.tasks.rings import RingLayout
-from swarm_envs.vehicles import Vehicle
+from swarm_envs.arguments import typed_options
+from swarm_envs.envs.options import NumDrones, TaskOptions, aec_view, blueprint_view, parallel_view
+from swarm_envs.tasks.ring import REWARD_WEIGHTS, RingLayout, RingTask, ring_team
+from swarm_envs.vehicles import Team
 
 
-@typed
-def blueprint(
-    *,
-    num_drones: int = 5,
-    team: str | Sequence[Vehicle] | None = None,
-    rings: RingLayout | None = None,
-    obstacles: Sequence[Obstacle] = (),
-    reward_weights: Mapping[str, float] | None = None,
-    render_mode: str | None = None,
-    **options: Unpack[EnvOptions],
-) -> Blueprint:
-    """Make a ring environment: what every interface is made from.
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class RingOptions(TaskOptions):
+    """Options of a ring environment."""
 
-    Args:
-        num_drones: N drones, if no team is given: the paper's teams for 5 and 16, else small ones.
-        team: the vehicles, or a string such as `"S*S*S*LL"`; overrides `num_drones`.
-        rings: sizes, speed and phases of the rings.
-        obstacles: what stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`.
-        reward_weights: weight of each reward term; terms left out keep their default.
-        render_mode: `rgb_array` (pictures), `human` (a window) or None.
-        **options: those of every task; see `swarm_envs.envs.config.EnvConfig`.
+    num_drones: NumDrones = 5
+    """N drones, if no team is given: the paper's teams for 5 and 16, else small ones."""
+    rings: RingLayout | None = None
+    """Sizes, speed and phases of the rings."""
 
-    Raises:
-        TypeError: an option does not exist (the message names the nearest), or has a wrong type.
-        ValueError: an option has an impossible value, or the rings do not fit the team.
-        ImportError: `physics="bullet"` without pybullet.
-    """
-    refuse_unknown(blueprint, options)
-    weights, standing = check_common(reward_weights, obstacles)
-    if rings is not None:
-        check_kind("rings", rings, RingLayout, "RingLayout((0.6, 0.6), 0.6, speed_m_s=0.5)")
-    if team is None:
-        team = ring_team(check_integer("num_drones", num_drones, 1, MOST_DRONES))
-    task = RingTask(
-        team=team_of(team, num_drones),
-        rings=rings,
-        reward_weights={**REWARD_WEIGHTS, **weights},
-        obstacles=standing,
-    )
-    return Blueprint(task, EnvConfig(**options), render_mode)
+    @property
+    def vehicles(self) -> Team:
+        """The team: as given, else that of the paper."""
+        return ring_team(self.num_drones) if self.team is None else super().vehicles
+
+    def make_task(self) -> RingTask:
+        """Rings as these options say."""
+        return RingTask(
+            team=self.vehicles,
+            rings=self.rings,
+            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
+            obstacles=tuple(self.obstacles),
+        )
 
 
-parallel_env = parallel_view(blueprint)
-"""Make the environment with PettingZoo's parallel interface; options as of `blueprint`."""
+blueprint = blueprint_view(RingOptions)
+"""Make what every interface is made from: the task, the configuration and the render mode."""
 
-env = aec_view(blueprint)
+parallel_env = parallel_view(RingOptions)
+"""Make the environment with PettingZoo's parallel interface."""
+
+env = aec_view(RingOptions)
 """The same one agent at a time, with PettingZoo's AEC interface."""

@@ -39,79 +39,44 @@ success; truncated by the clock, after 8 s.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Unpack
+from dataclasses import dataclass
 
-from swarm_envs.arguments import typed
-from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.options import (
-    Blueprint,
-    EnvOptions,
-    aec_view,
-    check_common,
-    parallel_view,
-    refuse_unknown,
-    team_of,
-)
-from swarm_envs.errors import check_kind
-from swarm_envs.tasks.obstacles import Obstacle
-from swarm_envs.tasks.swap import REWARD_WEIGHTS, CircleLayout, StackedLayout, SwapTask
-from swarm_envs.vehicles import Vehicle
+from swarm_envs.arguments import typed_options
+from swarm_envs.envs.options import NumDrones, TaskOptions, aec_view, blueprint_view, parallel_view
+from swarm_envs.tasks.swap import REWARD_WEIGHTS, CircleLayout, Layout, StackedLayout, SwapTask
 
 
-@typed
-def blueprint(
-    *,
-    num_drones: int = 4,
-    team: str | Sequence[Vehicle] | None = None,
-    layout: str = "random",
-    stacked: StackedLayout | None = None,
-    circle: CircleLayout | None = None,
-    obstacles: Sequence[Obstacle] = (),
-    reward_weights: Mapping[str, float] | None = None,
-    render_mode: str | None = None,
-    **options: Unpack[EnvOptions],
-) -> Blueprint:
-    """Make a swap environment: what every interface is made from.
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class SwapOptions(TaskOptions):
+    """Options of a swap environment."""
 
-    Args:
-        num_drones: N small drones, if no team is given.
-        team: the vehicles, or a string such as `"SSL"`; overrides `num_drones`.
-        layout: `random`, `circle` or `stacked`.
-        stacked: ranges from which the stacked layout is drawn.
-        circle: size of the circle layout.
-        obstacles: what stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`.
-        reward_weights: weight of each reward term; terms left out keep their default.
-        render_mode: `rgb_array` (pictures), `human` (a window) or None.
-        **options: those of every task: physics, interactions, action, decision_rate, force_rate,
-            precision, controller, observation, num_neighbors, num_obstacles, horizon_s,
-            end_on_success, battery, randomization, deterministic, force_bounds_g; see
-            `swarm_envs.envs.config.EnvConfig`.
+    num_drones: NumDrones = 4
+    """N small drones, if no team is given."""
+    layout: Layout = "random"
+    """Where drones start: `random`, `stacked` or `circle`."""
+    stacked: StackedLayout | None = None
+    """What the stacked layout is drawn from."""
+    circle: CircleLayout | None = None
+    """What the circle layout is made of."""
 
-    Raises:
-        TypeError: an option does not exist (the message names the nearest), or has a wrong type.
-        ValueError: an option has an impossible value.
-        ImportError: `physics="bullet"` without pybullet.
-    """
-    refuse_unknown(blueprint, options)
-    weights, standing = check_common(reward_weights, obstacles)
-    if stacked is not None:
-        check_kind("stacked", stacked, StackedLayout, "StackedLayout(duration_s=(4.0, 4.0))")
-    if circle is not None:
-        check_kind("circle", circle, CircleLayout, "CircleLayout(radius_m=1.2)")
-    task = SwapTask(
-        team=team_of(team, num_drones),
-        layout=layout,
-        stacked=stacked or StackedLayout(),
-        circle=circle or CircleLayout(),
-        reward_weights={**REWARD_WEIGHTS, **weights},
-        obstacles=standing,
-    )
-    return Blueprint(task, EnvConfig(**options), render_mode)
+    def make_task(self) -> SwapTask:
+        """Swaps as these options say."""
+        return SwapTask(
+            team=self.vehicles,
+            layout=self.layout,
+            stacked=self.stacked or StackedLayout(),
+            circle=self.circle or CircleLayout(),
+            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
+            obstacles=tuple(self.obstacles),
+        )
 
 
-parallel_env = parallel_view(blueprint)
-"""Make the environment with PettingZoo's parallel interface; options as of `blueprint`."""
+blueprint = blueprint_view(SwapOptions)
+"""Make what every interface is made from: the task, the configuration and the render mode."""
 
-env = aec_view(blueprint)
+parallel_env = parallel_view(SwapOptions)
+"""Make the environment with PettingZoo's parallel interface."""
+
+env = aec_view(SwapOptions)
 """The same one agent at a time, with PettingZoo's AEC interface."""

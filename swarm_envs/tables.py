@@ -66,7 +66,7 @@ _CONTACT = (
 )
 """What a decision has touched: physics steps add to it."""
 
-_TALLY = (
+_METRICS = (
     Field("worst_force", (), "N", 0.0, "Largest interaction force of the episode."),
     Field("energy", (), "J", 0.0, "Ideal induced energy of the rotors in the episode."),
     Field("outside_steps", (), "", 0.0, "Physics steps with an extrapolated force."),
@@ -89,7 +89,7 @@ _CONTROLLER = (
     Field("desired_attitude", (4,), "", 0.0, "Desired tilt of the last step, before the yaw."),
     Field("desired_rate", (3,), "rad/s", 0.0, "Low-passed angular velocity of the desired tilt."),
     Field("started", (), "", 0.0, "1 once the controller has made a step."),
-    Field("believed_force", (3,), "N", 0.0, "Interaction force that the controller compensates."),
+    Field("feedforward_force", (3,), "N", 0.0, "Interaction force that is compensated."),
 )
 """What the tracking loop remembers; rotor commands alone do without it."""
 
@@ -101,15 +101,15 @@ _VEHICLE = (
     Field("rotor_offset", (), "m", None, "Distance of each rotor from the body x and y axes."),
     Field("thrust_to_torque", (), "m", None, "Yaw torque per newton of rotor thrust."),
     Field("radius", (), "m", None, "Radius of the collision sphere."),
-    Field("nominal_mass", (), "kg", None, "Mass that the controller believes."),
-    Field("nominal_inertia", (3,), "kg m^2", None, "Moments of inertia that it believes."),
-    Field("nominal_motor_rate", (), "1/s", None, "Motor rate that it believes."),
-    Field("nominal_max_rotor_thrust", (), "N", None, "Largest rotor thrust that it believes."),
+    Field("nominal_mass", (), "kg", None, "Mass, as the controller knows it."),
+    Field("nominal_inertia", (3,), "kg m^2", None, "Moments of inertia, likewise."),
+    Field("nominal_motor_rate", (), "1/s", None, "Motor rate, likewise."),
+    Field("nominal_max_rotor_thrust", (), "N", None, "Largest rotor thrust, likewise."),
     Field("motor_decay", (), "", None, "exp(-motor_rate dt) of a physics step."),
     Field("energy_scale", (), "J/N^1.5", None, "Induced energy of a rotor in one physics step."),
     Field("force_bound", (), "N", None, "Bound on the vertical force, for metrics."),
     Field("type", (), "", None, "Interaction type in the force model of the environment."),
-    Field("believed_type", (), "", None, "Interaction type in the model that it compensates."),
+    Field("feedforward_type", (), "", None, "Interaction type in the model that it compensates."),
     Field(
         "external", (3,), "N", 0.0, "Further force: that given to `step`; in a block also gusts."
     ),
@@ -152,7 +152,7 @@ _EPISODE = (
 )
 """What a decision, an episode, or a battery adds: not read in ordinary physics steps."""
 
-DRONE = (*_BODY, *_CONTACT, *_TALLY, *_CONTROLLER, *_VEHICLE, *_EPISODE)
+DRONE = (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_EPISODE)
 """Every quantity of a drone."""
 
 _KEPT = (
@@ -186,7 +186,7 @@ ENVIRONMENT = (*_KEPT, *_BEGINS)
 SETTINGS = (
     Field("level", (), "", None, "Where actions enter: SETPOINTS, RATES or ROTORS.", np.int64),
     Field("hold", (), "", None, "Physics steps over which the force is held.", np.int64),
-    Field("believes", (), "", None, "Whether the controller compensates a force.", np.bool_),
+    Field("compensates", (), "", None, "Whether the controller compensates a force.", np.bool_),
     Field("drains", (), "", None, "Whether batteries empty.", np.bool_),
     Field("gusty", (), "", None, "Whether there are gusts.", np.bool_),
     Field("bounded", (), "", None, "Whether actions lie in [-1, 1].", np.bool_),
@@ -257,7 +257,7 @@ ENVIRONMENT_TYPE = record_type(ENVIRONMENT)
 """An environment: one record."""
 SETTINGS_TYPE = record_type(SETTINGS)
 """The settings: one record."""
-BLOCK_TYPE = record_type((*_BODY, *_CONTACT, *_TALLY, *_CONTROLLER, *_VEHICLE, *_SCRATCH), LANES)
+BLOCK_TYPE = record_type((*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_SCRATCH), LANES)
 """What a physics step knows of `LANES` drones."""
 
 
@@ -265,7 +265,7 @@ def _columns(fields: tuple[Field, ...]) -> int:
     return record_type(fields).itemsize // 8
 
 
-BODY_END = _columns((*_BODY, *_CONTACT, *_TALLY))
+BODY_END = _columns((*_BODY, *_CONTACT, *_METRICS))
 """Columns of a drone before this one are read and written by every physics step."""
 CONTROLLER_END = BODY_END + _columns(_CONTROLLER)
 """Columns from `BODY_END` to this one belong to the tracking loop."""

@@ -6,7 +6,6 @@ times gives (T, 3), and (N, 3) starts with one time give (N, 3).
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -109,89 +108,6 @@ def ramped_line(
         np.where(late, down.third, up.third) / full,
     )
     return _along_line(start, goal, _scale_time(profile, time))
-
-
-def circle(
-    center: npt.ArrayLike,
-    radius: npt.ArrayLike,
-    angular_rate: npt.ArrayLike,
-    phase: npt.ArrayLike,
-    t: npt.ArrayLike,
-    *,
-    axes: tuple[npt.ArrayLike, npt.ArrayLike] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-    ramp_time: float = 0.0,
-) -> Reference:
-    """Motion on a circle at constant angular rate, optionally from rest.
-
-    Args:
-        center: (..., 3) centre, m.
-        radius: (...) radius, m.
-        angular_rate: (...) rad/s; positive turns from the first axis to the second.
-        phase: (...) angle at time zero, rad.
-        t: (...) times, s.
-        axes: two orthogonal unit vectors (3,) that span the plane; by default the horizontal one.
-        ramp_time: time in which the rate grows smoothly from rest at t = 0, with continuous jerk,
-            s; the motion rests before. Zero: at full rate at all times.
-
-    Raises:
-        ValueError: the axes are not orthogonal unit vectors, the radius is not positive, or an
-            argument of `ellipse` is bad.
-    """
-    size = _positive("radius", radius)[..., None]
-    pair = np.array([_points("axes[0]", axes[0]), _points("axes[1]", axes[1])])
-    if pair.shape != (2, 3) or not np.allclose(pair @ pair.T, np.eye(2), atol=1e-9):
-        raise ValueError(f"axes are {pair.tolist()}, but must be two orthogonal unit vectors (3,)")
-    first, second = size * pair[0], size * pair[1]
-    return ellipse(center, first, second, angular_rate, phase, t, ramp_time=ramp_time)
-
-
-def ellipse(
-    center: npt.ArrayLike,
-    first: npt.ArrayLike,
-    second: npt.ArrayLike,
-    angular_rate: npt.ArrayLike,
-    phase: npt.ArrayLike,
-    t: npt.ArrayLike,
-    *,
-    ramp_time: float = 0.0,
-) -> Reference:
-    """Motion center + first cos(angle) + second sin(angle), the angle growing at a constant rate.
-
-    Args:
-        center: (..., 3) centre, m.
-        first: (..., 3) half axis that angle zero points to, m.
-        second: (..., 3) half axis that a quarter turn points to, m.
-        angular_rate: (...) rad/s.
-        phase: (...) angle at time zero, rad.
-        t: (...) times, s.
-        ramp_time: as for `circle`, s.
-
-    Raises:
-        ValueError: a vector does not end in three finite numbers, the rate is not finite, or the
-            ramp time is negative or not finite.
-    """
-    speed = np.asarray(angular_rate, dtype=np.float64)
-    if not np.isfinite(speed).all():
-        raise ValueError(f"angular_rate is {angular_rate!r}, but must be finite")
-    if not (math.isfinite(ramp_time) and ramp_time >= 0.0):
-        raise ValueError(f"ramp_time is {ramp_time!r} s, but must be zero or positive and finite")
-    middle, a, b = _points("center", center), _points("first", first), _points("second", second)
-    time = np.asarray(t, dtype=np.float64)
-    if ramp_time > 0.0:
-        warp = _ramped_time(time, ramp_time)
-    else:
-        none = np.zeros_like(time)
-        warp = _Profile(time, none + 1.0, none, none)
-    angle = (np.asarray(phase, dtype=np.float64) + speed * warp.value)[..., None]
-    rate, second_rate, third_rate = (
-        (speed * part)[..., None] for part in (warp.first, warp.second, warp.third)
-    )
-    radial = a * np.cos(angle) + b * np.sin(angle)
-    tangent = b * np.cos(angle) - a * np.sin(angle)
-    velocity = tangent * rate
-    acceleration = tangent * second_rate - radial * rate**2
-    jerk = tangent * (third_rate - rate**3) - 3.0 * radial * rate * second_rate
-    return _reference(middle + radial, velocity, acceleration, jerk)
 
 
 def _ramped_time(t: FloatArray, ramp_time: float) -> _Profile:

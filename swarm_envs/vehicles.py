@@ -14,7 +14,9 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Annotated
 
+from swarm_envs.arguments import POSITIVE, typed
 from swarm_envs.errors import unknown_name
 
 GRAVITY = 9.80665
@@ -24,27 +26,36 @@ GRAM_FORCE = GRAVITY * 1e-3
 """Newton per gram-force: the papers give forces in grams."""
 
 
+Moment = Annotated[float, POSITIVE]
+"""A moment of inertia, kg m^2."""
+
+
+@typed
 @dataclass(frozen=True)
 class Vehicle:
-    """One type of quadrotor. SI units; body frame x forward, y left, z up along thrust."""
+    """One type of quadrotor. SI units; body frame x forward, y left, z up along thrust.
+
+    Raises:
+        ValueError: a quantity is not positive and finite; the message names it.
+    """
 
     token: str
     """How team strings write it: `S`, `L`, `S*`."""
-    mass: float
+    mass: Annotated[float, POSITIVE]
     """Mass m, kg."""
-    inertia: tuple[float, float, float]
+    inertia: tuple[Moment, Moment, Moment]
     """Principal moments of inertia, the diagonal of J, kg m^2."""
-    max_thrust: float
+    max_thrust: Annotated[float, POSITIVE]
     """Largest total thrust of the four rotors at a full battery, N."""
-    diameter: float
+    diameter: Annotated[float, POSITIVE]
     """Diameter of the collision sphere, m."""
-    arm: float
+    arm: Annotated[float, POSITIVE]
     """Distance from the centre to a rotor's axis, m."""
-    rotor_radius: float
+    rotor_radius: Annotated[float, POSITIVE]
     """Radius of one propeller, m."""
-    thrust_to_torque: float
+    thrust_to_torque: Annotated[float, POSITIVE]
     """Yaw torque per newton of rotor thrust, m."""
-    motor_rate: float
+    motor_rate: Annotated[float, POSITIVE]
     """First-order motor rate lambda of eq. (1c), 1/s: thrust follows its command with 1/lambda."""
     interaction_type: str
     """The name under which interaction models know its airframe: `S` or `L`."""
@@ -54,31 +65,6 @@ class Vehicle:
     """psi2 of Table I: coefficients of 1, f, v, f^2, f v; f in grams of one rotor."""
     pwm_to_max_force: tuple[float, float, float]
     """psi3 of Table I: coefficients of 1, p, v; gives the largest grams of one rotor."""
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot fly.
-
-        Raises:
-            ValueError: a quantity is not positive and finite; the message names it.
-        """
-        if len(self.inertia) != 3:
-            raise ValueError(
-                f"Vehicle.inertia is {self.inertia}, but must hold the three principal moments"
-            )
-        positive = (
-            "mass",
-            "max_thrust",
-            "diameter",
-            "arm",
-            "rotor_radius",
-            "thrust_to_torque",
-            "motor_rate",
-        )
-        values = [(name, getattr(self, name)) for name in positive]
-        values += [(f"inertia[{k}]", moment) for k, moment in enumerate(self.inertia)]
-        for name, value in values:
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"Vehicle.{name} is {value}, but must be positive and finite")
 
     @property
     def radius(self) -> float:

@@ -72,8 +72,8 @@ def test_export_knows_its_kinds(capsys):
     [
         (["--swap", "3"], "--swaps"),
         (["--swaps", "many"], "many"),
-        (["--seed", "-3"], "--seed is -3, but must be 0 or more"),
-        (["--swaps", "0"], "--swaps is 0, but must be from 1 to 1000"),
+        (["--seed", "-3"], "--seed is -3, but must be an integer of at least 0"),
+        (["--swaps", "0"], "--swaps is 0, but must be an integer of at least 1 and at most 1,000"),
     ],
 )
 def test_bad_options_are_explained_with_exit_code_2(arguments, said, capsys, monkeypatch, tmp_path):

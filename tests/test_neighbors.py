@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import default_window, empty_field
 from swarm_envs.interactions.forces import find_pairs, pair_weight
-from swarm_envs.interactions.packed import packed
-from swarm_envs.interactions.scratch import scratch_for
+from swarm_envs.interactions.packed import packed, scratch_for
 from swarm_envs.neighbors import FEW, nearest, nearest_sorted, sort_along_x
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.state import IntArray, hover_state
@@ -43,7 +42,7 @@ def pairs_of(position: Array, drones: int) -> tuple[IntArray, Array]:
         scratch.order[0] = np.random.default_rng(1).permuted(order, axis=1).ravel()
     scratch.drones["position"] = position
     find_pairs(field, places, drones, scratch.order, scratch)
-    found = scratch.pairs[: scratch.desk["pairs"][0]]
+    found = scratch.pairs[: scratch.counters["pairs"][0]]
     return np.stack([found["i"], found["j"]]), found["weight"]
 
 

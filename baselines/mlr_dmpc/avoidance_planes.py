@@ -39,7 +39,7 @@ from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory
 from swarm_envs.compiled import kernel
-from swarm_envs.physics.obstacles import nearest_point
+from swarm_envs.physics.contact import nearest_point
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 SPARE_M = 2e-6

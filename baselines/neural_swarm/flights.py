@@ -253,7 +253,7 @@ def _sample(core: SwarmCore) -> dict[str, FloatArray]:
         "quaternion": state.quaternion,
         "reference": drones["reference_position"],
         "force": core.physics.force,
-        "believed": drones["believed_force"],
+        "believed": drones["feedforward_force"],
     }
 
 

@@ -1,25 +1,37 @@
-"""The page of the commands: `<!-- commands -->` becomes every command with its options.
+"""Tables of options: `<!-- commands -->` becomes every command with its options.
 
 Whatever dataclass a command hands to tyro is what is written down, so nothing can be forgotten.
+`<!-- option table: EnvConfig -->` becomes the options of a class of settings, with their rules.
 """
 
 from __future__ import annotations
 
-import ast
 import dataclasses
 import inspect
-import textwrap
+import re
 from collections.abc import Iterator
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from unittest import mock
 
 import tyro
 
+from swarm_envs import arguments
+from swarm_envs.arguments import field_docstrings
 from swarm_envs.cli import COMMANDS, PROGRAM
 from swarm_envs.commands.export import KINDS
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.formation_v0 import FormationOptions
+from swarm_envs.ring_v0 import RingOptions
+from swarm_envs.swap_v0 import SwapOptions
 from swarm_envs.training.reproduce.papers import ALL, PAPERS
 
 MARK = "<!-- commands -->"
+SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
+SETTINGS: dict[str, type] = {
+    settings.__name__: settings
+    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions)
+}
+"""The settings whose options a page may ask for."""
 
 
 class Asked(Exception):
@@ -62,7 +74,7 @@ def options_class(command: str, *arguments: str) -> tuple[type, bool]:
 
 def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
     """The options of a dataclass, those of dataclasses in it included."""
-    hints, docs = get_type_hints(cls, include_extras=True), _docstrings(cls)
+    hints, docs = get_type_hints(cls, include_extras=True), field_docstrings(cls)
     for field in dataclasses.fields(cls):
         hint = hints[field.name]
         marks: tuple[str, ...] = ()
@@ -97,20 +109,26 @@ def _default(field: dataclasses.Field[Any]) -> str:
     return " ".join(map(str, value)) or "none" if many else str(value)
 
 
-def _docstrings(cls: type) -> dict[str, str]:
-    """The docstring below each field, those of base classes included."""
-    found: dict[str, str] = {}
-    for base in reversed(cls.__mro__):
-        if not dataclasses.is_dataclass(base):
-            continue
-        body = ast.parse(textwrap.dedent(inspect.getsource(base))).body[0]
-        assert isinstance(body, ast.ClassDef)
-        for node, after in zip(body.body, body.body[1:]):
-            if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-                text = getattr(getattr(after, "value", None), "value", None)
-                if isinstance(text, str):
-                    found[node.target.id] = inspect.cleandoc(text)
-    return found
+def settings_table(name: str) -> str:
+    """Options of settings in Markdown, a task's without those of every task.
+
+    Raises:
+        KeyError: there are no such settings.
+    """
+    settings, shared = SETTINGS[name], arguments.options_of(EnvConfig)
+    rows = [
+        f"| `{option.name}` | {option.kind.words} | `{option.default!r}` | {option.meaning} |"
+        for option in arguments.options_of(settings).values()
+        if settings is EnvConfig or option.name not in shared
+    ]
+    return "\n".join(["| option | must be | default | |", "|---|---|---|---|", *rows])
+
+
+def expand(text: str) -> str:
+    """A page's text with each mark replaced by its tables."""
+    if MARK in text:
+        text = text.replace(MARK, "\n\n".join(map(section, commands())))
+    return SETTINGS_MARK.sub(lambda mark: settings_table(mark[1]), text)
 
 
 def commands() -> list[tuple[str, ...]]:
@@ -145,9 +163,7 @@ def setup(app: Any) -> dict[str, Any]:
     """Tell Sphinx."""
 
     def read(app: Any, page: str, content: list[str]) -> None:
-        if MARK in content[0]:
-            tables = "\n\n".join(map(section, commands()))
-            content[0] = content[0].replace(MARK, tables)
+        content[0] = expand(content[0])
 
     app.connect("source-read", read)
     return {"parallel_read_safe": True}

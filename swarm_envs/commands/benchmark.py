@@ -61,7 +61,7 @@ class BenchmarkOptions:
             raise ValueError("give either --out DIR, to fly, or --report DIR, to report anew")
 
 
-def run(options: BenchmarkOptions) -> int:
+def run_benchmark(options: BenchmarkOptions) -> int:
     """Fly, write and print; return how many cells failed, or have no replay that should.
 
     Raises:

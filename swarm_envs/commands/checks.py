@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import os
 import sys
 import tempfile
 from pathlib import Path
+
+from swarm_envs.arguments import typed
+
+command_options = functools.partial(typed, owner="--")
+"""`typed` for the options of a command: messages name them as they are on the command line."""
 
 
 class Misuse(ValueError):

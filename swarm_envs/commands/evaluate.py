@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarm_envs.commands.checks import Misuse, check_file, check_folder
+from swarm_envs.arguments import Count, Seed
+from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 from swarm_envs.commands.fly import find_task
 from swarm_envs.training.scale_out.options import ScaleOptions
 
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
 
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class EvaluateOptions:
     """Fly many episodes of one or more agents on the same seeds, and report what they add up to.
@@ -31,22 +33,22 @@ class EvaluateOptions:
     """what is flown: `swap`, or with its version, `swap_v0`"""
     layout: str | None = None
     """of the task, such as `random` or `circle`; its default if not given"""
-    drones: int = 4
+    drones: Count = 4
     """number of small drones, if no team is given"""
     team: str | None = None
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     agent: list[str] = field(default_factory=lambda: ["tracking"])
     """who flies, one or more: names as of `fly`, folders of trained policies, or
     path/to/file.py:Class; each with +filter at its end behind a safety filter"""
-    episodes: int = 256
+    episodes: Count = 256
     """episodes of each agent"""
-    seed: int = 0
+    seed: Seed = 0
     """the episodes' seeds are drawn from it: the same for every agent"""
     physics: str = "batch"
     """`batch` or `bullet`"""
     interactions: str = "learned"
-    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
-    force_rate: int = 240
+    """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
+    force_rate: Count = 240
     """evaluations of the force per second: 240 over an integer"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
@@ -58,12 +60,7 @@ class EvaluateOptions:
     """who shares the episodes"""
 
     def __post_init__(self) -> None:
-        """Refuse numbers with which nothing can be flown."""
-        least = {"seed": 0, "drones": 1, "episodes": 1, "force_rate": 1}
-        for name, value in least.items():
-            if getattr(self, name) < value:
-                option, given = name.replace("_", "-"), getattr(self, name)
-                raise ValueError(f"--{option} is {given}, but must be {value} or more")
+        """Refuse names that would be flown twice."""
         if len(set(self.agent)) < len(self.agent) or not self.agent:
             raise ValueError(f"--agent is {self.agent}; name one or more, each once")
 
@@ -75,7 +72,7 @@ class EvaluateOptions:
         return {**team, **{name: value for name, value in given.items() if value is not None}}
 
 
-def run(options: EvaluateOptions) -> int:
+def run_evaluate(options: EvaluateOptions) -> int:
     """Fly, print and write; return how many agents failed.
 
     Raises:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from swarm_envs.commands.checks import Misuse, check_file, check_folder
+from swarm_envs.arguments import Seed
+from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 from swarm_envs.errors import unknown_name
 
 if TYPE_CHECKING:
@@ -28,6 +29,7 @@ kinds:
 """What `swarm-envs export` says without a kind."""
 
 
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class ForceOptions:
     """Write a fitted force model as a C99 header for a microcontroller.
@@ -41,16 +43,13 @@ class ForceOptions:
     """`learned`, or the path of weights that `swarm-envs fit` made"""
     name: str | None = None
     """prefix of everything that the header defines; by default the file's name"""
-    seed: int = 0
+    seed: Seed = 0
     """the states of the header's self-test are drawn from it"""
     json: Path | None = None
     """write what the header holds to this file too"""
 
-    def __post_init__(self) -> None:
-        """Refuse a seed that no generator takes."""
-        _check_seed(self.seed)
 
-
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class PolicyOptions:
     """Write a trained policy as a C99 header for a microcontroller.
@@ -66,19 +65,10 @@ class PolicyOptions:
     """the header to write, such as policy.h"""
     name: str | None = None
     """prefix of everything that the header defines; by default the file's name"""
-    seed: int = 0
+    seed: Seed = 0
     """the states of the header's self-test are drawn from it"""
     json: Path | None = None
     """write what the header holds and costs to this file too"""
-
-    def __post_init__(self) -> None:
-        """Refuse a seed that no generator takes."""
-        _check_seed(self.seed)
-
-
-def _check_seed(seed: int) -> None:
-    if seed < 0:
-        raise ValueError(f"--seed is {seed}, but must be 0 or more")
 
 
 def _check_outputs(options: ForceOptions | PolicyOptions) -> str:

@@ -1,4 +1,4 @@
-"""`swarm-envs fly`: one episode, its metrics, and what can be looked at afterwards."""
+"""`swarm-envs fly`, one episode and what can be looked at afterwards, and `swarm-envs replay`."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from swarm_envs.commands.checks import Misuse, check_file, check_folder
+import tyro
+
+from swarm_envs.arguments import Count, Seed
+from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -30,6 +33,7 @@ _SUFFIXES = {
 }
 
 
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class FlyOptions:
     """Fly one episode, print its metrics, and write what is asked for.
@@ -41,7 +45,7 @@ class FlyOptions:
     """what is flown: `swap`, or with its version, `swap_v0`"""
     layout: str | None = None
     """of the task, such as `random` or `stacked`; its default if not given"""
-    drones: int = 4
+    drones: Count = 4
     """number of small drones, if no team is given"""
     team: str | None = None
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
@@ -49,12 +53,12 @@ class FlyOptions:
     """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
     -compensated), neural-swarm-planner, swap-ppo, swap-ppo-8, formation-ppo, ring-ppo, the folder
     of a trained policy, or path/to/file.py:Class; with +filter at its end behind a safety filter"""
-    seed: int = 0
+    seed: Seed = 0
     """of the episode and the agent"""
     physics: str | None = None
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
-    """the forces that blow: `none`, `wake`, `learned`, or a weights file"""
+    """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
     out: Path | None = None
@@ -68,13 +72,6 @@ class FlyOptions:
     json: Path | None = None
     """write metrics and events, .json"""
 
-    def __post_init__(self) -> None:
-        """Refuse numbers with which nothing can be flown."""
-        if self.seed < 0:
-            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
-        if self.drones < 1:
-            raise ValueError(f"--drones is {self.drones}, but must be 1 or more")
-
     def files(self) -> dict[str, Path]:
         """What to write, by its option, in the order of writing."""
         found = {}
@@ -87,7 +84,7 @@ class FlyOptions:
         return found
 
 
-def run(options: FlyOptions) -> None:
+def run_fly(options: FlyOptions) -> None:
     """Fly, print and write.
 
     Raises:
@@ -263,3 +260,43 @@ WRITERS = {
     "video": _write_video,
 }
 """What writes a recording into a file, by option."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReplayOptions:
+    """Make a page out of a recorded flight, to play it in a browser without any network."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """what `swarm-envs fly --trajectory` wrote, .parquet or .npz"""
+    out: Path = Path("replay.html")
+    """the page"""
+    video: Path | None = None
+    """write a film too, .mp4 or .gif"""
+
+
+def run_replay(options: ReplayOptions) -> None:
+    """Read, draw and write.
+
+    Raises:
+        Misuse: there is no such file, or no such place to write.
+        ImportError: what reads or draws is not installed.
+        ValueError: the file holds no episode.
+    """
+    from swarm_envs.viewing.trajectory import check_trajectory_path, read_trajectory
+
+    files = {"replay": options.out}
+    if options.video is not None:
+        files["video"] = options.video
+    if options.out.suffix != ".html":
+        raise Misuse(f"--out is {str(options.out)!r}, but must end in .html")
+    check_outputs(None, files)
+    if not options.file.is_file():
+        raise Misuse(f"there is no file {str(options.file)!r}")
+    try:
+        check_trajectory_path(options.file)
+    except ValueError as error:
+        raise Misuse(str(error)) from error
+    recording = read_trajectory(options.file)
+    for option, path in files.items():
+        WRITERS[option](path, recording)
+        print(f"wrote {path}", flush=True)

@@ -19,9 +19,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
-from swarm_envs.commands.checks import Misuse, check_file
+from swarm_envs.arguments import POSITIVE_S, Count, Seed
+from swarm_envs.commands.checks import Misuse, check_file, command_options
 
 Name = Literal["controller", "force-model", "swap"]
 """Assignments by name."""
@@ -38,7 +39,7 @@ class Assignment:
     full: float
     """Its value, or better, that is worth 100 points."""
     flown: tuple[str, ...] = ()
-    """What `swarm-envs evaluate` is told; empty where nothing is flown."""
+    """Arguments of `swarm-envs evaluate`; empty where nothing is flown."""
 
     def points(self, report: Mapping[str, Any]) -> float:
         """Points from 0 to 100; in flights, times the share of episodes without a crash."""
@@ -70,6 +71,7 @@ ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
 """The assignments of `docs/assignments/` by their names."""
 
 
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class GradeOptions:
     """Grade what students handed in: one line of a table for each, whatever happens to it.
@@ -85,25 +87,19 @@ class GradeOptions:
     also folders of trained policies"""
     out: Path | None = None
     """write the table to this file, .csv, after each work"""
-    episodes: int = 64
+    episodes: Count = 64
     """episodes that each flies"""
-    seed: int = 0
+    seed: Seed = 0
     """the episodes are drawn from it: the same for all; grade on one that nobody has seen"""
     data: Path | None = None
     """for `force-model`: the rows.npz of a `swarm-envs collect`, whose validation rows grade"""
-    limit_s: float = 600.0
+    limit_s: Annotated[float, POSITIVE_S] = 600.0
     """time that each may take, s"""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be graded."""
         if not self.work:
             raise ValueError("--work is empty; name one file.py:Class or more")
-        if self.episodes < 1 or self.seed < 0:
-            raise ValueError(
-                f"--episodes is {self.episodes} and --seed {self.seed}, but must be 1 and 0 or more"
-            )
-        if not self.limit_s > 0.0:
-            raise ValueError(f"--limit-s is {self.limit_s}, but must be positive")
         if (self.assignment == "force-model") != (self.data is not None):
             raise ValueError("--data is for --assignment force-model, which needs it")
 
@@ -111,7 +107,7 @@ class GradeOptions:
 assert set(get_args(Name)) == set(ASSIGNMENTS)
 
 
-def run(options: GradeOptions) -> int:
+def run_grade(options: GradeOptions) -> int:
     """Grade, print and write; return how many failed.
 
     Raises:

@@ -86,7 +86,7 @@ class PlanOptions:
 _SUFFIXES = {"save": (".npz",), "json": (".json",), "picture": (".png",)}
 
 
-def run(options: PlanOptions) -> None:
+def run_plan(options: PlanOptions) -> None:
     """Draw the instance, plan, print and write.
 
     Raises:

@@ -11,7 +11,7 @@ PROGRAM = "swarm-envs reproduce"
 """What is typed before the paper."""
 
 
-def run(
+def run_reproduce(
     arguments: Sequence[str],
     read: Callable[[str, type[Any], Sequence[str]], Any],
     execute: Callable[[Sequence[str]], int],

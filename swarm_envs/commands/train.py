@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from swarm_envs.training.rl.rl_config import RlConfig
 
 
-def check(config: RlConfig) -> str:
+def check_training(config: RlConfig) -> str:
     """The versioned name of the task, if the options make a run.
 
     Raises:
@@ -32,7 +32,7 @@ def check(config: RlConfig) -> str:
     return task
 
 
-def run(config: RlConfig) -> None:
+def run_train(config: RlConfig) -> None:
     """Train, or say that it was done before; print what came out.
 
     Raises:
@@ -47,7 +47,7 @@ def run(config: RlConfig) -> None:
     from swarm_envs.files import write_json
     from swarm_envs.training.rl.run import finished_report, train_policy
 
-    task = check(config)
+    task = check_training(config)
     report = finished_report(config, task)
     if report is not None:
         print(f"the run in {config.out} was finished before, and stays as it is")

@@ -138,7 +138,7 @@ def train_one(
 
     check_marker(Path(marker), digest)
     config = parse(arguments)
-    task = train.check(config)
+    task = train.check_training(config)
     report = finished_report(config, task) or train_policy(config, task)
     measured = _judged(config, task, episodes, seed)
     return {"measured": measured, **{name: report[name] for name in ("steps", "cpu_s", "wall_s")}}
@@ -186,7 +186,7 @@ def check_marker(path: Path, digest: str) -> None:
         )
 
 
-def run(options: SweepOptions) -> int:
+def run_sweep(options: SweepOptions) -> int:
     """Train all, print and write; return how many runs failed.
 
     Raises:
@@ -198,7 +198,7 @@ def run(options: SweepOptions) -> int:
         check_file("--json", options.json, (".json",))
     runs = {name: _arguments(options, *name) for name in _names(options)}
     for arguments in runs.values():
-        train.check(parse(arguments))
+        train.check_training(parse(arguments))
     with claimed(options.out):
         found = _train(options, runs)
         report = _report(options, found)

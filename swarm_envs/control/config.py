@@ -1,12 +1,12 @@
-"""What a tracking controller is told: gains, filters, limits, and the forces it believes in."""
+"""Configuration of the tracking controller: gains, filters, limits, and feed-forward."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import POSITIVE, Range, typed
 
 if TYPE_CHECKING:
     from swarm_envs.interactions.base import InteractionModel
@@ -15,13 +15,7 @@ STEP = 1.0 / 240.0
 """Length of one controller step, which is one physics step, s."""
 
 
-def _check_positive(owner: object, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(owner, name)
-        if not (math.isfinite(value) and value > 0.0):
-            raise ValueError(f"{name} is {value!r}, but must be positive and finite")
-
-
+@typed
 @dataclass(frozen=True)
 class PositionGains:
     """Gains of the position loop, 1/s, the same in x, y and z (Neural-Swarm2, eqs. 18 and 19).
@@ -30,15 +24,12 @@ class PositionGains:
         ValueError: a gain is not positive and finite; its message names the gain.
     """
 
-    position: float
+    position: Annotated[float, POSITIVE]
     """Lambda_p: velocity asked for per metre of position error."""
-    velocity: float
+    velocity: Annotated[float, POSITIVE]
     """K_v / m: acceleration per velocity error."""
-    integral: float
+    integral: Annotated[float, POSITIVE]
     """Gamma_v: rate at which the velocity error is integrated."""
-
-    def __post_init__(self) -> None:
-        _check_positive(self, tuple(field.name for field in fields(self)))
 
 
 SOFT = PositionGains(position=1.0, velocity=2.0, integral=0.5)
@@ -68,54 +59,44 @@ class ControllerConfig:
     gains: PositionGains = MID
     """Gains of the position loop, eqs. (18) and (19)."""
     feedforward: InteractionModel | None = None
-    """The interaction model that the controller believes, or None: no compensation."""
+    """The interaction model whose forces the controller compensates; None for no compensation."""
     lag_compensation: bool = True
     """Whether the motors' lag is compensated, eq. (22)."""
 
-    attitude_tilt: float = 20.0
+    attitude_tilt: Annotated[float, POSITIVE] = 20.0
     """Lambda_q in roll and pitch, 1/s: rate asked for per unit of the error quaternion's vector."""
-    attitude_yaw: float = 6.0
+    attitude_yaw: Annotated[float, POSITIVE] = 6.0
     """Lambda_q in yaw, 1/s."""
-    rate_tilt: float = 25.0
+    rate_tilt: Annotated[float, POSITIVE] = 25.0
     """K_omega / J in roll and pitch, 1/s."""
-    rate_yaw: float = 6.0
+    rate_yaw: Annotated[float, POSITIVE] = 6.0
     """K_omega / J in yaw, 1/s."""
-    rate_integral_tilt: float = 20.0
+    rate_integral_tilt: Annotated[float, POSITIVE] = 20.0
     """Gamma_omega / J in roll and pitch, 1/s^2."""
-    rate_integral_yaw: float = 6.0
+    rate_integral_yaw: Annotated[float, POSITIVE] = 6.0
     """Gamma_omega / J in yaw, 1/s^2."""
 
-    thrust_rate_cutoff_hz: float = 20.0
+    thrust_rate_cutoff_hz: Annotated[float, POSITIVE] = 20.0
     """Cut-off of the low-pass on the derivative of the desired thrust, Hz."""
-    rate_error_cutoff_hz: float = 40.0
+    rate_error_cutoff_hz: Annotated[float, POSITIVE] = 40.0
     """Cut-off of the low-pass on the derivative of the body-rate error, Hz."""
-    desired_rate_cutoff_hz: float = 10.0
+    desired_rate_cutoff_hz: Annotated[float, POSITIVE] = 10.0
     """Cut-off of the low-pass on the desired body rate, Hz."""
 
-    velocity_integral_limit: float = 0.05
+    velocity_integral_limit: Annotated[float, POSITIVE] = 0.05
     """Largest |integral of the velocity error| per axis, m: anti-windup."""
-    rate_integral_limit: float = 0.2
+    rate_integral_limit: Annotated[float, POSITIVE] = 0.2
     """Largest |integral of the body-rate error| per axis, rad: anti-windup."""
-    min_vertical_thrust_fraction: float = 0.2
-    """Lower limit of the desired force's vertical part, as a fraction of the weight."""
+    min_vertical_thrust_fraction: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.2
+    """Lower limit of the desired force's vertical part, as a fraction of the weight: a drone that
+    may never pull less than its weight cannot descend."""
 
     def __post_init__(self) -> None:
-        if not isinstance(self.gains, PositionGains):
-            raise TypeError(
-                f"gains is {self.gains!r}, but must be PositionGains, such as GAINS['mid']"
-            )
         model = self.feedforward
         if model is not None and not callable(getattr(model, "forces", None)):
             raise TypeError(
                 f"feedforward is {model!r:.80}, but must be an InteractionModel, such "
                 "as load('learned'), or None"
-            )
-        skip = ("gains", "feedforward", "lag_compensation")
-        _check_positive(self, tuple(f.name for f in fields(self) if f.name not in skip))
-        if self.min_vertical_thrust_fraction >= 1.0:
-            raise ValueError(
-                f"min_vertical_thrust_fraction is {self.min_vertical_thrust_fraction!r}, but must "
-                "be below 1: a drone that may never pull less than its weight cannot descend"
             )
 
 

@@ -160,7 +160,7 @@ def track(blocks: Records, count: int, settings: Records) -> None:
             started, weight = b.started[lane], b.nominal_mass[lane] * GRAVITY
 
             # The vertical part of the force is kept positive: it always points up.
-            (fx, fy, fz), known = three(b.desired_force, lane), three(b.believed_force, lane)
+            (fx, fy, fz), known = three(b.desired_force, lane), three(b.feedforward_force, lane)
             fx, fy, fz = fx - known[0], fy - known[1], max(fz + weight - known[2], least * weight)
 
             # The thrust along the body's axis, with the lead of eq. (22).

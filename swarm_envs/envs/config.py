@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from numbers import Real
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import (
+    POSITIVE_S,
+    Divides,
+    OneOf,
+    Range,
+    check_value,
+    typed_options,
+)
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import FORMS
 from swarm_envs.envs.randomization import SAME, Randomization
-from swarm_envs.errors import check_array, check_integer, check_kind, check_name
+from swarm_envs.errors import check_array, check_integer, check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions.base import PRECISIONS
 from swarm_envs.motors import BatteryModel
@@ -39,45 +45,42 @@ MOST_THREADS = 1024
 """Of `threads`: each is the system's."""
 
 
-def _check_positive(name: str, value: object, unit: str) -> None:
-    if isinstance(value, bool) or not isinstance(value, Real) or not 0 < float(value) < math.inf:
-        raise ValueError(f"{name} is {value!r}, but must be positive and finite, in {unit}")
-
-
-@dataclass(frozen=True)
+@typed_options
+@dataclass(frozen=True, kw_only=True)
 class EnvConfig:
     """How an environment is flown and observed. Raises ValueError for what cannot be.
 
     The task says what is flown; see its own options.
     """
 
-    physics: str | None = None
+    physics: Annotated[str, OneOf(ENGINES)] | None = None
     """`bullet`, `batch`, or None: Bullet where it can be imported and `deterministic` is not asked
     for, else the compiled twin."""
     interactions: str | Path | InteractionModel = "learned"
-    """The force model that blows: `none`, `wake`, `learned`, a safetensors path, or a model."""
-    action: str = "acceleration"
+    """The model of the interaction forces: `none`, `wake`, `learned`, a safetensors path, or a
+    model."""
+    action: Annotated[str, OneOf(tuple(ACTIONS))] = "acceleration"
     """What actions mean: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
-    decision_rate: int = 48
+    decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """Actions per second: 240 over an integer."""
-    force_rate: int = 240
+    force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
     """Evaluations of the interaction force per second: 240 over an integer."""
-    precision: str = "float64"
+    precision: Annotated[str, OneOf(PRECISIONS)] = "float64"
     """Arithmetic of the force model's networks: `float64`, or `float32` for training, where 1e-4 g
     are nothing. All else is float64; an engine is the twin of the other in one precision."""
     controller: ControllerConfig | None = None
     """The tracking loop between actions and rotors; None for its default."""
-    num_neighbors: int = 3
+    num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 3
     """K, how many neighbours a drone observes."""
-    threads: int | None = None
+    threads: Annotated[int, Range(1, MOST_THREADS)] | None = None
     """Threads that fly a batch on the compiled engine, with the same result; None for one, or for
     every core where there are at least 1,024 drones."""
-    observation: str = "flat"
+    observation: Annotated[str, OneOf(FORMS)] = "flat"
     """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
-    num_obstacles: int | None = None
+    num_obstacles: Annotated[int, Range(0, MOST_OBSERVED)] | None = None
     """M, how many obstacles a drone observes, nearest first; None: 3 where the task has any, and
     else 0."""
-    horizon_s: float | None = None
+    horizon_s: Annotated[float, POSITIVE_S] | None = None
     """The clock: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
@@ -95,45 +98,14 @@ class EnvConfig:
     often they are broken. Types that are left out have none."""
 
     def __post_init__(self) -> None:
-        """Check every option."""
-        check_name("action", self.action, ACTIONS)
-        check_name("observation", self.observation, FORMS)
-        check_name("precision", self.precision, PRECISIONS)
-        if self.physics is not None:
-            check_name("physics", self.physics, ENGINES)
-        for name in ("decision_rate", "force_rate"):
-            rate = check_integer(name, getattr(self, name), 1)
-            if PHYSICS_RATE % rate:
-                raise ValueError(
-                    f"{name} is {rate}, but must be {PHYSICS_RATE} over an integer, such as "
-                    "240, 120, 48, 24 or 10"
-                )
-        check_integer("num_neighbors", self.num_neighbors, 0, MOST_OBSERVED)
-        if self.threads is not None:
-            check_integer("threads", self.threads, 1, MOST_THREADS)
-        if self.num_obstacles is not None:
-            check_integer("num_obstacles", self.num_obstacles, 0, MOST_OBSERVED)
-        if self.horizon_s is not None:
-            _check_positive("horizon_s", self.horizon_s, "s")
-        check_kind("force_bounds_g", self.force_bounds_g, Mapping, "{'S': 5.0, 'L': 10.0}")
+        """Check what the annotations cannot say."""
         for token, bound in self.force_bounds_g.items():
-            _check_positive(f"force_bounds_g[{token!r}]", bound, "gram-force")
-        if self.controller is not None:
-            check_kind("controller", self.controller, ControllerConfig, "ControllerConfig()")
-        if self.battery is not None:
-            check_kind("battery", self.battery, BatteryModel, "BatteryModel()")
-        check_kind("end_on_success", self.end_on_success, bool, "True")
-        check_kind("deterministic", self.deterministic, bool, "True")
-        self._check_randomization()
-
-    def _check_randomization(self) -> None:
-        if self.randomization is None:
-            return
-        example = "Randomization(mass=(0.9, 1.1))"
-        check_kind("randomization", self.randomization, Randomization, example)
-        if self.randomization.battery != SAME and self.battery is None:
+            name = f"force_bounds_g[{token!r}]"
+            check_value(name, bound, Annotated[float, Range(0.0, above=True, unit="gram-force")])
+        ranges = self.randomization
+        if ranges is not None and ranges.battery != SAME and self.battery is None:
             raise ValueError(
-                f"Randomization.battery is {self.randomization.battery}, but these batteries never "
+                f"Randomization.battery is {ranges.battery}, but these batteries never "
                 "empty; give battery=BatteryModel() too"
             )
 
@@ -222,7 +194,7 @@ def check_reset_options(options: Mapping[str, Any] | None, num_drones: int) -> R
     """
     if options is None:
         return ResetOptions(None, {})
-    check_kind("options", options, Mapping, "{'start': [[0, 0, 1], [1, 0, 1]]}")
+    check_value("options", options, Mapping[str, Any])
     given = {name: value for name, value in options.items() if name != _API_TEST_OPTION}
     for name in given:
         check_name("reset option", name, _RESET_OPTIONS)

@@ -33,8 +33,7 @@ from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import World
-from swarm_envs.tasks.base import Task
-from swarm_envs.tasks.mission import Placement, place
+from swarm_envs.tasks.base import Placement, Task, place
 from swarm_envs.tasks.rewards import check_reward_weights, weigh
 from swarm_envs.vehicles import Team
 
@@ -316,7 +315,7 @@ class SwarmCore:
                 f"{self.num_drones} drones; make another environment for another number"
             )
         self.physics.interactions.type_indices(team)
-        self.physics.belief.type_indices(team)
+        self.physics.feedforward.type_indices(team)
         if self.config.randomization is not None:
             self.config.randomization.check_team(team)
         return self.task.with_team(team)

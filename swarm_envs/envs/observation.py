@@ -17,7 +17,7 @@ from gymnasium import spaces
 from swarm_envs.compiled import kernel, part
 from swarm_envs.neighbors import nearest, nearest_sorted, sort_along_x
 from swarm_envs.noise import normal
-from swarm_envs.physics.obstacles import nearest_point
+from swarm_envs.physics.contact import nearest_point
 from swarm_envs.physics.rigid_body import rotation_entries
 from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray, IntArray
@@ -32,7 +32,7 @@ RATE_SCALE = 10.0
 """Body rates are observed in units of this, rad/s."""
 
 
-class Field(NamedTuple):
+class ObservationField(NamedTuple):
     """One named piece of an observation row."""
 
     name: str
@@ -78,7 +78,7 @@ _NEIGHBOR_WIDTH = sum(width for _, width, _, _ in _NEIGHBOR)
 
 
 @cache
-def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[Field, ...]:
+def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[ObservationField, ...]:
     """The fields of an observation row in order.
 
     `self.position` is absolute; `self.attitude` the rotation matrix from body to world, row by
@@ -97,7 +97,9 @@ def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[Fiel
     fields, start = [], 0
     for group, entries in groups:
         for name, width, unit, scale in entries:
-            fields.append(Field(f"{group}.{name}", slice(start, start + width), unit, scale))
+            fields.append(
+                ObservationField(f"{group}.{name}", slice(start, start + width), unit, scale)
+            )
             start += width
     return tuple(fields)
 
@@ -334,7 +336,7 @@ def write_observations(
         environments: (E,) records.
         settings: (1,) record.
         order: (E, N) any permutation of the drones, sorted in place; None if they are few.
-        obstacles: (M', 7) rows of `swarm_envs.physics.obstacles`; None if none are observed.
+        obstacles: (M', 7) rows of `swarm_envs.physics.contact`; None if none are observed.
         others: (K,) scratch: for so many neighbours.
         square: (K,) scratch.
     """

@@ -1,27 +1,23 @@
-"""Options of environment constructors: those that every task takes, and how they are checked."""
+"""Options of a task's `parallel_env`, and what is made from them."""
 
 from __future__ import annotations
 
-import functools
 import importlib
 import inspect
+import textwrap
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
-from pathlib import Path
-from typing import Any, NamedTuple, ParamSpec, TypedDict
+from dataclasses import MISSING, dataclass, fields
+from typing import Annotated, Any, NamedTuple, ParamSpec
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
-from swarm_envs.control.config import ControllerConfig
+from swarm_envs.arguments import OneOf, Option, Range, options_of
 from swarm_envs.envs.config import EnvConfig
-from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.envs.randomization import Randomization
-from swarm_envs.envs.turns import SwarmTurnEnv
-from swarm_envs.errors import check_integer, check_kind, check_name, unknown_name
-from swarm_envs.interactions import InteractionModel
-from swarm_envs.motors import BatteryModel
+from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
+from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.vehicles import Team, Vehicle, parse_team
@@ -30,28 +26,8 @@ P = ParamSpec("P")
 
 MOST_DRONES = 100_000
 """Of `num_drones`: a batch of environments shares the memory."""
-
-
-class EnvOptions(TypedDict, total=False):
-    """Options that every task's `parallel_env` takes; `EnvConfig` says what each means."""
-
-    physics: str | None
-    interactions: str | Path | InteractionModel
-    action: str
-    decision_rate: int
-    force_rate: int
-    precision: str
-    controller: ControllerConfig | None
-    threads: int | None
-    observation: str
-    num_neighbors: int
-    num_obstacles: int | None
-    horizon_s: float | None
-    end_on_success: bool
-    battery: BatteryModel | None
-    randomization: Randomization | None
-    deterministic: bool
-    force_bounds_g: Mapping[str, float]
+NumDrones = Annotated[int, Range(1, MOST_DRONES)]
+"""How many drones fly."""
 
 
 class Blueprint(NamedTuple):
@@ -65,65 +41,99 @@ class Blueprint(NamedTuple):
     """`rgb_array`, `human`, or None for no pictures."""
 
 
-def parallel_view(blueprint: Callable[P, Blueprint]) -> Callable[P, SwarmParallelEnv]:
+@dataclass(frozen=True, kw_only=True)
+class TaskOptions(EnvConfig, ABC):
+    """Options of a task's environment: those of every one, `EnvConfig`, and the task's own."""
+
+    num_drones: NumDrones
+    """N small drones, if no team is given."""
+    team: str | Sequence[Vehicle] | None = None
+    """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
+    obstacles: Sequence[Obstacle] = ()
+    """What stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`."""
+    reward_weights: Mapping[str, float] | None = None
+    """Weight of each reward term; terms left out keep their default."""
+    render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None
+    """`rgb_array` (pictures), `human` (a window) or None."""
+
+    @abstractmethod
+    def make_task(self) -> Task:
+        """The task that is flown."""
+
+    @property
+    def vehicles(self) -> Team:
+        """The team: as given, else `num_drones` small ones."""
+        return parse_team("S" * self.num_drones if self.team is None else self.team)
+
+    def blueprint(self) -> Blueprint:
+        """What an environment with these options is made from.
+
+        Raises:
+            ValueError: the task refuses its options.
+        """
+        config = EnvConfig(**{field.name: getattr(self, field.name) for field in fields(EnvConfig)})
+        return Blueprint(self.make_task(), config, self.render_mode)
+
+
+def blueprint_view(options: Callable[P, TaskOptions]) -> Callable[P, Blueprint]:
+    """The function that makes what every interface to a task is made from."""
+
+    def blueprint(*args: P.args, **given: P.kwargs) -> Blueprint:
+        return options(*args, **given).blueprint()
+
+    return _documented(blueprint, options, "Make what every interface to the task is made from.")
+
+
+def parallel_view(options: Callable[P, TaskOptions]) -> Callable[P, SwarmParallelEnv]:
     """The function that makes a task's environment with PettingZoo's parallel interface."""
 
-    @functools.wraps(blueprint)
-    def parallel_env(*args: P.args, **options: P.kwargs) -> SwarmParallelEnv:
-        return SwarmParallelEnv(*blueprint(*args, **options))
+    def parallel_env(*args: P.args, **given: P.kwargs) -> SwarmParallelEnv:
+        return SwarmParallelEnv(*options(*args, **given).blueprint())
 
-    parallel_env.__name__ = parallel_env.__qualname__ = "parallel_env"
-    return parallel_env
+    return _documented(
+        parallel_env, options, "Make the environment with PettingZoo's parallel interface."
+    )
 
 
-def aec_view(blueprint: Callable[P, Blueprint]) -> Callable[P, AECEnv[str, Any, Any]]:
+def aec_view(options: Callable[P, TaskOptions]) -> Callable[P, AECEnv[str, Any, Any]]:
     """The function that makes a task's environment with PettingZoo's AEC interface."""
 
-    @functools.wraps(blueprint)
-    def env(*args: P.args, **options: P.kwargs) -> AECEnv[str, Any, Any]:
-        turns = SwarmTurnEnv(SwarmParallelEnv(*blueprint(*args, **options)))
+    def env(*args: P.args, **given: P.kwargs) -> AECEnv[str, Any, Any]:
+        turns = SwarmTurnEnv(SwarmParallelEnv(*options(*args, **given).blueprint()))
         return OrderEnforcingWrapper(turns)
 
-    env.__name__ = env.__qualname__ = "env"
-    return env
+    return _documented(env, options, "Make the environment with PettingZoo's AEC interface.")
 
 
-def refuse_unknown(constructor: Callable[..., object], options: Mapping[str, object]) -> None:
-    """Refuse keyword arguments that neither a constructor nor `EnvConfig` has.
+_RAISES = """\
+Raises:
+    TypeError: an option does not exist (the message names the nearest), or has a wrong type.
+    ValueError: an option has an impossible value, or contradicts another.
+    ImportError: `physics="bullet"` without pybullet."""
 
-    Raises:
-        TypeError: there is one; the message names the nearest that exists.
-    """
-    own = [name for name in inspect.signature(constructor).parameters if name != "options"]
+
+def _documented(
+    view: Callable[P, Any], options: Callable[P, TaskOptions], summary: str
+) -> Callable[P, Any]:
+    """Give a view the signature of the options, and a docstring that explains each of them."""
+    made: Any = view
+    made.__signature__ = inspect.signature(options).replace(
+        return_annotation=view.__annotations__["return"]
+    )
+    made.__module__, made.__qualname__ = options.__module__, view.__name__
+    table = options_of(options)  # type: ignore[arg-type]  # a class
     shared = [field.name for field in fields(EnvConfig)]
-    for name in options:
-        if name not in shared:
-            raise TypeError(unknown_name("option", name, own + shared))
+    own = [name for name in table if name not in shared]
+    entries = [_entry(table[name]) for name in (*own, *shared)]
+    made.__doc__ = "\n".join([summary, "", "Args:", *entries, "", _RAISES])
+    return view
 
 
-def check_common(
-    reward_weights: Mapping[str, float] | None, obstacles: Sequence[Obstacle]
-) -> tuple[dict[str, float], tuple[Obstacle, ...]]:
-    """Check the types of options that tasks share, and return them in the form that tasks take.
-
-    Raises:
-        TypeError: one is of a wrong type.
-    """
-    if reward_weights is not None:
-        check_kind("reward_weights", reward_weights, Mapping, "{'success': 5.0}")
-    check_kind("obstacles", obstacles, Sequence, "(Column(center=(0.0, 0.0), radius=0.2),)")
-    return dict(reward_weights or {}), tuple(obstacles)
-
-
-def team_of(team: str | Sequence[Vehicle] | None, num_drones: int) -> Team:
-    """The team that was asked for: as given, else `num_drones` small ones.
-
-    Raises:
-        ValueError: there would be no drone, or a token is unknown.
-    """
-    if team is not None:
-        return parse_team(team)
-    return parse_team("S" * check_integer("num_drones", num_drones, 1, MOST_DRONES))
+def _entry(option: Option) -> str:
+    text = f"{option.name}: {option.meaning} Must be {option.kind.words}."
+    if option.default is not MISSING:
+        text += f" Default: {option.default!r}."
+    return textwrap.fill(text, 100, initial_indent=" " * 4, subsequent_indent=" " * 8)
 
 
 def blueprint_of(task: str, **options: Any) -> Blueprint:

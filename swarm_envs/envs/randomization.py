@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_S, Interval, Range, typed
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import World
 from swarm_envs.vehicles import GRAVITY, Team
 
-Range = tuple[float, float]
-"""Lowest and highest of what is drawn evenly."""
-SAME: Range = (1.0, 1.0)
+Factor = Annotated[tuple[float, float], Interval()]
+"""Lowest and highest of a factor that is drawn evenly."""
+SAME: Factor = (1.0, 1.0)
 """The range of a factor that changes nothing."""
 
 FACTORS = {
@@ -27,61 +28,45 @@ FACTORS = {
 _LEAST_THRUST_TO_WEIGHT = 1.1
 
 
+@typed
 @dataclass(frozen=True)
 class Randomization:
     """What is drawn anew at every reset, from the environment's own generator.
 
     Factors are uniform between two numbers and multiply the vehicle's nominal value, each drone's
-    own; the controller goes on believing in the nominal one. Noise is white and Gaussian, given by
-    its standard deviation per component, and is what observations see: the tracking loop flies by
-    the true state.
+    own; the controller goes on computing with the nominal one. Noise is white and Gaussian, given
+    by its standard deviation per component, and is what observations see: the tracking loop flies
+    by the true state.
 
     Raises:
         ValueError: a range is empty or not positive, or a standard deviation negative.
     """
 
-    mass: Range = SAME
+    mass: Factor = SAME
     """factor of the mass"""
-    inertia: Range = SAME
+    inertia: Factor = SAME
     """factor of the moments of inertia, the same for all three axes"""
-    motor_rate: Range = SAME
+    motor_rate: Factor = SAME
     """factor of the motor rate lambda: the lag's inverse"""
-    thrust: Range = SAME
+    thrust: Factor = SAME
     """factor of the largest rotor thrust"""
-    force_scale: Range = SAME
+    force_scale: Factor = SAME
     """factor of the interaction force, its drag included, one for a whole environment"""
-    battery: Range = SAME
+    battery: Annotated[tuple[float, float], Interval(Range(0.0, 1.0, above=True))] = SAME
     """charge at the start, each drone's own; needs batteries that empty"""
-    gust_acceleration: float = 0.0
+    gust_acceleration: Annotated[float, NOT_NEGATIVE] = 0.0
     """gusts: standard deviation of each component of the acceleration they give, m/s^2; all drones
     of an environment feel the same"""
-    gust_time_s: float = 1.0
+    gust_time_s: Annotated[float, POSITIVE_S] = 1.0
     """gusts: time over which they change, s"""
-    position_noise_m: float = 0.0
+    position_noise_m: Annotated[float, NOT_NEGATIVE] = 0.0
     """noise of observed positions, m"""
-    velocity_noise: float = 0.0
+    velocity_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     """noise of observed velocities, m/s"""
-    attitude_noise_rad: float = 0.0
+    attitude_noise_rad: Annotated[float, NOT_NEGATIVE] = 0.0
     """noise of observed attitudes, rad"""
-    body_rate_noise: float = 0.0
+    body_rate_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     """noise of observed body rates, rad/s"""
-
-    def __post_init__(self) -> None:
-        """Check every number."""
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if isinstance(entry.default, tuple):
-                _check_range(entry.name, value)
-            elif not (isinstance(value, int | float) and 0.0 <= value < math.inf):
-                raise ValueError(
-                    f"Randomization.{entry.name} is {value!r}, but must be finite and not negative"
-                )
-        if self.gust_time_s == 0.0:
-            raise ValueError("Randomization.gust_time_s is 0, but must be positive, in s")
-        if self.battery[1] > 1.0:
-            raise ValueError(
-                f"Randomization.battery is {self.battery}, but a charge is at most 1 (full)"
-            )
 
     def check_team(self, team: Team) -> None:
         """Refuse what could leave a vehicle unable to hover.
@@ -134,11 +119,3 @@ def draw_vehicles(rng: np.random.Generator, ranges: Randomization, e: int, world
     drones["charge"][e] = rng.uniform(*ranges.battery, drones.shape[1])
     gust_key, noise_key = rng.integers(2**63, size=2)
     environments["gust_key"][e], environments["noise_key"][e] = gust_key, noise_key
-
-
-def _check_range(name: str, value: object) -> None:
-    ends = np.array(value, dtype=np.float64) if isinstance(value, tuple | list) else np.empty(0)
-    if ends.shape != (2,) or not 0.0 < ends[0] <= ends[1] < np.inf:
-        raise ValueError(
-            f"Randomization.{name} is {value!r}, but must be (low, high) with 0 < low <= high"
-        )

@@ -10,12 +10,13 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from swarm_envs.arguments import check_value
 from swarm_envs.envs.config import EnvConfig, check_num_envs
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.joint import check_flat, joint_box, split_teams
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.options import batch_of
-from swarm_envs.errors import check_integer, check_kind, check_name
+from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
 
@@ -84,7 +85,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         if self.closed:
             raise RuntimeError("reset() was called on a closed environment; make a new one")
         given = {} if options is None else options
-        check_kind("options", given, Mapping, "{'reset_mask': np.array([True, False])}")
+        check_value("options", given, Mapping[str, Any])
         given = dict(given)
         mask = given.pop("reset_mask", None)
         self.core.reset(self._seeds(seed), mask, given)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.control.state import Setpoint
 from swarm_envs.physics.contact import Contacts
-from swarm_envs.state import FloatArray, SwarmState
+from swarm_envs.state import FloatArray, Setpoint, SwarmState
 from swarm_envs.tasks.motion import REST
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.trajectories import Reference

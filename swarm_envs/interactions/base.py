@@ -1,4 +1,4 @@
-"""Interaction models: what blows in an environment, and what a controller believes blows."""
+"""Models of the interaction forces: those that act, or that a controller compensates."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class InteractionModel:
 
     @cached_property
     def fingerprint(self) -> str:
-        """SHA-256 of the model's numbers: says exactly what blew, or what was believed."""
+        """SHA-256 of the model's numbers: says exactly which model it was."""
         digest = hashlib.sha256(self.name.encode() if self.name in ("none", "wake") else b"")
         for value in self.field:
             digest.update(np.ascontiguousarray(value).tobytes())

@@ -1,4 +1,4 @@
-"""The force on every drone of a crowd, whatever the model; and which drones feel each other."""
+"""The interaction force on every drone of a chunk; and which drones feel each other."""
 
 from __future__ import annotations
 
@@ -9,8 +9,15 @@ from swarm_envs.compiled import announce_compilation, equation, kernel, part
 from swarm_envs.errors import check_array, unknown_name
 from swarm_envs.interactions.field import NONE, WAKE
 from swarm_envs.interactions.network import add_outputs, network, put_drone, put_pair
-from swarm_envs.interactions.packed import PAIRS, SOURCE, PackedField
-from swarm_envs.interactions.scratch import CROWD, SAMPLES, Scratch, scratch_for
+from swarm_envs.interactions.packed import (
+    CHUNK,
+    PAIRS,
+    SAMPLES,
+    SOURCE,
+    PackedField,
+    Scratch,
+    scratch_for,
+)
 from swarm_envs.interactions.wake import wake_forces
 from swarm_envs.neighbors import sort_along_x, within_box
 from swarm_envs.state import FloatArray, IntArray
@@ -59,7 +66,7 @@ def find_pairs(
         order: the scratch's. As an argument that is None it keeps the sweep from being compiled.
         scratch: knows where they are; its pairs are written.
     """
-    window, desk, pairs = field.constants[0]["window"], scratch.desk[0], scratch.pairs
+    window, counters, pairs = field.constants[0]["window"], scratch.counters[0], scratch.pairs
     lateral, vertical, found = window[1], window[3], 0
     if order is not None:
         for first in range(0, count * drones, drones):
@@ -80,9 +87,9 @@ def find_pairs(
                         pair = pairs[found]
                         pair["i"], pair["j"], pair["weight"] = first + i, first + j, left
                         found += 1
-        desk["pairs"] = found
+        counters["pairs"] = found
         return
-    x, y, z, near = desk["x"], desk["y"], desk["z"], desk["near"]
+    x, y, z, near = counters["x"], counters["y"], counters["z"], counters["near"]
     for slot in range(count * drones):
         here, k = scratch.drones[slot]["position"], slot % drones * count + slot // drones
         x[k], y[k], z[k] = here[0], here[1], here[2]
@@ -106,7 +113,7 @@ def find_pairs(
     for at in range(found):  # backwards: the other drone's neighbours ascend too
         pair, other = pairs[found - 1 - at], pairs[found + at]
         other["i"], other["j"], other["weight"] = pair["j"], pair["i"], pair["weight"]
-    desk["pairs"] = 2 * found
+    counters["pairs"] = 2 * found
 
 
 @equation
@@ -117,7 +124,7 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
     marked (`outside`): its force is an extrapolation. A drone's own motion is one if it flies too
     low or too fast. Written are also the drag, and the list of the drones that feel more than that.
     """
-    model, desk, feeling = field.constants[0], scratch.desk[0], 0
+    model, counters, feeling = field.constants[0], scratch.counters[0], 0
     anchor, own, measured = model["anchor_height"], model["environment_range"], model["pair_range"]
     for slot in range(total):
         drone = scratch.drones[slot]
@@ -131,7 +138,7 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
             drone["motion"][k + 1], drone["force"][k] = known, -drag[k] * velocity
         drone["outside"] = outside
         drone["low"] = drone["felt"] = anchor == 0.0 or height < anchor
-    for at in range(desk["pairs"]):
+    for at in range(counters["pairs"]):
         pair = scratch.pairs[at]
         here, there, motion = scratch.drones[pair["i"]], scratch.drones[pair["j"]], pair["motion"]
         outside = here["outside"] != 0
@@ -146,7 +153,7 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
     for slot in range(total):
         scratch.felt[feeling] = slot
         feeling += scratch.drones[slot]["felt"]
-    desk["feeling"] = feeling
+    counters["feeling"] = feeling
     for at in range(feeling):
         code = scratch.rows[SAMPLES + scratch.felt[at]]["v"]
         for k in range(model["hidden"]):
@@ -155,17 +162,17 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
 
 @part
 def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) -> None:
-    """Write the interaction and drag forces on the drones of a crowd.
+    """Write the interaction and drag forces on the drones of a chunk.
 
     Args:
         field: the model.
-        count: environments in the crowd, at most as many as the scratch has places.
+        count: environments in the chunk, at most as many as the scratch has places.
         drones: drones in each, N.
         scratch: knows their types, positions and velocities; forces (N, world frame) and marks are
             written, and their pairs.
     """
-    kind, desk, total = field.constants[0]["kind"], scratch.desk[0], count * drones
-    desk["pairs"] = desk["used"] = 0
+    kind, counters, total = field.constants[0]["kind"], scratch.counters[0], count * drones
+    counters["pairs"] = counters["used"] = 0
     if kind != NONE:
         find_pairs(field, count, drones, scratch.order, scratch)
     describe_motion(field, total, scratch)
@@ -173,14 +180,14 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
         wake_forces(field, total, scratch)
     for n in range(field.layout.shape[0]):
         of_pairs = field.layout[n, SOURCE] == PAIRS
-        end = desk["pairs"] if of_pairs else 2 * desk["feeling"]
+        end = counters["pairs"] if of_pairs else 2 * counters["feeling"]
         for at in range(end):
             if of_pairs:
                 put_pair(field, n, at, scratch)
             else:
                 put_drone(field, n, 2 * scratch.felt[at // 2] + at % 2, scratch)
-            if desk["used"] == SAMPLES or at == end - 1:
-                result = network(field.layout, n, field.weights, desk["used"], scratch.rows)
+            if counters["used"] == SAMPLES or at == end - 1:
+                result = network(field.layout, n, field.weights, counters["used"], scratch.rows)
                 add_outputs(field, n, scratch.rows[result:], scratch)
 
 
@@ -229,7 +236,7 @@ def all_forces(
     environments, drones = types.shape
     if types.size == 0:
         return
-    places = min(max(1, CROWD // drones), environments)
+    places = min(max(1, CHUNK // drones), environments)
     announce_compilation(write_forces)
     write_forces(field, types, position, velocity, out, scratch_for(field, places, drones))
 

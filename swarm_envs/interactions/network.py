@@ -31,14 +31,15 @@ from swarm_envs.interactions.packed import (
     INPUTS,
     NEIGHBOUR,
     OWN,
+    SAMPLES,
     SOURCE,
     START,
     TARGET,
     TO_CODES,
     UNITS,
     PackedField,
+    Scratch,
 )
-from swarm_envs.interactions.scratch import SAMPLES, Scratch
 from swarm_envs.state import IntArray
 from swarm_envs.tables import Records
 from swarm_envs.vehicles import GRAM_FORCE
@@ -96,18 +97,18 @@ def network(layout: IntArray, n: int, weights: Records, used: int, rows: Records
 @equation
 def put_pair(field: PackedField, n: int, at: int, scratch: Scratch) -> None:
     """Put the motion of pair `at` into the next row, if network `n` is applied to it."""
-    desk, pair, own = scratch.desk[0], scratch.pairs[at], field.layout[n, OWN]
+    counters, pair, own = scratch.counters[0], scratch.pairs[at], field.layout[n, OWN]
     if scratch.drones[pair["j"]]["type"] != field.layout[n, NEIGHBOUR]:
         return
     if own == ANY or scratch.drones[pair["i"]]["type"] == own:
-        used = desk["used"]
+        used = counters["used"]
         row = scratch.rows[used // 2]["v"][used % 2]
         for k in range(6):
             row[k] = pair["motion"][k]
         for k in range(6, 2 * INPUTS):
             row[k] = 0.0
-        desk["slot"][used], desk["share"][used] = 2 * pair["i"], pair["weight"]
-        desk["used"] = used + 1
+        counters["slot"][used], counters["share"][used] = 2 * pair["i"], pair["weight"]
+        counters["used"] = used + 1
 
 
 @equation
@@ -120,7 +121,7 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
         slot: 2 i of drone i as it flies, 2 i + 1 alone at the anchor height.
         scratch: working memory.
     """
-    layout, desk, drone = field.layout, scratch.desk[0], scratch.drones[slot // 2]
+    layout, counters, drone = field.layout, scratch.counters[0], scratch.drones[slot // 2]
     free, own, model = slot % 2, layout[n, OWN], field.constants[0]
     # Read here and not where it is used: arrays in a branch are counted as referenced, which locks.
     anchor, anchor_motion = model["anchor_height"], model["anchor_motion"]
@@ -128,7 +129,7 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
     if layout[n, SOURCE] == ENVIRONMENT and not (free == FREE and layout[n, TARGET] == TO_CODES):
         wanted = wanted and drone["low"] != 0  # high up, the ground does nothing
     if wanted:
-        used = desk["used"]
+        used = counters["used"]
         row = scratch.rows[used // 2]["v"][used % 2]
         if layout[n, SOURCE] == ENVIRONMENT:
             for k in range(4):
@@ -138,12 +139,12 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
             code = scratch.rows[SAMPLES + slot // 2]["v"]
             for k in range(INPUTS * layout[n, FIRST_LAYER + BLOCKS]):
                 row[k] = code[free, k]
-        desk["slot"][used], desk["share"][used], desk["used"] = slot, 1.0, used + 1
+        counters["slot"][used], counters["share"][used], counters["used"] = slot, 1.0, used + 1
 
 
 @equation
 def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> None:
-    """Add the outputs of network `n` to codes or forces, and clear the desk.
+    """Add the outputs of network `n` to codes or forces, and clear the counters.
 
     Args:
         field: the model.
@@ -151,9 +152,9 @@ def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> 
         rows: they lie there.
         scratch: working memory.
     """
-    desk, hidden = scratch.desk[0], field.constants[0]["hidden"]
-    for s in range(desk["used"]):
-        slot, share, output = desk["slot"][s], desk["share"][s], rows[s // 2]["v"]
+    counters, hidden = scratch.counters[0], field.constants[0]["hidden"]
+    for s in range(counters["used"]):
+        slot, share, output = counters["slot"][s], counters["share"][s], rows[s // 2]["v"]
         drone, free = scratch.drones[slot // 2], slot % 2
         if field.layout[n, TARGET] == TO_CODES:
             code = scratch.rows[SAMPLES + slot // 2]["v"]
@@ -164,7 +165,7 @@ def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> 
         else:
             force = output[s % 2, 0] * GRAM_FORCE
             drone["force"][2] += -force if free == FREE else share * force
-    desk["used"] = 0
+    counters["used"] = 0
 
 
 def pairwise_names(types: tuple[str, ...]) -> list[str]:

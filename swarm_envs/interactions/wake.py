@@ -23,8 +23,7 @@ import numpy as np
 
 from swarm_envs.compiled import equation
 from swarm_envs.interactions.field import WAKE, ForceField, empty_field
-from swarm_envs.interactions.packed import PackedField
-from swarm_envs.interactions.scratch import Scratch
+from swarm_envs.interactions.packed import PackedField, Scratch
 from swarm_envs.vehicles import GRAM_FORCE
 
 FORMAT = "wake-1"
@@ -101,7 +100,7 @@ def wake_forces(field: PackedField, total: int, scratch: Scratch) -> None:
     q, mitigation = model["wake_combine"], model["wake_mitigation"]
     for slot in range(total):
         scratch.drones[slot]["pushed"] = 0.0
-    for at in range(scratch.desk[0]["pairs"]):
+    for at in range(scratch.counters[0]["pairs"]):
         pair = scratch.pairs[at]
         lower, upper = scratch.drones[pair["i"]], scratch.drones[pair["j"]]
         here, there, speed = lower["position"], upper["position"], upper["velocity"]

@@ -1,4 +1,4 @@
-"""Reading a network's weights file: safetensors with a JSON note, checked before it is believed.
+"""Reading a network's weights file: safetensors with a JSON note, checked before it is used.
 
 Tensors, float64, of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`, the same for
 `phi.environment` and `rho.<type>`; of a pairwise sum: `pair.<neighbour>.<drone>.<layer>...` and

@@ -1,7 +1,7 @@
 """What both engines share: the memory, the checks at the door, the reset, the step.
 
-A physics object holds E environments of N drones: of one team, unless `set_team` was told
-otherwise. `step` takes rotor commands and advances
+A physics object holds E environments of N drones: of one team, unless `set_team` changes
+it. `step` takes rotor commands and advances
 everything by 1/240 s; the interaction force is part of it.
 """
 
@@ -11,20 +11,20 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import Divides, Range, typed
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig, gains
-from swarm_envs.errors import check_array, check_integer
+from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.scratch import scratch_for
+from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.motors import BatteryModel
 from swarm_envs.neighbors import FEW
-from swarm_envs.physics.contact import NO_WALLS, Contacts, contacts_of
-from swarm_envs.physics.obstacles import ROW, no_obstacles
+from swarm_envs.physics.contact import NO_WALLS, ROW, Contacts, contacts_of, no_obstacles
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.physics.step import (
     BEGIN,
@@ -72,14 +72,14 @@ class Physics:
     Args:
         team: the N vehicles of every environment, or a string such as `"SSL"`.
         num_envs: E.
-        interactions: the force model that blows: a name, a path or a model.
+        interactions: the model of the interaction forces: a name, a path or a model.
         arena: (2, 3) corners of the walls for the collision test, m; None for no walls.
         battery: how thrust falls as batteries empty; None for batteries that never do.
         force_rate: how often a second the interaction force is evaluated; between, it is held.
             240 or a divisor.
         gusts: standard deviation (m/s^2) and correlation time (s) of the acceleration that gusts
             give in environments; None for still air. `step` leaves them out.
-        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`; None for none.
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none.
         level: where commands enter: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`.
         controller: of the tracking loop, for the first two.
         threads: how many fly the environments, each its part of them.
@@ -98,12 +98,12 @@ class Physics:
     def __init__(
         self,
         team: str | Sequence[Vehicle],
-        num_envs: int = 1,
+        num_envs: Annotated[int, Range(1, MOST_ENVIRONMENTS)] = 1,
         interactions: str | Path | InteractionModel = "learned",
         *,
         arena: npt.ArrayLike | None = None,
         battery: BatteryModel | None = None,
-        force_rate: int = PHYSICS_RATE,
+        force_rate: Annotated[int, Divides(PHYSICS_RATE)] = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
         obstacles: npt.ArrayLike | None = None,
         level: int = ROTORS,
@@ -112,18 +112,12 @@ class Physics:
         num_stages: int = 1,
         force_bounds_g: Mapping[str, float] = FORCE_BOUNDS_G,
     ) -> None:
-        check_integer("num_envs", num_envs, 1, MOST_ENVIRONMENTS)
         self.team = parse_team(team)
         self.teams = [self.team] * num_envs
-        if force_rate < 1 or PHYSICS_RATE % force_rate:
-            raise ValueError(
-                f"force_rate is {force_rate}, but must be {PHYSICS_RATE} or a divisor of it, "
-                "such as 120, 48 or 24"
-            )
         self.num_envs = num_envs
         self.interactions = load(interactions)
         config = controller or ControllerConfig()
-        self.belief = load("none" if config.feedforward is None else config.feedforward)
+        self.feedforward = load("none" if config.feedforward is None else config.feedforward)
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
         rows = np.asarray(no_obstacles() if obstacles is None else obstacles)
         self.obstacles = check_array("obstacles", rows, (*rows.shape[:1], ROW), "(M, 7)")
@@ -138,7 +132,7 @@ class Physics:
         self._set(
             level=level,
             hold=PHYSICS_RATE // force_rate,
-            believes=config.feedforward is not None,
+            compensates=config.feedforward is not None,
             drains=battery is not None,
             gusty=strength > 0.0,
             gust_kept=float(np.exp(-TIME_STEP / correlation_s)),
@@ -178,7 +172,7 @@ class Physics:
             self.order if drones > FEW else None,
             True if self.settings["gusty"][0] else None,
             self.interactions.packed,
-            self.belief.packed if self.settings["believes"][0] else None,
+            self.feedforward.packed if self.settings["compensates"][0] else None,
         )
         places = len(work.members)
         self._given = [  # to each thread
@@ -208,13 +202,13 @@ class Physics:
         areas = np.array([math.pi * vehicle.rotor_radius**2 for vehicle in team])
         code = [[float(vehicle.token == token) for token in tokens] for vehicle in team]
         bound = [self._bounds_g.get(vehicle.token, np.inf) * GRAM_FORCE for vehicle in team]
-        believed = {name: getattr(nominal, name)[0] for name in _BELIEVED}
+        nominal_values = {name: getattr(nominal, name)[0] for name in _NOMINAL}
         return {
             **{name: array[0] for name, array in zip(nominal._fields, nominal, strict=True)},
-            **{f"nominal_{name}": array for name, array in believed.items()},
+            **{f"nominal_{name}": array for name, array in nominal_values.items()},
             **self._battery.of_team(team),
             "type": self.interactions.type_indices(team),
-            "believed_type": self.belief.type_indices(team),
+            "feedforward_type": self.feedforward.type_indices(team),
             "energy_scale": [
                 TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * area) for area in areas.tolist()
             ],
@@ -395,8 +389,8 @@ class BatchPhysics(Physics):
     name = "batch"
 
 
-_BELIEVED = ("mass", "inertia", "motor_rate", "max_rotor_thrust")
-"""Parameters of which the controller believes the nominal value."""
+_NOMINAL = ("mass", "inertia", "motor_rate", "max_rotor_thrust")
+"""Parameters of which the controller knows the nominal value alone."""
 
 
 def check_state(state: SwarmState, like: SwarmState) -> None:

@@ -12,9 +12,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from swarm_envs.compiled import equation, part
 from swarm_envs.control.loop import four, three
-from swarm_envs.tables import LANES, Records
+from swarm_envs.noise import normal
+from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
 PHYSICS_RATE = 240
@@ -177,3 +180,27 @@ def integrate(blocks: Records, count: int) -> None:
             q = b.quaternion
             q[0, lane], q[1, lane] = nx * scale, ny * scale
             q[2, lane], q[3, lane] = nz * scale, nw * scale
+
+
+@part
+def gust(environment: Record, first: int, drones: int, settings: Records, blocks: Records) -> None:
+    """Advance the gusts of an environment by a step, and write the force on its drones.
+
+    The acceleration is an Ornstein-Uhlenbeck process, exactly discretised.
+
+    Args:
+        environment: its record; the acceleration is changed in place.
+        first: slot of its first drone in the blocks.
+        drones: N.
+        settings: (1,) share of the acceleration that is left after one step, and the standard
+            deviation of each component, m/s^2.
+        blocks: records of `LANES` drones; `external` (N, world frame) is written.
+    """
+    kept, strength = settings[0].gust_kept, settings[0].gust_strength
+    fresh = strength * math.sqrt(1.0 - kept * kept)
+    for k in range(3):
+        drawn = normal(environment.gust_key, np.uint64(3 * environment.age + k))
+        environment.gust[k] = kept * environment.gust[k] + fresh * drawn
+        for slot in range(first, first + drones):
+            b, lane = blocks[slot // LANES], slot % LANES
+            b.external[k, lane] = b.mass[lane] * environment.gust[k]

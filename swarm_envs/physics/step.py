@@ -19,8 +19,7 @@ from swarm_envs.compiled import kernel, part
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
 from swarm_envs.interactions.forces import swarm_forces
-from swarm_envs.interactions.packed import PackedField
-from swarm_envs.interactions.scratch import CROWD, Scratch
+from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
 from swarm_envs.motors import drain, limit_rotors
 from swarm_envs.neighbors import FEW
 from swarm_envs.physics.contact import (
@@ -31,9 +30,9 @@ from swarm_envs.physics.contact import (
     touch,
     touch_obstacles,
 )
-from swarm_envs.physics.gusts import gust
 from swarm_envs.physics.rigid_body import (
     TIME_STEP,
+    gust,
     integrate,
     rotation_entries,
     rotor_wrench,
@@ -79,7 +78,7 @@ class Work(NamedTuple):
 
 def new_work(num_drones: int) -> Work:
     """Working memory for environments of so many drones."""
-    places = max(1, min(PLACES, CROWD // num_drones))
+    places = max(1, min(PLACES, CHUNK // num_drones))
     blocks = aligned(-(-places * num_drones // LANES), BLOCK_TYPE)
     return Work(
         blocks=blocks,
@@ -92,7 +91,7 @@ def new_work(num_drones: int) -> Work:
 
 
 @part
-def load(columns: FloatArray, count: int, controlled: bool, begins: bool, work: Work) -> None:
+def load_tile(columns: FloatArray, count: int, controlled: bool, begins: bool, work: Work) -> None:
     """Copy what a step knows of the drones of the first `count` members into the blocks.
 
     The columns of the tracking loop are left out if there is none. Where a decision begins, what
@@ -103,11 +102,8 @@ def load(columns: FloatArray, count: int, controlled: bool, begins: bool, work: 
     skipped = BODY_END if controlled else CONTROLLER_END
     for place in range(count):
         for i in range(drones):
-            row, block, lane = (
-                columns[work.members[place], i],
-                work.tile[slot // LANES],
-                slot % LANES,
-            )
+            row, lane = columns[work.members[place], i], slot % LANES
+            block = work.tile[slot // LANES]
             for c in range(BODY_END):
                 block[c, lane] = row[c]
             for c in range(skipped, VEHICLE_END):
@@ -123,44 +119,41 @@ def load(columns: FloatArray, count: int, controlled: bool, begins: bool, work: 
 
 
 @part
-def store(columns: FloatArray, count: int, controlled: bool, work: Work) -> None:
+def store_tile(columns: FloatArray, count: int, controlled: bool, work: Work) -> None:
     """Copy what a step has changed back from the blocks."""
     drones, slot = columns.shape[1], 0
     end = CONTROLLER_END if controlled else BODY_END
     for place in range(count):
         for i in range(drones):
-            row, block, lane = (
-                columns[work.members[place], i],
-                work.tile[slot // LANES],
-                slot % LANES,
-            )
+            row, lane = columns[work.members[place], i], slot % LANES
+            block = work.tile[slot // LANES]
             for c in range(end):
                 row[c] = block[c, lane]
             slot += 1
 
 
 @part
-def gather(count: int, drones: int, believed: bool, work: Work, scratch: Scratch) -> None:
+def gather(count: int, drones: int, compensated: bool, work: Work, scratch: Scratch) -> None:
     """Tell a force model which drones are at the places `work.due[:count]`, and where."""
     for place in range(count):
         for i in range(drones):
             slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
-            felt["type"] = int(b.believed_type[lane] if believed else b.type[lane])
+            felt["type"] = int(b.feedforward_type[lane] if compensated else b.type[lane])
             for k in range(3):
                 felt["position"][k], felt["velocity"][k] = b.position[k, lane], b.velocity[k, lane]
 
 
 @part
 def spread(
-    count: int, drones: int, believed: bool, environments: Records, work: Work, scratch: Scratch
+    count: int, drones: int, compensated: bool, environments: Records, work: Work, scratch: Scratch
 ) -> None:
     """Write the forces that a force model has found into the blocks.
 
     Args:
         count: how many places of `work.due` were asked for.
         drones: N.
-        believed: whether the controller believes in these forces, or they act.
+        compensated: whether the controller compensates these forces, or they act.
         environments: their records, with the factor of the force that acts.
         work: its blocks are written.
         scratch: of the force model.
@@ -170,9 +163,9 @@ def spread(
         for i in range(drones):
             slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
-            if believed:
+            if compensated:
                 for k in range(3):
-                    b.believed_force[k, lane] = felt["force"][k]
+                    b.feedforward_force[k, lane] = felt["force"][k]
             else:
                 b.outside[lane] = felt["outside"]
                 for k in range(3):
@@ -195,10 +188,10 @@ def fly(  # noqa: C901  # one step, on one screen
     order: IntArray | None,
     gusty: bool | None,
     air: PackedField,
-    belief: PackedField | None,
+    feedforward: PackedField | None,
     work: Work,
     scratch: Scratch,
-    belief_scratch: Scratch,
+    feedforward_scratch: Scratch,
 ) -> None:
     """Fly the environments first to last - 1 that are in the mask, a tile of them at a time.
 
@@ -213,16 +206,16 @@ def fly(  # noqa: C901  # one step, on one screen
         columns: (E, N, columns) the same memory as plain numbers.
         environments: (E,) records.
         settings: (1,) record.
-        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`; None for none. What is None is
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none. What is None is
             left out when this is compiled, which saves about a fifth of the time.
         open_circuit: (K,) of the batteries; None if they never empty.
         order: (E, N) drones of each environment, as last sorted along x; None if they are few.
         gusty: True if there are gusts, else None.
         air: the force model of the environment.
-        belief: the one in which the controller believes; None if it compensates nothing.
+        feedforward: the model whose forces the controller compensates; None without one.
         work: working memory of this thread.
         scratch: working memory of the first force model.
-        belief_scratch: of the second; None if there is none.
+        feedforward_scratch: of the second; None if there is none.
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0
@@ -237,7 +230,7 @@ def fly(  # noqa: C901  # one step, on one screen
         if count == 0:
             continue
         full = (count * size + LANES - 1) // LANES
-        load(columns, count, controlled, phases & BEGIN != 0, work)
+        load_tile(columns, count, controlled, phases & BEGIN != 0, work)
         for k in range(steps + 1):
             if phases & TOUCH and (k > 0) == moves:
                 touch(work.blocks, full, settings)
@@ -251,18 +244,18 @@ def fly(  # noqa: C901  # one step, on one screen
             if k == steps:
                 break
             if phases & CONTROL and s.level == SETPOINTS:
-                if belief is not None:
-                    believed = size > 0
+                if feedforward is not None:
+                    compensated = size > 0
                     for place in range(count):
                         work.due[place] = place
-                    gather(count, size, believed, work, belief_scratch)
-                    swarm_forces(belief, count, size, belief_scratch)
-                    spread(count, size, believed, environments, work, belief_scratch)
+                    gather(count, size, compensated, work, feedforward_scratch)
+                    swarm_forces(feedforward, count, size, feedforward_scratch)
+                    spread(count, size, compensated, environments, work, feedforward_scratch)
                 track(work.blocks, full, settings)
             if phases & CONTROL and controlled:
                 hold_rates(work.blocks, full, settings)
             if phases & SPIN:
-                believed = size == 0
+                compensated = size == 0
                 due: Any = np.int64(0)  # a literal would compile what takes it twice
                 for place in range(count):
                     environment = environments[members[place]]
@@ -271,9 +264,9 @@ def fly(  # noqa: C901  # one step, on one screen
                         due += 1
                     environment.age += 1
                 if due > 0 and air.constants[0]["kind"] != NONE:
-                    gather(due, size, believed, work, scratch)
+                    gather(due, size, compensated, work, scratch)
                     swarm_forces(air, due, size, scratch)
-                    spread(due, size, believed, environments, work, scratch)
+                    spread(due, size, compensated, environments, work, scratch)
                 if gusty is not None and phases & CONTROL:
                     for place in range(count):
                         environment = environments[members[place]]
@@ -285,7 +278,7 @@ def fly(  # noqa: C901  # one step, on one screen
                 integrate(work.blocks, full)
             elif phases & SPIN:
                 write_wrenches(count, drones, work)
-        store(columns, count, controlled, work)
+        store_tile(columns, count, controlled, work)
 
 
 @part

@@ -6,19 +6,66 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Annotated, NamedTuple, Self
 
 import numpy as np
 
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, typed
 from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
-from swarm_envs.tables import SETTINGS_TYPE, Records, World
-from swarm_envs.tasks.mission import Placement, world_of
+from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
 from swarm_envs.tasks.motion import WRITERS, Motion, reference_of
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
 from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, check_points
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
+
+
+class Orbit(NamedTuple):
+    """Ellipses on which drones circle: center + first cos(angle) + second sin(angle)."""
+
+    center: FloatArray
+    """(N, 3) centres, m."""
+    first: FloatArray
+    """(N, 3) half axes to which angle zero points, m."""
+    second: FloatArray
+    """(N, 3) half axes to which a quarter turn points, m."""
+    rate: FloatArray
+    """(N,) angular rates, rad/s."""
+    phase: FloatArray
+    """(N,) angles at time zero, rad."""
+
+
+class Placement(NamedTuple):
+    """One episode of one environment, as a task draws it."""
+
+    start: FloatArray
+    """(N, 3) start positions, m."""
+    goals: FloatArray
+    """(S, N, 3) goal positions of each stage, m."""
+    duration: float = 0.0
+    """Seconds that the reference takes from one stage to the next; 0 if it rests at the goals."""
+    orbit: Orbit | None = None
+    """What the reference circles on, if it does."""
+
+
+def place(world: World, e: int, placement: Placement) -> None:
+    """Keep a new episode of environment `e` in the tables; its first stage begins."""
+    drones, goals = world.drones[e], placement.goals
+    drones["start"], drones["goal"], world.goals[e] = placement.start, goals[0], goals
+    world.environments["duration"][e] = placement.duration
+    if placement.orbit is not None:
+        drones["orbit"] = np.stack(placement.orbit[:3], axis=1)
+        drones["orbit_rate"], drones["orbit_phase"] = placement.orbit.rate, placement.orbit.phase
+
+
+def world_of(placement: Placement) -> World:
+    """The tables of a single environment that begins with a placement."""
+    stages, drones, _ = placement.goals.shape
+    world = new_world(1, drones, stages)
+    place(world, 0, placement)
+    return world
+
 
 SPEED_LIMIT = 2.0
 """Largest speed that actions ask for, m/s, the same for every type."""
@@ -30,23 +77,25 @@ _DRAWS = 200
 """How often an episode is drawn anew until it is free of obstacles."""
 
 
+@typed
 @dataclass(frozen=True)
 class Success:
     """When a team has done a stage of its task: every drone near its goal, for a while."""
 
-    radius: float = 0.10
+    radius: Annotated[float, POSITIVE_M] = 0.10
     """How near a drone must be to its goal, m."""
-    hold_s: float = 0.5
+    hold_s: Annotated[float, NOT_NEGATIVE] = 0.5
     """For how long all must stay there, s, as seen at decisions."""
 
 
+@typed
 @dataclass(frozen=True)
 class TrackingSuccess:
     """When a team has done its task by the clock: no crash, and never far from the reference."""
 
-    worst_error: float = 0.15
+    worst_error: Annotated[float, POSITIVE_M] = 0.15
     """Every drone must always have been nearer to its reference than this, m."""
-    settle_s: float = 2.0
+    settle_s: Annotated[float, NOT_NEGATIVE] = 2.0
     """Errors count from this time on, s."""
 
 
@@ -116,7 +165,7 @@ class Task(ABC):
     @property
     @abstractmethod
     def episode_s(self) -> float:
-        """The clock, unless an environment is told another, s."""
+        """The clock, unless an environment is given another, s."""
 
     @abstractmethod
     def draw(

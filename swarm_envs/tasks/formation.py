@@ -20,15 +20,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_name
+from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed
 from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.tasks.base import Success, Task
-from swarm_envs.tasks.mission import Placement
+from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement
@@ -55,7 +53,7 @@ STARTS = ("shape", "ground")
 GROUND_HEIGHT = 0.15
 """Height at which drones start on the ground, m: just above it, since touching it is a crash."""
 SPACING = 0.5
-"""Distance between places unless told otherwise, m."""
+"""Distance between places unless another is given, m."""
 CLOSEST = 2.0 * math.sqrt(2.0)
 """Places are at least this many radii apart, so that straight ways to them do not meet."""
 _RAMP = 0.5
@@ -70,18 +68,18 @@ class FormationTask(Task):
     """The drones."""
     shapes: tuple[str, ...] = SHAPES
     """Names of the shapes, in order; `letter:A` and the like write."""
-    labels: str = "nearest"
+    labels: Annotated[str, OneOf(LABELS)] = "nearest"
     """Who goes where: `nearest`, `random`, `mirror` or `blocks`."""
-    start: str = "shape"
+    start: Annotated[str, OneOf(STARTS)] = "shape"
     """Where drones start: on the first `shape`, or on the `ground`."""
-    spacing_m: float | None = None
+    spacing_m: Annotated[float, POSITIVE_M] | None = None
     """Smallest distance between two places of a shape, m; None: 0.5, or less where shapes of so
     many drones would not fit the arena."""
-    shape_s: float = 6.0
+    shape_s: Annotated[float, POSITIVE_S] = 6.0
     """Time for each shape, s."""
-    travel_s: float = 4.0
+    travel_s: Annotated[float, POSITIVE_S] = 4.0
     """Time in which the reference gets there, s."""
-    turn_rad: tuple[float, float] = (0.0, 2 * math.pi)
+    turn_rad: Annotated[tuple[float, float], Interval(Range(unit="rad"))] = (0.0, 2 * math.pi)
     """Range from which the turn of all shapes about the vertical is drawn, rad."""
     success: Success = Success()
     """When the team has reached a shape."""
@@ -95,11 +93,12 @@ class FormationTask(Task):
     write_reward_terms = staticmethod(write_terms)
 
     def __post_init__(self) -> None:
-        """Refuse options that are unknown, and shapes that do not fit the arena."""
-        check_name("labels", self.labels, LABELS)
-        check_name("start", self.start, STARTS)
+        """Refuse options that contradict each other, and shapes that do not fit the arena."""
         check_reward_weights(self.reward_weights, self.reward_names)
-        self._check_numbers()
+        if self.travel_s > self.shape_s:
+            raise ValueError(
+                f"travel_s is {self.travel_s}, but must not exceed shape_s, {self.shape_s}"
+            )
         least = 2 if self.start == "shape" else 1
         if len(self.shapes) < least:
             raise ValueError(
@@ -109,20 +108,6 @@ class FormationTask(Task):
         if self.labels == "blocks" and {*self.shapes} != {"blocks"}:
             raise ValueError(f"labels='blocks' needs shapes=('blocks', ...), not {self.shapes!r}")
         self._check_fits()
-
-    def _check_numbers(self) -> None:
-        for name in ("spacing_m", "shape_s", "travel_s"):
-            value = getattr(self, name)
-            if value is not None and not 0.0 < value < math.inf:
-                raise ValueError(
-                    f"FormationTask.{name} is {value!r}, but must be positive and finite"
-                )
-        if self.travel_s > self.shape_s:
-            raise ValueError(
-                f"travel_s is {self.travel_s}, but must not exceed shape_s, {self.shape_s}"
-            )
-        if not (len(self.turn_rad) == 2 and -math.inf < self.turn_rad[0] <= self.turn_rad[1]):
-            raise ValueError(f"turn_rad is {self.turn_rad!r}, but must be (low, high), rad")
 
     def _check_fits(self) -> None:
         wanted = SPACING if self.spacing_m is None else self.spacing_m
@@ -229,7 +214,7 @@ class FormationTask(Task):
 
 
 def nearest_places(wanted: FloatArray, places: FloatArray) -> IntArray:
-    """(N,) the place (N, 3) for each wish (N, 3), by the least sum of squared distances."""
+    """(N,) the place (N, 3) nearest to each point (N, 3), by the least sum of squared distances."""
     from scipy.optimize import linear_sum_assignment  # half a second, which only formations need
 
     square = np.square(wanted[:, None] - places[None]).sum(axis=-1)

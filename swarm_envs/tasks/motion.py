@@ -1,7 +1,7 @@
 """References of every task, each in one compiled call: rest, straight lines, ellipses.
 
-The same motions as those of `swarm_envs.trajectories`, for all drones of all environments at once,
-since each decision asks for them.
+Lines are those of `swarm_envs.trajectories.ramped_line`, for all drones of all environments at
+once, since each decision asks for them.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def stage_at(time: float, stage_s: float, num_stages: int) -> int:
 def ramped_time(t: float, ramp: float) -> tuple[float, float, float, float]:
     """Time that stands still before zero and runs at full rate after `ramp`, and its derivatives.
 
-    The rate is a quintic step; see `swarm_envs.trajectories.ellipse`.
+    The rate is a quintic step, so that the jerk is continuous.
     """
     if t <= 0.0:
         return 0.0, 0.0, 0.0, 0.0

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from swarm_envs.arguments import POSITIVE_M, typed
 from swarm_envs.errors import check_array, check_integer
-from swarm_envs.physics.obstacles import BOX, COLUMN, ROW, distances, no_obstacles
+from swarm_envs.physics.contact import BOX, COLUMN, ROW, distances, no_obstacles
 from swarm_envs.state import FloatArray
 
 Point = tuple[float, float, float]
@@ -42,24 +44,21 @@ class Box:
         return (BOX, *map(float, self.low), *map(float, self.high))
 
 
+@typed
 @dataclass(frozen=True)
 class Column:
     """An upright cylinder that stands on the floor. Raises ValueError for impossible sizes."""
 
     center: tuple[float, float]
     """Where it stands (x, y), m."""
-    radius: float
+    radius: Annotated[float, POSITIVE_M]
     """Its radius, m."""
-    height: float = 10.0
+    height: Annotated[float, POSITIVE_M] = 10.0
     """Its height, m; by default higher than any arena."""
 
     def __post_init__(self) -> None:
-        """Refuse sizes that are not positive and finite."""
+        """Refuse a place that is none."""
         check_array("Column.center", self.center, (2,))
-        for name in ("radius", "height"):
-            value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise ValueError(f"Column.{name} is {value}, but must be positive and finite, in m")
 
     @property
     def row(self) -> tuple[float, ...]:

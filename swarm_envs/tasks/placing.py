@@ -58,7 +58,7 @@ def check_points(
         points: (N, 3) m.
         radius: (N,) collision radii, m.
         arena: (2, 3) corners, m.
-        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
 
     Raises:
         ValueError: naming the drones, their distance and the rule.
@@ -106,7 +106,7 @@ def check_free(
         name: what the points are, such as `start`.
         points: (..., N, 3) m.
         radius: (N,) collision radii, m.
-        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`.
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
         margin: distance to keep beyond the radius, m.
     """
     distance = obstacle_distances(obstacles, points)
@@ -138,7 +138,7 @@ def draw_apart(
         high: upper corner of the box, m.
         n: how many.
         distance: smallest distance between two, m.
-        obstacles: (M, 7) rows of `swarm_envs.physics.obstacles`, to be kept away from.
+        obstacles: (M, 7) rows of `swarm_envs.physics.contact`, to be kept away from.
         margin: distance to keep from them, m.
 
     Raises:

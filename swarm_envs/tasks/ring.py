@@ -22,25 +22,181 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import FINITE, POSITIVE_M, POSITIVE_S, Interval, Range, check_value, typed
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import Task, TrackingSuccess
-from swarm_envs.tasks.mission import Orbit, Placement
+from swarm_envs.tasks.base import Orbit, Placement, Task, TrackingSuccess
 from swarm_envs.tasks.motion import ORBITS, Motion
 from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.placing import WALL_MARGIN
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
-from swarm_envs.tasks.rings import (
-    GROUP_SIZE,
-    RingLayout,
-    check_speed,
-    group_centers,
-    layout_for,
-    rings_of_group,
-)
-from swarm_envs.vehicles import Team, parse_team
+from swarm_envs.vehicles import GRAVITY, Team, parse_team
+
+GROUP_SIZE = 16
+"""The most drones that share one set of rings."""
+PER_CIRCLE = 5
+"""The most drones on one upright circle."""
+GAP = 0.4
+"""Smallest distance between the rings of two groups, m."""
+_SPARE = 0.05
+"""Distance that drones keep on their rings beyond the sum of radii, m."""
+
+
+@typed
+@dataclass(frozen=True)
+class RingLayout:
+    """Sizes, speed and phases of one set of rings. Raises ValueError for what cannot be."""
+
+    horizontal_m: tuple[Annotated[float, POSITIVE_M], Annotated[float, POSITIVE_M]]
+    """Half axes of the level ellipse along x and y, m."""
+    vertical_m: Annotated[float, POSITIVE_M]
+    """Radius of the upright circles, m."""
+    speed_m_s: Annotated[float, Range(0.0, above=True, unit="m/s")]
+    """Mean speed along every ring, m/s."""
+    height_m: Annotated[float, POSITIVE_M] = 1.2
+    """Height of the level ellipse, m; of the lowest one, if there are several groups."""
+    phases_rad: tuple[Annotated[float, FINITE], Annotated[float, FINITE]] = (0.0, 0.0)
+    """Angle at which the first drone of the level ellipse starts, from the tip on the side of x,
+    and that of the first drone of each upright circle, from its lowest point, rad."""
+    lead_s: Annotated[tuple[float, float], Interval(Range(0.0, unit="s"))] = (0.0, 60.0)
+    """Range of flight time by which the start is ahead of those phases, drawn once an episode for
+    all drones together, so that phases stay locked, s; equal ends fix it."""
+
+
+FIVE = RingLayout((0.55, 0.55), 0.55, 0.65)
+"""Two rings, up to 8 drones: Neural-Swarm2, Fig. 9 (radius and speed are not published)."""
+SIXTEEN = RingLayout((1.0, 0.6), 0.5, 0.5)
+"""Three rings, up to 16 drones: Neural-Swarm2, Fig. 1 (sizes and speed are not published)."""
+
+
+def num_upright(n: int) -> int:
+    """How many of n drones fly on upright circles."""
+    return (6 * n + 4) // 10
+
+
+def layout_for(n: int) -> RingLayout:
+    """The shipped layout of a group of n drones."""
+    return FIVE if num_upright(n) <= PER_CIRCLE else SIXTEEN
+
+
+def perimeter(a: float, b: float) -> float:
+    """Length of an ellipse with half axes a and b, m, by Ramanujan's second formula."""
+    h = ((a - b) / (a + b)) ** 2
+    return math.pi * (a + b) * (1.0 + 3.0 * h / (10.0 + math.sqrt(4.0 - 3.0 * h)))
+
+
+def rings_of_group(team: Team, layout: RingLayout, center: FloatArray) -> Orbit:
+    """The ring of each drone of a group of at most 16.
+
+    Args:
+        team: the group.
+        layout: sizes, speed, phases.
+        center: (3,) middle of the rings, at the height of the level ellipse, m.
+
+    Raises:
+        ValueError: drones would collide.
+    """
+    n, (a, b), r = len(team), layout.horizontal_m, layout.vertical_m
+    strongest = sorted(range(n), key=lambda i: -team[i].thrust_to_weight)
+    upright = sorted(strongest[: num_upright(n)])
+    level = sorted(strongest[num_upright(n) :])
+    circles = np.array_split(upright, max(1, -(-len(upright) // PER_CIRCLE)))
+    shift = np.array([-r / 2 if len(circles) == 1 and level else 0.0, 0.0, 0.0])
+    orbit = Orbit(*(np.zeros((n, 3)) for _ in range(3)), *(np.zeros(n) for _ in range(2)))
+    middle = center + shift
+    x, y, z = np.eye(3)
+    _put(orbit, np.array(level, dtype=np.int64), middle, a * x, b * y, layout, 0)
+    for k, members in enumerate(circles):
+        side = 1.0 - 2.0 * k
+        tip = middle + side * a * x if level else center
+        _put(orbit, members, tip, -r * z, side * r * x, layout, 1)
+    _check_apart(orbit, 2.0 * max(vehicle.radius for vehicle in team) + _SPARE)
+    return orbit
+
+
+def _put(
+    orbit: Orbit,
+    members: np.typing.NDArray[np.int64],
+    center: FloatArray,
+    first: FloatArray,
+    second: FloatArray,
+    layout: RingLayout,
+    kind: int,
+) -> None:
+    """Space drones evenly on a ring, in place."""
+    a, b = float(np.linalg.norm(first)), float(np.linalg.norm(second))
+    orbit.center[members], orbit.first[members], orbit.second[members] = center, first, second
+    orbit.rate[members] = 2 * np.pi * layout.speed_m_s / perimeter(a, b)
+    spread = 2 * np.pi * np.arange(len(members)) / max(len(members), 1)
+    orbit.phase[members] = layout.phases_rad[kind] + spread
+
+
+def _check_apart(orbit: Orbit, least: float) -> None:
+    """Refuse rings on which two drones could meet, whatever the phases between rings."""
+    angle = np.linspace(0.0, 2 * np.pi, 90, endpoint=False)
+    c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    n = len(orbit.rate)
+    for i in range(n):
+        mine = orbit.center[i] + orbit.first[i] * c + orbit.second[i] * s
+        for j in range(i):
+            same = all((part[i] == part[j]).all() for part in orbit[:3])
+            if same:
+                ahead = angle + orbit.phase[j] - orbit.phase[i]
+                d, t = np.cos(ahead)[:, None], np.sin(ahead)[:, None]
+                theirs = orbit.center[j] + orbit.first[j] * d + orbit.second[j] * t
+                gap = np.linalg.norm(mine - theirs, axis=-1).min()
+            else:
+                theirs = orbit.center[j] + orbit.first[j] * c + orbit.second[j] * s
+                gap = np.linalg.norm(mine[:, None] - theirs[None], axis=-1).min()
+            if gap < least:
+                raise ValueError(
+                    f"on these rings drones {j} and {i} of a group come within {gap:.2f} m, but "
+                    f"must keep {least:.2f} m; use larger rings=RingLayout(...) or fewer drones"
+                )
+
+
+def check_speed(orbit: Orbit, team: Team) -> None:
+    """Refuse rings that ask for more than half of the thrust that a drone has beyond its weight.
+
+    Raises:
+        ValueError: naming the drone, its acceleration and the limit.
+    """
+    reach = np.maximum(np.linalg.norm(orbit.first, axis=1), np.linalg.norm(orbit.second, axis=1))
+    for i, (asked, vehicle) in enumerate(zip(reach * orbit.rate**2, team, strict=True)):
+        limit = 0.5 * GRAVITY * (vehicle.thrust_to_weight - 1.0)
+        if asked > limit:
+            raise ValueError(
+                f"drone {i} would be accelerated at {asked:.2f} m/s^2 on its ring, but its thrust "
+                f"allows {limit:.2f} m/s^2; use a lower speed_m_s or larger rings"
+            )
+
+
+def group_centers(groups: int, layout: RingLayout, arena: FloatArray) -> FloatArray:
+    """Middles (groups, 3) of the rings of each group, m: side by side, then one above another.
+
+    Raises:
+        ValueError: the arena has no room for so many.
+    """
+    (a, b), r = layout.horizontal_m, layout.vertical_m
+    size = np.array([2.0 * (a + r), 2.0 * b, 2.0 * r])
+    lowest = layout.height_m - r
+    room = arena[1] - arena[0] - np.array([2 * WALL_MARGIN, 2 * WALL_MARGIN, lowest + WALL_MARGIN])
+    counts = np.maximum(np.floor((room + GAP) / (size + GAP) + 1e-9), 1.0).astype(int)
+    if groups > 1 and groups > counts.prod():
+        raise ValueError(
+            f"{groups} groups of up to {GROUP_SIZE} drones do not fit: with {layout} there is room "
+            f"for {counts.prod()}; use fewer drones or smaller rings"
+        )
+    nx, ny, nz = counts.tolist()
+    places = [(i, j, k) for k in range(nz) for i in range(nx) for j in range(ny)]
+    used = np.array(places[:groups], dtype=np.float64)
+    middle = np.ptp(used, axis=0) / 2
+    middle[2] = 0.0
+    return np.asarray((used - middle) * (size + GAP) + np.array([0.0, 0.0, layout.height_m]))
+
 
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
@@ -73,7 +229,7 @@ class RingTask(Task):
     """Sizes, speed and phases; None: those of the paper for 5 or 16 drones, whichever fits."""
     success: TrackingSuccess = TrackingSuccess()
     """When the team has done its task. Its `settle_s` is also the time of the smooth start-up."""
-    scored_s: float = 10.0
+    scored_s: Annotated[float, POSITIVE_S] = 10.0
     """Seconds flown after the start-up."""
     reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
     """Weight of each reward term."""
@@ -87,9 +243,7 @@ class RingTask(Task):
     def __post_init__(self) -> None:
         """Refuse rings that do not fit, on which drones would collide, or that are too fast."""
         check_reward_weights(self.reward_weights, self.reward_names)
-        for name, value in (("settle_s", self.success.settle_s), ("scored_s", self.scored_s)):
-            if not 0.0 < value < math.inf:
-                raise ValueError(f"{name} is {value!r}, but must be positive and finite, in s")
+        check_value("settle_s", self.success.settle_s, Annotated[float, POSITIVE_S])
         check_speed(self.orbit, self.team)
         self._check_arena()
 

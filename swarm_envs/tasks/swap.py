@@ -19,21 +19,19 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
+from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_name
+from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, typed
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import Success, Task
-from swarm_envs.tasks.mission import Placement
+from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, REST, Motion
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.placing import (
     ARENA_HEIGHT,
     OBSTACLE_MARGIN,
     WALL_MARGIN,
-    check_range,
     derangement,
     draw_apart,
 )
@@ -42,6 +40,8 @@ from swarm_envs.vehicles import Team
 
 LAYOUTS = ("stacked", "circle", "random")
 """Every layout by name."""
+Layout = Annotated[str, OneOf(LAYOUTS)]
+"""One of them."""
 _RAMP = 0.2
 """Share of a stacked swap in which the speed grows, and in which it falls."""
 
@@ -60,48 +60,32 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
 than success, so that lingering never pays."""
 
 
+@typed
 @dataclass(frozen=True)
 class StackedLayout:
     """Ranges from which a stacked swap is drawn; equal ends fix a value."""
 
-    radius_m: tuple[float, float] = (0.5, 0.75)
+    radius_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.5, 0.75)
     """Radius of the circle on which drones stand, seen from above, m."""
-    gap_m: tuple[float, float] = (0.2, 0.3)
+    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.2, 0.3)
     """Vertical distance between neighbouring planes, m."""
-    lowest_m: float = 0.8
+    lowest_m: Annotated[float, POSITIVE_M] = 0.8
     """Height of the lowest plane, m."""
-    duration_s: tuple[float, float] = (3.0, 4.0)
+    duration_s: Annotated[tuple[float, float], Interval(POSITIVE_S)] = (3.0, 4.0)
     """Time from one side to the other, s."""
 
-    def __post_init__(self) -> None:
-        """Refuse ranges that are empty or not positive."""
-        for name in ("radius_m", "gap_m", "duration_s"):
-            check_range(f"StackedLayout.{name}", getattr(self, name))
-        if not 0.0 < self.lowest_m < np.inf:
-            raise ValueError(
-                f"StackedLayout.lowest_m is {self.lowest_m}, but must be positive and finite"
-            )
 
-
+@typed
 @dataclass(frozen=True)
 class CircleLayout:
     """What the circle layout is made of; its turn about the vertical is drawn."""
 
-    radius_m: float = 1.5
+    radius_m: Annotated[float, POSITIVE_M] = 1.5
     """Radius of the circle, m; it grows where neighbours would stand closer than `spacing_m`."""
-    spacing_m: float = 0.3
+    spacing_m: Annotated[float, POSITIVE_M] = 0.3
     """Smallest distance between neighbours on the circle, m."""
-    height_m: float = 1.0
+    height_m: Annotated[float, POSITIVE_M] = 1.0
     """Height of starts and goals, m."""
-
-    def __post_init__(self) -> None:
-        """Refuse sizes that are not positive and finite."""
-        for name in ("radius_m", "spacing_m", "height_m"):
-            value = getattr(self, name)
-            if not 0.0 < value < math.inf:
-                raise ValueError(
-                    f"CircleLayout.{name} is {value!r}, but must be positive and finite, in m"
-                )
 
     def radius_for(self, num_drones: int) -> float:
         """Radius at which that many drones keep their spacing, m."""
@@ -117,13 +101,13 @@ class SwapTask(Task):
 
     team: Team
     """The drones; in `stacked` the uppermost first."""
-    layout: str = "random"
+    layout: Layout = "random"
     """`stacked`, `circle` or `random`."""
     stacked: StackedLayout = StackedLayout()
     """What the stacked layout is drawn from."""
     circle: CircleLayout = CircleLayout()
     """What the circle layout is made of."""
-    spacing_m: float = 0.5
+    spacing_m: Annotated[float, POSITIVE_M] = 0.5
     """Smallest distance between starts in the random layout, m."""
     heights_m: tuple[float, float] = (0.5, 2.0)
     """Lowest and highest start in the random layout, m; the highest grows with the arena."""
@@ -141,12 +125,7 @@ class SwapTask(Task):
     write_reward_terms = staticmethod(write_terms)
 
     def __post_init__(self) -> None:
-        """Refuse an unknown layout, a spacing that is none, and weights of unknown terms."""
-        check_name("layout", self.layout, LAYOUTS)
-        if not 0.0 < self.spacing_m < math.inf:
-            raise ValueError(
-                f"SwapTask.spacing_m is {self.spacing_m!r}, but must be positive and finite, in m"
-            )
+        """Refuse layouts that do not fit the team, and weights of unknown terms."""
         if self.layout == "stacked":
             self._check_stack()
         if self.layout == "circle":

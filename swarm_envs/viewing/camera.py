@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.physics.bullet_bodies import build_body
+from swarm_envs.physics.bullet import build_body
 from swarm_envs.state import BoolArray, FloatArray, SwarmState
 from swarm_envs.vehicles import Vehicle, parse_team
 from swarm_envs.viewing.overlay import Overlay, draw_behind

@@ -16,11 +16,11 @@ import numpy.typing as npt
 import pytest
 
 from swarm_envs.control.config import GAINS, ControllerConfig
-from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
-from swarm_envs.state import FloatArray, Parameters, SwarmState, hover_state, parameters
-from swarm_envs.trajectories import Reference, circle, ramped_line, rest_to_rest
+from swarm_envs.state import FloatArray, Parameters, Setpoint, SwarmState, hover_state, parameters
+from swarm_envs.trajectories import Reference, ramped_line, rest_to_rest
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team, parse_team
+from tests.helpers.orbits import ellipse
 
 DT = 1.0 / 240.0
 
@@ -281,7 +281,10 @@ def test_a_mixed_team_tracks_smooth_references_closely() -> None:
     goal = start + np.array([[0.0, 1.0, 0.5], [0.0, -1.0, 0.0], [0.5, 0.5, -0.3]])
     flight = fly(team, lambda t: rest_to_rest(start, goal, 2.5, t), 4.0)
     assert np.abs(flight.error).max() < 0.01
-    flight = fly(team, lambda t: circle(start, 0.5, 1.3, np.zeros(3), t, ramp_time=2.0), 8.0)
+    half_axes = (0.5, 0.0, 0.0), (0.0, 0.5, 0.0)
+    flight = fly(
+        team, lambda t: ellipse(start, *half_axes, 1.3, np.zeros(3), t, ramp_time=2.0), 8.0
+    )
     assert np.abs(flight.error).max() < 0.01
 
 

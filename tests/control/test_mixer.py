@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
-from swarm_envs.control.mixer import mix, wrench
+from swarm_envs.control.tracking import mix, wrench
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import LARGE, SMALL, VEHICLES, Vehicle
 

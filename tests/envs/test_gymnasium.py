@@ -10,11 +10,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from swarm_envs import TASKS, ring_v0, swap_v0
-from swarm_envs.envs.joint import make_joint
-from swarm_envs.envs.solo import make_solo
+from swarm_envs import TASKS, gymnasium_name, register, ring_v0, swap_v0
+from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import SwarmVectorEnv, make_vector
-from swarm_envs.registration import gymnasium_name, register
 
 QUICK: dict[str, Any] = {"num_drones": 2, "physics": "batch", "horizon_s": 0.5}
 
@@ -154,17 +152,7 @@ def test_what_was_refused_can_be_closed():
     half_made.close_extras()
 
 
-def test_bad_actions_of_teams():
-    env = make_joint("swap_v0", **QUICK)
-    env.reset(seed=0)
-    for action, message in (
-        (np.zeros(5), r"shape \(5,\), but must be numbers of shape \(6,\): 2 drones with 3"),
-        (np.full(6, np.nan), "nan at index 0, but every number must be finite"),
-        (np.full(6, 2.0), r"must lie in \[-1, 1\]"),
-        (np.array(["a"] * 6), "but must be numbers"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            env.step(action)
+def test_options_of_a_batch_and_of_a_team_in_one_box():
     with pytest.raises(ValueError, match="unknown autoreset_mode 'Same'"):
         make_vector("swap_v0", num_envs=2, autoreset_mode="Same", **QUICK)
     with pytest.raises(ValueError, match="render_mode is 'rgb_array', but environments that"):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from swarm_envs.envs.joint import make_joint
-from swarm_envs.envs.solo import make_solo
+from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import make_vector
 from swarm_envs.tasks.obstacles import Column
 from tests.helpers.faces import everything
@@ -73,7 +72,7 @@ def check_refused(face: Any, rows: list[np.ndarray], message: str) -> None:
         ({"team": "SX"}, ValueError, "unknown vehicle token 'X'"),
         ({"num_drones": 0}, ValueError, "num_drones is 0, but must be an integer of at least 1"),
         ({"physics": "bulet"}, ValueError, "unknown physics 'bulet'; did you mean 'bullet'"),
-        ({"deterministic": "yes"}, TypeError, "deterministic is 'yes', but must be a bool"),
+        ({"deterministic": "yes"}, TypeError, "deterministic is 'yes', but must be True or False"),
         ({"render_mode": "rgb"}, ValueError, "rgb"),
     ],
 )

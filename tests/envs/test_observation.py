@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from swarm_envs import swap_v0
-from swarm_envs.envs.observation import Field, observation_layout
+from swarm_envs.envs.observation import ObservationField, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.vehicles import VEHICLES
 
@@ -52,7 +52,7 @@ def test_layout_covers_the_row_without_gaps(num_neighbors):
     assert covered == list(range(len(covered)))
     assert len({field.name for field in layout}) == len(layout)
     assert sum(field.name.startswith("neighbor_") for field in layout) == 5 * num_neighbors
-    assert all(isinstance(field, Field) and field.scale > 0 for field in layout)
+    assert all(isinstance(field, ObservationField) and field.scale > 0 for field in layout)
 
 
 def test_self(engine):

@@ -160,22 +160,6 @@ def test_batteries_start_where_they_are_drawn_and_limit_from_the_first_step():
     assert (made.world.drones["rotor_limit"] < made.physics.parameters.max_rotor_thrust).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"mass": (1.2, 0.8)}, r"Randomization.mass is \(1.2, 0.8\), but must be \(low, high\)"),
-        ({"thrust": 1.1}, r"Randomization.thrust is 1.1, but must be \(low, high\)"),
-        ({"gust_acceleration": -1.0}, "gust_acceleration is -1.0, but must be finite and not neg"),
-        ({"position_noise_m": np.nan}, "position_noise_m is nan, but must be finite"),
-        ({"gust_time_s": 0.0}, "gust_time_s is 0, but must be positive"),
-        ({"battery": (0.5, 1.2)}, "a charge is at most 1"),
-    ],
-)
-def test_bad_ranges(options, message):
-    with pytest.raises(ValueError, match=message):
-        Randomization(**options)
-
-
 def test_what_could_not_fly_is_refused():
     weak = Randomization(thrust=(0.5, 1.0), mass=(1.0, 1.2))
     with pytest.raises(ValueError, match=r"can leave 'S' with a thrust-to-weight ratio of 0.8\d"):

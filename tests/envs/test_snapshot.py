@@ -13,24 +13,10 @@ from swarm_envs import formation_v0, swap_v0
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel
+from tests.helpers.frozen import EVERYTHING
 
-EVERYTHING = Randomization(
-    mass=(0.9, 1.1),
-    inertia=(0.8, 1.2),
-    motor_rate=(0.8, 1.2),
-    thrust=(0.95, 1.05),
-    force_scale=(0.5, 1.5),
-    battery=(0.5, 1.0),
-    gust_acceleration=1.0,
-    gust_time_s=0.5,
-    position_noise_m=0.01,
-    velocity_noise=0.05,
-    attitude_noise_rad=0.02,
-    body_rate_noise=0.1,
-)
 ACTIONS = ("acceleration", "velocity", "ctbr", "rotors", "setpoint")
 
 

@@ -15,10 +15,9 @@ from swarm_envs import swap_v0
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.envs.solo import make_solo
 from swarm_envs.envs.vector import make_vector
 from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel

@@ -9,9 +9,6 @@ from itertools import zip_longest
 
 from tests.helpers.imports import SOURCES, imports, parsed
 
-SAME = {"swarm_envs.envs.options.EnvOptions": "swarm_envs.envs.config.EnvConfig"}
-"""Classes whose fields are another's, which explains them."""
-
 
 def fields(body: list[ast.stmt]) -> Iterator[tuple[list[str], str]]:
     """Public names that each statement binds, and the docstring below it, if any."""
@@ -53,7 +50,7 @@ CLASSES = classes()
 
 def explained(name: str) -> set[str]:
     """Fields of a class that have a docstring, there, in its own, or in a class that it extends."""
-    node = CLASSES[SAME.get(name, name)]
+    node = CLASSES[name]
     found = {field for names, text in fields(node.body) if text for field in names}
     found |= set(re.findall(r"^\s+(\w+): ", ast.get_docstring(node) or "", re.MULTILINE))
     module = name.rpartition(".")[0]

@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarm_envs.envs.core import SwarmCore
-from swarm_envs.envs.joint import make_joint
-from swarm_envs.envs.solo import make_solo
+from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import make_vector
 from tests.helpers.living import living
 

@@ -34,13 +34,13 @@ from tqdm import tqdm
 
 import swarm_envs
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
+from swarm_envs.state import Setpoint
 from swarm_envs.tasks.obstacles import Box, Column
 from swarm_envs.vehicles import parse_team
 
@@ -159,6 +159,23 @@ def _to(place: Array) -> Draw:
     return draw
 
 
+EVERYTHING = Randomization(
+    mass=(0.9, 1.1),
+    inertia=(0.8, 1.2),
+    motor_rate=(0.8, 1.2),
+    thrust=(0.95, 1.05),
+    force_scale=(0.5, 1.5),
+    battery=(0.5, 1.0),
+    gust_acceleration=1.0,
+    gust_time_s=0.5,
+    position_noise_m=0.01,
+    velocity_noise=0.05,
+    attitude_noise_rad=0.02,
+    body_rate_noise=0.1,
+)
+"""All that can be randomised."""
+
+
 @dataclass(frozen=True)
 class Flight:
     """A flight of environments: what flies, what it is told, and which seeds it is flown with."""
@@ -180,7 +197,7 @@ class Flight:
     placed: tuple[Mapping[str, Any], ...] = ({},)
     """Options of the resets, in turn."""
     resets_every: int = 1
-    """Environments whose episode has ended begin another at every so manieth decision."""
+    """Environments whose episode has ended begin another after every so many decisions."""
     returns_at: int | None = None
     """At this decision a snapshot is taken, something else flown, and the snapshot gone back to."""
 
@@ -370,23 +387,9 @@ def _flights() -> dict[str, Any]:
     start = np.array([[-0.5, 0.0, 1.0], [0.5, 0.1, 1.1], [0.0, 0.6, 0.9]])
     near = start + np.array([0.12, 0.0, 0.05])
     belief = ControllerConfig(feedforward=load("wake"))
-    drawn = Randomization(
-        mass=(0.9, 1.1),
-        inertia=(0.8, 1.2),
-        motor_rate=(0.8, 1.2),
-        thrust=(0.95, 1.05),
-        force_scale=(0.5, 1.5),
-        battery=(0.5, 1.0),
-        gust_acceleration=1.0,
-        gust_time_s=0.5,
-        position_noise_m=0.01,
-        velocity_noise=0.05,
-        attitude_noise_rad=0.02,
-        body_rate_noise=0.1,
-    )
     everything = {
         "team": "LSS*",
-        "randomization": drawn,
+        "randomization": EVERYTHING,
         "battery": BatteryModel(),
         "controller": belief,
         "force_rate": 80,

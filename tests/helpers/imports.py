@@ -19,7 +19,7 @@ _BASE_MODULES = (
     *("compiled", "tables", "neighbors", "arguments"),
 )
 LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)
-LEVELS |= dict.fromkeys(("trajectories", "noise", "registration", ""), BASE)
+LEVELS |= dict.fromkeys(("trajectories", "noise", ""), BASE)
 FACE = 4  # swap_v0 and the like: what users import
 OUTER_LEVELS = {"agents": 5, "baselines": 6, "training": 7}
 CLI = 8

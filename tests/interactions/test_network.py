@@ -11,8 +11,15 @@ import pytest
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import PAIRWISE, ForceField, empty_field
 from swarm_envs.interactions.network import network
-from swarm_envs.interactions.packed import ENVIRONMENT, MOST_TYPES, PAIRS, SOURCE, packed
-from swarm_envs.interactions.scratch import SAMPLES, scratch_for
+from swarm_envs.interactions.packed import (
+    ENVIRONMENT,
+    MOST_TYPES,
+    PAIRS,
+    SAMPLES,
+    SOURCE,
+    packed,
+    scratch_for,
+)
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 

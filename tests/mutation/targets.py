@@ -7,12 +7,10 @@ from dataclasses import dataclass
 _RIGID_BODY = ("tests/physics/test_rigid_body.py",)
 _CONTACT = (
     *("tests/physics/test_contact.py", "tests/tasks/test_obstacles.py"),
-    *("-k", "not bullet and (test_contact or name_the)"),
+    *("-k", "not bullet and (test_contact or name_the or nearest_points or many_points)"),
 )
-_OBSTACLES = ("tests/tasks/test_obstacles.py", "-k", "nearest_points or many_points or name_the")
 _MOTORS = ("tests/test_motors.py",)
-_TRACKING = ("tests/control/test_tracking.py",)
-_MIXER = ("tests/control/test_mixer.py",)
+_TRACKING = ("tests/control/test_tracking.py", "tests/control/test_mixer.py")
 _TRACKER = ("tests/baselines/mlr_dmpc/test_tracker.py",)
 _PATHS = ("tests/baselines/rth3d/test_validation.py", "-k", "ring or broken or follow or obstacles")
 _CHECKS = ("tests/baselines/mlr_dmpc/test_checks.py",)
@@ -34,7 +32,6 @@ GROUPS = (
         {
             "swarm_envs/physics/rigid_body.py": _RIGID_BODY,
             "swarm_envs/physics/contact.py": _CONTACT,
-            "swarm_envs/physics/obstacles.py": _OBSTACLES,
             "swarm_envs/motors.py": _MOTORS,
         },
     ),
@@ -43,7 +40,6 @@ GROUPS = (
         {
             "swarm_envs/control/loop.py": _TRACKING,
             "swarm_envs/control/tracking.py": _TRACKING,
-            "swarm_envs/control/mixer.py": _MIXER,
             "baselines/mlr_dmpc/information_tracker.py": _TRACKER,
         },
     ),

@@ -12,7 +12,8 @@ import pytest
 
 from swarm_envs.control.loop import hold_rates, track
 from swarm_envs.interactions import load
-from swarm_envs.interactions.forces import write_forces
+from swarm_envs.interactions.forces import swarm_forces
+from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.physics.contact import SPOT_TYPE, meet, touch
 from swarm_envs.physics.rigid_body import integrate, sinc_cos, spin_rotors
 from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
@@ -26,13 +27,19 @@ pytestmark = [
 _ARITHMETIC = r"\bv?(?:add|sub|mul|div|sqrt|fm\w+?)(p|s)d\b"
 
 
-def instructions(part: Any, *arguments: Any) -> tuple[int, int]:
-    """Packed and scalar instructions of double arithmetic of a part, compiled for arguments."""
+def compiled(part: Any, *arguments: Any) -> Any:
+    """A part, compiled here for these arguments: code from the cache cannot be read."""
     names = ", ".join(f"a{k}" for k in range(len(arguments)))
     call = eval(f"lambda {names}: part({names})", {"part": part})
     kernel = numba.njit(error_model="numpy")(call)
     kernel(*arguments)
-    found = re.findall(_ARITHMETIC, "\n".join(kernel.inspect_asm().values()))
+    return kernel
+
+
+def instructions(part: Any, *arguments: Any) -> tuple[int, int]:
+    """Packed and scalar instructions of double arithmetic of a part, compiled for arguments."""
+    code = compiled(part, *arguments).inspect_asm()
+    found = re.findall(_ARITHMETIC, "\n".join(code.values()))
     return found.count("p"), found.count("s")
 
 
@@ -70,10 +77,10 @@ def test_forces_count_few_references():
     In the loop over samples that doubles the time of the forces. What stays is outside of loops,
     or in the sweep of many drones.
     """
-    load("learned").forces(np.zeros((1, 2, 3)), np.zeros((1, 2, 3)), "SS")
-    compiled: Any = write_forces
-    code = "".join(compiled.inspect_llvm(s) for s in compiled.signatures)
-    body = next(f for f in re.split(r"^define ", code, flags=re.M) if "swarm_forces" in f[:200])
+    field = load("learned").packed
+    code = compiled(swarm_forces, field, 1, 2, scratch_for(field, 1, 2)).inspect_llvm()
+    functions = re.split(r"^define ", "".join(code.values()), flags=re.MULTILINE)
+    body = next(function for function in functions if "swarm_forces" in function[:200])
     assert body.count("@NRT_incref(") <= 12
 
 

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics, bullet_available
-from swarm_envs.state import SwarmState, hover_state
+from swarm_envs.state import Setpoint, SwarmState, hover_state
 from swarm_envs.vehicles import parse_team
 
 pytestmark = pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")

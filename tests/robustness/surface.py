@@ -21,7 +21,7 @@ from swarm_envs import agents, make
 from swarm_envs.agents import fly_episode, record_episode
 from swarm_envs.agents.scripted import HoverAgent
 from swarm_envs.control.config import PositionGains
-from swarm_envs.envs.options import EnvOptions
+from swarm_envs.envs.config import EnvConfig
 from swarm_envs.interactions import load
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.vehicles import parse_team
@@ -206,7 +206,7 @@ def _simulated(**given: Any) -> None:
 
 def calls(folder: Path) -> dict[str, Call]:
     """Public functions in valid calls; what they write goes into the folder."""
-    shared = dict.fromkeys(EnvOptions.__annotations__)
+    shared = dict.fromkeys(EnvConfig.__annotations__)
     shared |= {"physics": "batch", "interactions": "none", "action": "acceleration"}
     shared |= {"precision": "float64", "decision_rate": 48, "force_rate": 240}
     shared |= {"observation": "flat", "num_neighbors": 1}

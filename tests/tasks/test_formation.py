@@ -13,8 +13,8 @@ from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.tasks.base import Placement, world_of
 from swarm_envs.tasks.formation import CLOSEST, FormationTask, nearest_places
-from swarm_envs.tasks.mission import Placement, world_of
 from swarm_envs.tasks.shapes import SHAPES, block_of, shape_points
 from swarm_envs.vehicles import parse_team
 
@@ -197,7 +197,7 @@ def test_a_missed_shape_is_no_success():
         ({"labels": "blocks"}, r"labels='blocks' needs shapes=\('blocks', ...\)"),
         ({"start": "floor"}, r"unknown start 'floor'"),
         ({"travel_s": 7.0}, r"travel_s is 7.0, but must not exceed shape_s, 6.0"),
-        ({"shape_s": 0.0}, r"FormationTask.shape_s is 0.0, but must be positive"),
+        ({"shape_s": 0.0}, r"shape_s is 0.0, but must be positive"),
         ({"turn_rad": (1.0, 0.0)}, r"turn_rad is \(1.0, 0.0\), but must be \(low, high\)"),
         ({"spacing_m": 0.1}, r"places are 0.100 m apart, but must be 0.170 m apart"),
         (

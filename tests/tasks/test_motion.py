@@ -8,7 +8,7 @@ import pytest
 from swarm_envs import trajectories
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import SETTINGS_TYPE, World
-from swarm_envs.tasks.mission import Orbit, Placement, world_of
+from swarm_envs.tasks.base import Orbit, Placement, world_of
 from swarm_envs.tasks.motion import (
     LINES,
     ORBITS,
@@ -19,6 +19,7 @@ from swarm_envs.tasks.motion import (
     stage_at,
 )
 from swarm_envs.trajectories import Reference
+from tests.helpers.orbits import ellipse
 
 TIMES = np.linspace(-0.5, 7.0, 64)
 N = 3
@@ -83,7 +84,7 @@ def test_orbits():
     rate, phase = rng.normal(size=(2, N))
     orbit = Orbit(center, first, second, rate, phase)
     world = world_of(Placement(center + first, center[None], 0.0, orbit))
-    theirs = trajectories.ellipse(center, first, second, rate, phase, TIMES[:, None], ramp_time=2.0)
+    theirs = ellipse(center, first, second, rate, phase, TIMES[:, None], ramp_time=2.0)
     check_close(written(world, Motion(ORBITS, 2.0)), theirs)
 
 

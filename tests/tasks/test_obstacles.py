@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import swarm_envs
 from swarm_envs import swap_v0
 from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
-from swarm_envs.physics.obstacles import nearest_point
+from swarm_envs.physics.contact import nearest_point
 from swarm_envs.state import hover_state
 from swarm_envs.tasks.obstacles import (
     Box,

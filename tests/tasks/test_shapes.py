@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import pdist
 
-from swarm_envs.tasks.font import CHARACTERS, strokes, written
-from swarm_envs.tasks.shapes import LETTER, SHAPES, block_of, shape_points
+from swarm_envs.tasks.shapes import (
+    CHARACTERS,
+    LETTER,
+    SHAPES,
+    block_of,
+    shape_points,
+    strokes,
+    written,
+)
 
 NUMBERS = [1, 2, 3, 4, 5, 8, 9, 10, 16, 27, 40, 100]
 

@@ -7,7 +7,7 @@ import pytest
 
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import World
-from swarm_envs.tasks.mission import Placement, world_of
+from swarm_envs.tasks.base import Placement, world_of
 from swarm_envs.tasks.placing import arena_of, check_points, derangement, draw_apart
 from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.trajectories import Reference

@@ -10,9 +10,8 @@ import pytest
 
 from swarm_envs import TASKS, swap_v0
 from swarm_envs.agents.features import FEATURE_SETS, GOAL
-from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.options import batch_of
-from swarm_envs.envs.solo import make_solo
 
 pytest.importorskip("stable_baselines3")
 

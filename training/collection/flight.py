@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
-from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.state import FloatArray, SwarmState, hover_state
+from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
 from swarm_envs.training.collection.fleet import Vehicles
 from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog, rotate_back
 from swarm_envs.training.collection.motion import Motion

@@ -15,9 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import Task
+from swarm_envs.tasks.base import Placement, Task
 from swarm_envs.tasks.formation import FormationTask, nearest_places
-from swarm_envs.tasks.mission import Placement
 from swarm_envs.tasks.motion import REST, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement, draw_apart
 from swarm_envs.tasks.swap import SwapTask

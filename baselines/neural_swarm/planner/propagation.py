@@ -17,8 +17,7 @@ from swarm_envs.baselines.neural_swarm.planner.steering import responses
 from swarm_envs.baselines.neural_swarm.planner.trajectories import predict_forces
 from swarm_envs.compiled import part
 from swarm_envs.interactions.forces import swarm_forces
-from swarm_envs.interactions.packed import PackedField
-from swarm_envs.interactions.scratch import Scratch, scratch_for
+from swarm_envs.interactions.packed import PackedField, Scratch, scratch_for
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE
 

@@ -17,13 +17,12 @@ import numpy as np
 
 from swarm_envs.baselines.neural_swarm.flights import FlightTest
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
-from swarm_envs.state import BoolArray, FloatArray, SwarmState
+from swarm_envs.state import BoolArray, FloatArray, Setpoint, SwarmState
 from swarm_envs.tasks.motion import reference_of
 from swarm_envs.vehicles import GRAM_FORCE
 

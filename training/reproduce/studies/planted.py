@@ -6,12 +6,11 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.control.config import ControllerConfig
-from swarm_envs.control.state import Setpoint
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.errors import check_array
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.state import FloatArray, hover_state
+from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import Vehicle
 
 _TURN_S = 0.7

@@ -1,0 +1,152 @@
+"""Options are declared once: what an annotation excludes is refused by name; all are explained."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from docs.extensions.option_tables import expand
+from swarm_envs import formation_v0, ring_v0, swap_v0
+from swarm_envs.arguments import Option, options_of
+from swarm_envs.commands.evaluate import EvaluateOptions
+from swarm_envs.commands.export import ForceOptions, PolicyOptions
+from swarm_envs.commands.fly import FlyOptions
+from swarm_envs.commands.grade import GradeOptions
+from swarm_envs.control.config import MID, ControllerConfig, PositionGains
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.motors import BatteryModel
+from swarm_envs.tasks.base import Success, TrackingSuccess
+from swarm_envs.tasks.formation import FormationTask
+from swarm_envs.tasks.obstacles import Column
+from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
+from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
+from swarm_envs.vehicles import SMALL, Vehicle
+
+TEAM = {"team": (SMALL,) * 5}
+SETTINGS: dict[type, dict[str, Any]] = {
+    **dict.fromkeys((SwapTask, RingTask, FormationTask), TEAM),
+    **{kind: {} for kind in (StackedLayout, CircleLayout, Success, TrackingSuccess)},
+    **{kind: {} for kind in (Randomization, BatteryModel, ControllerConfig)},
+    RingLayout: dataclasses.asdict(FIVE),
+    PositionGains: dataclasses.asdict(MID),
+    Vehicle: dataclasses.asdict(SMALL),
+    Column: {"center": (0.0, 0.0), "radius": 0.2},
+    EnvConfig: {},
+    swap_v0.SwapOptions: {},
+    ring_v0.RingOptions: {},
+    formation_v0.FormationOptions: {},
+}
+"""Classes of settings, and what they must be given."""
+NUMBERS = st.one_of(st.floats(), st.integers(-5, 10**9), st.sampled_from([math.nan, math.inf]))
+ANYTHING = st.one_of(
+    *(NUMBERS, st.booleans(), st.none(), st.text(max_size=5), st.binary(max_size=5)),
+    *(st.tuples(NUMBERS, NUMBERS), st.lists(st.text(max_size=3), max_size=3), st.just({})),
+)
+
+
+@pytest.mark.parametrize("settings", SETTINGS)
+@given(data=st.data(), value=ANYTHING)
+def test_what_an_annotation_excludes_is_refused_by_name(settings, data, value):
+    option = data.draw(st.sampled_from(list(options_of(settings).values())))
+    if option.kind.fits(value):
+        return
+    with pytest.raises(ValueError) as error:  # a TypeError too, where the type is wrong
+        settings(**{**SETTINGS[settings], option.name: value})
+    told = str(error.value)
+    assert option.name in told and f"{value!r:.80}" in told
+    assert isinstance(error.value, TypeError) == (not option.kind.has_type(value))
+    assert option.kind.words in told or all(repr(name) in told for name in option.kind.names)
+
+
+def test_every_option_says_what_it_is_and_allows_its_default():
+    for settings in SETTINGS:
+        for option in options_of(settings).values():
+            assert re.match(r"\S.* .*\S", option.meaning), option
+            if option.default is not dataclasses.MISSING:
+                assert option.kind.fits(option.default), option
+
+
+def test_a_number_with_a_range_is_finite_and_no_truth_value():
+    bad = (math.nan, math.inf, -math.inf, -1, True, np.bool_(True), "1", 1j, -1e-300)
+    for settings in SETTINGS:
+        for option in options_of(settings).values():
+            if option.kind.words.startswith(("positive", "an integer")):
+                assert not any(map(option.kind.fits, bad)), option
+
+
+BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
+    (swap_v0.SwapOptions, "num_drones", [1, np.int64(2)], [0, 2.0, 100_001]),
+    (EnvConfig, "decision_rate", [1, 48, 240], [0, -48, 50, 48.0, 480]),
+    (EnvConfig, "num_neighbors", [0, 10_000], [-1, 10_001, 1.5]),
+    (EnvConfig, "horizon_s", [1, 0.1, None], [0.0, -1.0, "8"]),
+    (ControllerConfig, "min_vertical_thrust_fraction", [0.2, 0.99], [0.0, 1.0, math.nan]),
+    (ControllerConfig, "rate_yaw", [0.1, 7], [0.0, -1.0]),
+    (PositionGains, "velocity", [0.5], [0.0, -2.0]),
+    (ControllerConfig, "gains", [MID], ["mid", None]),
+    (Randomization, "mass", [(1.0, 1.0), [0.9, 1.1]], [(1.2, 0.8), 1.1, (0.0, 1.0), (1.0,)]),
+    (Randomization, "battery", [(0.5, 1.0)], [(0.5, 1.2)]),
+    (Randomization, "gust_acceleration", [0.0, 1.0], [-1.0]),
+    (Randomization, "gust_time_s", [0.1], [0.0]),
+    (StackedLayout, "radius_m", [(0.5, 0.5)], [(0.7, 0.5), (0.0, 0.3), (3.0, math.inf)]),
+    (RingLayout, "horizontal_m", [(0.5, 0.6)], [(0.0, 1.0), (1.0, math.nan), (1.0,)]),
+    (RingLayout, "phases_rad", [(-1.0, 9.0)], [(0.0,), (0.0, math.inf)]),
+    (RingLayout, "lead_s", [(0.0, 0.0), (0.0, 60.0)], [(3.0, 1.0), (-1.0, 1.0)]),
+    (BatteryModel, "capacity_ah", [0.1], [0.0, math.nan]),
+    (BatteryModel, "idle_current_a", [0.0, 1.0], [-1.0, math.inf]),
+    (Vehicle, "inertia", [(1e-6, 1e-6, 2e-6)], [(1e-6, 1e-6), (1e-6, 0.0, 1e-6)]),
+    (formation_v0.FormationOptions, "turn_rad", [(-1.0, 1.0), (0, 0)], [(1.0, 0.0), (0.0,)]),
+]
+
+
+@pytest.mark.parametrize(("settings", "name", "good", "bad"), BOUNDS)
+def test_ranges_end_where_they_should(settings, name, good, bad):
+    for value in good:
+        settings(**{**SETTINGS[settings], name: value})
+    for value in bad:
+        with pytest.raises(ValueError, match=rf"{name} is {re.escape(repr(value))}, but must be"):
+            settings(**{**SETTINGS[settings], name: value})
+
+
+COMMANDS: dict[type, dict[str, Any]] = {
+    FlyOptions: {},
+    EvaluateOptions: {},
+    GradeOptions: {"assignment": "swap", "work": ["a.py:A"]},
+    ForceOptions: {"out": Path("a.h")},
+    PolicyOptions: {"policy": "", "out": Path("a.h")},
+}
+
+
+@pytest.mark.parametrize("options", COMMANDS)
+def test_commands_refuse_numbers_in_the_words_of_the_command_line(options):
+    table: dict[str, Option] = options_of(options)
+    counted = [name for name, option in table.items() if "at least" in option.kind.words]
+    assert "seed" in counted
+    for name in counted:
+        flag = f"--{name.replace('_', '-')}"
+        with pytest.raises(ValueError, match=f"{flag} is -1, but must be an integer of at least"):
+            options(**{**COMMANDS[options], name: -1})
+
+
+@pytest.mark.parametrize("module", [swap_v0, ring_v0, formation_v0])
+def test_a_view_shows_every_option(module):
+    for view in (module.parallel_env, module.env, module.blueprint):
+        parameters = inspect.signature(view).parameters
+        assert all(p.kind is p.KEYWORD_ONLY for p in parameters.values())
+        for name in parameters:
+            assert re.search(rf"^    {name}: ", view.__doc__, re.MULTILINE)
+
+
+def test_the_page_of_the_tasks_shows_every_option():
+    text = expand("<!-- option table: EnvConfig -->\n\n<!-- option table: SwapOptions -->")
+    assert "| `horizon_s` | positive and finite, in s, or None | `None` | The clock: " in text
+    assert "| `num_drones` | an integer of at least 1 and at most 100,000 | `4` |" in text
