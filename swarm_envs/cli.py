@@ -81,7 +81,7 @@ def _demo(arguments: Sequence[str]) -> int:
 
 
 def _fit(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.force_model.config import FitConfig
+    from swarm_envs.training.force_model.force_fit_config import FitConfig
 
     config = _read("fit", FitConfig, arguments, prefixes=True)
     _check_folder("--out", config.out)
@@ -99,14 +99,14 @@ def _fit(arguments: Sequence[str]) -> int:
 
 def _collect(arguments: Sequence[str]) -> int:
     from swarm_envs.files import claimed
-    from swarm_envs.training.collection.__main__ import CollectOptions, run
+    from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
 
     options = _read("collect", CollectOptions, arguments)
     _check_folder("--out", options.out)
     if options.json is not None:
         _check_file("--json", options.json)
     with claimed(options.out):
-        run(options)
+        run_collect(options)
     return DONE
 
 

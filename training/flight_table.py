@@ -137,7 +137,7 @@ def _missing(missing: Sequence[str], names: Sequence[str]) -> str:
 
 @typed
 def read_table(path: str | os.PathLike[str]) -> FlightTable:
-    """Read the file of one flight; its values are not judged yet, see `checks.check_table`.
+    """Read the file of one flight; its values are not judged yet, see `checks.checked_drones`.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -252,7 +252,7 @@ def _numbers(name: str, values: npt.NDArray[Any]) -> FloatArray:
 
 
 @typed
-def write_table(path: str | os.PathLike[str], table: FlightTable) -> None:
+def write_flight_table(path: str | os.PathLike[str], table: FlightTable) -> None:
     """Write a flight's table, atomically, so that `read_table` gives exactly the same.
 
     Args:

@@ -1,11 +1,12 @@
-"""What reports hold, and the digest of a data file: without torch, for those who only log."""
+"""What runs write down: reports as JSON, digests of data files, events for TensorBoard."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -58,3 +59,37 @@ def _short(content: Mapping[str, object], name: str) -> str:
 def file_sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file: says exactly which data was fitted."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+@contextmanager
+def scalar_writer(folder: Path | None) -> Iterator[Callable[[Mapping[str, float]], None] | None]:
+    """Open a folder of event files; gives a function that writes one entry of a history.
+
+    Args:
+        folder: where TensorBoard will look (`tensorboard --logdir FOLDER`); None writes nothing
+            and gives None.
+
+    Raises:
+        ImportError: the package tensorboard is not installed.
+    """
+    if folder is None:
+        yield None
+        return
+    try:
+        from torch.utils.tensorboard import SummaryWriter
+    except ImportError as error:
+        raise ImportError(
+            "event files need the package tensorboard, which is not installed; install it by "
+            "`pip install 'swarm-envs[tensorboard]'`, or leave --tensorboard out"
+        ) from error
+    writer = SummaryWriter(str(folder))
+
+    def write(entry: Mapping[str, float]) -> None:
+        for name, value in entry.items():
+            if name != "step":
+                writer.add_scalar(name, value, int(entry["step"]))
+
+    try:
+        yield write
+    finally:
+        writer.close()

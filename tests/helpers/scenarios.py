@@ -25,7 +25,7 @@ from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.obstacles import Box, Column
-from swarm_envs.training.collection.potentials import Potential, push_apart
+from swarm_envs.training.collection.motion import Potential, push_apart
 from swarm_envs.vehicles import parse_team
 
 Arrays = dict[str, FloatArray]

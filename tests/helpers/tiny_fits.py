@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarm_envs.training.force_model.config import TrainConfig
-from swarm_envs.training.force_model.network import EVERYWHERE, DeepSetSpec
+from swarm_envs.training.force_model.force_fit_config import TrainConfig
+from swarm_envs.training.force_model.network import EVERYWHERE, DeepSetSpec, InputRange
 from swarm_envs.training.interaction_rows import InteractionRows
 
 PLAIN = TrainConfig(
@@ -18,6 +18,11 @@ PLAIN = TrainConfig(
     checkpoint_every=10,
 )
 SPEC = DeepSetSpec(("S", "L"), EVERYWHERE, None, None)
+RANGE = InputRange(
+    ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),
+    ((-1.6, -0.6, -0.6, -1.0), (-0.07, 0.6, 0.6, 1.0)),
+)
+"""Limits of the inputs as narrow as those of a measured fit."""
 
 
 def rows_of(

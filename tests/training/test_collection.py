@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -17,14 +16,16 @@ from swarm_envs.training.collection import (
     interaction_rows,
     read_flights,
 )
-from swarm_envs.training.collection.collect import flight_generator, make_motion
-from swarm_envs.training.collection.config import FlightBatch
-from swarm_envs.training.collection.flight import fly
-from swarm_envs.training.collection.labels import derivative, lagged_thrust, smooth
-from swarm_envs.training.collection.log import LOG_RATE
-from swarm_envs.training.collection.motion import MotionRanges, RandomWalk
-from swarm_envs.training.collection.potentials import Potential, repulsion
-from swarm_envs.training.collection.sensors import with_noise
+from swarm_envs.training.collection.collect import FlightBatch, flight_generator, make_motion
+from swarm_envs.training.collection.flight import fly_motion
+from swarm_envs.training.collection.log import (
+    LOG_RATE,
+    derivative,
+    hann_average,
+    lagged_thrust,
+    with_noise,
+)
+from swarm_envs.training.collection.motion import MotionRanges, Potential, RandomWalk, repulsion
 from swarm_envs.training.collection.table import scenario_name
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL, parse_team
 
@@ -37,7 +38,7 @@ def noiseless(team, kind, duration_s, motion=SHORT.motion, count=1):
     config = dataclasses.replace(SHORT, motion=motion, duration_s=duration_s)
     batch = FlightBatch(team, kind, count)
     rngs = [flight_generator(config, name) for name in batch.names]
-    return fly(parse_team(team), make_motion(config, batch, rngs), "learned", duration_s)
+    return fly_motion(parse_team(team), make_motion(config, batch, rngs), "learned", duration_s)
 
 
 @pytest.mark.parametrize(
@@ -69,7 +70,7 @@ def test_derivative_and_smoothing_of_polynomials():
     value = derivative(3.0 * t**4 - t, 0.01)
     assert np.isnan(value[[0, 1, -2, -1]]).all()
     np.testing.assert_allclose(value[2:-2], (12.0 * t**3 - 1.0)[2:-2], atol=1e-9)
-    calm = smooth(t, 13)
+    calm = hann_average(t, 13)
     np.testing.assert_allclose(calm[6:-6], t[6:-6])
     assert np.isnan(calm[:6]).all() and np.isnan(calm[-6:]).all()
 
@@ -149,7 +150,7 @@ def test_walks_are_the_same_alone_and_in_a_batch():
 
     def walk(seeds):
         rngs = [np.random.default_rng(seed) for seed in seeds]
-        return fly(team, RandomWalk(team, rngs, ranges, False, 2.0, 1 / 240), "learned", 2.0)
+        return fly_motion(team, RandomWalk(team, rngs, ranges, False, 2.0, 1 / 240), "learned", 2.0)
 
     for together, alone in zip(walk([0, 1]), [*walk([0]), *walk([1])], strict=True):
         for a, b in zip(together, alone, strict=True):
@@ -172,26 +173,6 @@ def test_the_same_seed_gives_the_same_files_and_another_does_not(collection, tmp
     assert contents(tmp_path / "again") == contents(out)
     other = collect(dataclasses.replace(SHORT, seed=1), tmp_path / "other", progress=False)
     assert not np.array_equal(other[0].log.position, flights[0].log.position)
-
-
-def test_a_killed_collection_goes_on_and_ends_the_same(collection, tmp_path, monkeypatch):
-    out, _ = collection
-    module, flown = sys.modules[collect.__module__], []
-    original = module.fly_batch
-
-    def counted(config, batch, *models):
-        flown.append(batch.names)
-        if len(flown) == 3:
-            raise KeyboardInterrupt
-        return original(config, batch, *models)
-
-    monkeypatch.setattr(module, "fly_batch", counted)
-    with pytest.raises(KeyboardInterrupt):
-        collect(SHORT, tmp_path, progress=False)
-    assert len(contents(tmp_path)) < len(contents(out))
-    collect(SHORT, tmp_path, progress=False)
-    assert contents(tmp_path) == contents(out)
-    assert len(set(flown[:2])) == 2 and flown[2] == flown[3]
 
 
 def test_a_folder_of_another_configuration_is_refused(collection):
@@ -259,12 +240,12 @@ def test_a_log_is_cut_before_the_first_contact():
         start = np.array([[[0.0, 0.0, 1.0], [0.4, 0.0, 1.0]]])
 
         def target(self, time, position):
-            from swarm_envs.training.collection.motion import Target
+            from swarm_envs.training.collection.motion import MotionTarget
 
             still = np.zeros((1, 2, 3))
-            return Target(self.start * [0.0, 1.0, 1.0], still, still)
+            return MotionTarget(self.start * [0.0, 1.0, 1.0], still, still)
 
-    (log,) = fly(parse_team("SS"), Collide(), "none", 4.0)
+    (log,) = fly_motion(parse_team("SS"), Collide(), "none", 4.0)
     assert isinstance(log, FlightLog) and 10 < len(log.position) < 4.0 * LOG_RATE
     distance = np.linalg.norm(log.position[:, 0] - log.position[:, 1], axis=1)
     assert distance.min() >= 2 * SMALL.radius

@@ -14,8 +14,14 @@ from swarm_envs.training.collection import (
     collect,
     interaction_rows,
 )
-from swarm_envs.training.collection.signals import commanded_thrust, motor_signals
-from swarm_envs.training.collection.storage import flight_file, from_table, read_log, to_table
+from swarm_envs.training.collection.storage import (
+    commanded_thrust,
+    flight_file,
+    from_table,
+    motor_signals,
+    read_log,
+    to_table,
+)
 from swarm_envs.training.collection.table import SCENARIOS
 from swarm_envs.training.flight_logs import LogOptions, read_logs
 from swarm_envs.vehicles import LARGE, SMALL, parse_team

@@ -16,21 +16,31 @@ from swarm_envs.training.collection import (
     interaction_force,
     interaction_rows,
 )
-from swarm_envs.training.collection.collect import flight_generator, fly_batch, make_motion
-from swarm_envs.training.collection.config import FlightBatch
-from swarm_envs.training.collection.fleet import vehicle_ids, vehicle_names
-from swarm_envs.training.collection.flight import fly
-from swarm_envs.training.collection.labels import lagged_thrust, thrust_direction
-from swarm_envs.training.collection.log import resampled, rotate, rotate_back, world_acceleration
-from swarm_envs.training.collection.sensors import NO_NOISE, with_noise
-from swarm_envs.training.collection.table import SCENARIOS, Flight, scenario_counts
+from swarm_envs.training.collection.collect import (
+    FlightBatch,
+    flight_generator,
+    fly_flights,
+    make_motion,
+)
+from swarm_envs.training.collection.flight import fly_motion, vehicle_ids, vehicle_names
+from swarm_envs.training.collection.log import (
+    NO_NOISE,
+    lagged_thrust,
+    resampled,
+    rotate,
+    rotate_to_body,
+    thrust_direction,
+    with_noise,
+    world_acceleration,
+)
+from swarm_envs.training.collection.table import SCENARIOS, CollectedFlight, scenario_counts
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, SMALL, parse_team
 
 EXACT = CollectionConfig(noise=NO_NOISE, duration_s=6.0)
 
 
 def logs(team="SL", kind="swap", count=1, config=EXACT):
-    return fly_batch(config, FlightBatch(team, kind, count), load(config.interactions))
+    return fly_flights(config, FlightBatch(team, kind, count), load(config.interactions))
 
 
 @pytest.mark.parametrize(("team", "kind"), [("SL", "swap"), ("SSL", "walk"), ("L", "low-walk")])
@@ -101,7 +111,7 @@ def test_an_accelerometer_reads_one_g_in_hover_and_turns_with_the_body():
     assert np.sqrt(np.mean((pull - thrust) ** 2)) < 0.01 * SMALL.mass * GRAVITY
     along = thrust_direction(log.quaternion) * log.specific_force[..., 2:]
     assert np.abs(world_acceleration(log) - along).max() < 0.1
-    back = rotate_back(log.quaternion, rotate(log.quaternion, log.velocity))
+    back = rotate_to_body(log.quaternion, rotate(log.quaternion, log.velocity))
     np.testing.assert_allclose(back, log.velocity, atol=1e-12)
 
 
@@ -176,7 +186,7 @@ def test_a_pilot_that_knows_the_force_flies_closer_to_its_set_point():
         batch = FlightBatch("SL", "swap", 4)
         rngs = [flight_generator(EXACT, name) for name in batch.names]
         motion = make_motion(EXACT, batch, rngs)
-        flown = fly(parse_team("SL"), motion, "learned", 6.0, believed)
+        flown = fly_motion(parse_team("SL"), motion, "learned", 6.0, believed)
         errors[believed is None] = max(
             float(np.abs(log.position - log.setpoint)[..., 2].max()) for log in flown
         )
@@ -187,7 +197,7 @@ def test_scenarios_are_counted_by_hand():
     (log,) = logs("SS", "swap")
     position = np.zeros((120, 3, 3))
     position[:, 1, 2], position[:60, 2, 0], position[60:, 2, 0] = 0.5, 0.2, 5.0
-    flights = [Flight("a", "SSL", log._replace(position=position), False)]
+    flights = [CollectedFlight("a", "SSL", log._replace(position=position), False)]
     found = scenario_counts(flights)
     assert list(found) == ["SL2S", "SS2L"]
     assert found["SL2S"] == (1, 2.0, 2.0)  # the two small ones stay together

@@ -10,9 +10,9 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
-from swarm_envs.training.collection.config import FlightBatch
+from swarm_envs.training.collection.collect import FlightBatch
 from swarm_envs.training.collection.log import FlightLog
-from swarm_envs.training.collection.table import Flight
+from swarm_envs.training.collection.table import CollectedFlight as Flight
 from swarm_envs.training.curriculum import (
     Closeness,
     CurriculumConfig,

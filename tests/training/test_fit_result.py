@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from swarm_envs.interactions import load
-from swarm_envs.training.flight_logs.options import LogOptions
-from swarm_envs.training.flight_logs.report import Calibration
-from swarm_envs.training.force_model.evaluate import Errors
-from swarm_envs.training.force_model.pipeline import WEIGHTS, FitConfig, fit
-from swarm_envs.training.force_model.report import worth
+from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.flight_logs.log_report import Calibration
+from swarm_envs.training.force_model.evaluate import Errors, worth
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.pipeline import WEIGHTS, fit
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.provenance import differing
 

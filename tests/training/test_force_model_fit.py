@@ -12,14 +12,20 @@ import torch
 
 from swarm_envs.interactions import load
 from swarm_envs.training.force_model import pipeline
-from swarm_envs.training.force_model.drag import fit_drag
 from swarm_envs.training.force_model.export import load_network
-from swarm_envs.training.force_model.labels import measured_range
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.labels import fit_drag, measured_range
 from swarm_envs.training.force_model.network import OUTER_FADE, DeepSetSpec
-from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.force_model.train import TrainConfig, predict, to_batch, train
-from swarm_envs.training.force_model.wake_fit import WakeFitConfig, fit_wake, run
-from swarm_envs.training.force_model.wake_model import WakeParameters, wake_force_g, wake_rows
+from swarm_envs.training.force_model.wake_fit import (
+    WakeFitConfig,
+    WakeParameters,
+    fit_wake,
+    wake_force_g,
+    wake_rows,
+    write_wake,
+)
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.training.interaction_rows.calibration import (
     estimate_offsets,
@@ -169,36 +175,6 @@ def test_slope_penalty_lowers_the_steepest_slope():
     assert held_found.input_gradient_g_per_unit < 0.7 * free_found.input_gradient_g_per_unit
 
 
-def test_killed_training_continues_to_the_same_weights(tmp_path, monkeypatch):
-    rows, path = planted_rows(2000), tmp_path / "checkpoint.safetensors"
-    whole = train(rows, SPEC, SMALL, progress=False)
-    from swarm_envs.training.force_model import train as module
-
-    step, calls = module._step, []
-
-    def dying_step(*arguments):
-        calls.append(1)
-        if len(calls) == 47:
-            raise KeyboardInterrupt
-        return step(*arguments)
-
-    monkeypatch.setattr(module, "_step", dying_step)
-    with pytest.raises(KeyboardInterrupt):
-        train(rows, SPEC, SMALL, path, progress=False)
-    resumed = train(rows, SPEC, SMALL, path, progress=False)
-    assert len(calls) == 47 + 20  # it went on from step 40
-    assert resumed.history == whole.history
-    for a, b in zip(whole.network.parameters(), resumed.network.parameters(), strict=True):
-        assert torch.equal(a, b)
-
-
-def test_checkpoint_of_another_configuration_is_refused(tmp_path):
-    rows, path = planted_rows(500), tmp_path / "checkpoint.safetensors"
-    train(rows, SPEC, SMALL, path, progress=False)
-    with pytest.raises(ValueError, match=r"options: training.seed is 0 there, 1 here; delete"):
-        train(rows, SPEC, dataclasses.replace(SMALL, seed=1), path, progress=False)
-
-
 def test_seed_decides_the_weights():
     rows = planted_rows(500)
     short = dataclasses.replace(SMALL, steps=5)
@@ -277,7 +253,7 @@ def test_command_line_makes_the_same_configuration():
     import tyro
 
     config = FitConfig(data=Path("rows.npz"), out=Path("DIR"), seed=5, steps=70)
-    words = shlex.split(pipeline.command(config))
+    words = shlex.split(pipeline.fit_command(config))
     assert words[:3] == ["python", "-m", "swarm_envs.training.force_model"]
     assert tyro.cli(FitConfig, args=words[3:]) == config
 
@@ -285,7 +261,7 @@ def test_command_line_makes_the_same_configuration():
 def test_wake_fit_writes_its_file(tmp_path):
     rows = with_calibration_and_drag(planted_rows(4000), np.random.default_rng(1))
     save_rows(tmp_path / "rows.npz", rows)
-    run(WakeFitConfig(data=tmp_path / "rows.npz", out=tmp_path, rows=2000))
+    write_wake(WakeFitConfig(data=tmp_path / "rows.npz", out=tmp_path, rows=2000))
     written = json.loads((tmp_path / "wake.json").read_text())
     assert written["advection_velocity"] == "neighbor"
     assert set(written["pair"]) == {"S>S", "S>L", "L>S", "L>L"}

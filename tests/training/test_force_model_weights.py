@@ -20,8 +20,9 @@ from swarm_envs.training.force_model.evaluate import (
     scan_swarms,
 )
 from swarm_envs.training.force_model.export import load_network
+from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
-from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import read_rows
 from swarm_envs.training.interaction_rows.calibration import estimate_offsets, subtract_offsets
 

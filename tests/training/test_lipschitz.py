@@ -10,16 +10,19 @@ import pytest
 import torch
 
 from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
-from swarm_envs.training.force_model.network import DeepSetSpec, ForceNetwork, layers
-from swarm_envs.training.force_model.pairwise import build
-from swarm_envs.training.force_model.spec import EVERYWHERE, OUTER_FADE, InputRange, NetworkKind
+from swarm_envs.training.force_model.network import (
+    EVERYWHERE,
+    OUTER_FADE,
+    DeepSetSpec,
+    ForceNetwork,
+    NetworkKind,
+    build,
+    layers,
+)
 from swarm_envs.training.force_model.train import TrainConfig, train
 from swarm_envs.training.interaction_rows import InteractionRows
+from tests.helpers.tiny_fits import RANGE
 
-RANGE = InputRange(
-    ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),
-    ((-1.6, -0.6, -0.6, -1.0), (-0.07, 0.6, 0.6, 1.0)),
-)
 KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise")
 
 

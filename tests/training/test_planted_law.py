@@ -9,7 +9,7 @@ import pytest
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import WAKE, empty_field
 from swarm_envs.training.collection import CollectionConfig, collect, interaction_rows
-from swarm_envs.training.collection.labels import interaction_force
+from swarm_envs.training.collection.log import interaction_force
 from swarm_envs.training.force_model import FitConfig, fit
 from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.vehicles import GRAM_FORCE

@@ -7,8 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from swarm_envs.training.force_model.flat import FlatWeights
-from swarm_envs.training.force_model.soap import Soap, _eigenvectors
+from swarm_envs.training.force_model.optimisers import FlatWeights, Soap, _eigenvectors
 
 RATE = 1e-2
 

@@ -11,15 +11,18 @@ import torch
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.network import DeepSetSpec, ForceNetwork, layers
-from swarm_envs.training.force_model.pairwise import PairwiseSum, build
-from swarm_envs.training.force_model.spec import OUTER_FADE, InputRange, NetworkKind
-from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
-
-RANGE = InputRange(
-    ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),
-    ((-1.6, -0.6, -0.6, -1.0), (-0.07, 0.6, 0.6, 1.0)),
+from swarm_envs.training.force_model.network import (
+    OUTER_FADE,
+    DeepSetSpec,
+    ForceNetwork,
+    NetworkKind,
+    PairwiseSum,
+    build,
+    layers,
 )
+from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
+from tests.helpers.tiny_fits import RANGE
+
 KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise")
 TEAM = "SLSLS"
 

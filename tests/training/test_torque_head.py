@@ -12,20 +12,22 @@ import torch
 from swarm_envs.interactions import load
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
 from swarm_envs.state import FloatArray
-from swarm_envs.training.flight_logs.options import LogOptions
-from swarm_envs.training.force_model.data import Wanted, read_data
-from swarm_envs.training.force_model.epochs import changed_label, transform, turn
+from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.force_model.examples import changed_label, transform, turn
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.network import Batch, DeepSet, DeepSetSpec, swarm_batch
-from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.spec import OUTER_FADE, InputRange
+from swarm_envs.training.force_model.fit_data import Wanted, read_data
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.network import (
+    OUTER_FADE,
+    Batch,
+    DeepSet,
+    DeepSetSpec,
+    swarm_batch,
+)
+from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
-
-RANGE = InputRange(
-    ((-0.35, -0.35, -1.0, -1.0, -1.0, -1.2), (0.35, 0.35, 1.0, 1.0, 1.0, 1.2)),
-    ((-1.6, -0.6, -0.6, -1.0), (-0.07, 0.6, 0.6, 1.0)),
-)
+from tests.helpers.tiny_fits import RANGE
 
 
 def planted_torque(offset: FloatArray) -> FloatArray:

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from swarm_envs.interactions import load
-from swarm_envs.training.force_model.pipeline import WEIGHTS, FitConfig, fit
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.pipeline import WEIGHTS, fit
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle
 

@@ -25,8 +25,7 @@ from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.collection.collect import MANIFEST, collect
-from swarm_envs.training.collection.config import CollectionConfig
+from swarm_envs.training.collection.collect import MANIFEST, CollectionConfig, collect
 from swarm_envs.training.collection.table import ROW_RATE, interaction_rows
 from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
 from swarm_envs.training.force_model import fit as fit_force_model

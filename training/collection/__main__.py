@@ -1,4 +1,4 @@
-"""What `swarm-envs collect` is told, and what it says; also `python -m` of this package."""
+"""Options and summary of `swarm-envs collect`; also `python -m` of this package."""
 
 from __future__ import annotations
 
@@ -10,11 +10,15 @@ import numpy as np
 import tyro
 
 from swarm_envs.files import write_json
-from swarm_envs.training.collection.collect import MANIFEST, collect, was_cut_short
-from swarm_envs.training.collection.config import CollectionConfig
+from swarm_envs.training.collection.collect import (
+    MANIFEST,
+    CollectionConfig,
+    collect,
+    was_cut_short,
+)
 from swarm_envs.training.collection.table import (
     SCENARIOS,
-    Flight,
+    CollectedFlight,
     interaction_rows,
     scenario_counts,
 )
@@ -92,8 +96,8 @@ class CollectSummary:
         return said
 
 
-def summarise(
-    flights: list[Flight], rows: InteractionRows, config: CollectionConfig, table: str
+def _summary(
+    flights: list[CollectedFlight], rows: InteractionRows, config: CollectionConfig, table: str
 ) -> CollectSummary:
     """Count what was flown and what rows it gave."""
     scenarios = {}
@@ -142,13 +146,13 @@ def scenario_table(scenarios: Mapping[str, ScenarioSummary]) -> str:
     )
 
 
-def run(options: CollectOptions) -> CollectSummary:
+def run_collect(options: CollectOptions) -> CollectSummary:
     """Collect, and say what was collected."""
     flights = collect(options.config, options.out, options.progress)
     table = options.out / "rows.npz"
     rows = interaction_rows(flights, options.config.label)
     save_rows(table, rows)
-    summary = summarise(flights, rows, options.config, table.name)
+    summary = _summary(flights, rows, options.config, table.name)
     print(
         *summary.lines(), f"wrote flights, {MANIFEST} and {table.name} into {options.out}", sep="\n"
     )
@@ -158,4 +162,4 @@ def run(options: CollectOptions) -> CollectSummary:
 
 
 if __name__ == "__main__":
-    run(tyro.cli(CollectOptions, config=(tyro.conf.OmitArgPrefixes,)))
+    run_collect(tyro.cli(CollectOptions, config=(tyro.conf.OmitArgPrefixes,)))

@@ -1,27 +1,141 @@
-"""All flights of a collection to a folder: one file per flight, and a manifest."""
+"""A collection: its configuration, and all its flights in a folder, a file each and a manifest."""
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
+import math
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
+from swarm_envs.errors import check_name
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.training.collection.config import CollectionConfig, FlightBatch
-from swarm_envs.training.collection.flight import fly
-from swarm_envs.training.collection.log import FlightLog, resampled
-from swarm_envs.training.collection.motion import Motion, RandomWalk, StackedSwaps
-from swarm_envs.training.collection.sensors import with_noise
-from swarm_envs.training.collection.storage import flight_file, read_log, save_log
-from swarm_envs.training.collection.table import Flight, scenario_counts
+from swarm_envs.training.collection.flight import PILOTS, CalibrationErrors, fly_motion
+from swarm_envs.training.collection.log import (
+    LOG_RATE,
+    FlightLog,
+    Label,
+    SensorNoise,
+    resampled,
+    with_noise,
+)
+from swarm_envs.training.collection.motion import MotionRanges, RandomWalk, StackedSwaps, TeamMotion
+from swarm_envs.training.collection.storage import Format, flight_file, read_log, save_log
+from swarm_envs.training.collection.table import CollectedFlight, scenario_counts
 from swarm_envs.training.provenance import differing, json_ready
 from swarm_envs.vehicles import parse_team
+
+RATES = (100, LOG_RATE)
+"""Log entries per second that can be had."""
+
+KINDS = ("walk", "low-walk", "swap", "low-swap")
+"""Motions: random walks and stacked swaps, aloft and near the ground."""
+
+
+@typed
+@dataclass(frozen=True)
+class CollectionConfig:
+    """A collection of flights. The same configuration gives the same logs, to the last bit."""
+
+    teams: tuple[str, ...] = ("S", "L", "SS", "SL", "LL", "SSS", "SSL", "SLL", "LLL")
+    """who flies together; each drone is in turn the one that feels the force, so that `SL` gives
+    the scenarios L2S and S2L"""
+    walks: int = 5
+    """flights per team that walk at random aloft"""
+    low_walks: int = 5
+    """flights per team that walk at random near the ground"""
+    swaps: int = 5
+    """flights per team of two or more that swap places aloft, crossing every few seconds"""
+    low_swaps: int = 5
+    """flights per team of two or more that swap places near the ground"""
+    duration_s: float = 20.0
+    """length of a flight, s; a flight ends earlier at its first contact"""
+    interactions: str = "learned"
+    """force model of the environment: `learned`, `wake`, `none` or a path of weights"""
+    feedforward: Path | None = None
+    """weights of the force model that the pilot compensates for; None for no compensation"""
+    pilot: Literal["soft", "mid", "stiff", "firm"] = "firm"
+    """position gains of the pilot: the controller's presets, or `firm`, stiffer than flights need,
+    to hold place in wakes that it does not know"""
+    log_rate: Literal[100, 120] = 120
+    """log entries per second: as flown, or resampled to 100"""
+    label: Label = "differentiated"
+    """where the acceleration of the force's label comes from: velocities differentiated over five
+    points, or the accelerometer"""
+    format: Format = "npz"
+    """files of flights: `npz`, or `parquet` in the format of real logs (docs/flight-logs.md), with
+    the accelerations if they are to give the label"""
+    motion: MotionRanges = MotionRanges()
+    """what the motions are drawn from"""
+    noise: SensorNoise = SensorNoise()
+    """what sensors add to the logged state; the pilot flies with the true one"""
+    errors: CalibrationErrors = CalibrationErrors()
+    """by how much vehicles differ from their type; none by default"""
+    seed: int = 0
+    """seed of every flight; each has its own generator, so that none depends on another"""
+
+    def __post_init__(self) -> None:
+        for team in self.teams:
+            parse_team(team)
+        if len(set(self.teams)) < len(self.teams):
+            raise ValueError(f"teams are {self.teams}, but each may be named once: they name files")
+        for name in ("walks", "low_walks", "swaps", "low_swaps", "seed"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} is {getattr(self, name)}, but must not be negative")
+        if not (math.isfinite(self.duration_s) and self.duration_s >= 1.0):
+            raise ValueError(f"duration_s is {self.duration_s}, but must be at least 1 s")
+        if self.log_rate not in RATES:
+            raise ValueError(f"log_rate is {self.log_rate}, but must be 100 or {LOG_RATE}")
+        check_name("pilot", self.pilot, PILOTS)
+        check_name("label", self.label, ("differentiated", "imu"))
+        check_name("format", self.format, ("npz", "parquet"))
+        if not self.batches():
+            raise ValueError(
+                f"teams {self.teams} and the counts walks {self.walks}, low_walks "
+                f"{self.low_walks}, swaps {self.swaps}, low_swaps {self.low_swaps} give no flight "
+                "(a lone drone does not swap); name a team, and at least one flight of it"
+            )
+
+    def batches(self) -> list[FlightBatch]:
+        """Flights in the order in which they are flown: those of a batch fly at the same time."""
+        counts = dict(zip(KINDS, (self.walks, self.low_walks, self.swaps, self.low_swaps)))
+        return [
+            FlightBatch(team, kind, count)
+            for team in self.teams
+            for kind, count in counts.items()
+            if count and (len(parse_team(team)) > 1 or kind.endswith("walk"))
+        ]
+
+    def as_dict(self) -> dict[str, object]:
+        """The configuration as JSON holds it."""
+        return dataclasses.asdict(self)
+
+
+@dataclass(frozen=True)
+class FlightBatch:
+    """Flights of one team and kind that fly at the same time, each in its own environment."""
+
+    team: str
+    """Who flies together."""
+    kind: str
+    """One of `KINDS`."""
+    count: int
+    """Number of flights."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """One name per flight, which is also its file's."""
+        token = self.team.replace("*", "x")  # file names without wildcards
+        return tuple(f"{token}-{self.kind}-{index:03d}" for index in range(self.count))
+
 
 MANIFEST = "manifest.json"
 """File that says what the others of a folder hold."""
@@ -35,7 +149,7 @@ def collect(
     out: Path,
     progress: bool = True,
     environment: InteractionModel | None = None,
-) -> list[Flight]:
+) -> list[CollectedFlight]:
     """Fly what is not yet there, and read everything.
 
     Writes one file for each flight, and `manifest.json` with the configuration, the force model's
@@ -46,18 +160,18 @@ def collect(
         config: what to fly.
         out: folder of the flights, made if missing.
         progress: show a progress bar.
-        environment: the force that blows; None for the one that the configuration names.
+        environment: the force between drones; None for the one that the configuration names.
 
     Raises:
         ImportError: flights are to be Parquet, and pyarrow is not installed.
         ValueError: the folder holds flights of another configuration or force model.
     """
     model = load(config.interactions) if environment is None else environment
-    believed = None if config.feedforward is None else load(config.feedforward)
+    compensated = None if config.feedforward is None else load(config.feedforward)
     origin: dict[str, object] = {
         "config": json_ready(config.as_dict()),
         "interactions_sha256": model.fingerprint,
-        "feedforward_sha256": None if believed is None else believed.fingerprint,
+        "feedforward_sha256": None if compensated is None else compensated.fingerprint,
     }
     out.mkdir(parents=True, exist_ok=True)
     begin_manifest(out / MANIFEST, origin)
@@ -68,7 +182,9 @@ def collect(
             files = [flight_file(out, name, config.format) for name in batch.names]
             if not all(file.exists() for file in files):
                 team = parse_team(batch.team)
-                for file, log in zip(files, fly_batch(config, batch, model, believed), strict=True):
+                for file, log in zip(
+                    files, fly_flights(config, batch, model, compensated), strict=True
+                ):
                     save_log(file, log, team, config.log_rate, config.label == "imu")
             bar.update(round(batch.count * config.duration_s))
     flights = [flight for batch in batches for flight in read_batch(config, out, batch)]
@@ -88,7 +204,7 @@ def collect(
     return flights
 
 
-def was_cut_short(flight: Flight, duration_s: float) -> bool:
+def was_cut_short(flight: CollectedFlight, duration_s: float) -> bool:
     """Whether a flight ended before its time: its team touched something or tumbled."""
     return flight.seconds < duration_s - 0.05
 
@@ -118,7 +234,7 @@ def flight_generator(config: CollectionConfig, name: str) -> np.random.Generator
     return np.random.default_rng([config.seed, key])
 
 
-def fly_batch(
+def fly_flights(
     config: CollectionConfig,
     batch: FlightBatch,
     model: InteractionModel,
@@ -128,7 +244,7 @@ def fly_batch(
     rngs = [flight_generator(config, name) for name in batch.names]
     motion, team = make_motion(config, batch, rngs), parse_team(batch.team)
     vehicles = config.errors.draw(team, config.seed, rngs)
-    logs = fly(team, motion, model, config.duration_s, feedforward, vehicles, config.pilot)
+    logs = fly_motion(team, motion, model, config.duration_s, feedforward, vehicles, config.pilot)
     return [
         with_noise(resampled(log, config.log_rate), config.noise, rng)
         for log, rng in zip(logs, rngs, strict=True)
@@ -137,7 +253,7 @@ def fly_batch(
 
 def make_motion(
     config: CollectionConfig, batch: FlightBatch, rngs: list[np.random.Generator]
-) -> Motion:
+) -> TeamMotion:
     """The motion of a batch."""
     team, ranges, step = parse_team(batch.team), config.motion, TIME_STEP
     low = batch.kind.startswith("low")
@@ -148,7 +264,7 @@ def make_motion(
 
 
 @typed
-def read_flights(config: CollectionConfig, out: Path) -> list[Flight]:
+def read_flights(config: CollectionConfig, out: Path) -> list[CollectedFlight]:
     """Read the flights of a finished collection.
 
     Raises:
@@ -157,21 +273,21 @@ def read_flights(config: CollectionConfig, out: Path) -> list[Flight]:
     return [flight for batch in config.batches() for flight in read_batch(config, out, batch)]
 
 
-def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[Flight]:
+def read_batch(config: CollectionConfig, out: Path, batch: FlightBatch) -> list[CollectedFlight]:
     """Read the flights of a batch."""
     team = parse_team(batch.team)
     return [
-        Flight(
+        CollectedFlight(
             name=name,
             team=batch.team,
             log=read_log(flight_file(out, name, config.format), team),
-            validation=is_held_out(index, batch.count),
+            validation=_is_held_out(index, batch.count),
             rate_hz=config.log_rate,
         )
         for index, name in enumerate(batch.names)
     ]
 
 
-def is_held_out(index: int, count: int) -> bool:
+def _is_held_out(index: int, count: int) -> bool:
     """Whether flight `index` of `count` is for validation: every fifth, or the last of fewer."""
     return count > 1 and index % HELD_OUT_EVERY == min(HELD_OUT_EVERY, count) - 1

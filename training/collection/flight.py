@@ -1,9 +1,18 @@
-"""One batch of flights: the loop, and what it logs at 120 Hz."""
+"""One batch of flights: the vehicles that fly, the loop, and what it logs at 120 Hz.
+
+Every team is put together from one fleet: the second small drone of any team is vehicle `S2`, in
+every flight the same. So what is wrong with it can be found from all its flights, as for real ones.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
 import numpy as np
 
+from swarm_envs.arguments import typed
 from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.errors import check_name
@@ -11,10 +20,86 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
-from swarm_envs.training.collection.fleet import Vehicles
-from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog, rotate_back
-from swarm_envs.training.collection.motion import Motion
-from swarm_envs.vehicles import GRAVITY, Team
+from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog, rotate_to_body
+from swarm_envs.training.collection.motion import TeamMotion
+from swarm_envs.vehicles import GRAVITY, VEHICLES, Team
+
+_PER_TYPE = 100
+_LARGEST_ERROR = 0.2
+
+
+class Vehicles(NamedTuple):
+    """What the drones of E flights of N really are."""
+
+    mass_factor: FloatArray
+    """(E, N) mass over that of the type."""
+    thrust_factor: FloatArray
+    """(E, N) thrust of a rotor over what was commanded."""
+
+
+@typed
+@dataclass(frozen=True)
+class CalibrationErrors:
+    """By how much vehicles differ from their type: relative standard deviations.
+
+    The label takes mass and thrust of the type, so each vehicle gets a constant force in its
+    labels, which `swarm-envs fit --offsets estimated` finds and takes out. Real flights show one or
+    two grams, that is 3 to 6 % on a small drone.
+    """
+
+    mass: float = 0.0
+    """of a vehicle's mass, the same in all its flights"""
+    thrust: float = 0.0
+    """of a vehicle's thrust, the same in all its flights"""
+    thrust_per_flight: float = 0.0
+    """of a vehicle's thrust, drawn anew for every flight, as batteries and propellers change"""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not 0.0 <= value <= _LARGEST_ERROR:
+                raise ValueError(
+                    f"{entry.name} is {value}, but must be from 0 to {_LARGEST_ERROR}: a share, so "
+                    "0.03 is 3 %"
+                )
+
+    def draw(self, team: Team, seed: int, rngs: list[np.random.Generator]) -> Vehicles:
+        """Draw what the drones of E flights really are.
+
+        Args:
+            team: the N vehicles.
+            seed: of the fleet: decides what belongs to a vehicle in all its flights.
+            rngs: E generators, one per flight.
+        """
+        own = np.array(
+            [np.random.default_rng([seed, v]).standard_normal(2) for v in vehicle_ids(team)]
+        )
+        mass = np.repeat(1.0 + self.mass * own[None, :, 0], len(rngs), axis=0)
+        thrust = np.repeat(1.0 + self.thrust * own[None, :, 1], len(rngs), axis=0)
+        if self.thrust_per_flight:
+            drift = np.stack([rng.standard_normal(len(team)) for rng in rngs])
+            thrust = thrust + self.thrust_per_flight * drift
+        return Vehicles(mass, thrust)
+
+
+def vehicle_names(team: Team) -> tuple[str, ...]:
+    """Names of the physical vehicles of a team, such as `S1`, `S2`, `L1` of `SSL`."""
+    seen = Counter[str]()
+    names = []
+    for vehicle in team:
+        seen[vehicle.token] += 1
+        names.append(f"{vehicle.token}{seen[vehicle.token]}")
+    return tuple(names)
+
+
+def vehicle_ids(team: Team) -> tuple[int, ...]:
+    """Number of each vehicle of a team in the whole fleet: 1, 2, 101 of `SSL`."""
+    tokens = list(VEHICLES)
+    return tuple(
+        _PER_TYPE * tokens.index(vehicle.token) + int(name.removeprefix(vehicle.token))
+        for vehicle, name in zip(team, vehicle_names(team), strict=True)
+    )
+
 
 FIRM = PositionGains(position=3.0, velocity=5.0, integral=1.0)
 """Stiffer than flights need, to hold place in wakes that the pilot does not know."""
@@ -25,9 +110,9 @@ PILOTS = {**GAINS, "firm": FIRM}
 _WIDTHS = (3, 3, 4, 3, 3, 4)  # of the arrays of a FlightLog
 
 
-def fly(
+def fly_motion(
     team: Team,
-    motion: Motion,
+    motion: TeamMotion,
     interactions: str | InteractionModel,
     duration_s: float,
     feedforward: InteractionModel | None = None,
@@ -39,7 +124,7 @@ def fly(
     Args:
         team: the N vehicles.
         motion: of E teams.
-        interactions: the force model that blows.
+        interactions: the force model of the environment.
         duration_s: length of the flights, s.
         feedforward: the force that the pilot compensates for; None for no compensation.
         vehicles: what the drones really are; None for exactly their type.
@@ -69,7 +154,7 @@ def fly(
                 part[...] = value
             commands = tracker.commands(state, setpoint)
             if step == 0:
-                record(log, k, state, target.position, commands)
+                _record(log, k, state, target.position, commands)
             now = state.velocity.copy()
             state = physics.step(thrust_factor * commands)
             if step == 0:  # the two steps around the entry
@@ -78,12 +163,12 @@ def fly(
             touched = (physics.contact | physics.contacts.tumbling).any(axis=1)
             length[touched] = np.minimum(length[touched], k)
     log.specific_force[..., 2] += GRAVITY
-    log = log._replace(specific_force=rotate_back(log.quaternion, log.specific_force))
+    log = log._replace(specific_force=rotate_to_body(log.quaternion, log.specific_force))
     flights = (FlightLog(*(array[:, e] for array in log)) for e in range(envs))
     return [flight.cut(int(count)) for flight, count in zip(flights, length, strict=True)]
 
 
-def record(
+def _record(
     log: FlightLog, k: int, state: SwarmState, setpoint: FloatArray, commands: FloatArray
 ) -> None:
     """Write entry k of a batch's log (T, E, N, ...), but for its specific force."""

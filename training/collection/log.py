@@ -1,14 +1,29 @@
-"""The log of a flight: what was measured and commanded, and when."""
+"""The log of a flight, the noise that sensors add to it, and the interaction force it shows.
+
+The pilot flies with the true state; only the log is noisy, as a motion-capture system, its
+estimator and an accelerometer are. What a drone logs of its motors are commands, which no sensor
+touches. The label is computed as in Neural-Swarm2 (Sec. VII-B, with the lag of eq. 1c):
+
+    f_a = m a + m g k - R T k
+
+The acceleration a is differentiated from the logged velocity over five points, or is what the
+accelerometer read; the thrust T is what the motor lag makes of the logged commands, the attitude R
+is as logged, the mass m is the type's. A log is all that these functions are given.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass, fields
+from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.signal import lfilter
 
+from swarm_envs.arguments import typed
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
 
 LOG_RATE = 120
 """Log entries per second as flown: every second physics step."""
@@ -29,7 +44,7 @@ class FlightLog(NamedTuple):
     specific_force: FloatArray
     """(T, N, 3) what an accelerometer reads, body frame, m/s^2: (0, 0, 9.81) in hover."""
     setpoint: FloatArray
-    """(T, N, 3) position that the pilot was told to hold, m; NaN where a file has no place for it.
+    """(T, N, 3) position that the pilot was to hold, m; NaN where a file has no place for it.
     """
     commands: FloatArray
     """(T, N, 4) rotor thrusts as commanded from this entry on, N; never those that act."""
@@ -70,6 +85,184 @@ def rotate(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     return np.asarray(vector + scalar * twice + np.cross(axis, twice))
 
 
-def rotate_back(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
+def rotate_to_body(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     """Turn world vectors (..., 3) into the body frame of attitudes (..., 4)."""
     return rotate(quaternion * [-1.0, -1.0, -1.0, 1.0], vector)
+
+
+@typed
+@dataclass(frozen=True)
+class SensorNoise:
+    """White noise on every log entry, and biases; standard deviations per component.
+
+    White noise is drawn for each entry, a bias once for each vehicle and flight.
+    """
+
+    position_m: float = 2e-4
+    """of a motion-capture system, m: makers and users state tenths of a millimetre for markers in
+    a room of some metres"""
+    velocity: float = 0.01
+    """of the state estimator, m/s: positions of 0.2 mm at 100 Hz, filtered over a few samples"""
+    attitude_rad: float = 3e-3
+    """of the state estimator, rad: 0.2 degrees"""
+    accelerometer: float = 0.2
+    """of the accelerometer, m/s^2: vibration of the rotors, not the chip, whose 0.175 mg per root
+    of Hz (BMI088) make 0.02 m/s^2 over 100 Hz; 0.2 m/s^2 are 0.7 g of force on a small drone,
+    about what is left over when models are fitted to measured flights"""
+    accelerometer_bias: float = 0.05
+    """constant error of the accelerometer, m/s^2: 5 mg, what is left of the chip's 20 mg once the
+    firmware has zeroed it before take-off"""
+    attitude_bias_rad: float = 0.0
+    """constant error of the attitude, rad: markers glued askew. It leans the thrust, 0.03 g of
+    sideways force on a small drone per milliradian"""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(f"{entry.name} is {value}, but must be finite and not negative")
+
+
+NO_NOISE = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Perfect sensors."""
+
+
+def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> FlightLog:
+    """Return the log as noisy sensors would have written it."""
+    shape = log.position.shape
+    turn = noise.attitude_rad * rng.standard_normal(shape)
+    position = log.position + noise.position_m * rng.standard_normal(shape)
+    velocity = log.velocity + noise.velocity * rng.standard_normal(shape)
+    reading = noise.accelerometer * rng.standard_normal(shape)
+    reading += noise.accelerometer_bias * rng.standard_normal(shape[1:])
+    turn += noise.attitude_bias_rad * rng.standard_normal(shape[1:])
+    small = np.concatenate([0.5 * turn, np.ones((*shape[:-1], 1))], axis=-1)
+    quaternion = multiply(small, log.quaternion)
+    return log._replace(
+        position=position,
+        velocity=velocity,
+        quaternion=quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True),
+        specific_force=log.specific_force + reading,
+    )
+
+
+def multiply(p: FloatArray, q: FloatArray) -> FloatArray:
+    """Product p q of quaternions (..., 4) in the order (x, y, z, w)."""
+    a, b = p[..., :3], q[..., :3]
+    s, t = p[..., 3:], q[..., 3:]
+    vector = s * b + t * a + np.cross(a, b)
+    return np.concatenate([vector, s * t - (a * b).sum(axis=-1, keepdims=True)], axis=-1)
+
+
+SMOOTHING_S = 0.1
+"""Width of the window that labels of differentiated velocity are averaged over: a drone moves some
+centimetres meanwhile."""
+
+Label = Literal["differentiated", "imu"]
+"""Where the acceleration of a label comes from."""
+
+
+def derivative(values: FloatArray, step: float) -> FloatArray:
+    """Five-point derivative along the first axis (T, ...); NaN for the two entries at each end."""
+    result = np.full(values.shape, np.nan)
+    outer, inner = values[4:] - values[:-4], values[3:-1] - values[1:-3]
+    result[2:-2] = (8.0 * inner - outer) / (12.0 * step)
+    return result
+
+
+def lagged_thrust(commands: FloatArray, team: Team, step: float) -> FloatArray:
+    """Total thrust (T, N), N, that commands (T, N, 4), N, lead to: eq. (1c), from hover.
+
+    Between two entries the command is taken as their mean.
+    """
+    command = commands.sum(axis=-1)
+    held = 0.5 * (command[1:] + command[:-1])
+    thrust = np.empty_like(command)
+    for i, vehicle in enumerate(team):
+        thrust[:1, i] = hover = 4.0 * vehicle.hover_rotor_thrust
+        keep = np.exp(-vehicle.motor_rate * step)
+        thrust[1:, i], _ = lfilter([1.0 - keep], [1.0, -keep], held[:, i], zi=[keep * hover])
+    return thrust
+
+
+def thrust_direction(quaternion: FloatArray) -> FloatArray:
+    """Direction R k (..., 3) of the thrust at attitudes (..., 4)."""
+    x, y, z, w = np.moveaxis(quaternion, -1, 0)
+    parts = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+    return np.stack(parts, axis=-1)
+
+
+def hann_average(values: FloatArray, width: int) -> FloatArray:
+    """Average along the first axis with a Hann window of `width` entries; NaN where it is cut."""
+    window = np.hanning(width + 2)[1:-1]
+    window /= window.sum()
+    result = np.full(values.shape, np.nan)
+    half, count = width // 2, max(len(values) - width + 1, 0)
+    total = np.zeros((count, *values.shape[1:]))
+    for offset, weight in enumerate(window):
+        total += weight * values[offset : offset + count]
+    result[half : half + count] = total
+    return result
+
+
+@typed
+def interaction_force(
+    log: FlightLog,
+    team: Team,
+    smoothing_s: float = SMOOTHING_S,
+    rate_hz: float = LOG_RATE,
+    label: Label = "differentiated",
+) -> FloatArray:
+    """Interaction force on every drone at every entry of a log.
+
+    Args:
+        log: T entries of N drones.
+        team: the N vehicles.
+        smoothing_s: width of the Hann window over which a differentiated label is averaged, s;
+            less than two log entries for none. One from the accelerometer is taken as it is.
+        rate_hz: log entries per second.
+        label: where the acceleration comes from.
+
+    Returns:
+        (T, N, 3) force in gram-force, world frame; NaN near both ends, where it is unknown.
+    """
+    acceleration = world_acceleration(log) if label == "imu" else None
+    return force_from_motion(
+        log.velocity, acceleration, log.quaternion, log.commands, team, rate_hz, smoothing_s
+    )
+
+
+def force_from_motion(
+    velocity: FloatArray,
+    acceleration: FloatArray | None,
+    quaternion: FloatArray,
+    commands: FloatArray,
+    team: Team,
+    rate_hz: float,
+    smoothing_s: float,
+) -> FloatArray:
+    """Interaction force f_a on N drones at T times, m a + m g k - R T k; see the module.
+
+    Args:
+        velocity: (T, N, 3) m/s, world frame.
+        acceleration: (T, N, 3) with gravity, m/s^2, world frame; None to differentiate the velocity
+            and to average the force over a Hann window.
+        quaternion: (T, N, 4) attitude, body to world.
+        commands: (T, N, 4) commanded rotor thrusts, N.
+        team: the N vehicles.
+        rate_hz: entries per second.
+        smoothing_s: width of the window, s; less than two entries for none.
+
+    Returns:
+        (T, N, 3) gram-force, world frame; NaN where derivative or window would reach out.
+    """
+    mass = np.array([vehicle.mass for vehicle in team])[:, None]
+    thrust = lagged_thrust(commands, team, 1.0 / rate_hz)[..., None]
+    measured = acceleration is not None
+    if acceleration is None:
+        acceleration = derivative(velocity, 1.0 / rate_hz)
+        acceleration[..., 2] += GRAVITY
+    force = mass * acceleration - thrust * thrust_direction(quaternion)
+    width = 2 * round(0.5 * smoothing_s * rate_hz) + 1
+    averaged = width > 1 and not measured
+    return np.asarray((hann_average(force, width) if averaged else force) / GRAM_FORCE)

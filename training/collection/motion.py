@@ -3,20 +3,22 @@
 Random walk (Neural-Swarm2, Sec. VII-B): each drone has a set-point, a point mass that an
 attractive potential draws to a goal in a small box; goals are drawn anew at a fixed frequency.
 Half of the time all goals stand in one vertical line, so that drones pass over and under each
-other. Neighbours and the floor repel with the potential of `potentials`, whose slope at the
-*measured* positions accelerates the set-point. The constants are ours.
+other. Neighbours and the floor repel with an artificial potential (Khatib, 1986) of the
+clearance c, U(c) = strength / 2 (1/c - 1/reach)^2 below the reach and 0 above it, whose slope at
+the *measured* positions accelerates the set-point. The constants are ours.
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from dataclasses import dataclass, fields
 from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray
-from swarm_envs.training.collection.potentials import Potential, push_apart
 from swarm_envs.trajectories import Reference, ramped_line
 from swarm_envs.vehicles import Team
 
@@ -73,11 +75,6 @@ class MotionRanges:
     """the same near the ground"""
 
     def __post_init__(self) -> None:
-        """Check every number.
-
-        Raises:
-            ValueError: a range is empty or a number negative.
-        """
         for entry in fields(self):
             value = getattr(self, entry.name)
             low, high = value if isinstance(value, tuple) else (value, value)
@@ -91,7 +88,7 @@ class MotionRanges:
                 raise ValueError(f"{name} is {getattr(self, name)}, but must be positive")
 
 
-class Target(NamedTuple):
+class MotionTarget(NamedTuple):
     """Where E teams of N drones are to be now, and what moves them. World frame, (E, N, 3), SI."""
 
     position: FloatArray
@@ -102,17 +99,73 @@ class Target(NamedTuple):
     """Its second derivative, m/s^2."""
 
 
-class Motion(Protocol):
+class TeamMotion(Protocol):
     """A motion of E teams of N drones."""
 
     start: FloatArray
     """(E, N, 3) where the drones start, at rest, m."""
 
-    def target(self, time: float, position: FloatArray) -> Target:
+    def target(self, time: float, position: FloatArray) -> MotionTarget:
         """Set-points at `time`, s, given measured positions (E, N, 3), m.
 
         Called once per time step, in order.
         """
+
+
+_LEAST = 1e-3
+
+
+class Potential(NamedTuple):
+    """A potential of the clearance to what repels."""
+
+    reach: float
+    """Clearance below which it repels, m."""
+    strength: float
+    """m^4/s^2."""
+    limit: float
+    """Largest acceleration, m/s^2."""
+
+
+@kernel
+def repulsion(clearance: float, potential: Potential) -> float:
+    """Acceleration -dU/dc away from what is at a clearance c, m, within its limit, m/s^2."""
+    c = max(clearance, _LEAST)
+    if c >= potential.reach:
+        return 0.0
+    slope = potential.strength * (1.0 / c - 1.0 / potential.reach) / (c * c)
+    return min(slope, potential.limit)
+
+
+@kernel
+def push_apart(
+    position: FloatArray,
+    radius: FloatArray,
+    neighbor: Potential,
+    floor: Potential,
+    out: FloatArray,
+) -> None:
+    """Write the acceleration by which E teams of N drones repel each other and the floor.
+
+    Args:
+        position: (E, N, 3) m, z up from the floor.
+        radius: (N,) of the drones' spheres, m.
+        neighbor: potential of the clearance between two spheres.
+        floor: potential of the clearance of a sphere from the floor.
+        out: (E, N, 3) m/s^2, overwritten.
+    """
+    out[:] = 0.0
+    for e in range(position.shape[0]):
+        p, push = position[e], out[e]
+        for i in range(p.shape[0]):
+            push[i, 2] += repulsion(p[i, 2] - radius[i], floor)
+            for j in range(i):
+                x, y, z = p[i, 0] - p[j, 0], p[i, 1] - p[j, 1], p[i, 2] - p[j, 2]
+                distance = math.sqrt(x * x + y * y + z * z)
+                size = repulsion(distance - (radius[i] + radius[j]), neighbor)
+                scale = size / max(distance, 1e-6)
+                for k, part in enumerate((x, y, z)):
+                    push[i, k] += scale * part
+                    push[j, k] -= scale * part
 
 
 class RandomWalk:
@@ -150,7 +203,7 @@ class RandomWalk:
         self._floor = Potential(r.floor_reach_m, r.floor_strength, r.repulsion_limit)
         self._push = np.zeros_like(self.start)
 
-    def target(self, time: float, position: FloatArray) -> Target:
+    def target(self, time: float, position: FloatArray) -> MotionTarget:
         """Set-points after one more step; see `Motion`."""
         wanted = self.goals[:, int(time / self.ranges.goal_period_s)]
         # Goals jump; a low-pass of the time constant 1 / frequency keeps the acceleration smooth.
@@ -163,7 +216,7 @@ class RandomWalk:
         acceleration = pull + self._push
         self._velocity = self._velocity + self.step * acceleration
         self._position = self._position + self.step * self._velocity
-        return Target(self._position, self._velocity, acceleration)
+        return MotionTarget(self._position, self._velocity, acceleration)
 
 
 def draw_goals(
@@ -223,11 +276,11 @@ class StackedSwaps:
         self.reference = Reference(*(np.stack(part) for part in parts))
         self.start = self.reference.position[:, 0].copy()
 
-    def target(self, time: float, position: FloatArray) -> Target:
+    def target(self, time: float, position: FloatArray) -> MotionTarget:
         """Set-points at a time; the measured positions change nothing; see `Motion`."""
         index = round(time / self.step)
         p, v, a, _ = (part[:, index] for part in self.reference)
-        return Target(p, v, a)
+        return MotionTarget(p, v, a)
 
 
 def draw_swaps(

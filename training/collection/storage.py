@@ -1,4 +1,7 @@
-"""Files of flights: npz without pickle, or Parquet in the format of real flight logs."""
+"""Files of flights: npz without pickle, or Parquet in the format of real flight logs.
+
+A real vehicle logs motor signals and battery voltage; here both are made from the commanded thrust.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +11,70 @@ from typing import Literal
 import numpy as np
 
 from swarm_envs.files import written_whole
+from swarm_envs.motors import FULL_VOLTAGE, BatteryModel, rotor_force_g
 from swarm_envs.state import FloatArray
-from swarm_envs.training.collection.fleet import vehicle_names
-from swarm_envs.training.collection.log import FlightLog, rotate_back, world_acceleration
-from swarm_envs.training.collection.signals import commanded_thrust, motor_signals
-from swarm_envs.training.flight_table import FlightTable, read_table, write_table
-from swarm_envs.vehicles import Team
+from swarm_envs.training.collection.flight import vehicle_names
+from swarm_envs.training.collection.log import (
+    FlightLog,
+    lagged_thrust,
+    rotate_to_body,
+    world_acceleration,
+)
+from swarm_envs.training.flight_table import FlightTable, read_table, write_flight_table
+from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle
+
+PWM_SPAN = 65536.0
+"""Motor signals are PWM over this (Neural-Swarm2, Sec. VII-A)."""
+LARGEST_PWM = 65535.0
+"""The signal of a motor at full power."""
+
+
+def motor_signals(
+    commands: FloatArray, team: Team, rate_hz: float
+) -> tuple[FloatArray, FloatArray]:
+    """Signals and voltages under which psi1 (Table I) gives the commanded thrust.
+
+    The battery is full at the start and empties as `BatteryModel` says; its voltage sags with the
+    current. Where psi1 reaches a thrust with no signal from 0 to 65535, the nearest signal stands.
+
+    Args:
+        commands: (T, N, 4) commanded rotor thrusts, N.
+        team: the N vehicles.
+        rate_hz: log entries per second.
+
+    Returns:
+        Signals (T, N, 4), 0 to 65535, and voltages (T, N), V.
+    """
+    battery = BatteryModel()
+    drones = battery.of_team(team)
+    capacity, resistance = drones["battery_capacity"], drones["battery_resistance"]
+    thrust = lagged_thrust(commands, team, 1.0 / rate_hz)
+    current = battery.idle_current_a + battery.current_per_newton * thrust
+    charge = 1.0 - np.cumsum(current, axis=0) / (rate_hz * capacity)
+    full = np.linspace(0.0, 1.0, len(battery.open_circuit))
+    volts = np.interp(charge, full, battery.open_circuit) - resistance * current
+    signal = np.empty_like(commands)
+    for i, vehicle in enumerate(team):
+        signal[:, i] = _signal(vehicle, commands[:, i] / GRAM_FORCE, volts[:, i, None])
+    return np.clip(PWM_SPAN * signal, 0.0, LARGEST_PWM), FULL_VOLTAGE * volts
+
+
+def commanded_thrust(pwm: FloatArray, voltage: FloatArray, team: Team) -> FloatArray:
+    """Rotor thrusts (T, N, 4), N, that psi1 gives at signals (T, N, 4) and voltages (T, N), V."""
+    thrust = np.empty_like(pwm)
+    for i, vehicle in enumerate(team):
+        volts = voltage[:, i, None] / FULL_VOLTAGE
+        thrust[:, i] = GRAM_FORCE * rotor_force_g(vehicle, pwm[:, i] / PWM_SPAN, volts)
+    return thrust
+
+
+def _signal(vehicle: Vehicle, force_g: FloatArray, volts: FloatArray) -> FloatArray:
+    """The root of psi1(p, v) = f on its rising branch; where there is none, its minimum."""
+    a, b, c, d, e = vehicle.pwm_to_force
+    slope = b + e * volts
+    inside = slope * slope - 4.0 * d * (a + c * volts - force_g)
+    return np.asarray((np.sqrt(np.maximum(inside, 0.0)) - slope) / (2.0 * d))
+
 
 Format = Literal["npz", "parquet"]
 """Formats of a logged flight."""
@@ -41,7 +102,7 @@ def save_log(
         ImportError: it is to be Parquet, and pyarrow is not installed.
     """
     if path.suffix == ".parquet":
-        write_table(path, to_table(log, team, rate_hz, accelerometer))
+        write_flight_table(path, to_table(log, team, rate_hz, accelerometer))
         return
     arrays = {name: array.astype(np.float32) for name, array in log._asdict().items()}
     with written_whole(path) as partial:
@@ -74,17 +135,17 @@ def to_table(log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = T
     """
     count, drones = log.position.shape[:2]
     pwm, voltage = motor_signals(log.commands, team, rate_hz)
-    acceleration = lines(world_acceleration(log)) if accelerometer else None
+    acceleration = _lines(world_acceleration(log)) if accelerometer else None
     return FlightTable(
         drone=np.tile(np.array(vehicle_names(team)), count),
         type=np.tile(np.array([vehicle.token for vehicle in team]), count),
         time=np.repeat(np.arange(count) / rate_hz, drones),
-        position=lines(log.position),
-        velocity=lines(log.velocity),
-        quaternion=lines(log.quaternion),
+        position=_lines(log.position),
+        velocity=_lines(log.velocity),
+        quaternion=_lines(log.quaternion),
         acceleration=acceleration,
-        pwm=lines(pwm),
-        voltage=lines(voltage),
+        pwm=_lines(pwm),
+        voltage=_lines(voltage),
     )
 
 
@@ -108,7 +169,7 @@ def from_table(table: FlightTable, team: Team) -> FlightLog:
     unknown = np.full(position.shape, np.nan)
     specific = unknown
     if table.acceleration is not None:
-        specific = rotate_back(quaternion, array(table.acceleration))
+        specific = rotate_to_body(quaternion, array(table.acceleration))
     return FlightLog(
         position=position,
         velocity=array(table.velocity),
@@ -119,6 +180,6 @@ def from_table(table: FlightTable, team: Team) -> FlightLog:
     )
 
 
-def lines(values: FloatArray) -> FloatArray:
+def _lines(values: FloatArray) -> FloatArray:
     """Values (T, N, ...) as (T N, ...): the drones of a time follow each other."""
     return values.reshape(-1, *values.shape[2:])

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.interactions.field import INTERACTION_VOLUME
-from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.training.collection.fleet import vehicle_ids
-from swarm_envs.training.collection.labels import Label, interaction_force
-from swarm_envs.training.collection.log import LOG_RATE, FlightLog
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.training.collection.flight import vehicle_ids, vehicle_names
+from swarm_envs.training.collection.log import LOG_RATE, FlightLog, Label, interaction_force
 from swarm_envs.training.interaction_rows import NO_NEIGHBOR, InteractionRows
 from swarm_envs.vehicles import parse_team
 
@@ -25,7 +25,7 @@ SCENARIOS = ("Ge2S", "S2S", "L2S", "SS2S", "SL2S", "LL2S",
 """The twelve scenarios of Table II, in its order: `SL2S` is {S, L} -> S, `Ge2S` a lone drone."""
 
 
-class Flight(NamedTuple):
+class CollectedFlight(NamedTuple):
     """A log and whose it is."""
 
     name: str
@@ -62,7 +62,7 @@ class ScenarioCount(NamedTuple):
     """Of it, with a neighbour in the interaction volume; of lone drones all."""
 
 
-def scenario_counts(flights: Sequence[Flight]) -> dict[str, ScenarioCount]:
+def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, ScenarioCount]:
     """Count what was flown of each scenario: those of Table II first, in its order."""
     found: dict[str, list[Any]] = {}
     for flight in flights:
@@ -90,7 +90,9 @@ def near_any(position: FloatArray) -> BoolArray:
     return np.asarray(inside.sum(axis=-1) > 1)  # each is in its own
 
 
-def interaction_rows(flights: Sequence[Flight], label: Label = "differentiated") -> InteractionRows:
+def interaction_rows(
+    flights: Sequence[CollectedFlight], label: Label = "differentiated"
+) -> InteractionRows:
     """Rows of every drone of every flight, labels from `interaction_force`.
 
     Of drones in company those rows stay that have a neighbour in the interaction volume, as in
@@ -104,22 +106,27 @@ def interaction_rows(flights: Sequence[Flight], label: Label = "differentiated")
         ValueError: there is no row.
     """
     slots = max((len(parse_team(flight.team)) - 1 for flight in flights), default=0)
-    tables = [t for k, flight in enumerate(flights) for t in _flight_rows(flight, k, slots, label)]
-    tables = [table for table in tables if len(table["step"])]
-    if not tables:
+    parts = [
+        (number, vehicle, flight, rows)
+        for number, flight in enumerate(flights)
+        for vehicle, rows in _flight_rows(flight, label)
+        if len(rows.step)
+    ]
+    if not parts:
         raise ValueError(f"{len(flights)} flights give no row; fly longer, or nearer to each other")
-    columns: dict[str, Any] = {
-        name: np.concatenate([t[name] for t in tables]) for name in tables[0]
-    }
-    names = np.unique(columns["scenario"])
-    columns["scenario"] = np.searchsorted(names, columns["scenario"])
-    return InteractionRows(types=TYPES, scenario_names=tuple(names.tolist()), **columns)
+    return rows_of_drones(
+        [rows for _, _, _, rows in parts],
+        slots,
+        flight=[number for number, _, _, _ in parts],
+        vehicle=[vehicle for _, vehicle, _, _ in parts],
+        held_out=np.concatenate(
+            [np.full(len(rows.step), flight.validation) for _, _, flight, rows in parts]
+        ),
+    )
 
 
-def _flight_rows(
-    flight: Flight, index: int, slots: int, label: Label
-) -> list[dict[str, np.ndarray]]:
-    """Tables of the rows of each drone of a flight."""
+def _flight_rows(flight: CollectedFlight, label: Label) -> list[tuple[int, DroneRows]]:
+    """Number of each vehicle of a flight, and its rows."""
     team, every = parse_team(flight.team), round(flight.rate_hz / ROW_RATE)
     force = interaction_force(flight.log, team, rate_hz=flight.rate_hz, label=label)[::every]
     position, velocity = flight.log.position[::every], flight.log.velocity[::every]
@@ -127,30 +134,126 @@ def _flight_rows(
     known: BoolArray = np.asarray(np.isfinite(force).all(axis=-1))
     if len(team) > 1:
         known &= near_any(position)
-    tables = []
-    for i, vehicle in enumerate(vehicle_ids(team)):
-        others = [j for j in range(len(team)) if j != i]
-        keep = known[:, i]
-        count = int(keep.sum())
-        neighbor: FloatArray = np.zeros((count, slots, 6))
-        neighbor_type = np.full((count, slots), NO_NEIGHBOR)
-        neighbor[:, : len(others), :3] = (position[:, others] - position[:, i, None])[keep]
-        neighbor[:, : len(others), 3:] = (velocity[:, others] - velocity[:, i, None])[keep]
-        neighbor_type[:, : len(others)] = [TYPES.index(kinds[j]) for j in others]
-        constants = {
-            "ego_type": TYPES.index(kinds[i]),
-            "flight": index,
-            "vehicle": vehicle,
-            "validation": flight.validation,
-            "scenario": scenario_name(kinds[i], [kinds[j] for j in others]),
-        }
-        table = {
-            "position": position[keep, i],
-            "velocity": velocity[keep, i],
-            "neighbor": neighbor,
-            "neighbor_type": neighbor_type,
-            "force_g": force[keep, i],
-            "step": np.flatnonzero(keep) * every,
-        }
-        tables.append(table | {name: np.full(count, value) for name, value in constants.items()})
-    return tables
+    found = []
+    for i, (name, vehicle) in enumerate(zip(vehicle_names(team), vehicle_ids(team), strict=True)):
+        rows = rows_of_drone(name, i, kinds, position, velocity, force)
+        rows = rows._replace(step=rows.step * every)
+        found.append((vehicle, rows.select(known[:, i], "force unknown or nobody near")))
+    return found
+
+
+class DroneRows(NamedTuple):
+    """Rows of one drone in one flight, R of them, K neighbour slots; see `InteractionRows`."""
+
+    name: str
+    """Of the physical vehicle that feels the force."""
+    ego_type: int
+    """Index of its type."""
+    scenario: str
+    """Who flew around it, such as `L2S`."""
+    step: IntArray
+    """(R,) entry of the clock."""
+    position: FloatArray
+    """(R, 3) its position, m."""
+    velocity: FloatArray
+    """(R, 3) its velocity, m/s."""
+    neighbor: FloatArray
+    """(R, K, 6) positions and velocities of neighbours relative to it, m and m/s."""
+    neighbor_type: IntArray
+    """(R, K) indices of their types; -1 where there is none."""
+    force_g: FloatArray
+    """Force on it, gram-force."""
+    dropped: dict[str, int]
+    """Entries left out, by reason."""
+
+    def select(self, keep: BoolArray, reason: str) -> DroneRows:
+        """Return only the rows of an (R,) mask; the others are counted under `reason`."""
+        arrays = ("step", "position", "velocity", "neighbor", "neighbor_type", "force_g")
+        counts = self.dropped | {reason: self.dropped.get(reason, 0) + int((~keep).sum())}
+        kept = {name: getattr(self, name)[keep] for name in arrays}
+        return self._replace(**kept, dropped=counts)
+
+
+def rows_of_drone(
+    name: str,
+    i: int,
+    kinds: Sequence[str],
+    position: FloatArray,
+    velocity: FloatArray,
+    force_g: FloatArray,
+) -> DroneRows:
+    """Every entry of drone i of a flight as a row, with N - 1 neighbour slots.
+
+    Args:
+        name: of the physical vehicle.
+        i: which drone feels the force.
+        kinds: interaction types of the N drones.
+        position: (T, N, 3) m.
+        velocity: (T, N, 3) m/s.
+        force_g: (T, N, 3) labels, gram-force.
+    """
+    others = [j for j in range(len(kinds)) if j != i]
+    apart = [values[:, others] - values[:, i, None] for values in (position, velocity)]
+    types = np.array([TYPES.index(kinds[j]) for j in others], dtype=np.int64)
+    return DroneRows(
+        name=name,
+        ego_type=TYPES.index(kinds[i]),
+        scenario=scenario_name(kinds[i], [kinds[j] for j in others]),
+        step=np.arange(len(position)),
+        position=position[:, i],
+        velocity=velocity[:, i],
+        neighbor=np.concatenate(apart, axis=-1),
+        neighbor_type=np.broadcast_to(types, (len(position), len(others))),
+        force_g=force_g[:, i],
+        dropped={},
+    )
+
+
+def rows_of_drones(
+    parts: Sequence[DroneRows],
+    slots: int,
+    flight: Sequence[int],
+    vehicle: Sequence[int],
+    held_out: BoolArray,
+    names: dict[int, str] | None = None,
+) -> InteractionRows:
+    """One table of the rows of D drones, one after the other.
+
+    Args:
+        parts: rows of each drone.
+        slots: neighbours that a row has room for; the slots that are left stay empty.
+        flight: D numbers of flights.
+        vehicle: D numbers of vehicles.
+        held_out: (R,) which of all rows are for validation.
+        names: of the vehicles, by number.
+    """
+    scenarios = sorted({rows.scenario for rows in parts})
+
+    def repeated(values: Sequence[int]) -> IntArray:
+        return np.repeat(np.asarray(values), [len(rows.step) for rows in parts])
+
+    def stacked(name: str) -> npt.NDArray[Any]:
+        return np.concatenate([getattr(rows, name) for rows in parts])
+
+    free = [((0, 0), (0, slots - rows.neighbor.shape[1])) for rows in parts]
+    neighbor = [np.pad(rows.neighbor, (*at, (0, 0))) for rows, at in zip(parts, free, strict=True)]
+    neighbor_type = [
+        np.pad(rows.neighbor_type, at, constant_values=NO_NEIGHBOR)
+        for rows, at in zip(parts, free, strict=True)
+    ]
+    return InteractionRows(
+        types=TYPES,
+        ego_type=repeated([rows.ego_type for rows in parts]),
+        position=stacked("position"),
+        velocity=stacked("velocity"),
+        neighbor=np.concatenate(neighbor),
+        neighbor_type=np.concatenate(neighbor_type),
+        force_g=stacked("force_g"),
+        flight=repeated(flight),
+        step=stacked("step"),
+        vehicle=repeated(vehicle),
+        scenario=repeated([scenarios.index(rows.scenario) for rows in parts]),
+        validation=held_out,
+        scenario_names=tuple(scenarios),
+        vehicle_names=names or {},
+    )

@@ -13,11 +13,10 @@ import tyro
 
 from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
-from swarm_envs.training.collection.config import CollectionConfig
-from swarm_envs.training.collection.fleet import CalibrationErrors
-from swarm_envs.training.collection.labels import Label
+from swarm_envs.training.collection.collect import CollectionConfig
+from swarm_envs.training.collection.flight import CalibrationErrors
+from swarm_envs.training.collection.log import Label, SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
-from swarm_envs.training.collection.sensors import SensorNoise
 from swarm_envs.vehicles import LARGE, parse_team
 
 PAIRS = ("SS", "SL", "LL")

@@ -18,7 +18,7 @@ from swarm_envs.files import write_json
 from swarm_envs.state import FloatArray
 from swarm_envs.training.belief.feedforward import simulated_fit_config
 from swarm_envs.training.collection.collect import collect, was_cut_short
-from swarm_envs.training.collection.table import Flight, interaction_rows
+from swarm_envs.training.collection.table import CollectedFlight, interaction_rows
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig, collection_config
 from swarm_envs.training.force_model import fit, load_network
 from swarm_envs.training.force_model.evaluate import predict_rows
@@ -96,7 +96,7 @@ class CurriculumRound:
     """Of this call: what was done before a kill is not in it."""
 
 
-def measure_closeness(flights: Sequence[Flight], duration_s: float) -> Closeness:
+def measure_closeness(flights: Sequence[CollectedFlight], duration_s: float) -> Closeness:
     """Measure closeness in flights of teams, from positions and set-points as logged.
 
     Args:
@@ -158,7 +158,7 @@ def next_clearance(
     return round(wanted, 4)
 
 
-def _pairs(flight: Flight) -> list[tuple[FloatArray, FloatArray, float]]:
+def _pairs(flight: CollectedFlight) -> list[tuple[FloatArray, FloatArray, float]]:
     """Of every two drones: where one is from the other (T, 3), planned gap (T,), radii together."""
     team, log = parse_team(flight.team), flight.log
     return [
@@ -182,8 +182,8 @@ def weights_of(config: CurriculumConfig, number: int) -> Path:
 
 
 def fly_round(
-    config: CurriculumConfig, number: int, clearance_m: float, earlier: list[Flight]
-) -> tuple[CurriculumRound, list[Flight]]:
+    config: CurriculumConfig, number: int, clearance_m: float, earlier: list[CollectedFlight]
+) -> tuple[CurriculumRound, list[CollectedFlight]]:
     """Fly a round, fit, and report; what is done already is read.
 
     Args:
@@ -231,7 +231,9 @@ def fly_round(
     return report, flights
 
 
-def _fit_all(config: CurriculumConfig, number: int, flights: list[Flight]) -> dict[str, Any]:
+def _fit_all(
+    config: CurriculumConfig, number: int, flights: list[CollectedFlight]
+) -> dict[str, Any]:
     """Fit a model to the flights of all rounds so far; returns what its report says.
 
     A fit that was killed goes on from its checkpoint; one that is done is read.

@@ -13,7 +13,7 @@ from swarm_envs.arguments import typed
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.training.collection.collect import begin_manifest
-from swarm_envs.training.collection.table import Flight
+from swarm_envs.training.collection.table import CollectedFlight
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig, adds_drones
 from swarm_envs.training.curriculum.curriculum_report import (
     CurriculumReport,
@@ -83,7 +83,7 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
 
 def _fly_rounds(config: CurriculumConfig) -> list[CurriculumRound]:
     """Fly every round, each as close as the one before allows."""
-    flights: list[Flight] = []
+    flights: list[CollectedFlight] = []
     reports: list[CurriculumRound] = []
     clearance = config.first_clearance_m
     for number, stage in enumerate(config.stages, start=1):

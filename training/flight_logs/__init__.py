@@ -46,14 +46,15 @@ else lies in the folder.
 Commands: `swarm-envs fit --data logs/ --out runs/fit`; to look at logs without a fit,
 `python -m swarm_envs.training.flight_logs logs/`.
 
-Order of reading: `options`, `folder` (which files), `swarm_envs.training.flight_table` (the file),
-`checks` and `motion_checks` (its rules), `copies`, `clock` (one clock for all drones), `labels`
-(the force), `filters` (which entries stay), `split` (what is held out), `read` (all).
+Order of reading: `log_options`, `swarm_envs.training.flight_table` (the file), `checks` (its
+rules), `clock` (one clock for all drones, the force, which entries stay), `read` (all),
+`log_report`.
 """
 
-from swarm_envs.training.flight_logs.options import LogOptions
+from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.flight_logs.log_report import LogReport
 from swarm_envs.training.flight_logs.read import read_logs
-from swarm_envs.training.flight_logs.report import LogReport
-from swarm_envs.training.flight_table import FlightTable, read_table, write_table
+from swarm_envs.training.flight_table import FlightTable, read_table
+from swarm_envs.training.flight_table import write_flight_table as write_table
 
 __all__ = ["FlightTable", "LogOptions", "LogReport", "read_logs", "read_table", "write_table"]

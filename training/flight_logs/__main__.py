@@ -10,12 +10,12 @@ from pathlib import Path
 
 import tyro
 
-from swarm_envs.training.flight_logs.options import LogOptions
+from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.flight_logs.read import DEFAULT, read_logs
 from swarm_envs.training.interaction_rows import save_rows
 
 
-def run(
+def _look(
     data: tyro.conf.Positional[Path], options: LogOptions = DEFAULT, rows: Path | None = None
 ) -> None:
     """Check flight logs and say what became of them.
@@ -31,10 +31,10 @@ def run(
         save_rows(rows, table)
 
 
-def main() -> int:
+def check_logs() -> int:
     """Run the command line and return its exit code."""
     try:
-        tyro.cli(run, config=(tyro.conf.OmitArgPrefixes,))
+        tyro.cli(_look, config=(tyro.conf.OmitArgPrefixes,))
     except (OSError, ImportError, ValueError) as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
@@ -42,4 +42,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(check_logs())

@@ -1,4 +1,8 @@
-"""One clock for all drones of a flight."""
+"""From the drones of one flight to its rows: one clock, the interaction force, the filter.
+
+The force is m a / g - T R[:, 2] (Neural-Swarm2, Sec. VII-B); which entries become rows is the
+filter of the Neural-Swarm authors.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.training.collection.signals import PWM_SPAN
-from swarm_envs.training.flight_logs.checks import RUNNING
-from swarm_envs.training.flight_logs.drone import DroneLog
-from swarm_envs.training.flight_logs.options import LogOptions
+from swarm_envs.training.collection.log import force_from_motion
+from swarm_envs.training.collection.storage import PWM_SPAN, commanded_thrust
+from swarm_envs.training.collection.table import DroneRows, rows_of_drone
+from swarm_envs.training.flight_logs.checks import RUNNING, DroneLog
+from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.vehicles import Team
 
 
@@ -126,3 +132,82 @@ def continuous(quaternion: FloatArray) -> FloatArray:
     dot = (quaternion[1:] * quaternion[:-1]).sum(axis=1)
     sign = np.concatenate([[1.0], np.cumprod(np.where(dot < 0.0, -1.0, 1.0))])
     return quaternion * sign[:, None]
+
+
+SETTLED = 5.0
+"""Time constants of the motors after which nothing is left of an unknown thrust at the start."""
+
+
+def interaction_force_g(flight: ClockedFlight, smoothing_s: float) -> FloatArray:
+    """Interaction force on every drone at every time of a flight.
+
+    Args:
+        flight: N drones at T times.
+        smoothing_s: width of the Hann window over labels from differentiated velocity, s.
+
+    Returns:
+        (T, N, 3) gram-force, world frame; NaN where it is unknown: in gaps, while a motor stands,
+        five motor time constants after either, and where derivative or window would reach out.
+    """
+    force = np.full(flight.position.shape, np.nan)
+    slowest = min(vehicle.motor_rate for vehicle in flight.team)
+    settling = int(np.ceil(SETTLED / slowest * flight.rate_hz))
+    for piece in pieces(flight.known & flight.running):
+        if piece.stop - piece.start > settling + 5:
+            force[piece] = _piece(flight, piece, smoothing_s)
+            force[piece.start : piece.start + settling] = np.nan
+    return force
+
+
+def _piece(flight: ClockedFlight, piece: slice, smoothing_s: float) -> FloatArray:
+    return force_from_motion(
+        flight.velocity[piece],
+        None if flight.acceleration is None else flight.acceleration[piece],
+        flight.quaternion[piece],
+        commanded_thrust(flight.pwm[piece], flight.voltage[piece], flight.team),
+        flight.team,
+        flight.rate_hz,
+        smoothing_s,
+    )
+
+
+LOWEST_M = {"S": 0.07, "L": 0.085}
+"""Height that a row's drone must be above, by interaction type: it stands on its legs below."""
+LARGEST_G = 50.0
+"""Largest vertical force: more is an impact."""
+LARGEST_UPWARD_G = 35.0
+"""Largest upward force aloft."""
+ALOFT_M = 0.25
+"""Height from which on a drone is away from the ground, m."""
+
+
+def drone_rows(flight: ClockedFlight, force_g: FloatArray, i: int, keep_every: int) -> DroneRows:
+    """Rows of drone i of a flight of N, with N - 1 neighbour slots, filtered.
+
+    Args:
+        flight: N drones at T times.
+        force_g: (T, N, 3) their labels, NaN where unknown.
+        i: which drone feels the force.
+        keep_every: every so many entries one row.
+    """
+    kinds = [vehicle.interaction_type for vehicle in flight.team]
+    rows = rows_of_drone(flight.names[i], i, kinds, flight.position, flight.velocity, force_g)
+    rows = rows.select(rows.step % keep_every == 0, "between kept entries")
+    return filtered(rows, LOWEST_M[kinds[i]])
+
+
+def filtered(rows: DroneRows, lowest_m: float) -> DroneRows:
+    """Apply the authors' filter; see the numbers of this module."""
+    rows = rows.select(_all(np.isfinite(rows.force_g)), "force unknown")
+    if rows.neighbor.shape[1]:
+        near = ~_all(~_all(np.abs(rows.neighbor[..., :3]) <= INTERACTION_VOLUME))
+        rows = rows.select(near, "no neighbour in the volume")
+    rows = rows.select(rows.position[:, 2] > lowest_m, "too low")
+    rows = rows.select(np.abs(rows.force_g[:, 2]) <= LARGEST_G, "force over 50 g")
+    low = rows.position[:, 2] <= ALOFT_M
+    fair = (rows.force_g[:, 2] <= LARGEST_UPWARD_G) | low
+    return rows.select(fair, "upward force over 35 g aloft")
+
+
+def _all(mask: BoolArray) -> BoolArray:
+    return np.asarray(mask.all(axis=-1))

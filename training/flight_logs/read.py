@@ -1,46 +1,227 @@
-"""From a file or a folder of logs to rows, and the report of what became of them."""
+"""From a file or a folder of logs to rows, and the report of what became of them.
+
+The same numbers in two files would put training rows among the held-out ones, so copies are
+refused. A folder that `swarm-envs collect` wrote is read by its manifest.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import hashlib
+import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
-from swarm_envs.state import BoolArray, FloatArray
-from swarm_envs.training.collection.table import TYPES
-from swarm_envs.training.flight_logs.checks import check_table
-from swarm_envs.training.flight_logs.clock import ClockedFlight, common_clock
-from swarm_envs.training.flight_logs.collected import is_collection, read_collected
-from swarm_envs.training.flight_logs.copies import flight_key, refuse_copy
-from swarm_envs.training.flight_logs.drone import DroneLog
-from swarm_envs.training.flight_logs.filters import DroneRows, drone_rows, padded
-from swarm_envs.training.flight_logs.folder import find_data
-from swarm_envs.training.flight_logs.labels import interaction_force_g
-from swarm_envs.training.flight_logs.options import LogOptions
-from swarm_envs.training.flight_logs.report import (
-    Calibration,
-    FileReport,
-    LogReport,
-    ScenarioReport,
-    calibrate,
-    scenario_report,
-    uncalibrated,
+from swarm_envs.state import BoolArray
+from swarm_envs.training.collection.collect import MANIFEST
+from swarm_envs.training.collection.flight import vehicle_names
+from swarm_envs.training.collection.storage import flight_file, read_log
+from swarm_envs.training.collection.table import (
+    ROW_RATE,
+    CollectedFlight,
+    DroneRows,
+    interaction_rows,
+    rows_of_drones,
 )
-from swarm_envs.training.flight_logs.split import (
+from swarm_envs.training.flight_logs.checks import DroneLog, checked_drones
+from swarm_envs.training.flight_logs.clock import (
+    ClockedFlight,
+    common_clock,
+    drone_rows,
+    interaction_force_g,
+)
+from swarm_envs.training.flight_logs.log_options import (
+    LogOptions,
     block_count,
     held_out_blocks,
     is_guarded,
     is_held_out,
 )
-from swarm_envs.training.flight_table import read_table
+from swarm_envs.training.flight_logs.log_report import (
+    FileReport,
+    JoinedRows,
+    LogReport,
+    ScenarioReport,
+    without_scarce_data,
+)
+from swarm_envs.training.flight_table import SUFFIXES, read_table
 from swarm_envs.training.interaction_rows import InteractionRows
-from swarm_envs.training.interaction_rows.join import with_present_types
+from swarm_envs.vehicles import parse_team
+
+TABLE_SUFFIX = ".npz"
+"""How the name of a table of rows ends."""
+
+
+class Found(NamedTuple):
+    """What lies at a path; all sorted by name."""
+
+    tables: list[Path]
+    """Tables of rows."""
+    logs: list[Path]
+    """Logs of flights."""
+    twice: list[FileReport]
+    """Flights that are there in several files, of which none can be preferred."""
+    not_read: tuple[str, ...] = ()
+    """Names of visible entries that are neither; of folders with a slash."""
+
+
+def find_data(path: Path) -> Found:
+    """Return the tables and logs at a path: itself, or those right in the folder.
+
+    Endings count in capitals too.
+
+    Raises:
+        FileNotFoundError: there is nothing at `path`.
+    """
+    if not path.exists():
+        raise FileNotFoundError(
+            f"no data at {str(path)!r}; give a file of rows or logs, or a folder"
+        )
+    if not path.is_dir():
+        return Found([path], [], []) if _ending(path) == TABLE_SUFFIX else Found([], [path], [])
+    visible = sorted(file for file in path.iterdir() if not file.name.startswith("."))
+    tables = [file for file in visible if file.is_file() and _ending(file) == TABLE_SUFFIX]
+    logs = [file for file in visible if file.is_file() and _ending(file) in SUFFIXES]
+    count = Counter(log.stem for log in logs)
+    twice = [FileReport(log.name, _twice(log.stem, logs)) for log in logs if count[log.stem] > 1]
+    not_read = tuple(
+        f"{file.name}/" if file.is_dir() else file.name
+        for file in visible
+        if file not in tables and file not in logs and file.name != MANIFEST
+    )
+    return Found(tables, [log for log in logs if count[log.stem] == 1], twice, not_read)
+
+
+def _ending(file: Path) -> str:
+    return file.suffix.lower()
+
+
+def _twice(stem: str, logs: list[Path]) -> str:
+    names = " and as ".join(log.name for log in logs if log.stem == stem)
+    return f"flight {stem!r} is there as {names}; keep one of them"
+
+
+def flight_key(drones: Iterable[DroneLog]) -> str:
+    """What a flight and its copies share: motion and signals of its drones.
+
+    Names, origin of time, the order of the drones and digits beyond float32 make no difference.
+    """
+    keys = (_digest(d.position, d.velocity, d.quaternion, d.pwm) for d in drones)
+    return hashlib.sha256("".join(sorted(keys)).encode()).hexdigest()
+
+
+def table_key(rows: InteractionRows) -> str:
+    """What a table and its copies share: inputs by step, without labels and marks."""
+    parts = (rows.position, rows.velocity, rows.neighbor, rows.neighbor_type, rows.step)
+    inputs = np.concatenate([_single(part).reshape(len(rows), -1) for part in parts], axis=1)
+    return _digest(inputs[np.lexsort(inputs.T)])
+
+
+def refuse_copy(known: dict[str, str], key: str, name: str) -> None:
+    """Remember a sound file by its key; refuse one whose key an earlier file has.
+
+    Raises:
+        ValueError: naming both files.
+    """
+    first = known.setdefault(key, name)
+    if first != name:
+        raise ValueError(
+            f"{name} is a copy of {first}: the same numbers stand in both, but rows that are held "
+            "out may not be trained on; remove one of them"
+        )
+
+
+def _single(values: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    return np.asarray(values, dtype=np.float32) + np.float32(0.0)  # no negative zeros
+
+
+def _digest(*arrays: npt.NDArray[Any]) -> str:
+    digest = hashlib.sha256()
+    for array in arrays:
+        digest.update(f"{array.shape}".encode())
+        digest.update(np.ascontiguousarray(_single(array)).tobytes())
+    return digest.hexdigest()
+
+
+__all__ = ["MANIFEST", "is_collection", "read_collected"]
+
+
+def is_collection(path: Path) -> bool:
+    """Whether a folder holds npz flights and their manifest; Parquet ones are read as real logs."""
+    manifest = path / MANIFEST
+    if not manifest.is_file():
+        return False
+    return bool(_config(json.loads(manifest.read_text())).get("format") != "parquet")
+
+
+def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
+    """Read the flights of a finished collection; labels, filter and split are the collection's.
+
+    Raises:
+        FileNotFoundError: a flight of the manifest is missing.
+        ValueError: the collection is not finished, or gives no row.
+    """
+    manifest = json.loads((path / MANIFEST).read_text())
+    if "flights" not in manifest:
+        raise ValueError(
+            f"{str(path / MANIFEST)!r} lists no flights: the collection was not finished; run "
+            "`swarm-envs collect` again with the same options"
+        )
+    flights = [
+        CollectedFlight(
+            e["name"],
+            e["team"],
+            read_log(flight_file(path, e["name"])),
+            e["validation"],
+            manifest["log_rate"],
+        )
+        for e in manifest["flights"]
+    ]
+    label = _config(manifest)["label"]
+    rows = interaction_rows(flights, label)
+    files = [
+        FileReport(
+            file=flight_file(path, entry["name"]).name,
+            seconds=entry["seconds"],
+            rate_hz=manifest["log_rate"],
+            acceleration="logged" if label == "imu" else label,
+            **_counts(flights[index], int((rows.flight == index).sum())),
+        )
+        for index, entry in enumerate(manifest["flights"])
+    ]
+    scenarios = {}
+    for index, name in enumerate(rows.scenario_names):
+        held_out = rows.validation[rows.scenario == index]
+        scenarios[name] = ScenarioReport(int((~held_out).sum()), int(held_out.sum()))
+    return rows, LogReport(files, scenarios, {}, len(rows), int(np.sum(rows.validation)))
+
+
+def _counts(flight: CollectedFlight, rows: int) -> dict[str, Any]:
+    """Who flew, the entries of all drones, and why some are no rows."""
+    team, every = parse_team(flight.team), round(flight.rate_hz / ROW_RATE)
+    entries = len(flight.log.position) * len(team)
+    kept = len(flight.log.position[::every]) * len(team)
+    reason = "no neighbour in the volume, or force unknown" if len(team) > 1 else "force unknown"
+    names = (vehicle.token for vehicle in team)
+    return {
+        "drones": dict(zip(vehicle_names(team), names, strict=True)),
+        "entries": entries,
+        "rows": rows,
+        "dropped": {"between kept entries": entries - kept, reason: kept - rows},
+    }
+
+
+def _config(manifest: dict[str, Any]) -> dict[str, Any]:
+    config: dict[str, Any] = manifest.get("config", {})
+    return config
+
 
 DEFAULT = LogOptions()
 """The options that hold if none are given."""
@@ -75,7 +256,7 @@ def read_logs(
             f"{str(path)!r} has no flight log, only {', '.join(not_read[:5]) or 'nothing'}; put "
             "one .csv or .parquet file per flight there"
         )
-    rows, report = read_flights(found.logs, options, progress)
+    rows, report = read_flight_logs(found.logs, options, progress)
     files = sorted([*report.files, *found.twice], key=lambda file: file.file)
     report = dataclasses.replace(report, files=files, not_read=not_read)
     if rows is None:
@@ -84,7 +265,7 @@ def read_logs(
     return rows, report
 
 
-def read_flights(
+def read_flight_logs(
     files: Sequence[Path], options: LogOptions = DEFAULT, progress: bool = False
 ) -> tuple[InteractionRows | None, LogReport]:
     """Read logs, one flight each; flights are numbered in the order of the sound files.
@@ -107,14 +288,15 @@ def read_flights(
             kinds |= flight.file.drones
     if not flights:
         return None, LogReport(refused, {}, {}, 0, 0)
-    return _assemble(flights, refused, sorted(kinds), options)
+    joined = _held_out(flights, sorted(kinds), options)
+    return without_scarce_data(joined, refused, options)
 
 
 def _read_flight(
     file: Path, kinds: dict[str, str], known: dict[str, str], options: LogOptions
 ) -> _Flight:
     table = read_table(file)
-    drones = check_table(table)
+    drones = checked_drones(table)
     for drone in drones:
         token = drone.vehicle.token
         if kinds.get(drone.name, token) != token:
@@ -149,41 +331,25 @@ def _file_report(
     )
 
 
-def _assemble(
-    flights: list[_Flight], refused: list[FileReport], names: list[str], options: LogOptions
-) -> tuple[InteractionRows, LogReport]:
-    vehicles = {name: index for index, name in enumerate(names)}
-    flights = _guarded(flights, blocks := _blocks(flights, options), options)
-    unknown = _uncalibrated(flights, blocks, vehicles, options)
-    for flight in flights:
-        flight.rows[:] = [
-            rows.select(np.full(len(rows.step), rows.name not in unknown), "vehicle not calibrated")
-            for rows in flight.rows
-        ]
-    scenarios = _scenarios(flights, blocks, options)
-    kept = [name for name, scenario in scenarios.items() if scenario.refused is None]
-    for flight in flights:
-        flight.rows[:] = [
-            rows.select(np.full(len(rows.step), rows.scenario in kept), "scenario too small")
-            for rows in flight.rows
-        ]
-    files = [_filled(flight) for flight in flights]
-    if not any(file.rows for file in files):
-        dropped = sum((Counter(file.dropped) for file in files), Counter[str]())
-        reasons = ", ".join(f"{reason}: {count}" for reason, count in dropped.items())
-        raise ValueError(
-            f"{len(flights)} flights give no row (entries left out: {reasons}); fly longer, or "
-            "nearer to each other"
-        )
-    table = _rows(flights, blocks, vehicles, kept, options)
-    files = sorted([*files, *refused], key=lambda file: file.file)
-    calibration = calibrate(table, vehicles) | unknown
-    held_out = int(table.validation.sum())
-    return table, LogReport(files, scenarios, calibration, len(table), held_out)
-
-
-def _seconds(flight: _Flight, rows: DroneRows) -> FloatArray:
-    return np.asarray(rows.step / flight.rate_hz)
+def _held_out(flights: list[_Flight], names: list[str], options: LogOptions) -> JoinedRows:
+    """Rows of all flights, blocks of time held out, without those in a guard gap of a block."""
+    held_out = []
+    for flight, blocks in zip(flights, _blocks(flights, options), strict=True):
+        for k, rows in enumerate(flight.rows):
+            time = np.asarray(rows.step / flight.rate_hz)
+            guarded = is_guarded(time, blocks, options)
+            flight.rows[k] = rows.select(~guarded, "guard gap")
+            held_out.append(is_held_out(time[~guarded], blocks, options))
+    drones = [(number, rows) for number, flight in enumerate(flights) for rows in flight.rows]
+    table = rows_of_drones(
+        [rows for _, rows in drones],
+        slots=max(len(flight.rows) for flight in flights) - 1,
+        flight=[number for number, _ in drones],
+        vehicle=[names.index(rows.name) for _, rows in drones],
+        held_out=np.concatenate(held_out),
+        names=dict(enumerate(names)),
+    )
+    return JoinedRows(table, table.flight, [_with_dropped(flight) for flight in flights])
 
 
 def _blocks(flights: list[_Flight], options: LogOptions) -> list[BoolArray]:
@@ -194,83 +360,6 @@ def _blocks(flights: list[_Flight], options: LogOptions) -> list[BoolArray]:
     return [blocks for _, blocks in sorted(zip(order, chosen, strict=True), key=lambda e: e[0])]
 
 
-def _guarded(flights: list[_Flight], blocks: list[BoolArray], options: LogOptions) -> list[_Flight]:
-    result = []
-    for flight, own in zip(flights, blocks, strict=True):
-        rows = [
-            r.select(~is_guarded(_seconds(flight, r), own, options), "guard gap")
-            for r in flight.rows
-        ]
-        result.append(flight._replace(rows=rows))
-    return result
-
-
-def _uncalibrated(
-    flights: list[_Flight], blocks: list[BoolArray], vehicles: dict[str, int], options: LogOptions
-) -> dict[str, Calibration]:
-    """Vehicles with too few quiet rows, by name."""
-    scenarios = sorted({rows.scenario for flight in flights for rows in flight.rows})
-    if not any(len(rows.step) for flight in flights for rows in flight.rows):
-        return {}
-    return uncalibrated(_rows(flights, blocks, vehicles, scenarios, options), vehicles, options)
-
-
-def _scenarios(
-    flights: list[_Flight], blocks: list[BoolArray], options: LogOptions
-) -> dict[str, ScenarioReport]:
-    training, validation = Counter[str](), Counter[str]()
-    for flight, own in zip(flights, blocks, strict=True):
-        for rows in flight.rows:
-            held_out = is_held_out(_seconds(flight, rows), own, options)
-            training[rows.scenario] += int((~held_out).sum())
-            validation[rows.scenario] += int(held_out.sum())
-    return {
-        name: scenario_report(training[name], validation[name], options)
-        for name in sorted(training)
-    }
-
-
-def _filled(flight: _Flight) -> FileReport:
+def _with_dropped(flight: _Flight) -> FileReport:
     dropped = sum((Counter(rows.dropped) for rows in flight.rows), Counter[str]())
-    count = sum(len(rows.step) for rows in flight.rows)
-    return dataclasses.replace(flight.file, rows=count, dropped=dict(dropped))
-
-
-def _rows(
-    flights: list[_Flight],
-    blocks: list[BoolArray],
-    vehicles: dict[str, int],
-    scenarios: list[str],
-    options: LogOptions,
-) -> InteractionRows:
-    slots = max(len(flight.rows) for flight in flights) - 1
-    tables = []
-    for number, (flight, own) in enumerate(zip(flights, blocks, strict=True)):
-        for rows in flight.rows:
-            if not len(rows.step):
-                continue
-            neighbor, neighbor_type = padded(rows, slots)
-            constants = {
-                "ego_type": rows.ego_type,
-                "flight": number,
-                "vehicle": vehicles[rows.name],
-                "scenario": scenarios.index(rows.scenario),
-            }
-            tables.append(
-                {
-                    "position": rows.position,
-                    "velocity": rows.velocity,
-                    "neighbor": neighbor,
-                    "neighbor_type": neighbor_type,
-                    "force_g": rows.force_g,
-                    "step": rows.step,
-                    "validation": is_held_out(_seconds(flight, rows), own, options),
-                    **{k: np.full(len(rows.step), v) for k, v in constants.items()},
-                }
-            )
-    columns = {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-    named = {number: name for name, number in vehicles.items()}
-    rows_of_all = InteractionRows(
-        TYPES, scenario_names=tuple(scenarios), vehicle_names=named, **columns
-    )
-    return with_present_types(rows_of_all)
+    return dataclasses.replace(flight.file, dropped=dict(dropped))

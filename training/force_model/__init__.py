@@ -1,10 +1,10 @@
 """Trainer of the interaction-force models: from rows of measured force to weights that ship.
 
-Order of reading: `data` (files of `swarm_envs.training.interaction_rows`, and of flights),
-`labels` and `drag` (what is taken out of the labels), `spec` and `network` (the heterogeneous
-deep set, Neural-Swarm2 eq. 10), `pairwise` (a sum over pairs), `train`, `export`, `evaluate`,
-`lipschitz`, `pipeline` (all of it: `fit`). `wake_product` fits the closed form to the same rows;
-`wake_fit` and `card` make the parameters and the model card that ship.
+Order of reading: `force_fit_config` (options), `fit_data` (files of rows and of flights), `labels`
+(what is taken out of the labels), `network` (the heterogeneous deep set, Neural-Swarm2 eq. 10, and
+a sum over pairs), `examples`, `optimisers`, `train`, `export`, `evaluate`, `lipschitz`, and
+`pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows; `wake_fit` and
+`card` also make the parameters and the model card that ship.
 
 Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the pages are docs/fit.md and
 docs/training.md.
@@ -14,35 +14,37 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from swarm_envs.training.force_model.config import FitConfig
+    from swarm_envs.training.force_model.evaluate import FitReport
     from swarm_envs.training.force_model.export import load_network, save_network
-    from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, Window
+    from swarm_envs.training.force_model.force_fit_config import FitConfig
+    from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, FadeWindow
     from swarm_envs.training.force_model.pipeline import fit
-    from swarm_envs.training.force_model.report import FitReport
+
+_HOMES = {
+    "DeepSet": "network",
+    "DeepSetSpec": "network",
+    "FitConfig": "force_fit_config",
+    "FitReport": "evaluate",
+    "FadeWindow": "network",
+    "fit": "pipeline",
+    "load_network": "export",
+    "save_network": "export",
+}
 
 __all__ = [
     "DeepSet",
     "DeepSetSpec",
+    "FadeWindow",
     "FitConfig",
     "FitReport",
-    "Window",
     "fit",
     "load_network",
     "save_network",
 ]
 
-_HOMES = {
-    "config": ("FitConfig",),
-    "export": ("load_network", "save_network"),
-    "network": ("DeepSet", "DeepSetSpec", "Window"),
-    "pipeline": ("fit",),
-    "report": ("FitReport",),
-}
-
 
 def __getattr__(name: str) -> Any:
     """Load a public name when it is asked for: rows and options are read without torch."""
-    for home, names in _HOMES.items():
-        if name in names:
-            return getattr(import_module(f"{__name__}.{home}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)

@@ -1,7 +1,15 @@
-"""How well a force model fits rows, and where its values are absurd."""
+"""Evaluation of a force model: errors on rows, on-axis forces, extremes, and the report of a fit.
+
+The target of Neural-Swarm2's eq. (8) and (10) is the vector [f_a; tau_a]. The authors learn f_a,z
+alone, since they found tau_a small (Sec. VII-B). A torque head gives four numbers: f_a,z, and the
+three components of tau_a *in the world frame*, since the network's inputs are of that frame and
+attitude is none of them; in the body frame of eq. (1b) it is R^T tau_a. Labels and tables hold N m;
+inside, torques are counted in gram-force centimetres, of the size of forces in gram-force.
+"""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -10,11 +18,22 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from swarm_envs.training.force_model.network import ForceNetwork
+from swarm_envs.interactions.torque import GRAM_CENTIMETRE
+from swarm_envs.training.flight_logs import LogReport
+from swarm_envs.training.force_model.labels import Treated
+from swarm_envs.training.force_model.lipschitz import (
+    LipschitzBound,
+    MeasuredLipschitz,
+    lipschitz_bound,
+    measure_lipschitz,
+)
+from swarm_envs.training.force_model.network import DeepSet, ForceNetwork
 from swarm_envs.training.force_model.train import predict, to_batch
-from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.calibration import subtract_offsets
+from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
+_LEAST_ROWS = 50  # of a bin
 _AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis
 
 
@@ -136,32 +155,25 @@ def axis_bins(
     kind = rows.neighbor_type[np.arange(len(rows)), slot]
     centred = one & (np.hypot(pair[:, 0], pair[:, 1]) < _AXIS_M)
     bins = []
-    for below, below_name in enumerate(rows.types):
-        for above, above_name in enumerate(rows.types):
-            chosen = centred & (rows.ego_type == below) & (kind == above)
-            for low in np.arange(0.1, 0.75, 0.1):
-                inside = chosen & (pair[:, 2] >= low) & (pair[:, 2] < low + 0.1)
-                if inside.sum() >= 50:
-                    middle = pair_force(network, below_name, above_name, low + 0.05)
-                    bins.append(
-                        _bin(above_name, below_name, low, inside, rows, predicted_g, middle)
-                    )
+    for (below, lower), (above, upper), low in itertools.product(
+        enumerate(rows.types), enumerate(rows.types), np.arange(0.1, 0.75, 0.1).tolist()
+    ):
+        inside = centred & (rows.ego_type == below) & (kind == above)
+        inside &= (pair[:, 2] >= low) & (pair[:, 2] < low + 0.1)
+        if inside.sum() < _LEAST_ROWS:
+            continue
+        entry = AxisBin(
+            above=upper,
+            below=lower,
+            lowest_m=round(low, 3),
+            highest_m=round(low + 0.1, 3),
+            rows=int(inside.sum()),
+            measured_g=float(rows.force_g[inside, 2].mean()),
+            model_g=float(predicted_g[inside].mean()),
+            model_on_axis_g=pair_force(network, lower, upper, low + 0.05),
+        )
+        bins.append(entry)
     return bins
-
-
-def _bin(
-    above: str,
-    below: str,
-    low: float,
-    inside: BoolArray,
-    rows: InteractionRows,
-    predicted_g: FloatArray,
-    middle: float,
-) -> AxisBin:
-    measured = float(rows.force_g[inside, 2].mean())
-    modelled = float(predicted_g[inside].mean())
-    edges = (round(float(low), 3), round(float(low) + 0.1, 3))
-    return AxisBin(above, below, *edges, int(inside.sum()), measured, modelled, middle)
 
 
 def pair_force(network: ForceFunction, below: str, above: str, distance_m: float) -> float:
@@ -191,3 +203,162 @@ def scan_swarms(
             force = network.force_g(position, velocity, team)
         found.append((float(force.min()), float(force.max())))
     return Extremes(drones, *found)
+
+
+@dataclass(frozen=True)
+class TorqueErrors:
+    """Root mean square of the torque's error on held-out rows, N m, by component x, y, z."""
+
+    error_n_m: tuple[float, ...]
+    """Root mean squared error about each axis, N m."""
+    zero_n_m: tuple[float, ...]
+    """Of predicting none."""
+
+
+def predict_torque(network: DeepSet, rows: InteractionRows) -> FloatArray:
+    """Torque of every row by a float64 network, (R, 3) N m, world frame."""
+    with torch.no_grad():
+        heads = network.heads(to_batch(rows, torch.float64))
+    return np.asarray(heads[:, 1:].numpy() * GRAM_CENTIMETRE)
+
+
+def torque_errors(network: DeepSet, rows: InteractionRows) -> TorqueErrors:
+    """Errors of the torque on the rows that are held out."""
+    held_out = rows.select(rows.validation)
+    assert held_out.torque is not None
+    error = predict_torque(network, held_out) - held_out.torque
+
+    def rms(values: FloatArray) -> tuple[float, ...]:
+        return tuple(np.sqrt(np.mean(values**2, axis=0)).tolist())
+
+    return TorqueErrors(rms(error), rms(held_out.torque))
+
+
+_SWARM_SIZES = (2, 3, 5, 8, 16)
+_SWARMS = 2000
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What was measured on the weights as they ship."""
+
+    rows: int
+    """Rows there were."""
+    validation_rows: int
+    """Those of them that were held out."""
+    errors: Errors
+    """Against labels treated as in training."""
+    errors_vehicle_offsets: Errors
+    """Against labels with one offset per vehicle, as if it did not drift between flights."""
+    errors_raw: Errors
+    """Against labels as measured."""
+    lipschitz_bound: LipschitzBound | None
+    """Of a network; None of the closed form."""
+    lipschitz_measured: dict[str, MeasuredLipschitz]
+    """By number of neighbours; empty if it was left out, or of the closed form."""
+    axis_bins: list[AxisBin]
+    """Measured and modelled force under one neighbour; labels treated as in training."""
+    extremes: list[Extremes]
+    """Largest forces in random swarms by number of drones."""
+
+
+@dataclass(frozen=True)
+class FitReport:
+    """What was fitted and how well: the content of `learned.json`, whatever the model."""
+
+    model: str
+    """`deep-set`, `pairwise` or `wake`."""
+    command: str
+    """The command that was run."""
+    config: object
+    """Its options."""
+    data_sha256: str
+    """SHA-256 of the data."""
+    offset_rule: str
+    """How offsets were taken out of the labels, in words."""
+    vehicle_offsets_g: dict[str, float]
+    """Offset of each vehicle, gram-force."""
+    drag: dict[str, list[float]]
+    """c per type and axis, N s/m."""
+    findings: Findings
+    """What came out."""
+    history: list[dict[str, float]]
+    """Step, training loss, validation MSE and that of early validation, g^2."""
+    chosen: str
+    """Which weights of the run these are."""
+    wall_time_s: float
+    """Of this call: reading, training (if it was resumed, only what was left), evaluation."""
+    logs: LogReport
+    """What became of every file."""
+    notes: list[str]
+    """What a user of the model must know: types that no row shows."""
+    torque_errors: TorqueErrors | None = None
+    """On held-out rows, if there is a torque head."""
+
+    def lines(self) -> list[str]:
+        """What a command prints of it."""
+        errors = self.findings.errors
+        kept = self.logs.vehicles and self.offset_rule == "none"
+        return [
+            *self.logs.lines(),
+            *(
+                ["calibration offsets are not subtracted: labels are fitted as measured"]
+                if kept
+                else []
+            ),
+            *(f"note: {note}" for note in self.notes),
+            f"{self.model}: validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f}, "
+            f"scenario mean {errors.scenario_mean:.2f})",
+        ]
+
+
+def worth(errors: Errors) -> list[str]:
+    """A note if a model is no better than one of the trivial ones."""
+    trivial = {"of predicting nothing": errors.zero, "of the scenario mean": errors.scenario_mean}
+    better = [f"that {name} ({e:.2f})" for name, e in trivial.items() if errors.overall >= e]
+    if not better:
+        return []
+    return [
+        f"the model explains nothing: its validation MSE {errors.overall:.2f} g^2 is not below "
+        f"{' nor '.join(better)}; fly more, nearer to each other, or train for more steps"
+    ]
+
+
+def examine(
+    function: ForceFunction,
+    predicted_g: FloatArray,
+    treated: Treated,
+    lipschitz_samples: int,
+    seed: int,
+) -> Findings:
+    """Measure a fitted model.
+
+    Args:
+        function: the model; Lipschitz constants are those of networks.
+        predicted_g: (R,) its vertical force for every row, drag included.
+        treated: the rows, and what was taken out of their labels.
+        lipschitz_samples: random pairs for the Lipschitz constants; 0 leaves them out.
+        seed: of the random inputs.
+    """
+    rng = np.random.default_rng(seed)
+    rows, offsets = treated.rows, treated.offsets
+    free = subtract_offsets(rows, offsets)
+    measured, bound = {}, None
+    if isinstance(function, ForceNetwork):
+        bound = lipschitz_bound(function)
+        for neighbors in (1, 2) if lipschitz_samples else ():
+            found = measure_lipschitz(function, lipschitz_samples, neighbors, rng)
+            measured[str(neighbors)] = found
+    return Findings(
+        rows=len(rows),
+        validation_rows=int(rows.validation.sum()),
+        errors=mean_squared_errors(predicted_g, free),
+        errors_vehicle_offsets=mean_squared_errors(
+            predicted_g, subtract_offsets(rows, offsets.per_vehicle())
+        ),
+        errors_raw=mean_squared_errors(predicted_g, rows),
+        lipschitz_bound=bound,
+        lipschitz_measured=measured,
+        axis_bins=axis_bins(function, predicted_g, free),
+        extremes=[scan_swarms(function, size, _SWARMS, rng) for size in _SWARM_SIZES],
+    )

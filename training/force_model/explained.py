@@ -66,7 +66,7 @@ def explained_variance(
 
     Args:
         model: what is judged.
-        truth: the force that blows, such as an environment's own model.
+        truth: the true force, such as an environment's own model.
         position: (E, N, 3) m, world frame.
         velocity: (E, N, 3) m/s, world frame.
         team: the N vehicles, the same in every state.
@@ -143,7 +143,7 @@ def generalisation(
 
     Args:
         model: what is judged.
-        truth: the force that blows.
+        truth: the true force.
         teams: team strings of two drones or more.
         seed: of the states; each team has its own, whatever the other teams are.
         states: swarms of each team.

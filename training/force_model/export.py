@@ -9,25 +9,33 @@ from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from swarm_envs.arguments import typed
-from swarm_envs.training.force_model.checkpoint import write_safetensors
+from swarm_envs.files import written_whole
 from swarm_envs.training.force_model.network import (
     DeepSet,
     DeepSetSpec,
+    FadeWindow,
     ForceNetwork,
     InputRange,
-    Window,
+    NetworkKind,
+    build,
     layers,
 )
-from swarm_envs.training.force_model.pairwise import build
-from swarm_envs.training.force_model.spec import NetworkKind
 
 FORMATS: dict[str, NetworkKind] = {"deep-set-1": "deep-set", "pairwise-1": "pairwise"}
 """Kinds of network by the format of their file."""
 METADATA_KEY = "swarm_envs"
 """Under which a file holds its note."""
+
+
+def write_safetensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str]) -> None:
+    """Write a safetensors file so that a reader sees the old file or the whole new one."""
+    with written_whole(path) as partial:
+        save_file({name: t.contiguous() for name, t in tensors.items()}, partial, metadata=metadata)
+        partial.chmod(0o644)  # safetensors makes files that only their owner can read
 
 
 @typed
@@ -146,9 +154,9 @@ def _spec(description: dict[str, object], tensors: dict[str, Tensor]) -> DeepSet
     )
 
 
-def _window(value: dict[str, list[float]]) -> Window:
+def _window(value: dict[str, list[float]]) -> FadeWindow:
     lateral, vertical = value["lateral_m"], value["vertical_m"]
-    return Window((lateral[0], lateral[1]), (vertical[0], vertical[1]))
+    return FadeWindow((lateral[0], lateral[1]), (vertical[0], vertical[1]))
 
 
 def _input_range(value: dict[str, list[list[float]]]) -> InputRange:

@@ -1,22 +1,36 @@
-"""What a model is fitted to: labels free of calibration offsets and of drag, and their range."""
+"""What rows can teach: labels free of offsets and drag, the range of inputs, the types they show.
+
+Linear body drag is fitted per type and axis to the same rows as the network. A network of a type
+that no training row shows holds the random numbers that it started with: it is set to zero, and
+the report says so. A type that was never a neighbour pushes nobody, one that never was the drone
+of a row feels nothing.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+import torch
+from torch import nn
 
 from swarm_envs.interactions.field import INTERACTION_VOLUME
-from swarm_envs.training.force_model.config import FitConfig
-from swarm_envs.training.force_model.drag import fit_drag
-from swarm_envs.training.force_model.spec import InputRange
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.network import (
+    DeepSet,
+    ForceNetwork,
+    InputRange,
+    PairwiseSum,
+    layers,
+)
 from swarm_envs.training.interaction_rows.calibration import (
     NO_OFFSETS,
     Offsets,
     estimate_offsets,
+    quiet_rows,
     subtract_offsets,
 )
-from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
+from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
 
@@ -93,3 +107,111 @@ def measured_range(rows: InteractionRows) -> InputRange:
         pair=(tuple((-pair).tolist()), tuple(pair.tolist())),
         environment=((-high, *(-own).tolist()), (-low, *own.tolist())),
     )
+
+
+def fit_drag(rows: InteractionRows) -> FloatArray:
+    """Fit c of f = constant - c v by least squares: (number of types, 3) in N s/m, c >= 0.
+
+    The constant is free for each flight of each vehicle, since attitude and thrust calibration
+    shift the horizontal labels too. Horizontal axes use training rows where nothing else acts
+    (`calibration.quiet_rows`, any speed), made one number for x and y because the vehicles are
+    square; the vertical axis uses lone flight above the ground effect, since even quiet rows of a
+    group move up and down together with the wakes. A negative slope would be no drag and
+    becomes 0, as does an axis without rows.
+    """
+    quiet = quiet_rows(rows, max_speed=np.inf) & ~rows.validation
+    alone = quiet & ~rows.has_neighbor.any(axis=1)
+    drag = np.zeros((len(rows.types), 3))
+    for index in range(len(rows.types)):
+        ego = rows.ego_type == index
+        horizontal = _slope(rows, quiet & ego, (0, 1))
+        drag[index] = horizontal, horizontal, _slope(rows, alone & ego, (2,))
+    return np.maximum(drag, 0.0) * GRAM_FORCE
+
+
+def _slope(rows: InteractionRows, use: BoolArray, axes: tuple[int, ...]) -> float:
+    """Common c of the axes in gram-force s/m, with a free constant per flight and vehicle."""
+    if not use.any():
+        return 0.0
+    pairs = np.stack([rows.flight[use], rows.vehicle[use]], axis=1)
+    group = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
+    count = np.bincount(group)
+    above = below = 0.0
+    for axis in axes:
+        force = _centred(rows.force_g[use, axis], group, count)
+        velocity = _centred(rows.velocity[use, axis], group, count)
+        above += float(force @ velocity)
+        below += float(velocity @ velocity)
+    return -above / below if below > 0 else 0.0
+
+
+def _centred(values: FloatArray, group: np.ndarray, count: np.ndarray) -> FloatArray:
+    mean = np.bincount(group, values) / count
+    return np.asarray(values - mean[group])
+
+
+def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
+    """Set the outputs of networks that saw no training row to zero.
+
+    Args:
+        network: trained; changed in place.
+        rows: what it was trained on; its validation rows do not count.
+
+    Returns:
+        What was silenced, a sentence each.
+    """
+    types = rows.types
+    training = rows.select(~rows.validation)
+    pairs = shown_pairs(training)
+    felt = [bool((training.ego_type == index).any()) for index in range(len(types))]
+    said = [
+        f"type {name!r} is the drone of no training row: the model says it feels nothing"
+        for name, seen in zip(types, felt, strict=True)
+        if not seen
+    ]
+    silent = [name for name, seen in zip(types, felt, strict=True) if not seen]
+    if isinstance(network, PairwiseSum):
+        _silence(*(network.environment[name] for name in silent))
+        unknown = [(a, b) for i, a in enumerate(types) for j, b in enumerate(types)
+                   if not pairs[i, j] and felt[j]]  # fmt: skip
+        _silence(*(network.network_of(a, b) for a in types for b in silent))
+        _silence(*(network.network_of(a, b) for a, b in unknown))
+        return said + [never_together(a, b) + "it does not push it" for a, b in unknown]
+    assert isinstance(network, DeepSet)
+    _silence(*(network.rho[name] for name in silent))
+    if network.spec.torque:
+        _silence(*(network.torque[name] for name in silent))
+    quiet = [name for name, row in zip(types, pairs, strict=True) if not row.any()]
+    _silence(*(network.phi[name] for name in quiet))
+    guessed = [
+        never_together(a, b) + "what it does to it is guessed from other pairs"
+        for i, a in enumerate(types)
+        for j, b in enumerate(types)
+        if not pairs[i, j] and pairs[i].any() and felt[j]
+    ]
+    silenced = [
+        f"type {name!r} is a neighbour in no training row: the model says it pushes nobody"
+        for name in quiet
+    ]
+    return said + silenced + guessed
+
+
+def shown_pairs(rows: InteractionRows) -> BoolArray:
+    """Which of T types is a neighbour (first axis) of which (second) in some row, (T, T)."""
+    pairs = np.zeros((len(rows.types), len(rows.types)), dtype=np.bool_)
+    egos = np.repeat(rows.ego_type[:, None], rows.neighbor_type.shape[1], axis=1)
+    pairs[rows.neighbor_type[rows.has_neighbor], egos[rows.has_neighbor]] = True
+    return pairs
+
+
+def never_together(above: str, below: str) -> str:
+    """Beginning of a note on a pair of types that no training row shows."""
+    return f"type {above!r} is a neighbour of type {below!r} in no training row: "
+
+
+@torch.no_grad()
+def _silence(*modules: nn.Module) -> None:
+    for module in modules:
+        last = layers(module)[-1]
+        last.weight.zero_()
+        last.bias.zero_()

@@ -1,4 +1,6 @@
-"""The heterogeneous deep set of Neural-Swarm2 (eq. 10) as a torch module.
+"""Networks of the interaction force: the deep set of Neural-Swarm2, and a sum over pairs.
+
+The heterogeneous deep set (eq. 10) is
 
     f_i = rho_i( phi_env(-z_i, -v_i) + sum over neighbours j of w_ij phi_type(j)(p_ij, v_ij) )
 
@@ -6,46 +8,140 @@ with p_ij = p_j - p_i and v_ij = v_j - v_i. The output is the vertical force on 
 Three things are added to the paper's form, all part of the forward pass, so that training sees
 the function that ships: a smooth window w, clamping of the inputs to the measured range, and an
 anchor that makes a lone drone aloft feel exactly nothing.
+
+The sum over pairs is there for comparison, with the same window, clamp and anchor:
+
+    f_i = f_env,type(i)(-z_i, -v_i) + sum over neighbours j of w_ij f_type(j)->type(i)(p_ij, v_ij)
+
+Every f is a ReLU perceptron of phi's depth and widths (6-25-40-40 or 4-25-40-40) with one output.
+Neural-Swarm2 compares with such a superposition (Sec. VII-C, Fig. 5).
 """
 
 from __future__ import annotations
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
+from swarm_envs.arguments import typed
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
-from swarm_envs.training.force_model.spec import (
-    EVERYWHERE,
-    OUTER_FADE,
-    UNLIMITED,
-    DeepSetSpec,
-    InputRange,
-    Window,
-    without_velocity,
-)
 from swarm_envs.vehicles import GRAM_FORCE
 
-__all__ = [
-    "EVERYWHERE",
-    "OUTER_FADE",
-    "TORQUES",
-    "Batch",
-    "DeepSet",
-    "DeepSetSpec",
-    "ForceNetwork",
-    "InputRange",
-    "Window",
-    "fade",
-    "layers",
-    "perceptron",
-    "swarm_batch",
-    "without_velocity",
-]
+NetworkKind = Literal["deep-set", "pairwise"]
+"""`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: the sum over pairs, `pairwise.PairwiseSum`."""
+
+_FIRST_WIDTH = 25  # of phi's first hidden layer
+_WIDTH = 40  # of every other hidden layer
+
+
+class FadeWindow(NamedTuple):
+    """Where a pair's contribution fades from 1 to 0: |dx| and |dy|, and |dz|."""
+
+    lateral_m: tuple[float, float] = (0.25, 0.35)
+    """Where pairs begin to fade laterally, and where they are gone, m."""
+    vertical_m: tuple[float, float] = (0.8, 1.1)
+    """The same in height, m."""
+
+
+EVERYWHERE = FadeWindow((1e3, 1.001e3), (1e3, 1.001e3))
+"""A window so wide that every neighbour counts fully."""
+
+
+@dataclass(frozen=True)
+class InputRange:
+    """Range that inputs are clamped to before phi: lowest and highest value of each input."""
+
+    pair: tuple[tuple[float, ...], tuple[float, ...]]
+    """Of p_ij and v_ij: 6 lowest, 6 highest."""
+    environment: tuple[tuple[float, ...], tuple[float, ...]]
+    """Of -z_i and -v_i: 4 lowest, 4 highest."""
+
+
+UNLIMITED = InputRange(((-math.inf,) * 6, (math.inf,) * 6), ((-math.inf,) * 4, (math.inf,) * 4))
+"""No clamp at all."""
+
+_FAR = InputRange(((-1e6,) * 6, (1e6,) * 6), ((-1e6,) * 4, (1e6,) * 4))  # JSON has no infinity
+
+OUTER_FADE = FadeWindow()
+"""The fade of the models that ship: over the outer 0.1 m laterally and 0.3 m vertically."""
+
+
+@typed
+@dataclass(frozen=True)
+class DeepSetSpec:
+    """What a deep set computes beside its weights."""
+
+    types: tuple[str, ...]
+    """Vehicle types: each has its own phi and rho."""
+    window: FadeWindow | None = OUTER_FADE
+    """Smooth fade of pairs; None cuts off hard at the edges of the interaction volume."""
+    input_range: InputRange | None = None
+    """Clamp of the inputs; None leaves them."""
+    anchor_height_m: float | None = 0.6
+    """At and above this height a lone drone feels exactly zero; None for the paper's form."""
+    hidden: int = 20
+    """H, the number of outputs of every phi and inputs of every rho (Sec. VII-C)."""
+    layers: int = 4
+    """L, the number of layers of every phi and rho; 40-wide ones come or go (Sec. VII-C)."""
+    kind: NetworkKind = "deep-set"
+    """Which function of the neighbours it is."""
+    torque: bool = False
+    """Whether rho gives the torque too; of a deep set alone."""
+
+    def __post_init__(self) -> None:
+        _check_types(self.types)
+        if self.torque and self.kind != "deep-set":
+            raise ValueError(f"a {self.kind} network gives no torque; only a deep set does")
+        if self.hidden < 1:
+            raise ValueError(f"hidden is {self.hidden}, but must be at least 1")
+        if self.layers < 2:
+            raise ValueError(f"layers is {self.layers}, but must be at least 2")
+        if self.anchor_height_m is not None and not self.anchor_height_m > 0.0:
+            raise ValueError(
+                f"anchor_height_m is {self.anchor_height_m}, but must be above 0; give None for no "
+                "anchor"
+            )
+
+    @property
+    def phi_widths(self) -> tuple[int, ...]:
+        """Widths of phi after its input (6 for a vehicle, 4 for the environment)."""
+        return (_FIRST_WIDTH, *(_WIDTH,) * (self.layers - 2), self.hidden)
+
+    @property
+    def rho_widths(self) -> tuple[int, ...]:
+        """Widths of rho from its input to its output."""
+        return (self.hidden, *(_WIDTH,) * (self.layers - 1), 1)
+
+
+def _check_types(types: tuple[str, ...]) -> None:
+    for name in types:
+        if not name or "." in name or name == "environment" or hasattr(nn.ModuleDict(), name):
+            raise ValueError(
+                f"{name!r} cannot name a vehicle type, since weights are filed by it; choose a "
+                "name without full stop, such as 'XL'"
+            )
+    if len(set(types)) < len(types) or not types:
+        raise ValueError(f"types are {types}, but must be one or more different names")
+
+
+def without_velocity(spec: DeepSetSpec) -> DeepSetSpec:
+    """The same function, blind to velocities: the range they are clamped to is the point 0.
+
+    The environment is a neighbour at rest, so its relative velocity goes too. Being a clamp, the
+    blindness is part of the weights file, and every reader of it is as blind.
+    """
+    limits = spec.input_range or _FAR
+    still = (0.0, 0.0, 0.0)
+    pair = ((*limits.pair[0][:3], *still), (*limits.pair[1][:3], *still))
+    environment = ((limits.environment[0][0], *still), (limits.environment[1][0], *still))
+    return replace(spec, input_range=InputRange(pair, environment))
+
 
 TORQUES = 3
 """Numbers of a torque head: the components in the world frame, gram-force centimetre."""
@@ -268,3 +364,72 @@ def swarm_batch(position: Tensor, velocity: Tensor, types: Sequence[int]) -> Bat
 def layers(network: nn.Module) -> list[nn.Linear]:
     """Return the linear layers of a perceptron in order."""
     return [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+
+
+class PairwiseSum(ForceNetwork):
+    """One perceptron per pair of types, one per type for the ground; see the module."""
+
+    def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
+        """Make a network with torch's default initialisation.
+
+        Args:
+            spec: types, window, clamp, anchor and depth; `hidden` has no meaning here.
+            dtype: float32 for training, float64 for checks.
+        """
+        super().__init__(spec, dtype)
+        widths = (*spec.phi_widths[:-1], 1)
+        self.pair = nn.ModuleDict({
+            upper: nn.ModuleDict({lower: perceptron((6, *widths), dtype) for lower in spec.types})
+            for upper in spec.types
+        })  # fmt: skip
+        self.environment = nn.ModuleDict(
+            {name: perceptron((4, *widths), dtype) for name in spec.types}
+        )
+
+    def named_networks(self) -> dict[str, nn.Module]:
+        """Return its perceptrons by the names that they have in a weights file."""
+        types = self.spec.types
+        pair = {f"pair.{a}.{b}": self.network_of(a, b) for a in types for b in types}
+        return pair | {f"environment.{name}": self.environment[name] for name in types}
+
+    def network_of(self, neighbor: str, ego: str) -> nn.Module:
+        """Return the perceptron of the force that one type puts on another."""
+        row = self.pair[neighbor]
+        assert isinstance(row, nn.ModuleDict)
+        return row[ego]
+
+    def heads(self, batch: Batch) -> Tensor:
+        """Vertical force of every row, (R, 1) gram-force."""
+        environment, aloft = self.anchored(batch.environment)
+        force = self._environment(batch.ego_type, environment) + self._pairs(batch)
+        return force if aloft is None else force - self._environment(batch.ego_type, aloft)
+
+    def _environment(self, ego_type: Tensor, environment: Tensor) -> Tensor:
+        force = environment.new_zeros(len(environment), 1)
+        for index, name in enumerate(self.spec.types):
+            chosen = torch.nonzero(ego_type == index).squeeze(1)
+            if len(chosen):
+                value = self.environment[name](self.clamped(environment[chosen]))
+                force = force.index_add(0, chosen, value)
+        return force
+
+    def _pairs(self, batch: Batch) -> Tensor:
+        rows, slots = batch.pair_type.shape
+        pair = batch.pair.reshape(rows * slots, 6)
+        weight = self.window(pair)
+        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
+        ego = batch.ego_type.repeat_interleave(slots)
+        force = pair.new_zeros(rows, 1)
+        for upper, above in enumerate(self.spec.types):
+            for lower, below in enumerate(self.spec.types):
+                chosen = torch.nonzero((kind == upper) & (ego == lower)).squeeze(1)
+                if len(chosen):
+                    inputs = pair[chosen].clamp(self.pair_low, self.pair_high)
+                    value = self.network_of(above, below)(inputs) * weight[chosen, None]
+                    force = force.index_add(0, chosen // slots, value)
+        return force
+
+
+def build(spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> ForceNetwork:
+    """Make the network of a spec, with torch's default initialisation."""
+    return PairwiseSum(spec, dtype) if spec.kind == "pairwise" else DeepSet(spec, dtype)

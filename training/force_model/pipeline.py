@@ -3,45 +3,85 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
-from swarm_envs.training.flight_logs.options import LogOptions
-from swarm_envs.training.flight_logs.report import LogReport
-from swarm_envs.training.force_model.config import FitConfig as FitConfig
-from swarm_envs.training.force_model.config import settled
-from swarm_envs.training.force_model.data import Wanted, data_sha256, read_data
-from swarm_envs.training.force_model.distil import teacher_checkpoint, train_taught
-from swarm_envs.training.force_model.evaluate import predict_rows
+from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.flight_logs.log_report import LogReport
+from swarm_envs.training.force_model.evaluate import (
+    Findings,
+    FitReport,
+    TorqueErrors,
+    examine,
+    predict_rows,
+    torque_errors,
+    worth,
+)
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.finished import check_finished
+from swarm_envs.training.force_model.fit_data import Wanted, data_sha256, read_data
+from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
 from swarm_envs.training.force_model.labels import (
     Treated,
     check_rows,
     is_calibrated,
     measured_range,
+    silence_unseen,
     treat,
 )
-from swarm_envs.training.force_model.network import DeepSet
-from swarm_envs.training.force_model.report import Findings, FitReport, examine, worth
-from swarm_envs.training.force_model.spec import (
+from swarm_envs.training.force_model.network import (
     EVERYWHERE,
     OUTER_FADE,
+    DeepSet,
     DeepSetSpec,
     NetworkKind,
     without_velocity,
 )
-from swarm_envs.training.force_model.tensorboard import scalar_writer
-from swarm_envs.training.force_model.torque_head import TorqueErrors, torque_errors
-from swarm_envs.training.force_model.unseen import silence_unseen
-from swarm_envs.training.force_model.wake_product import fit_wake_model
+from swarm_envs.training.force_model.train import teacher_checkpoint, train_taught
+from swarm_envs.training.force_model.wake_fit import fit_wake_model
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
-from swarm_envs.training.provenance import json_ready
+from swarm_envs.training.provenance import differing, json_ready, scalar_writer
+
+_NO_RESULT = ("data", "out", "progress", "json", "tensorboard")
+"""Options that change nothing of the result; what the data is, its digest says."""
+
+
+def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
+    """Check that a report, if there is one, is of the same fit, which may then run again.
+
+    Args:
+        path: of the report.
+        config: of this fit, settled.
+        data_sha256: of its data.
+
+    Raises:
+        ValueError: the report is of other data or options, or it cannot be read.
+    """
+    if not path.is_file():
+        return
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        made = {**report["config"], "data_sha256": report["data_sha256"]}
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(
+            f"{str(path)!r} is not the report of a fit; choose another folder or delete it"
+        ) from error
+    config_now = json.loads(json.dumps(json_ready(config)))
+    wanted = {**config_now, "data_sha256": data_sha256}
+    kept = [{k: v for k, v in c.items() if k not in _NO_RESULT} for c in (made, wanted)]
+    differences = differing(*kept)
+    if differences:
+        raise ValueError(
+            f"{str(path)!r} is of a finished fit with other data or options: {differences}; "
+            "choose another folder or delete that one"
+        )
+
 
 WEIGHTS = {
     "deep-set": "learned.safetensors",
@@ -79,12 +119,12 @@ def fit(config: FitConfig) -> FitReport:
             `config.out` holds a finished fit of other data or options.
     """
     began = time.perf_counter()
-    told, config = config, settled(config, config.mode)
+    given, config = config, with_mode_defaults(config, config.mode)
     wanted = Wanted(offsets=is_calibrated(config), torque=config.torque)
     rows, logs = read_data(config.data, config.logs, config.progress, wanted)
     check_rows(rows)
     treated = treat(rows, config)
-    words, digest = command(told), data_sha256(config.data)
+    words, digest = fit_command(given), data_sha256(config.data)
     check_finished(config.out / REPORTS[config.model], config, digest)
     provenance: dict[str, object] = {
         "command": words,
@@ -183,7 +223,7 @@ def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
     return spec if config.relative_velocity else without_velocity(spec)
 
 
-def command(config: FitConfig) -> str:
+def fit_command(config: FitConfig) -> str:
     """Command line that makes this fit, with the folders left out of its file names."""
     words = ["python -m swarm_envs.training.force_model", f"--data {config.data.name}", "--out DIR"]
     return " ".join([*words, *_options(config)])

@@ -1,11 +1,20 @@
-"""Training of a network on rows, spectral norms held after every step of the optimiser.
+"""Training of a network on rows, and of the teachers that it may learn from.
 
-A run that is killed continues from its checkpoint and ends with the same weights.
+A run that is killed continues from its checkpoint and ends with the same weights. A checkpoint is
+a safetensors file of weights, optimiser, averages and history.
+
+With teachers a network learns the mean of others, trained before it on the same rows. Labels are
+noisy, and a network of this size has learned some of the noise before it has learned the force.
+The mean of a few such networks has less of both kinds of error than each of them, and the mean
+over the symmetries of the square less again. One network of the same size can learn it (Hinton et
+al. 2015, arXiv:1503.02531). Held-out rows teach no network.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
+import itertools
 import json
 import math
 from collections.abc import Callable
@@ -15,22 +24,74 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from safetensors import safe_open
 from torch import Tensor
 from tqdm import tqdm
 
-from swarm_envs.training.force_model.checkpoint import load_checkpoint, save_checkpoint
-from swarm_envs.training.force_model.config import TrainConfig as TrainConfig
-from swarm_envs.training.force_model.config import settled
-from swarm_envs.training.force_model.early import inner_split
-from swarm_envs.training.force_model.epochs import Examples, batches_per_epoch, shuffled
-from swarm_envs.training.force_model.flat import FlatWeights
-from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
-from swarm_envs.training.force_model.pairwise import build
-from swarm_envs.training.force_model.smoothness import random_inputs, slope_penalty
-from swarm_envs.training.force_model.soap import Soap
-from swarm_envs.training.force_model.spectral import hold_spectral_norms
-from swarm_envs.training.force_model.torque_head import targets
-from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS, FloatArray, InteractionRows
+from swarm_envs.training.force_model.examples import (
+    Examples,
+    batches_per_epoch,
+    inner_split,
+    shuffled,
+    targets,
+    transform,
+)
+from swarm_envs.training.force_model.export import write_safetensors
+from swarm_envs.training.force_model.force_fit_config import TrainConfig as TrainConfig
+from swarm_envs.training.force_model.force_fit_config import with_mode_defaults
+from swarm_envs.training.force_model.lipschitz import random_inputs, slope_penalty
+from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork, build
+from swarm_envs.training.force_model.optimisers import FlatWeights, Soap, hold_spectral_norms
+from swarm_envs.training.interaction_rows import InteractionRows
+from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS, FloatArray
+from swarm_envs.training.provenance import differing
+
+_OPTIMISER = "optimiser."
+
+
+def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
+    """Write everything that `load_checkpoint` needs to continue the run.
+
+    Args:
+        path: the file to write.
+        run: where training stands.
+        configuration: what the run depends on; only the same may continue it.
+    """
+    weights = run.weights
+    tensors = {"weights": weights.values.detach()}
+    tensors |= {"averaged": run.averaged, "best": run.best}
+    tensors |= {_OPTIMISER + k: v for k, v in run.optimiser.state[weights.values].items()}
+    metadata = {
+        "step": str(run.step),
+        "best_step": str(run.best_step),
+        "history": json.dumps(run.history),
+        "configuration": configuration,
+    }
+    write_safetensors(path, tensors, metadata)
+
+
+def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
+    """Continue `run`, freshly started, where the checkpoint stands.
+
+    Raises:
+        ValueError: the checkpoint was written with another configuration.
+    """
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    differences = differing(json.loads(metadata["configuration"]), json.loads(configuration))
+    if differences:
+        raise ValueError(
+            f"checkpoint {str(path)!r} was written with other options: {differences}; "
+            "delete the file or choose another output folder"
+        )
+    run.weights.set(tensors["weights"])
+    run.averaged, run.best = tensors["averaged"], tensors["best"]
+    state = {k.removeprefix(_OPTIMISER): v for k, v in tensors.items() if k.startswith(_OPTIMISER)}
+    run.optimiser.state[run.weights.values] = state
+    run.step, run.best_step = int(metadata["step"]), int(metadata["best_step"])
+    run.history = json.loads(metadata["history"])
+
 
 Entry = dict[str, float]
 """Of the history: step, mean training loss since the last entry, validation MSE, g^2."""
@@ -144,7 +205,7 @@ def train(
             training diverged.
     """
     torch.set_num_threads(1)
-    config = settled(config)
+    config = with_mode_defaults(config)
     run = start(spec, config)
     taught = None
     if lesson is not None:
@@ -297,3 +358,78 @@ def _chosen(run: Training, config: TrainConfig) -> str:
     if config.early_validation:
         return f"{what} at step {run.best_step}, the best on held-out {config.early_held}"
     return f"{what} at the last step; validation chose nothing"
+
+
+def train_taught(
+    rows: InteractionRows,
+    spec: DeepSetSpec,
+    config: TrainConfig,
+    checkpoint: Path | None = None,
+    progress: bool = True,
+    watch: Callable[[Entry], None] | None = None,
+) -> Training:
+    """Train the teachers that the configuration asks for, and the network that learns from them.
+
+    It starts from the weights of the last teacher.
+
+    Args:
+        rows: as `train`.
+        spec: the function to fit; teachers have the same.
+        config: how. Teachers take `teacher_epochs` and draw from seeds of their own.
+        checkpoint: as `train`; teachers have files beside it (`teacher_checkpoint`), so that a
+            run that was killed goes on with the network it was at.
+        progress: show a progress bar, which says which network trains.
+        watch: called with every new entry of the history of the network that is the result.
+
+    Raises:
+        ValueError: a checkpoint belongs to another configuration, or the rows cannot be split.
+    """
+    config = with_mode_defaults(config)
+    if not config.teachers:
+        return train(rows, spec, config, checkpoint, progress, watch)
+    answers = np.zeros(len(rows))
+    for number in range(1, config.teachers + 1):
+        path = None if checkpoint is None else teacher_checkpoint(checkpoint, number)
+        name = f"teacher {number} of {config.teachers}"
+        own = teacher_config(config, number)
+        run = train(_for_teachers(rows, config), spec, own, path, progress, name=name)
+        answers += symmetric_mean(run.network, to_batch(rows)).double().numpy() / config.teachers
+    taught = config.label_share * rows.force_g[:, 2] + (1.0 - config.label_share) * answers
+    first = torch.nn.utils.parameters_to_vector(run.network.parameters()).detach()
+    lesson = Lesson(taught, first)
+    return train(rows, spec, config, checkpoint, progress, watch, lesson, "the network")
+
+
+def teacher_checkpoint(checkpoint: Path, number: int) -> Path:
+    """File that a teacher's training continues from; teachers count from 1."""
+    return checkpoint.with_name(f"{checkpoint.stem}-teacher-{number}{checkpoint.suffix}")
+
+
+def teacher_config(config: TrainConfig, number: int) -> TrainConfig:
+    """How a teacher is trained: on labels alone, for `teacher_epochs`, from a seed of its own."""
+    seed = int(np.random.SeedSequence([config.seed, number]).generate_state(1)[0])
+    return dataclasses.replace(
+        config,
+        steps=None,
+        epochs=config.teacher_epochs,
+        seed=seed,
+        teachers=0,
+        early_validation=0.0,
+    )
+
+
+def symmetric_mean(network: ForceNetwork, batch: Batch) -> Tensor:
+    """Vertical force from the network, (R,) gram-force, mean over the symmetries of the square."""
+    total, count = torch.zeros(len(batch.ego_type)), len(batch.ego_type)
+    for sign_x, sign_y, swap in itertools.product((1.0, -1.0), (1.0, -1.0), (False, True)):
+        mirror_x, mirror_y = torch.full((count,), sign_x), torch.full((count,), sign_y)
+        total += predict(network, transform(batch, mirror_x, mirror_y, torch.full((count,), swap)))
+    return total / 8.0
+
+
+def _for_teachers(rows: InteractionRows, config: TrainConfig) -> InteractionRows:
+    """The rows with those of early validation held out from the teachers, too."""
+    if not config.early_validation:
+        return rows
+    training, _ = inner_split(rows, config.early_validation, config.seed, config.early_held)
+    return dataclasses.replace(rows, validation=~training)

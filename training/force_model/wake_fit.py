@@ -1,41 +1,164 @@
-"""Fit of the closed-form wake to rows: `python -m swarm_envs.training.force_model.wake_fit`.
+"""The closed-form wake, and its fit: `python -m swarm_envs.training.force_model.wake_fit`.
 
-Least squares over every parameter at once, on training rows whose labels are free of calibration
-offsets and of the vertical drag. Drones of different types have very different residuals, so a
-second pass weighs each type's rows by what the first left over.
+The vertical force on a drone, gram-force, downwash positive inside:
+
+    pair_k = A (w0/w)^p exp(-(r/w)^2 / 2) s(dz / 0.03 m),    w = w0 + S max(dz, 0)
+    f_z = G exp(-(z - 0.07 m)/h) - (1 - M exp(-z/hm)) (sum_k pair_k^q)^(1/q)
+
+s is the logistic function, dz the height of neighbour k over the drone, and r the lateral
+distance from the wake's axis, which a moving neighbour leaves behind: at depth dz it is shifted
+by -v dz / U, U being one advection speed per type of the neighbour. A pair fades over the edge
+of the interaction volume as in the learned model.
+
+The fit is by least squares over every parameter at once, on training rows whose labels are free of
+calibration offsets and of the vertical drag. Drones of different types have very different
+residuals, so a second pass weighs each type's rows by what the first left over. The command
+compares the two velocities that may tilt a wake; `swarm-envs fit --model wake` takes the upper
+drone's own, which is what `swarm_envs.interactions` computes.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
+import torch
 import tyro
 from scipy.optimize import least_squares
+from torch import Tensor
 
 from swarm_envs.files import write_json
-from swarm_envs.training.force_model.drag import fit_drag
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.forces import all_forces, types_array
 from swarm_envs.training.force_model.evaluate import Errors, mean_squared_errors
-from swarm_envs.training.force_model.labels import measured_range
-from swarm_envs.training.force_model.network import OUTER_FADE
-from swarm_envs.training.force_model.unseen import shown_pairs
-from swarm_envs.training.force_model.wake_model import (
-    WakeParameters,
-    WakeRows,
-    WakeVelocity,
-    wake_force_g,
-    wake_rows,
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.labels import (
+    Treated,
+    measured_range,
+    never_together,
+    shown_pairs,
+    treat,
 )
-from swarm_envs.training.interaction_rows.calibration import (
-    RULE,
-    estimate_offsets,
-    subtract_offsets,
+from swarm_envs.training.force_model.network import OUTER_FADE, FadeWindow, fade
+from swarm_envs.training.interaction_rows.calibration import RULE
+from swarm_envs.training.interaction_rows.rows import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InteractionRows,
+    read_rows,
 )
-from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows, read_rows
 from swarm_envs.training.provenance import file_sha256, json_ready
 from swarm_envs.vehicles import GRAM_FORCE
+
+ROTOR_DEPTH_M = 0.03
+"""Vertical distance over which a neighbour passes from beside to above."""
+
+GROUND_REFERENCE_M = 0.07
+"""Height at which the ground effect is G: the lowest that was measured."""
+
+WakeVelocity = Literal["relative", "neighbor"]
+"""Which velocity tilts the wake: the neighbour's relative to the drone, or its own."""
+
+
+class WakeParameters(NamedTuple):
+    """Parameters by type: rows of the (T, T) arrays are the upper drone, columns the lower."""
+
+    amplitude_g: FloatArray
+    """A (T, T), gram-force."""
+    width_m: FloatArray
+    """w0 (T, T), m."""
+    spread: FloatArray
+    """S (T, T), m of width per m of depth."""
+    decay: FloatArray
+    """p (T, T)."""
+    advection_speed: FloatArray
+    """U (T,) by upper type, m/s."""
+    ground_g: FloatArray
+    """G (T,) by the drone's own type, gram-force."""
+    ground_height_m: FloatArray
+    """h (T,), m."""
+    combine_q: float
+    """q >= 1: 1 adds the pairs, infinity keeps the largest."""
+    mitigation: float
+    """M in [0, 1]: share of the downwash that the ground takes away at z = 0."""
+    mitigation_height_m: float
+    """hm, m."""
+
+
+class WakeRows(NamedTuple):
+    """Rows as the wake takes them; only slots with a neighbour inside the volume are pairs."""
+
+    ego_type: IntArray
+    """(R,)"""
+    height_m: FloatArray
+    """(R,) z."""
+    pair_row: IntArray
+    """(P,) row that each pair belongs to."""
+    pair_type: IntArray
+    """(P,) type of the neighbour."""
+    offset_m: FloatArray
+    """(P, 3) p_j - p_i."""
+    wake_velocity: FloatArray
+    """(P, 2) horizontal velocity that tilts the wake, m/s."""
+    weight: FloatArray
+    """(P,) fade at the edge of the volume."""
+
+
+def wake_rows(
+    rows: InteractionRows, velocity: WakeVelocity, window: FadeWindow = OUTER_FADE
+) -> WakeRows:
+    """Pick the pairs out of a table of rows."""
+    distance = torch.from_numpy(np.abs(rows.neighbor[..., :3]))
+    weight = fade(distance[..., 0], *window.lateral_m) * fade(distance[..., 1], *window.lateral_m)
+    weight = weight * fade(distance[..., 2], *window.vertical_m)
+    kept: BoolArray = rows.has_neighbor & (weight.numpy() > 0)
+    row, slot = np.nonzero(kept)
+    pair = rows.neighbor[row, slot]
+    moving = pair[:, 3:5] if velocity == "relative" else pair[:, 3:5] + rows.velocity[row, :2]
+    return WakeRows(
+        ego_type=rows.ego_type,
+        height_m=rows.position[:, 2],
+        pair_row=row.astype(np.int64),
+        pair_type=rows.neighbor_type[row, slot],
+        offset_m=pair[:, :3],
+        wake_velocity=moving,
+        weight=weight.numpy()[row, slot],
+    )
+
+
+def wake_force_g(parameters: WakeParameters, rows: WakeRows) -> FloatArray:
+    """Vertical force of every row without drag, (R,) in gram-force."""
+    w = parameters
+    ego = rows.ego_type
+    pair = pair_downwash_g(w, rows)
+    total = np.bincount(rows.pair_row, pair**w.combine_q, minlength=len(ego))
+    downwash = total ** (1.0 / w.combine_q)
+    downwash *= 1.0 - w.mitigation * np.exp(-rows.height_m / w.mitigation_height_m)
+    above = rows.height_m - GROUND_REFERENCE_M
+    ground = w.ground_g[ego] * np.exp(-above / w.ground_height_m[ego])
+    return np.asarray(ground - downwash)
+
+
+def pair_downwash_g(parameters: WakeParameters, rows: WakeRows) -> FloatArray:
+    """Downwash of every pair, (P,) in gram-force, positive downwards."""
+    w = parameters
+    upper, lower = rows.pair_type, rows.ego_type[rows.pair_row]
+    dz = rows.offset_m[:, 2]
+    depth = np.maximum(dz, 0.0)
+    lag = depth / w.advection_speed[upper]
+    axis = rows.offset_m[:, :2] - rows.wake_velocity * lag[:, None]
+    start = w.width_m[upper, lower]
+    width = start + w.spread[upper, lower] * depth
+    centre = w.amplitude_g[upper, lower] * (start / width) ** w.decay[upper, lower]
+    shape = np.exp(-0.5 * np.sum(axis**2, axis=1) / width**2)
+    above = 1.0 / (1.0 + np.exp(-dz / ROTOR_DEPTH_M))
+    return np.asarray(rows.weight * centre * shape * above)
+
 
 _PER_PAIR = {  # start, lowest, highest
     "amplitude_g": (20.0, 0.0, 80.0),
@@ -69,14 +192,15 @@ class WakeFitConfig:
     """of that draw"""
 
 
-@dataclass(frozen=True)
-class WakeFit:
+class WakeFit(NamedTuple):
     """One fitted variant."""
 
     velocity: WakeVelocity
     """Which velocity tilts the jets."""
     parameters: WakeParameters
     """The numbers that were fitted."""
+    predicted_g: FloatArray
+    """(R,) force of every row without drag, gram-force."""
     errors: Errors
     """Errors on the rows that were held out."""
 
@@ -145,19 +269,18 @@ def _least_squares(
     return np.asarray(result.x)
 
 
-def fit_variants(rows: InteractionRows, config: WakeFitConfig) -> list[WakeFit]:
-    """Fit both kinds of tilt to a draw of training rows; validate on all held-out rows."""
-    rng = np.random.default_rng(config.seed)
+def _drawn(rows: InteractionRows, count: int, seed: int) -> InteractionRows:
+    """So many training rows, drawn at random."""
     training = np.flatnonzero(~rows.validation)
-    count = min(config.rows, len(training))
-    chosen = rows.select(np.sort(rng.choice(training, count, replace=False)))
-    fits = []
-    velocities: tuple[WakeVelocity, ...] = ("relative", "neighbor")
-    for velocity in velocities:
-        parameters = fit_wake(chosen, velocity)
-        predicted = wake_force_g(parameters, wake_rows(rows, velocity))
-        fits.append(WakeFit(velocity, parameters, mean_squared_errors(predicted, rows)))
-    return fits
+    rng = np.random.default_rng(seed)
+    chosen = rng.choice(training, min(count, len(training)), replace=False)
+    return rows.select(np.sort(chosen))
+
+
+def _variant(rows: InteractionRows, drawn: InteractionRows, velocity: WakeVelocity) -> WakeFit:
+    parameters = fit_wake(drawn, velocity)
+    predicted = wake_force_g(parameters, wake_rows(rows, velocity))
+    return WakeFit(velocity, parameters, predicted, mean_squared_errors(predicted, rows))
 
 
 def description(
@@ -194,19 +317,74 @@ def description(
     }
 
 
-def run(config: WakeFitConfig) -> dict[str, object]:
-    """Fit the wake and write `wake.json` into `config.out`."""
+MOST_ROWS = 100_000
+"""Training rows that the least squares look at, drawn at random: they take a minute."""
+
+
+@dataclass(frozen=True)
+class CompiledForce:
+    """A model of `swarm_envs.interactions`, as `evaluate.ForceFunction` asks for one."""
+
+    model: InteractionModel
+    """The model that is evaluated."""
+
+    @property
+    def types(self) -> tuple[str, ...]:
+        """Interaction types that it knows."""
+        return self.model.types
+
+    def force_g(self, position: Tensor, velocity: Tensor, type_names: Sequence[str]) -> Tensor:
+        """Vertical force (E, N), gram-force, at (E, N, 3) m and m/s, drag included."""
+        p, v = (np.ascontiguousarray(values.numpy()) for values in (position, velocity))
+        kinds = np.tile(types_array(tuple(type_names), self.types), (len(p), 1))
+        out = np.empty_like(p)
+        all_forces(self.model.packed, kinds, p, v, out)
+        return torch.from_numpy(out[..., 2] / GRAM_FORCE)
+
+
+def fit_wake_model(
+    path: Path, treated: Treated, config: FitConfig, provenance: dict[str, object]
+) -> tuple[CompiledForce, FloatArray, list[str]]:
+    """Fit the closed form by least squares and write it to `path`.
+
+    Args:
+        path: JSON file to write.
+        treated: rows with the labels to fit.
+        config: its seed draws the rows, where there are more than `MOST_ROWS`.
+        provenance: further keys of the file.
+
+    Returns:
+        The model as it loads, its vertical force of every row with drag, (R,) gram-force, and
+        what a user must know.
+    """
+    target = treated.target
+    drawn = _drawn(target, MOST_ROWS, config.seed)
+    fitted = _variant(target, drawn, "neighbor")
+    error = {"tilted by neighbor velocity": fitted.errors.overall}
+    content = description(fitted, target.types, treated.drag, error)
+    content["input_range"] = measured_range(treated.rows)
+    content["provenance"] = provenance | {"training_rows": len(drawn)}
+    write_json(path, json_ready(content))
+    drag_g = treated.drag[target.ego_type, 2] * target.velocity[:, 2] / GRAM_FORCE
+    notes = [
+        never_together(target.types[above], target.types[below]) + "it does not push it"
+        for above, below in np.argwhere(~shown_pairs(drawn))
+    ]
+    return CompiledForce(load(str(path))), fitted.predicted_g - drag_g, notes
+
+
+def write_wake(config: WakeFitConfig) -> dict[str, object]:
+    """Fit the wake with either tilt, and write `wake.json` into `config.out`."""
     began = time.perf_counter()
     rows = read_rows(config.data)
-    drag = fit_drag(rows)
-    rows = subtract_offsets(rows, estimate_offsets(rows))
-    vertical_g = drag[rows.ego_type, 2] * rows.velocity[:, 2] / GRAM_FORCE
-    rows = rows.with_vertical_force(rows.force_g[:, 2] + vertical_g)
-    fits = fit_variants(rows, config)
-    best = next(fit for fit in fits if fit.velocity == "neighbor")  # which the kernels compute
+    treated = treat(rows, FitConfig(data=config.data, out=config.out, model="wake"))
+    drawn = _drawn(treated.target, config.rows, config.seed)
+    velocities: tuple[WakeVelocity, ...] = ("relative", "neighbor")
+    fits = [_variant(treated.target, drawn, velocity) for velocity in velocities]
+    best = fits[1]  # tilted by the neighbour's velocity, which the kernels compute
     ends = {f"tilted by {fit.velocity} velocity": fit.errors.overall for fit in fits}
     ends |= {"zero": best.errors.zero, "scenario mean": best.errors.scenario_mean}
-    content = description(best, rows.types, drag, ends)
+    content = description(best, rows.types, treated.drag, ends)
     content["validation_mse_g2_by_scenario"] = best.errors.scenario
     content["input_range"] = asdict(measured_range(rows))
     content["provenance"] = {
@@ -222,5 +400,5 @@ def run(config: WakeFitConfig) -> dict[str, object]:
 
 
 if __name__ == "__main__":
-    fitted = run(tyro.cli(WakeFitConfig, description="Fit the closed-form wake to rows."))
+    fitted = write_wake(tyro.cli(WakeFitConfig, description="Fit the closed-form wake to rows."))
     print(fitted["validation_mse_g2"])  # noqa: T201

@@ -2,7 +2,7 @@
 
 The label is mass times acceleration minus modelled thrust, so a wrong mass, thrust curve or
 battery reading gives a bias (small drones about -1 g, large ones about +2 g). It is no
-aerodynamics, and a model that an environment blows with must not carry it.
+aerodynamics, and the force model of an environment must not carry it.
 
 The bias differs between vehicles of one type by a gram, and drifts from flight to flight: in
 flights of a lone large drone above the ground effect its mean goes from +0.3 to +4.7 g, and

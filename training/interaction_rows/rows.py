@@ -79,12 +79,6 @@ class InteractionRows:
     """Names of vehicles by their id in `vehicle`; one without a name goes by its number."""
 
     def __post_init__(self) -> None:
-        """Check that the arrays fit together.
-
-        Raises:
-            ValueError: an array has a wrong shape, an index is out of range, or a value is not
-                finite.
-        """
         if self.neighbor_type.ndim != 2:
             raise ValueError(
                 f"neighbor_type has shape {self.neighbor_type.shape}, but must have (R, K): a row "
@@ -107,7 +101,6 @@ class InteractionRows:
         _check_index("scenario", self.scenario, 0, len(self.scenario_names))
 
     def __len__(self) -> int:
-        """Number of rows R."""
         return len(self.ego_type)
 
     @property

@@ -17,8 +17,12 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.files import write_json, written_whole
-from swarm_envs.training.force_model.config import FitConfig, TrainConfig, settled
-from swarm_envs.training.force_model.data import data_sha256
+from swarm_envs.training.force_model.fit_data import data_sha256
+from swarm_envs.training.force_model.force_fit_config import (
+    FitConfig,
+    TrainConfig,
+    with_mode_defaults,
+)
 from swarm_envs.training.force_model.pipeline import REPORTS, fit
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.training.reproduce.cells import CELLS, Cell
@@ -75,7 +79,7 @@ def fit_config(cell: Cell, seed: int, budget: Budget, folder: Path) -> FitConfig
     shared = {name: value for name, value in length.items() if value is not None}
     if budget.steps is None:
         shared["epochs"] = _PASSES
-    return settled(replace(plain, **{**_RECIPE, **shared, **cell.changes}), "measured")
+    return with_mode_defaults(replace(plain, **{**_RECIPE, **shared, **cell.changes}), "measured")
 
 
 def run_folder(out: Path, cell: Cell, seed: int) -> Path:

@@ -13,7 +13,7 @@ from swarm_envs.baselines.neural_swarm.flights import describe_spread, format_co
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.ring import RingTask
-from swarm_envs.training.collection.fleet import vehicle_names
+from swarm_envs.training.collection.flight import vehicle_names
 from swarm_envs.training.reproduce.flight_cases import Case
 from swarm_envs.training.reproduce.flown import SIDES, Flown
 from swarm_envs.training.reproduce.paired import compare

@@ -19,9 +19,8 @@ from tqdm import tqdm
 from swarm_envs import __version__
 from swarm_envs.agents.policy import CHECKPOINT, FILE, Policy, PolicyNote, write_policy
 from swarm_envs.files import claimed, write_json, write_table
-from swarm_envs.training.force_model.checkpoint import write_safetensors
-from swarm_envs.training.force_model.tensorboard import scalar_writer
-from swarm_envs.training.provenance import differing, json_ready
+from swarm_envs.training.force_model.export import write_safetensors
+from swarm_envs.training.provenance import differing, json_ready, scalar_writer
 from swarm_envs.training.rl.learner import Learner, make_learner
 from swarm_envs.training.rl.recipes import RECIPES, choosing_seeds, evaluate_policy, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig

@@ -10,9 +10,13 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from swarm_envs.motors import FULL_VOLTAGE
-from swarm_envs.training.collection.collect import flight_generator, make_motion
-from swarm_envs.training.collection.config import CollectionConfig, FlightBatch
-from swarm_envs.training.collection.flight import fly
+from swarm_envs.training.collection.collect import (
+    CollectionConfig,
+    FlightBatch,
+    flight_generator,
+    make_motion,
+)
+from swarm_envs.training.collection.flight import fly_motion
 from swarm_envs.training.collection.log import LOG_RATE, FlightLog
 from swarm_envs.training.flight_logs import FlightTable
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team, Vehicle, parse_team
@@ -41,7 +45,7 @@ def fly_team(
     vehicles: Team = tuple(
         dataclasses.replace(v, mass=v.mass + mass_g / 1000.0) for v in parse_team(team)
     )
-    return fly(vehicles, make_motion(config, batch, rngs), "learned", seconds)[0]
+    return fly_motion(vehicles, make_motion(config, batch, rngs), "learned", seconds)[0]
 
 
 def make_table(

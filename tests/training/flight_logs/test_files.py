@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.training.flight_logs import LogOptions, read_logs, read_table, write_table
-from swarm_envs.training.flight_logs.checks import check_table
+from swarm_envs.training.flight_logs.checks import checked_drones
 from swarm_envs.training.flight_table import from_columns
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL
 
@@ -203,9 +203,9 @@ ACCELERATION = ["ax", "ay", "az"]
     ],
 )
 def test_every_rule_names_the_value_and_the_fix(edit, message, table):
-    check_table(table)
+    checked_drones(table)
     with pytest.raises(ValueError, match=message):
-        check_table(from_columns(edit(table.columns())))
+        checked_drones(from_columns(edit(table.columns())))
 
 
 def test_a_folder_goes_on_without_what_is_refused(flown, as_table, tmp_path):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from swarm_envs.training.collection.table import DroneRows, rows_of_drones
 from swarm_envs.training.flight_logs import LogOptions
-from swarm_envs.training.flight_logs.filters import DroneRows, filtered, padded
-from swarm_envs.training.flight_logs.split import held_out_blocks, is_guarded, is_held_out
+from swarm_envs.training.flight_logs.clock import filtered
+from swarm_envs.training.flight_logs.log_options import held_out_blocks, is_guarded, is_held_out
 
 
 def rows_of(height, force_z_g, shift):
@@ -54,7 +55,9 @@ def test_the_authors_filter():
 
 
 def test_empty_slots_hold_no_neighbour():
-    neighbor, kinds = padded(rows_of([1.0], [0.0], [(0.0, 0.0, 0.3)]), 3)
+    alone = rows_of([1.0], [0.0], [(0.0, 0.0, 0.3)])
+    table = rows_of_drones([alone], 3, [0], [0], np.zeros(1, dtype=np.bool_))
+    neighbor, kinds = table.neighbor, table.neighbor_type
     assert neighbor.shape == (1, 3, 6)
     assert kinds.tolist() == [[0, -1, -1]]
     assert not neighbor[0, 1:].any()

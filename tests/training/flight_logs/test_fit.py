@@ -11,11 +11,12 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.interactions import load
 from swarm_envs.training.collection import CollectionConfig, collect, interaction_rows
-from swarm_envs.training.collection.sensors import SensorNoise, with_noise
+from swarm_envs.training.collection.log import SensorNoise, with_noise
 from swarm_envs.training.flight_logs import read_logs, write_table
-from swarm_envs.training.flight_logs.__main__ import main as look
-from swarm_envs.training.force_model.data import data_sha256
-from swarm_envs.training.force_model.pipeline import FitConfig, fit
+from swarm_envs.training.flight_logs.__main__ import check_logs as look
+from swarm_envs.training.force_model.fit_data import data_sha256
+from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import read_rows
 
 QUICK = ("--steps", "40", "--batch-size", "64", "--slope-inputs", "16", "--lipschitz-samples", "0")

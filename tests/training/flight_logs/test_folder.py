@@ -17,8 +17,8 @@ from swarm_envs.training.flight_logs import (
     read_table,
     write_table,
 )
-from swarm_envs.training.flight_logs.report import Calibration
-from swarm_envs.training.force_model.data import read_data
+from swarm_envs.training.flight_logs.log_report import Calibration
+from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import SMALL
 

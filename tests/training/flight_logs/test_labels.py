@@ -9,8 +9,7 @@ import pytest
 
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
-from swarm_envs.training.flight_logs.clock import ClockedFlight
-from swarm_envs.training.flight_logs.labels import interaction_force_g
+from swarm_envs.training.flight_logs.clock import ClockedFlight, interaction_force_g
 from swarm_envs.training.flight_table import from_columns
 from swarm_envs.training.interaction_rows.calibration import estimate_offsets
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL

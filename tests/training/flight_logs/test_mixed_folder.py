@@ -14,7 +14,7 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import FlightTable, LogOptions, read_logs, write_table
-from swarm_envs.training.force_model.data import Wanted, read_data
+from swarm_envs.training.force_model.fit_data import Wanted, read_data
 from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE

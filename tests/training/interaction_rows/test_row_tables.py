@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs.training.flight_logs.options import LogOptions
-from swarm_envs.training.force_model.data import Wanted, read_data
+from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.force_model.fit_data import Wanted, read_data
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
-from swarm_envs.training.interaction_rows.join import join_rows
+from swarm_envs.training.interaction_rows.row_tables import join_rows
 from swarm_envs.vehicles import GRAM_FORCE
 
 OPTIONS = LogOptions()

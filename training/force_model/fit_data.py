@@ -1,4 +1,4 @@
-"""What a fit is given: tables of rows, logs of flights that are made into rows, or both."""
+"""The rows of a fit: tables of rows, flight logs that are made into rows, or a folder of both."""
 
 from __future__ import annotations
 
@@ -12,15 +12,33 @@ from typing import NamedTuple
 import numpy as np
 
 from swarm_envs.training.collection.collect import MANIFEST
-from swarm_envs.training.flight_logs.copies import refuse_copy, table_key
-from swarm_envs.training.flight_logs.folder import Found, find_data
-from swarm_envs.training.flight_logs.options import LogOptions
-from swarm_envs.training.flight_logs.read import read_flights, read_logs
-from swarm_envs.training.flight_logs.report import FileReport, LogReport
-from swarm_envs.training.force_model.finish import Joined, finish
+from swarm_envs.training.flight_logs.log_options import (
+    LogOptions,
+    block_count,
+    held_out_blocks,
+    is_guarded,
+    is_held_out,
+)
+from swarm_envs.training.flight_logs.log_report import (
+    FileReport,
+    JoinedRows,
+    LogReport,
+    without_scarce_data,
+)
+from swarm_envs.training.flight_logs.read import (
+    Found,
+    find_data,
+    read_flight_logs,
+    read_logs,
+    refuse_copy,
+    table_key,
+)
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows
-from swarm_envs.training.interaction_rows.join import join_rows
-from swarm_envs.training.interaction_rows.row_checks import check_table, notes_of
+from swarm_envs.training.interaction_rows.row_tables import (
+    check_row_table,
+    join_rows,
+    notes_of,
+)
 from swarm_envs.training.provenance import file_sha256
 
 
@@ -69,8 +87,10 @@ def read_data(
         refused += [FileReport(file.name, _no_torque(file.name, "a log")) for file in logs]
     if not parts:
         raise ValueError(_nothing(path, refused))
-    rows, report = finish(_joined(parts), refused, options)
-    return rows, dataclasses.replace(report, not_read=there.not_read)
+    joined = _with_drawn_blocks(_joined(parts), options)
+    rows, report = without_scarce_data(joined, refused, options)
+    flown = {k: s for k, s in report.scenarios.items() if s.training_rows or s.validation_rows}
+    return rows, dataclasses.replace(report, scenarios=flown, not_read=there.not_read)
 
 
 def _read_tables(
@@ -80,7 +100,7 @@ def _read_tables(
     for file in files:
         try:
             rows = read_rows(file)
-            check_table(rows, options.check_units)
+            check_row_table(rows, options.check_units)
             if wanted.torque and rows.torque is None:
                 raise ValueError(_no_torque(file.name, "the table"))
             refuse_copy(known, table_key(rows), file.name)
@@ -98,7 +118,7 @@ def _read_logs(
     """Logs among tables: what is too little is judged when all is joined."""
     lenient = dataclasses.replace(options, min_scenario_rows=0, min_quiet_rows=0)
     try:
-        rows, report = read_flights(files, lenient, progress)
+        rows, report = read_flight_logs(files, lenient, progress)
     except ValueError as error:  # no row passes the filter
         return [], [FileReport(file.name, str(error)) for file in files]
     refused = [file for file in report.files if file.refused is not None]
@@ -111,12 +131,11 @@ def _read_logs(
     ], refused
 
 
-def _joined(parts: Sequence[_Part]) -> Joined:
+def _joined(parts: Sequence[_Part]) -> JoinedRows:
     # A table alone keeps its numbers of flights and vehicles.
     rows = join_rows([part.rows for part in parts]) if len(parts) > 1 else parts[0].rows
     origin = np.repeat(np.arange(len(parts)), [len(part.rows) for part in parts])
-    unmarked = [part.file.kind == "table" and not part.rows.validation.any() for part in parts]
-    return Joined(rows, origin, [part.file for part in parts], np.array(unmarked))
+    return JoinedRows(rows, origin, [part.file for part in parts])
 
 
 def _no_torque(name: str, what: str) -> str:
@@ -144,3 +163,30 @@ def data_sha256(path: Path) -> str:
         if file.is_file() and not file.name.startswith("."):
             digest.update(f"{file.name}\0{data_sha256(file)}\n".encode())
     return digest.hexdigest()
+
+
+def _with_drawn_blocks(joined: JoinedRows, options: LogOptions) -> JoinedRows:
+    """Hold out blocks of time of the flights of tables without marks, or of every table."""
+    tables = np.array([file.kind == "table" for file in joined.files])
+    held_out = np.bincount(joined.origin[joined.rows.validation], minlength=len(tables))
+    drawn = tables & ((held_out == 0) | options.resplit)
+    chosen = drawn[joined.origin]
+    if not chosen.any():
+        return joined
+    rows = joined.rows
+    marked, guarded = rows.validation & ~chosen, np.zeros(len(rows), dtype=np.bool_)
+    places = [np.flatnonzero(rows.flight == flight) for flight in np.unique(rows.flight[chosen])]
+    times = [(rows.step / options.rate_hz)[place] for place in places]
+    times = [time - time.min() for time in times]
+    lengths = [block_count(float(time.max()), options) for time in times]
+    blocks = held_out_blocks(lengths, options.validation_share, options.split_seed)
+    for place, time, own in zip(places, times, blocks, strict=True):
+        marked[place] = is_held_out(time, own, options)
+        guarded[place] = is_guarded(time, own, options)
+    note = f"held-out blocks of {options.block_s:g} s are drawn, {options.guard_s:g} s apart"
+    files = [
+        dataclasses.replace(f, notes=(*f.notes, note)) if d else f
+        for f, d in zip(joined.files, drawn, strict=True)
+    ]
+    rows = dataclasses.replace(rows, validation=marked)
+    return JoinedRows(rows, joined.origin, files).select(~guarded, "guard gap")

@@ -1,8 +1,7 @@
-"""What a fit is told: options alone, readable where torch is not installed."""
+"""Options of a fit, readable where torch is not installed."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,7 +9,12 @@ from typing import Any, Literal, TypeVar
 
 from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
-from swarm_envs.training.flight_logs.options import LogOptions
+from swarm_envs.training.flight_logs.log_options import (
+    LogOptions,
+    check_fields,
+    is_not_negative,
+    is_positive,
+)
 
 
 @dataclass(frozen=True)
@@ -75,54 +79,34 @@ class TrainConfig:
     """seed of the first weights and of every draw; the same seed gives the same weights"""
 
     def __post_init__(self) -> None:
-        """Check the numbers that no later step would refuse.
-
-        Raises:
-            ValueError: naming the value and the rule.
-        """
         check_integer("seed", self.seed, 0)
-        for name in (
-            "slope_limit",
-            "slope_weight",
-            "position_jitter_m",
-            "velocity_jitter",
-            "balance",
-        ):
-            value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value >= 0.0):
-                raise ValueError(f"{name} is {value}, but must be finite and not negative")
-        for name in ("steps", "batch_size", "checkpoint_every", "slope_inputs"):
-            value = getattr(self, name)
-            if value is not None and value < 1:
-                raise ValueError(f"{name} is {value}, but must be at least 1")
+        check_fields(self, _NOT_NEGATIVE, "finite and not negative", is_not_negative)
+        check_fields(self, _COUNTS, "at least 1", lambda value: value >= 1)
         if self.steps is not None and self.epochs is not None:
             raise ValueError(
                 f"steps is {self.steps} and epochs {self.epochs}, but a run has one length; give "
                 "one of them"
             )
-        if self.teachers is not None and self.teachers < 0:
-            raise ValueError(f"teachers is {self.teachers}, but must be 0 or more")
-        for name in ("epochs", "learning_rate", "max_spectral_norm", "teacher_epochs"):
+        check_fields(self, ("teachers",), "0 or more", lambda value: value >= 0)
+        check_fields(self, _POSITIVE, "finite and above 0", is_positive)
+        for name, most, rule in _SHARES:
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0.0):
-                raise ValueError(f"{name} is {value}, but must be finite and above 0")
-        if self.average_share is not None and not 0.0 <= self.average_share <= 1.0:
-            raise ValueError(
-                f"average_share is {self.average_share}, but must be from 0 (no average) to 1"
-            )
-        if not 0.0 <= self.label_share <= 1.0:
-            raise ValueError(
-                f"label_share is {self.label_share}, but must be from 0 (teachers alone) to 1"
-            )
-        if not 0.0 <= self.early_validation <= 0.5:
-            raise ValueError(
-                f"early_validation is {self.early_validation}, but must be a share from 0 (none) "
-                "to 0.5"
-            )
+            if value is not None and not 0.0 <= value <= most:
+                raise ValueError(f"{name} is {value}, but must be {rule}")
+
+
+_NOT_NEGATIVE = ("slope_limit", "slope_weight", "position_jitter_m", "velocity_jitter", "balance")
+_COUNTS = ("steps", "batch_size", "checkpoint_every", "slope_inputs")
+_POSITIVE = ("epochs", "learning_rate", "max_spectral_norm", "teacher_epochs")
+_SHARES = (
+    ("average_share", 1.0, "from 0 (no average) to 1"),
+    ("label_share", 1.0, "from 0 (teachers alone) to 1"),
+    ("early_validation", 0.5, "a share from 0 (none) to 0.5"),
+)
 
 
 Mode = Literal["anchored", "measured"]
-"""What is fitted: what environments blow with, or labels as measured."""
+"""What is fitted: the forces of environments, or labels as measured."""
 
 _OWN: Mapping[Mode, Mapping[str, Any]] = {
     "anchored": {
@@ -147,12 +131,12 @@ _NOT_IN_THE_PAPER: Mapping[str, Any] = {
     "velocity_jitter": 0.0,
     "balance": 0.0,
 }
-"""What a measured fit leaves out of the training; told another value than the usual, it refuses."""
+"""What a measured fit leaves out; it refuses any but these values and the usual ones."""
 
 Config = TypeVar("Config", bound=TrainConfig)
 
 
-def settled(config: Config, mode: Mode = "anchored") -> Config:
+def with_mode_defaults(config: Config, mode: Mode = "anchored") -> Config:
     """The same options with nothing left to the mode: what is trained, and what reports record.
 
     Raises:
@@ -168,10 +152,10 @@ def settled(config: Config, mode: Mode = "anchored") -> Config:
 
 def _check_measured(config: TrainConfig) -> None:
     for name, value in _NOT_IN_THE_PAPER.items():
-        told = getattr(config, name)
-        if told not in (value, getattr(TrainConfig, name)):
+        given = getattr(config, name)
+        if given not in (value, getattr(TrainConfig, name)):
             raise ValueError(
-                f"{name} is {told}, but a measured fit takes {value}, as the paper does; leave it "
+                f"{name} is {given}, but a measured fit takes {value}, as the paper does; leave it "
                 "out, or fit in anchored mode"
             )
 
@@ -217,17 +201,8 @@ class FitConfig(TrainConfig):
     """how flight logs become rows, and what of row tables is held out"""
 
     def __post_init__(self) -> None:
-        """Refuse what no model can do.
-
-        Raises:
-            ValueError: torque is asked of a model without a head for it, or a number is out of
-                range.
-        """
         super().__post_init__()
         if self.torque and self.model != "deep-set":
             raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")
         check_integer("lipschitz_samples", self.lipschitz_samples, 0)
-        if not (math.isfinite(self.anchor_height_m) and self.anchor_height_m > 0.0):
-            raise ValueError(
-                f"anchor_height_m is {self.anchor_height_m}, but must be finite and above 0"
-            )
+        check_fields(self, ("anchor_height_m",), "finite and above 0", is_positive)

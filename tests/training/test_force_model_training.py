@@ -11,14 +11,25 @@ import numpy as np
 import pytest
 import torch
 
-from swarm_envs.training.force_model.config import TrainConfig, settled
-from swarm_envs.training.force_model.epochs import Examples, shuffled, turn
+from swarm_envs.training.force_model.examples import (
+    GUARD_ENTRIES,
+    PIECE_ENTRIES,
+    Examples,
+    inner_split,
+    shuffled,
+    turn,
+)
+from swarm_envs.training.force_model.force_fit_config import (
+    FitConfig,
+    TrainConfig,
+    with_mode_defaults,
+)
 from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, swarm_batch
-from swarm_envs.training.force_model.pipeline import FitConfig, fit
-from swarm_envs.training.force_model.spectral import hold_spectral_norms
-from swarm_envs.training.force_model.tensorboard import scalar_writer
-from swarm_envs.training.force_model.train import to_batch, train
+from swarm_envs.training.force_model.optimisers import hold_spectral_norms
+from swarm_envs.training.force_model.pipeline import fit
+from swarm_envs.training.force_model.train import predict, to_batch, train
 from swarm_envs.training.interaction_rows import save_rows
+from swarm_envs.training.provenance import scalar_writer
 from tests.helpers.tiny_fits import PLAIN, SPEC, rows_of
 
 
@@ -74,7 +85,15 @@ def test_epochs_say_how_many_steps_there_are():
 
 def test_average_of_the_last_steps_is_within_the_clip_and_resumes(tmp_path, monkeypatch):
     rows = rows_of(noise=5.0)
-    config = dataclasses.replace(PLAIN, average_share=0.1, early_validation=0.4, learning_rate=3e-2)
+    config = dataclasses.replace(
+        PLAIN,
+        average_share=0.1,
+        early_validation=0.4,
+        learning_rate=3e-2,
+        slope_limit=50.0,
+        slope_inputs=16,
+        position_jitter_m=0.02,
+    )
     whole = train(rows, SPEC, config, progress=False)
     assert max(norms(whole.network)) <= 3.0 * (1 + 1e-6)
     assert "average" in whole.chosen
@@ -82,7 +101,10 @@ def test_average_of_the_last_steps_is_within_the_clip_and_resumes(tmp_path, monk
 
     step, path = module._step, tmp_path / "checkpoint.safetensors"
 
+    steps = []
+
     def dying_step(run, *others):
+        steps.append(run.step)
         if run.step == 34 and not (tmp_path / "died").exists():
             (tmp_path / "died").touch()
             raise KeyboardInterrupt
@@ -92,6 +114,7 @@ def test_average_of_the_last_steps_is_within_the_clip_and_resumes(tmp_path, monk
     with pytest.raises(KeyboardInterrupt):
         train(rows, SPEC, config, path, progress=False)
     resumed = train(rows, SPEC, config, path, progress=False)
+    assert (steps[34], steps[35]) == (34, 30)  # it went on from the last checkpoint
     assert resumed.history == whole.history
     assert resumed.chosen == whole.chosen
     for a, b in zip(whole.network.parameters(), resumed.network.parameters(), strict=True):
@@ -160,6 +183,9 @@ def test_zero_matrix_cannot_be_normalised_exactly():
         ("velocity_jitter", float("nan")),
         ("balance", -1.0),
         ("seed", -1),
+        ("teachers", -1),
+        ("teacher_epochs", 0.0),
+        ("label_share", 1.5),
     ],
 )
 def test_bad_numbers_are_refused(name, value):
@@ -184,13 +210,13 @@ def test_an_anchor_on_the_ground_is_none():
 
 def test_each_mode_has_its_own_length_unless_it_is_given():
     plain, given = TrainConfig(), TrainConfig(steps=70, average_share=0.1)
-    assert (settled(plain).steps, settled(plain).average_share) == (6000, 0.0)
-    measured = settled(plain, "measured")
+    assert (with_mode_defaults(plain).steps, with_mode_defaults(plain).average_share) == (6000, 0.0)
+    measured = with_mode_defaults(plain, "measured")
     assert measured.steps is None and measured.epochs and measured.average_share
     assert measured.slope_limit is None and measured.position_jitter_m == 0.0
-    kept = settled(given, "measured")
+    kept = with_mode_defaults(given, "measured")
     assert (kept.steps, kept.epochs, kept.average_share) == (70, None, 0.1)
-    assert settled(kept, "measured") == kept
+    assert with_mode_defaults(kept, "measured") == kept
     with pytest.raises(ValueError, match=r"steps is 70 and epochs 2\.0"):
         dataclasses.replace(given, epochs=2.0)
 
@@ -198,9 +224,9 @@ def test_each_mode_has_its_own_length_unless_it_is_given():
 def test_a_measured_fit_refuses_what_it_would_leave_out():
     """Rather than to be told a slope limit and to train without."""
     with pytest.raises(ValueError, match=r"slope_limit is 100\.0, but a measured fit takes None"):
-        settled(TrainConfig(slope_limit=100.0), "measured")
-    assert settled(TrainConfig(slope_limit=100.0)).slope_limit == 100.0
-    assert settled(TrainConfig(slope_limit=None), "measured").balance == 0.0
+        with_mode_defaults(TrainConfig(slope_limit=100.0), "measured")
+    assert with_mode_defaults(TrainConfig(slope_limit=100.0)).slope_limit == 100.0
+    assert with_mode_defaults(TrainConfig(slope_limit=None), "measured").balance == 0.0
 
 
 def test_event_files_are_optional(tmp_path, monkeypatch):
@@ -259,3 +285,69 @@ def test_weights_have_storage_of_their_own_after_training():
     assert len({p.untyped_storage().data_ptr() for p in network.parameters()}) == len(
         list(network.parameters())
     )
+
+
+def test_pieces_of_early_validation_are_apart_in_time():
+    rows = rows_of(4000)
+    training, held_out = inner_split(rows, 0.2, 0)
+    assert not (rows.validation & (training | held_out)).any()
+    assert 0.05 < held_out.sum() / (~rows.validation).sum() < 0.4
+    for flight in range(2):
+        own = rows.flight == flight
+        entry = rows.step // 3
+        apart = np.abs(entry[own & training][:, None] - entry[own & held_out])
+        assert apart.min() == GUARD_ENTRIES + 1
+        pieces = np.unique(entry[own & held_out] // PIECE_ENTRIES)
+        assert not np.isin(entry[own & training] // PIECE_ENTRIES, pieces).any()
+    other = inner_split(rows, 0.2, 1)[1]
+    assert (other != held_out).any()
+
+
+def test_whole_flights_of_every_scenario_can_be_held_out():
+    rows = rows_of(2000, flights=10)
+    rows = dataclasses.replace(rows, scenario=rows.flight % 2)  # five flights of each
+    training, held_out = inner_split(rows, 0.2, 0, "flights")
+    flights = np.unique(rows.flight[held_out])
+    assert len(flights) == 2 and set(flights % 2) == {0, 1}
+    assert not np.isin(rows.flight[training], flights).any()
+    assert ((training | held_out) == ~rows.validation).all()
+
+
+def test_early_validation_needs_enough_rows():
+    with pytest.raises(ValueError, match="no pieces can be held out for early validation"):
+        inner_split(rows_of(100, flights=1), 0.2, 0)
+    with pytest.raises(ValueError, match=r"share is 0\.7"):
+        inner_split(rows_of(), 0.7, 0)
+
+
+def test_early_validation_gives_its_best_weights_and_never_looks_at_validation():
+    """Labels of pure noise: the longer the run, the worse, so the best is not the last."""
+    rows = rows_of(noise=3.0)
+    config = dataclasses.replace(
+        PLAIN, steps=300, learning_rate=2e-2, early_validation=0.4, checkpoint_every=30
+    )
+    run = train(rows, SPEC, config, progress=False)
+    errors = [entry["early_validation"] for entry in run.history]
+    held_out = rows.select(inner_split(rows, 0.4, config.seed)[1])
+    error = predict(run.network, to_batch(held_out)).numpy() - held_out.force_g[:, 2]
+    assert np.mean(error**2) == pytest.approx(min(errors), rel=1e-4)
+    assert run.best_step == run.history[int(np.argmin(errors))]["step"] < 300
+    assert f"step {run.best_step}" in run.chosen
+    spoiled = rows.with_vertical_force(np.where(rows.validation, 100.0, rows.force_g[:, 2]))
+    same = train(spoiled, SPEC, config, progress=False)
+    for a, b in zip(run.network.parameters(), same.network.parameters(), strict=True):
+        assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("name", ["validation", "neighbor", "flight"])
+def test_checkpoint_of_other_rows_or_options_is_refused(name, tmp_path):
+    """The same labels split otherwise would train on rows whose error is then called validation."""
+    rows, path = rows_of(), tmp_path / "checkpoint.safetensors"
+    short = dataclasses.replace(PLAIN, steps=2)
+    train(rows, SPEC, short, path, progress=False)
+    train(rows, SPEC, short, path, progress=False)
+    other = dataclasses.replace(rows, **{name: getattr(rows, name)[::-1].copy()})
+    with pytest.raises(ValueError, match="was written with other options: rows is"):
+        train(other, SPEC, short, path, progress=False)
+    with pytest.raises(ValueError, match=r"options: training.seed is 0 there, 1 here; delete"):
+        train(rows, SPEC, dataclasses.replace(short, seed=1), path, progress=False)

@@ -1,15 +1,22 @@
-"""What became of logs: per file, per vehicle, per scenario. Nothing is dropped without a word."""
+"""What becomes of the files of a fit: what too little data leaves out, and the report of it.
+
+The report is by file, by vehicle and by scenario. Nothing is dropped without a word.
+"""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from swarm_envs.training.flight_logs.options import LogOptions
+from swarm_envs.state import BoolArray, IntArray
+from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import quiet_rows
+from swarm_envs.training.interaction_rows.row_tables import vehicle_name, with_present_types
 from swarm_envs.vehicles import VEHICLES
 
 PLAUSIBLE_SHARE = 0.15
@@ -166,11 +173,76 @@ def _implausible(name: str, vehicle: Calibration) -> list[str]:
     ]
 
 
-def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibration]:
+class JoinedRows(NamedTuple):
+    """Rows of several files."""
+
+    rows: InteractionRows
+    """Of all files together."""
+    origin: IntArray
+    """(R,) which file each row is from."""
+    files: list[FileReport]
+    """What became of each file."""
+
+    def select(self, keep: BoolArray, reason: str) -> JoinedRows:
+        """Return only the rows of an (R,) mask; what goes is counted under `reason` by file."""
+        lost = np.bincount(self.origin[~keep], minlength=len(self.files))
+        files = [
+            replace(f, dropped=f.dropped | {reason: int(n)}) if n else f
+            for f, n in zip(self.files, lost, strict=True)
+        ]
+        return JoinedRows(self.rows.select(keep), self.origin[keep], files)
+
+
+def without_scarce_data(
+    joined: JoinedRows, refused: Sequence[FileReport], options: LogOptions
+) -> tuple[InteractionRows, LogReport]:
+    """Leave out vehicles without calibration, then scenarios with too few rows; and report.
+
+    Args:
+        joined: rows of the sound files, marked as held out or not.
+        refused: files that are not among them.
+        options: how many rows are enough.
+
+    Raises:
+        ValueError: no row is left.
+    """
+    numbers = np.unique(joined.rows.vehicle).tolist()
+    vehicles = {vehicle_name(joined.rows, number): number for number in numbers}
+    unknown = _uncalibrated(joined.rows, vehicles, options)
+    left_out = [vehicles[name] for name in unknown]
+    joined = joined.select(~np.isin(joined.rows.vehicle, left_out), "vehicle not calibrated")
+    scenarios = _scenarios(joined.rows, options)
+    small = [k for k, report in enumerate(scenarios.values()) if report.refused is not None]
+    joined = joined.select(~np.isin(joined.rows.scenario, small), "scenario too small")
+    if not len(joined.rows):
+        reasons = [vehicle.refused for vehicle in unknown.values()]
+        reasons += [scenario.refused for scenario in scenarios.values()]
+        raise ValueError(_no_row_left(joined.files, [text for text in reasons if text]))
+    rows = with_present_types(_without_scenarios(joined.rows, small))
+    count = np.bincount(joined.origin, minlength=len(joined.files))
+    files = [replace(f, rows=int(n)) for f, n in zip(joined.files, count, strict=True)]
+    files = sorted([*files, *refused], key=lambda file: file.file)
+    calibration = _calibrations(rows, vehicles) | unknown
+    held_out = int(rows.validation.sum())
+    return rows, LogReport(files, scenarios, calibration, len(rows), held_out)
+
+
+def _no_row_left(files: Sequence[FileReport], reasons: Sequence[str]) -> str:
+    dropped = sum((Counter(file.dropped) for file in files), Counter[str]())
+    if any(file.kind == "table" for file in files):
+        return f"no row is left of {len(files)} files ({dict(dropped)}): {reasons[0]}"
+    counts = ", ".join(f"{reason}: {count}" for reason, count in dropped.items())
+    return (
+        f"{len(files)} flights give no row (entries left out: {counts}); fly longer, or nearer to "
+        "each other"
+    )
+
+
+def _calibrations(rows: InteractionRows, vehicles: dict[str, int]) -> dict[str, Calibration]:
     """Offsets by vehicle name; see `interaction_rows.calibration` for what a quiet row is."""
     quiet = quiet_rows(rows) & ~rows.validation
     found = {}
-    for name, vehicle in names.items():
+    for name, vehicle in vehicles.items():
         own = rows.vehicle == vehicle
         if not own.any():
             continue
@@ -184,25 +256,41 @@ def calibrate(rows: InteractionRows, names: dict[str, int]) -> dict[str, Calibra
     return found
 
 
-def uncalibrated(
-    rows: InteractionRows, names: dict[str, int], options: LogOptions
+def _uncalibrated(
+    rows: InteractionRows, vehicles: dict[str, int], options: LogOptions
 ) -> dict[str, Calibration]:
     """Vehicles with too few quiet rows, by name, and why none of theirs can be used."""
     reason = (
         f"fewer than {options.min_quiet_rows} training rows are aloft, slow and away from wakes; "
         "add lone flight, or fit with --offsets none if the labels are exact"
     )
-    found = calibrate(rows, names)
-    few = {name: c for name, c in found.items() if c.quiet_rows < options.min_quiet_rows}
-    return {name: replace(c, refused=reason) for name, c in few.items()}
+    found = _calibrations(rows, vehicles)
+    return {
+        name: replace(calibration, refused=reason)
+        for name, calibration in found.items()
+        if calibration.quiet_rows < options.min_quiet_rows
+    }
 
 
-def scenario_report(training: int, held_out: int, options: LogOptions) -> ScenarioReport:
-    """What becomes of a scenario with so many rows: refused if it has too few to learn from."""
-    if training >= options.min_scenario_rows:
-        return ScenarioReport(training, held_out)
-    reason = (
-        f"it has {training} training rows, but must have {options.min_scenario_rows}; fly it "
-        "longer, or set min_scenario_rows lower"
-    )
-    return ScenarioReport(training, held_out, reason)
+def _scenarios(rows: InteractionRows, options: LogOptions) -> dict[str, ScenarioReport]:
+    """Rows of every scenario; refused are those with too few to learn from."""
+    found = {}
+    for index, name in enumerate(rows.scenario_names):
+        own = rows.scenario == index
+        held_out = int((own & rows.validation).sum())
+        training, reason = int(own.sum()) - held_out, None
+        if training < options.min_scenario_rows:
+            reason = (
+                f"it has {training} training rows, but must have {options.min_scenario_rows}; fly "
+                "it longer, or set min_scenario_rows lower"
+            )
+        found[name] = ScenarioReport(training, held_out, reason)
+    return found
+
+
+def _without_scenarios(rows: InteractionRows, small: list[int]) -> InteractionRows:
+    kept = [k for k in range(len(rows.scenario_names)) if k not in small]
+    place = np.zeros(len(rows.scenario_names), dtype=np.int64)
+    place[kept] = np.arange(len(kept))
+    names = tuple(rows.scenario_names[k] for k in kept)
+    return replace(rows, scenario=place[rows.scenario], scenario_names=names)

@@ -1,0 +1,124 @@
+"""How flight logs become rows: the options, and the blocks of time that are held out.
+
+Whole blocks are held out, since neighbouring rows are near copies.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarm_envs.arguments import typed
+from swarm_envs.state import BoolArray, FloatArray
+
+
+@typed
+@dataclass(frozen=True)
+class LogOptions:
+    """How logs of flights become rows, and which rows of tables are held out."""
+
+    rate_hz: float = 100.0
+    """rate of the common clock of a flight's drones; the slowest drone's own rate where less; of
+    tables of rows, their steps per second"""
+    keep_every: int = 3
+    """every so many entries of the clock one row: neighbouring entries are near copies"""
+    max_gap_s: float = 0.05
+    """longer pauses of a log (and of three of its steps) are gaps, and not filled"""
+    smoothing_s: float = 0.1
+    """width of the Hann window over labels from differentiated velocity; logged accelerations are
+    taken as they are, as in the paper"""
+    block_s: float = 5.0
+    """length of the blocks of time of which some are held out, all drones of a flight together"""
+    validation_share: float = 0.2
+    """share of the blocks that is held out"""
+    guard_s: float = 0.5
+    """training rows so near in time to a held-out block of their flight are left out"""
+    split_seed: int = 0
+    """held-out blocks are drawn from it"""
+    resplit: bool = False
+    """draw the held-out blocks of row tables too, though they come with marks; tables without
+    marks get drawn blocks in any case"""
+    check_units: bool = True
+    """refuse row tables whose sizes look like other units"""
+    min_scenario_rows: int = 100
+    """scenarios with fewer training rows are left out"""
+
+    min_quiet_rows: int = 30
+    """vehicles with fewer training rows aloft, slow and away from wakes are left out, since their
+    calibration offset is unknown; 0 keeps all"""
+
+    def __post_init__(self) -> None:
+        positive, rest = ("rate_hz", "max_gap_s", "block_s"), ("smoothing_s", "guard_s")
+        counts = ("split_seed", "min_scenario_rows", "min_quiet_rows")
+        check_fields(self, positive, "finite and above 0", is_positive)
+        check_fields(self, (*rest, *counts), "finite and not negative", is_not_negative)
+        check_fields(self, ("keep_every",), "at least 1", lambda value: value >= 1)
+        share = ("validation_share",)
+        check_fields(self, share, "above 0 and at most 0.5", lambda value: 0.0 < value <= 0.5)
+
+
+def check_fields(
+    options: object, names: Sequence[str], rule: str, holds: Callable[[float], bool]
+) -> None:
+    """Check fields of a dataclass that are not None.
+
+    Raises:
+        ValueError: naming the first field that breaks the rule, and its value.
+    """
+    for name in names:
+        value = getattr(options, name)
+        if value is not None and not holds(value):
+            raise ValueError(f"{name} is {value}, but must be {rule}")
+
+
+def is_positive(value: float) -> bool:
+    """Whether a number is finite and above 0."""
+    return math.isfinite(value) and value > 0.0
+
+
+def is_not_negative(value: float) -> bool:
+    """Whether a number is finite and at least 0."""
+    return math.isfinite(value) and value >= 0.0
+
+
+def held_out_blocks(lengths: Sequence[int], share: float, seed: int) -> list[BoolArray]:
+    """Which blocks of time are held out: of each 1 / share consecutive ones one, drawn at random.
+
+    Args:
+        lengths: number of blocks of each flight; a group of blocks runs on into the next flight.
+        share: of the blocks to hold out; of a single block nothing.
+        seed: of the draw.
+
+    Returns:
+        One mask per flight.
+    """
+    rng, total = np.random.default_rng(seed), sum(lengths)
+    chosen = np.zeros(total, dtype=np.bool_)
+    size = round(1.0 / share)
+    for start in range(0, total if total > 1 else 0, size):
+        place = start + int(rng.integers(size if start else min(size, total)))
+        chosen[place : place + 1] = True
+    return np.split(chosen, np.cumsum(lengths)[:-1])
+
+
+def block_count(duration_s: float, options: LogOptions) -> int:
+    """Number of blocks of a flight."""
+    return int(duration_s / options.block_s) + 1
+
+
+def is_held_out(time: FloatArray, blocks: BoolArray, options: LogOptions) -> BoolArray:
+    """Which of the times (R,), s since the flight's start, lie in a held-out block."""
+    return blocks[(time / options.block_s).astype(np.int64)]
+
+
+def is_guarded(time: FloatArray, blocks: BoolArray, options: LogOptions) -> BoolArray:
+    """Which of the times (R,), s, lie outside held-out blocks but within the guard gap of one."""
+    guarded = np.zeros(len(time), dtype=np.bool_)
+    for block in np.flatnonzero(blocks):
+        begin = block * options.block_s - options.guard_s
+        end = (block + 1) * options.block_s + options.guard_s
+        guarded |= (time > begin) & (time < end)
+    return guarded & ~is_held_out(time, blocks, options)
