@@ -128,9 +128,9 @@ def _curriculum(arguments: Sequence[str]) -> int:
 
 
 def _reproduce(arguments: Sequence[str]) -> int:
-    from swarm_envs.commands.reproduce import run_reproduce
+    from swarm_envs.commands.reproduce import reproduce_paper
 
-    return run_reproduce(arguments, _read, main)
+    return reproduce_paper(arguments, _read)
 
 
 def _in_module(name: str, module_name: str = "") -> Callable[[Sequence[str]], int]:

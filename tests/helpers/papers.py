@@ -1,100 +1,120 @@
-"""Synthetic tables and figures: what `swarm-envs reproduce all` would have run, without running."""
+"""Synthetic tables and figures for the runner of studies, and real ones run quietly."""
 
 from __future__ import annotations
 
 import base64
-import json
-from collections.abc import Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar, Literal
 
-from swarm_envs.training.reproduce.everything.item import Item, Preset
-from swarm_envs.training.reproduce.everything.rows import Range, Reason, Row, about
-from swarm_envs.training.reproduce.everything.runner import Job, Outcome
+from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about
+from swarm_envs.training.reproduce.papers import load_paper
+from swarm_envs.training.reproduce.reproduce_all import ReproduceAllOptions, StudyOutcome
+from swarm_envs.training.reproduce.study import Report, Study, StudyOptions, run_study
 
 PIXEL = base64.b64decode(
     "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mP8z8BQDwAEhQGAhKmMIQAAAABJRU5ErkJggg=="
 )
 """The smallest PNG."""
-ROWS = (
-    Row(quantity="error, cm", paper="17", ours=16.0, agrees=about(17.0, 0.3)),
-    Row(
-        quantity="error with `belief`, cm",
-        paper="7",
-        ours=0.5,
+CLAIMS = (
+    Claim("error, cm", "17", 16.0, about(17.0, 0.3)),
+    Claim(
+        "error with `belief`, cm",
+        "7",
+        0.5,
+        about(7.0, 0.3),
+        (Reason("calmer <air> & better models", Range(0.0, 7.0)),),
         spread=(0.4, 0.6),
         spread_is="quartiles",
-        agrees=about(7.0, 0.3),
-        reasons=(Reason("calmer <air> & better models", Range(0.0, 7.0)),),
     ),
-    Row(quantity="robots", paper="12", ours=3.0, agrees=Range(12.0, 12.0)),
-    Row(quantity="least distance, m", paper="-", ours=0.25),
+    Claim("robots", "12", 3.0, Range(12.0, 12.0)),
+    Claim("least distance, m", "-", 0.25),
 )
-"""One row of each verdict."""
+"""One claim of each agreement."""
 
 
-def read(folder: Path, preset: Preset) -> Sequence[Row]:
-    """The rows, the first of which holds what the command wrote."""
-    value = json.loads((folder / "value.json").read_text())
-    first = Row(quantity="value", paper="1", ours=value, agrees=about(1.0, 0.1))
-    return (first, *ROWS)
+@dataclass(frozen=True, kw_only=True)
+class TinyOptions(StudyOptions):
+    """Options of a paper that is not there."""
+
+    paper: ClassVar[str] = "paper"
+
+    figure: Literal["a", "b", "c"] | None = None
+    """letter of the figure"""
 
 
-def item(name: str, *words: str, pictures: tuple[str, ...] = ()) -> Item:
-    """A figure remade by `write OUT` and more words."""
-    return Item(
-        paper="paper",
-        name=name,
-        label=f"Fig. {name}",
-        shows="a <b>bold</b> thing & more",
-        full=(("write", "{out}", *words),),
-        read=read,
-        pictures=pictures,
-    )
+OPTIONS = TinyOptions
+STUDIES: list[Study] = []
 
 
-MISSING = Item(
+class Runs:
+    """Counts what is run, and goes wrong as `fails` says by the letter of the figure."""
+
+    def __init__(self, **fails: BaseException) -> None:
+        self.asked: list[str] = []
+        self.fails = fails
+
+    def report(self, options: TinyOptions, cells: Mapping[str, Any]) -> Report:
+        """The value 1.05 and a picture, or what goes wrong."""
+        letter = str(options.figure)
+        self.asked.append(letter)
+        if letter in self.fails:
+            raise self.fails[letter]
+        return Report({"value": 1.05}, "said", files={f"{letter}.png": write_pixel})
+
+    def study(self, letter: str, pictures: tuple[str, ...] = ()) -> Study:
+        """A figure that this runs, in the place of the last with that letter."""
+        study = Study(
+            paper="paper",
+            name=f"figure-{letter}",
+            label=f"Fig. {letter}",
+            shows="a <b>bold</b> thing & more",
+            report=self.report,
+            claims=claims_of,
+            pictures=pictures,
+        )
+        STUDIES[:] = [s for s in STUDIES if s.name != study.name] + [study]
+        return study
+
+
+def write_pixel(path: Path) -> None:
+    """The smallest picture."""
+    path.write_bytes(PIXEL)
+
+
+def claims_of(numbers: Any, extent: Extent) -> list[Claim]:
+    """The claims, the first of which holds what was measured."""
+    return [Claim("value", "1", numbers["value"], about(1.0, 0.1)), *CLAIMS]
+
+
+MISSING = Study(
     paper="paper", name="photo", label="Fig. 0", shows="drones", missing="a photograph <here>"
 )
 """A figure that nothing remakes."""
 
 
-class Written:
-    """Executes `write OUT [fail | stop | die]`, and keeps what it was asked for."""
-
-    def __init__(self) -> None:
-        self.asked: list[str] = []
-        self.heals = False
-
-    def __call__(self, words: Sequence[str]) -> int:
-        """Write the value, or go wrong as the words say."""
-        folder, ways = Path(words[1]), () if self.heals else words[2:]
-        self.asked.append(folder.name)
-        if "stop" in ways:
-            return 130
-        if "die" in ways:
-            raise RuntimeError("no <air>")
-        if "fail" in ways:
-            return 1
-        (folder / "value.json").write_text("1.05")
-        (folder / "a.png").write_bytes(PIXEL)
-        return 0
-
-
-def job(out: Path, execute: Written) -> Job:
-    """A run into a folder."""
-    return Job(out, "full", None, execute)
-
-
-def outcomes(out: Path) -> list[Outcome]:
+def outcomes(out: Path) -> list[StudyOutcome]:
     """One of each state, the finished one with a picture in its folder."""
-    shown = item("one", pictures=("a.png",))
-    folder = out / shown.key
-    folder.mkdir(parents=True)
-    (folder / "a.png").write_bytes(PIXEL)
+    make = Runs().study
+    shown = make("a", ("a.png",))
+    (out / shown.key).mkdir(parents=True)
+    write_pixel(out / shown.key / "a.png")
     command = "swarm-envs reproduce paper --out 'a b' --figure 1 > <nowhere> && " + "long " * 60
     return [
-        Outcome(shown, "done", (command,), ROWS, 12.0),
-        Outcome(item("two"), "failed", (command,), (), 1.0, "no <script>alert(1)</script>"),
-        Outcome(item("three"), "not run", (command,)),
-        Outcome(MISSING, "not remade"),
+        StudyOutcome(shown, "done", (command,), CLAIMS, 12.0),
+        StudyOutcome(make("b"), "failed", (command,), (), 1.0, "no <script>alert(1)</script>"),
+        StudyOutcome(make("c"), "not run", (command,)),
+        StudyOutcome(MISSING, "not remade"),
     ]
+
+
+def everything_into(out: Path) -> ReproduceAllOptions:
+    """Options of `reproduce all`."""
+    return ReproduceAllOptions(out=out)
+
+
+def run_quietly(paper: str, **asked: Any) -> tuple[dict[str, Any], str]:
+    """Run a study without a progress bar; give its numbers and what it prints."""
+    options = load_paper(paper).OPTIONS(**asked)
+    return run_study(options.chosen, options, progress=False)

@@ -6,10 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from swarm_envs.training.force_model import FitConfig, fit
 from swarm_envs.training.force_model.evaluate import Errors
-from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.force_model.pipeline import fit
-from swarm_envs.training.reproduce.table_plot import is_three_drones
+from swarm_envs.training.reproduce.ablation import is_three_drones
 
 
 def three_drones(errors: Errors) -> float:

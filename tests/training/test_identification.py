@@ -8,9 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from swarm_envs.cli import main
-from swarm_envs.training.reproduce.identification import fit, mass_and_thrust, motor_rate
-from swarm_envs.training.reproduce.rth3d.letters import snapshots
+from swarm_envs.training.reproduce.identified_vehicles import (
+    fit_polynomial,
+    mass_and_thrust,
+    motor_rate,
+)
+from swarm_envs.training.reproduce.rth3d_letters import snapshots
 from swarm_envs.vehicles import GRAM_FORCE, SMALL
 
 
@@ -27,12 +30,12 @@ def test_a_polynomial_is_found_with_its_errors():
     x, v = rng.uniform(0.3, 1.0, (2, 4000))
     wanted = np.array([11.0, -39.0, -9.5, 20.6, 38.4])
     exact = wanted @ [np.ones_like(x), x, v, x * x, x * v]
-    found, error = fit(exact, x, v)
+    found, error = fit_polynomial(exact, x, v)
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
     assert error.max() < 1e-8
     misses = []
     for _ in range(40):
-        found, error = fit(exact + rng.normal(0.0, 0.1, len(x)), x, v)
+        found, error = fit_polynomial(exact + rng.normal(0.0, 0.1, len(x)), x, v)
         misses.append((found - wanted) / error)
     assert 0.8 < np.std(misses) < 1.2  # standard errors are what estimates scatter by
 
@@ -42,12 +45,3 @@ def test_letters_stand_before_goals_change():
     goal[3:, 0, 0], goal[5:, 1, 2] = 1.0, 2.0
     recording = SimpleNamespace(goal=goal, time=np.arange(7.0))
     assert snapshots(recording) == [0, 2, 4, 6]  # type: ignore[arg-type]
-
-
-@pytest.mark.slow
-def test_the_table_and_the_letters_are_remade(tmp_path, capsys):
-    assert main(["reproduce", "neural-swarm2", "--table", "1", "--out", str(tmp_path)]) == 0
-    assert main(["reproduce", "rth3d", "--figure", "11", "--out", str(tmp_path)]) == 0
-    assert "10 drones wrote 5 of 5 letters" in capsys.readouterr().out
-    for name in ("table_1", "figure_11"):
-        assert all((tmp_path / f"{name}.{kind}").is_file() for kind in ("json", "csv", "png"))

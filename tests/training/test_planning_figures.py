@@ -12,12 +12,16 @@ from swarm_envs.cli import main
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import load
 from swarm_envs.physics import bullet_available
-from swarm_envs.training.reproduce.planning.figure_6 import format_figure_6, reproduce_figure_6
-from swarm_envs.training.reproduce.planning.figure_7 import format_figure_7, reproduce_figure_7
-from swarm_envs.training.reproduce.planning.flight import fly_plan
-from swarm_envs.training.reproduce.planning.plant import track_plan
-from swarm_envs.training.reproduce.planning.scenarios import SCENARIOS, draw_swap
-from swarm_envs.training.reproduce.planning.trials import TrialSettings, fly_trial, kept_plan
+from swarm_envs.training.reproduce.planned_swaps import (
+    SCENARIOS,
+    TrialSettings,
+    draw_swap,
+    fly_plan,
+    fly_trial,
+    kept_plan,
+    track_plan,
+)
+from tests.helpers.papers import run_quietly
 
 SETTINGS = TrialSettings(load_belief())
 ENGINE = "bullet" if bullet_available() else "batch"
@@ -95,27 +99,27 @@ def test_the_command_checks_its_options(options, said, capsys):
 
 @pytest.mark.slow
 def test_figure_6_keeps_the_small_ones_out_of_the_downwash(tmp_path):
-    summary = reproduce_figure_6(tmp_path, trials=3, progress=False)
+    summary, said = run_quietly("neural-swarm2", figure=6, trials=3, engine="batch", out=tmp_path)
     # Both orders cost the same: which one a seed finds turns with the last bit of the dynamics.
     assert all(sum(found.values()) == 3 for found in summary["orders"].values())
     small = [row for row in summary["rows"] if row["vehicle"] == "S"]
     worst = {p: max(r["model_plant_force_g"] for r in small if r["planner"] == p)
              for p in ("aware", "unaware")}  # fmt: skip
     assert worst["aware"] <= 5.5 < 8.0 < worst["unaware"]
-    assert "aware: L below S in" in format_figure_6(summary)
+    assert "aware: L below S in" in said
     assert (tmp_path / "figure_6.png").stat().st_size > 50_000
-    again = reproduce_figure_6(tmp_path, trials=1, progress=False)
+    again, _ = run_quietly("neural-swarm2", figure=6, trials=1, engine="batch", out=tmp_path)
     assert again["rows"] == summary["rows"]  # from the plans that are kept
 
 
 @pytest.mark.slow
 def test_figure_7_holds_in_every_scenario_and_trial(tmp_path):
-    summary = reproduce_figure_7(tmp_path, engine=ENGINE, progress=False)
-    said = summary["verdicts"]
-    assert said["aware_within_bound"]
-    assert said["aware_error_smaller"]
-    assert said["unaware_violates"] == dict.fromkeys(("SL", "SSL", "LL"), True)
+    summary, said = run_quietly("neural-swarm2", figure=7, engine=ENGINE, out=tmp_path)
+    checked = summary["verdicts"]
+    assert checked["aware_within_bound"]
+    assert checked["aware_error_smaller"]
+    assert checked["unaware_violates"] == dict.fromkeys(("SL", "SSL", "LL"), True)
     assert len(summary["cells"]) == 2 * 5 * len(SCENARIOS)
-    assert "in every trial: yes" in format_figure_7(summary)
+    assert "in every trial: yes" in said
     for name in ("figure_7.csv", "figure_7.png", "figure_7_plain.png", "figure_7_compensated.png"):
         assert (tmp_path / name).is_file()

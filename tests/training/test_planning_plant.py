@@ -9,17 +9,25 @@ from scipy.integrate import solve_ivp
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.control.config import MID, PositionGains
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.reproduce.planning.figure_7_plot import plot_figure_7
-from swarm_envs.training.reproduce.planning.plant import PID, PidGains, plan_at, track_plan
-from swarm_envs.training.reproduce.planning.scenarios import (
+from swarm_envs.training.reproduce.planned_swaps import (
     JITTER_M,
+    PID,
+    PLANNERS,
     SCENARIOS,
     SPACING_M,
+    PidGains,
     draw_swap,
     figure_6_swap,
+    measure_track,
+    plan_at,
+    track_plan,
 )
-from swarm_envs.training.reproduce.planning.summary import format_rows, scenario_rows, verdicts
-from swarm_envs.training.reproduce.planning.trials import PLANNERS, measure
+from swarm_envs.training.reproduce.planned_trials_figure import (
+    check_scenarios,
+    format_scenarios,
+    plot_trials,
+    scenario_rows,
+)
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 
 DT = 0.1
@@ -106,7 +114,7 @@ def test_measures_of_a_known_force():
     plan = plan_of(np.zeros((5, 2, 3)), places)
     team, model = parse_team("LS"), load("learned")
     track = track_plan(plan, team, model, PidGains(4000.0, 100.0, 1.0))
-    found = measure(track, team)
+    found = measure_track(track, team)
     force = model.forces(places[None], np.zeros((1, 2, 3)), team)[0, :, 2] / GRAM_FORCE
     assert found["force_g"] == pytest.approx(np.abs(force), abs=0.3)
     assert found["over_bound"] == pytest.approx(abs(force[1]) / 5.0, rel=0.03)
@@ -156,7 +164,7 @@ def by_hand(team, planner, seed):
     """The cell of a trial whose plan is made by hand."""
     track = track_plan(straight(draw_swap(team, seed), planner), parse_team(team), load("learned"))
     about = {"scenario": team, "planner": planner, "seed": seed}
-    return {**about, "model_plant": measure(track, parse_team(team))}
+    return {**about, "model_plant": measure_track(track, parse_team(team))}
 
 
 def test_trials_by_hand_tell_the_planners_apart(tmp_path):
@@ -170,7 +178,7 @@ def test_trials_by_hand_tell_the_planners_apart(tmp_path):
     assert [(row["scenario"], row["planner"]) for row in rows] == [
         ("SL", "unaware"), ("SL", "aware"), ("LL", "unaware"), ("LL", "aware")
     ]  # fmt: skip
-    said = verdicts(rows)
+    said = check_scenarios(rows)
     assert said["unaware_violates"] == {"SL": True, "LL": True}
     assert said["aware_error_smaller"]
     unaware = rows[2]
@@ -178,10 +186,10 @@ def test_trials_by_hand_tell_the_planners_apart(tmp_path):
     worst = max(max(c["model_plant"]["force_g"]) for c in cells[6:] if c["planner"] == "unaware")
     assert unaware["worst_force_L_g"] == pytest.approx(worst, abs=1e-3)
     assert unaware["worst_over_bound"] == pytest.approx(worst / 10.0, abs=1e-3)
-    assert f"{unaware['worst_error_cm']:.2f}" in format_rows(rows, "by hand")
+    assert f"{unaware['worst_error_cm']:.2f}" in format_scenarios(rows, "by hand")
     other = {"aware": "unaware", "unaware": "aware"}
-    swapped = verdicts([{**row, "planner": other[row["planner"]]} for row in rows])
+    swapped = check_scenarios([{**row, "planner": other[row["planner"]]} for row in rows])
     assert not swapped["aware_error_smaller"]
     assert not swapped["aware_within_bound"]
-    plot_figure_7(tmp_path / "figure.png", cells, "by hand")
+    plot_trials(tmp_path / "figure.png", cells, "by hand")
     assert (tmp_path / "figure.png").stat().st_size > 20_000

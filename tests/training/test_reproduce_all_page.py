@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from swarm_envs.training.reproduce.everything.page import markdown, page, results
+from swarm_envs.training.reproduce.papers import PAPERS, Paper
+from swarm_envs.training.reproduce.reproduce_page import html_page, markdown_page
 from tests.helpers.papers import outcomes
 
 ABOUT = ("By `swarm-envs reproduce all` & <more>.",)
@@ -40,10 +41,15 @@ class Reader(HTMLParser):
         self.text.append(data)
 
 
+@pytest.fixture(autouse=True)
+def paper(monkeypatch):
+    monkeypatch.setitem(PAPERS, "paper", Paper("A <paper>", "", "tests.helpers.papers"))
+
+
 @pytest.fixture
 def written(tmp_path):
     path = tmp_path / "index.html"
-    path.write_text(page(outcomes(tmp_path), ABOUT, tmp_path), encoding="utf-8")
+    path.write_text(html_page(outcomes(tmp_path), ABOUT, tmp_path), encoding="utf-8")
     return path
 
 
@@ -70,7 +76,7 @@ def test_everything_that_was_found_stands_on_the_page(written):
 
 
 def test_the_table_in_markdown_has_a_line_for_each_row(tmp_path):
-    text = markdown(outcomes(tmp_path), ABOUT)
+    text = markdown_page(outcomes(tmp_path), ABOUT)
     assert text.startswith(f"# Side by side\n\n{ABOUT[0]}\n")
     assert "Of 4 numbers 1 agree, 1 differ for a known reason, 1 differ, unexplained, 1" in text
     lines = [line for line in text.splitlines() if line.startswith("|")]
@@ -79,7 +85,7 @@ def test_the_table_in_markdown_has_a_line_for_each_row(tmp_path):
 
 
 def test_results_are_json(tmp_path):
-    entries = results(outcomes(tmp_path), {"preset": "quick"})["items"]
+    entries = [outcome.as_json() for outcome in outcomes(tmp_path)]
     assert [entry["state"] for entry in entries] == ["done", "failed", "not run", "not remade"]
     assert [row["verdict"] for row in entries[0]["rows"]][1] == "explained"
     assert entries[0]["rows"][1]["agrees"] == "4.9 to 9.1"

@@ -1,29 +1,29 @@
-"""How measured numbers are set beside the papers': from files as the commands write them."""
+"""How measured numbers are set beside the papers': from numbers as the studies write them."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 import pytest
 
-from swarm_envs.training.reproduce.everything import dmpc_swarm_rows as dmpc
-from swarm_envs.training.reproduce.everything import neural_swarm_rows as neural
-from swarm_envs.training.reproduce.everything import neural_swarm_tables as tables
-from swarm_envs.training.reproduce.everything import rth3d_rows as grids
-from swarm_envs.training.reproduce.everything.rows import Row
+from swarm_envs.training.reproduce.ablation import ablation_claims
+from swarm_envs.training.reproduce.claims import Claim, Extent
+from swarm_envs.training.reproduce.papers import numbered_studies
+
+STUDIES = numbered_studies()
 
 
-def written(folder: Path, name: str, content: Mapping[str, Any]) -> Path:
-    (folder / name).write_text(json.dumps(content))
-    return folder
+def claims_of(key: str, numbers: Any, quick: bool = False) -> dict[str, Claim]:
+    claims = STUDIES[key].claims
+    assert claims is not None
+    return by_name(claims(numbers, Extent(quick)))
 
 
-def by_name(rows: list[Row]) -> dict[str, Row]:
-    found = {row.quantity: row for row in rows}
-    assert len(found) == len(rows)
+def by_name(claims: Iterable[Claim]) -> dict[str, Claim]:
+    listed = list(claims)
+    found = {claim.quantity: claim for claim in listed}
+    assert len(found) == len(listed)
     return found
 
 
@@ -37,22 +37,22 @@ def swap(name: str, before: float, after: float, p_value: float) -> dict[str, An
     return {"case": name, "paper_cm": (17.0, 7.0), "ratio": ratio, "p_value": p_value, **sides}
 
 
-def test_swaps_stand_beside_the_paper_s_medians(tmp_path):
+def test_swaps_stand_beside_the_paper_s_medians():
     cases = [swap("L2S", 16.0, 0.5, 0.03), swap("S2S", 9.0, 9.5, 0.4)]
     air = {"truth": {"name": "wake"}, "cases": cases}
-    rows = by_name(neural.swaps(written(tmp_path, "figure_8.json", {"truths": [air]}), "quick"))
+    rows = claims_of("neural-swarm2/figure-8", {"truths": [air]}, quick=True)
     without, with_ = (rows[f"`wake` air, L2S: error {side}, cm"] for side in ("without", "with"))
-    assert (without.ours, without.verdict, with_.verdict) == (16.0, "agrees", "explained")
+    assert (without.ours, without.agreement, with_.agreement) == (16.0, "agrees", "explained")
     assert with_.spread == pytest.approx((0.45, 0.55))
     assert with_.reason is not None and "hall" in with_.reason.text
     improving = rows["`wake` air: share of cases whose median improves"]
-    assert (improving.ours, improving.verdict) == (0.5, "unexplained")
+    assert (improving.ours, improving.agreement) == (0.5, "unexplained")
 
 
-def test_a_larger_error_than_the_paper_s_is_not_explained_by_calmer_air(tmp_path):
+def test_a_larger_error_than_the_paper_s_is_not_explained_by_calmer_air():
     air = {"truth": {"name": "wake"}, "cases": [swap("L2S", 17.0, 12.0, 0.03)]}
-    rows = by_name(neural.swaps(written(tmp_path, "figure_8.json", {"truths": [air]}), "full"))
-    assert rows["`wake` air, L2S: error with, cm"].verdict == "unexplained"
+    rows = claims_of("neural-swarm2/figure-8", {"truths": [air]})
+    assert rows["`wake` air, L2S: error with, cm"].agreement == "unexplained"
 
 
 def cell(total: list[float | None], least: float) -> dict[str, Any]:
@@ -68,29 +68,29 @@ def cell(total: list[float | None], least: float) -> dict[str, Any]:
     }
 
 
-def test_compute_units_by_what_they_save(tmp_path):
+def test_compute_units_by_what_they_save():
     times = {"1 CU": [70.0], "2 CUs": [45.0], "3 CUs": [60.0, 40.0, 36.0]}
     cells = {name: cell(list(t), 0.25) for name, t in times.items()}
-    rows = by_name(dmpc.figure_3b(written(tmp_path, "figure_3b.json", {"cells": cells}), "full"))
+    rows = claims_of("dmpc-swarm/figure-3b", {"cells": cells})
     saved = rows["time that the second unit saves over what the third saves"]
-    assert (saved.ours, saved.verdict) == (5.0, "agrees")
+    assert (saved.ours, saved.agreement) == (5.0, "agrees")
     assert rows["3 CUs: all four changes of formation, s"].spread == (36.0, 60.0)
-    assert {row.verdict for row in rows.values()} == {"agrees"}
+    assert {row.agreement for row in rows.values()} == {"agrees"}
 
 
-def test_a_jam_without_recovery(tmp_path):
+def test_a_jam_without_recovery():
     cells = {
         "jam, ours": cell([None], 0.2),
         "jam, paper's": cell([31.0], 0.25),
         "jam, none": cell([20.0], 0.05),
     }
-    rows = by_name(dmpc.figure_4(written(tmp_path, "figure_4.json", {"cells": cells}), "quick"))
+    rows = claims_of("dmpc-swarm/figure-4", {"cells": cells}, quick=True)
     nearest = "least scaled distance of two references, m"
-    assert rows[f"our recovery: {nearest}"].verdict == "unexplained"
-    assert rows[f"the paper's recovery: {nearest}"].verdict == "agrees"
-    assert rows[f"without recovery: {nearest}"].verdict == "agrees"
+    assert rows[f"our recovery: {nearest}"].agreement == "unexplained"
+    assert rows[f"the paper's recovery: {nearest}"].agreement == "agrees"
+    assert rows[f"without recovery: {nearest}"].agreement == "agrees"
     assert rows["our recovery: share of runs in which all arrive"].ours == 0.0
-    assert rows["our recovery: time to the last arrival, s"].verdict == "unexplained"
+    assert rows["our recovery: time to the last arrival, s"].agreement == "unexplained"
 
 
 def point(grid: str, method: str, before: float, robots: int = 100) -> dict[str, Any]:
@@ -110,28 +110,27 @@ def point(grid: str, method: str, before: float, robots: int = 100) -> dict[str,
         ("quick", 1.58, "explained"),
     ],
 )
-def test_ratios_of_makespans(tmp_path, preset, largest, verdict):
+def test_ratios_of_makespans(preset, largest, verdict):
     points = [
         point(grid, method, value)
         for method in ("rth3d", "rth3d-lba", "auto")
         for grid, value in (("12x6x3", 2.5), ("48x24x12", largest))
     ]
-    rows = by_name(grids.figure_5(written(tmp_path, "points.json", {"points": points}), preset))
-    assert rows["uniform 48 x 24 x 12, `rth3d`: ratio before compaction"].verdict == verdict
+    rows = claims_of("rth3d/figure-5", {"points": points}, preset == "quick")
+    assert rows["uniform 48 x 24 x 12, `rth3d`: ratio before compaction"].agreement == verdict
     ratio = rows["uniform 48 x 24 x 12, `rth3d`: ratio before compaction"]
     if ratio.reason is not None:  # small grids have larger ratios, never smaller ones
         assert ("--quick" in ratio.reason.text) == (largest > 1.7)
     fallen = rows["uniform, `rth3d`: ratio on the largest grid over the smallest"]
-    assert (fallen.ours, fallen.verdict) == (largest / 2.5, "agrees")
+    assert (fallen.ours, fallen.agreement) == (largest / 2.5, "agrees")
 
 
-def test_a_curve_that_is_not_there_is_named(tmp_path):
-    written(tmp_path, "points.json", {"points": []})
+def test_a_curve_that_is_not_there_is_named():
     with pytest.raises(ValueError, match="no curve of 'rth3d' on 'uniform'"):
-        grids.figure_6(tmp_path, "full")
+        claims_of("rth3d/figure-6", {"points": []})
 
 
-def test_table_3_by_ratios_to_its_first_cell(tmp_path):
+def test_table_3_by_ratios_to_its_first_cell():
     names = {"H=20,L=4": (6.42, 6.4), "L=5": (7.21, 6.5), "no-relative-velocity": (7.6, 7.2)}
     rows = [
         {
@@ -144,9 +143,9 @@ def test_table_3_by_ratios_to_its_first_cell(tmp_path):
         for name, (paper, ours) in names.items()
     ]
     rows.append({"cell": "pairwise", "paper_g2": None})
-    found = by_name(tables.ablation(written(tmp_path, "table_3.json", {"rows": rows}), "full"))
-    assert found["H=20,L=4: validation error, g²"].verdict == "agrees"
+    found = by_name(ablation_claims({"rows": rows}, Extent()))
+    assert found["H=20,L=4: validation error, g²"].agreement == "agrees"
     deep = found["L=5: error over that of H=20,L=4"]
-    assert deep.ours == pytest.approx(6.5 / 6.4) and deep.verdict == "explained"
-    assert found["no-relative-velocity: error over that of H=20,L=4"].verdict == "agrees"
+    assert deep.ours == pytest.approx(6.5 / 6.4) and deep.agreement == "explained"
+    assert found["no-relative-velocity: error over that of H=20,L=4"].agreement == "agrees"
     assert len(found) == 5

@@ -12,21 +12,30 @@ from PIL import Image
 
 from swarm_envs.cli import main
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.reproduce.bins import (
+from swarm_envs.training.reproduce.force_bins import (
     COLUMNS,
     KINDS,
-    compare,
+    bin_errors,
     predict_bins,
     read_bins,
 )
-from swarm_envs.training.reproduce.cases import CASES, READINGS
-from swarm_envs.training.reproduce.figure import reproduce_figure
-from swarm_envs.training.reproduce.forces import force_on_ego_g, superposed_force_g
-from swarm_envs.training.reproduce.larger import examine, rings, stack
-from swarm_envs.training.reproduce.maps import all_maps, force_map
-from swarm_envs.training.reproduce.style import force_colors
+from swarm_envs.training.reproduce.force_map_figure import (
+    examine_formation,
+    reproduce_figure,
+    ring_places,
+    stack_places,
+)
+from swarm_envs.training.reproduce.heat_maps import (
+    MAP_CASES,
+    READINGS,
+    all_maps,
+    force_map,
+    force_on_ego_g,
+    superposed_force_g,
+)
+from swarm_envs.viewing.style import force_colors
 
-CASE = {case.letter: case for case in CASES}
+CASE = {case.letter: case for case in MAP_CASES}
 
 
 def wake_that_adds(exponent):
@@ -51,7 +60,7 @@ def test_the_cases_are_those_of_the_paper():
     assert not CASE["a"].neighbours
     assert [tuple(n) for n in CASE["e"].neighbours] == [("L", -0.1, 0.5, 0), ("S", 0.1, 0.5, 0)]
     assert [n.kind for n in CASE["g"].neighbours] == ["S"] * 3
-    assert [n.vy for c in CASES for n in c.neighbours if n.vy] == [0.8]
+    assert [n.vy for c in MAP_CASES for n in c.neighbours if n.vy] == [0.8]
     assert {r.paper_g for r in READINGS} == {5.0, -10.0, 11.4}
 
 
@@ -120,10 +129,10 @@ def table(path, offset_g=0.0, add_g=0.0, drop=()):
 
 def test_calibration_forgives_offsets_and_nothing_else(tmp_path):
     model = load("wake")
-    errors = compare(predict_bins(model, read_bins(table(tmp_path / "a.csv", offset_g=2.0))))
+    errors = bin_errors(predict_bins(model, read_bins(table(tmp_path / "a.csv", offset_g=2.0))))
     assert errors["all"]["root_mean_square_error_g"] == 0.0
     assert errors["all"]["variance_explained"] == 1.0
-    errors = compare(predict_bins(model, read_bins(table(tmp_path / "b.csv", 2.0, add_g=1.5))))
+    errors = bin_errors(predict_bins(model, read_bins(table(tmp_path / "b.csv", 2.0, add_g=1.5))))
     assert errors["ground Ge2S"]["largest_error_g"] == 0.0
     assert errors["vertical L2S"]["largest_error_g"] == -1.5
     assert errors["vertical L2S"]["mean_error_g"] == -0.5
@@ -157,19 +166,19 @@ def test_a_scenario_without_a_baseline_is_refused(tmp_path):
 def test_the_shipped_model_is_calibrated(shared_data):
     bins = read_bins(shared_data / "reference" / "measured_force_bins.csv")
     assert len(bins) == 287
-    errors = compare(predict_bins(load("learned"), bins))
+    errors = bin_errors(predict_bins(load("learned"), bins))
     assert errors["all"]["variance_explained"] > 0.97
     assert all(group["root_mean_square_error_g"] < 1.0 for group in errors.values())
 
 
 def test_larger_swarms_count_their_neighbours():
-    swarm = examine(wake_that_adds(1.0), "stack", "S" * 16)
+    swarm = examine_formation(wake_that_adds(1.0), "stack", "S" * 16)
     assert swarm.neighbours.tolist() == [4, 5, 6, 7, *[8] * 8, 7, 6, 5, 4]
     assert swarm.joint_g == pytest.approx(swarm.superposed_g, abs=1e-9)
     assert swarm.joint_g[-1] == pytest.approx(0.0, abs=1e-2)
-    assert examine(load("wake"), "rings", "S" * 16).neighbours.tolist() == [15] * 16
-    assert np.ptp(stack(5)[:, 2]) == pytest.approx(1.0)
-    apart = np.linalg.norm(rings(16)[:, None] - rings(16)[None], axis=-1)
+    assert examine_formation(load("wake"), "rings", "S" * 16).neighbours.tolist() == [15] * 16
+    assert np.ptp(stack_places(5)[:, 2]) == pytest.approx(1.0)
+    apart = np.linalg.norm(ring_places(16)[:, None] - ring_places(16)[None], axis=-1)
     assert apart[apart > 0].min() > 0.12  # no two small drones touch
 
 

@@ -16,20 +16,24 @@ from swarm_envs.cli import main
 from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask
 from swarm_envs.tasks.swap import SwapTask
-from swarm_envs.training.reproduce import flown as flown_module
-from swarm_envs.training.reproduce.flight_cases import (
+from swarm_envs.training.reproduce.paired_flight_figures import (
+    check_rings,
+    check_swaps,
+    format_flights,
+)
+from swarm_envs.training.reproduce.paired_flights import (
     PLAIN_SWAPS,
     STRONG_SWAPS,
     SWAPS,
+    compare_paired,
+    fly_case,
+    fly_or_read,
     ring_case,
+    signed_rank_p,
     swap_case,
 )
-from swarm_envs.training.reproduce.flight_claims import ring_claims, swap_claims
-from swarm_envs.training.reproduce.flight_report import format_report
-from swarm_envs.training.reproduce.flight_tests import FlightPlan, reproduce_flights
-from swarm_envs.training.reproduce.flown import fly_case, fly_or_read
-from swarm_envs.training.reproduce.paired import compare, signed_rank_p
 from swarm_envs.vehicles import parse_team
+from tests.helpers.papers import run_quietly
 
 COMMAND = ["reproduce", "neural-swarm2"]
 
@@ -51,22 +55,22 @@ def test_p_is_that_of_counting_all_signs(seed):
 
 def test_pairs_are_compared_as_by_hand():
     without = np.array([8.0, 10.0, 12.0, 20.0])
-    found = compare(without, np.array([2.0, 4.0, 13.0, 1.0]))
-    assert found.without == {"median": 11.0, "lower_quartile": 9.5, "upper_quartile": 14.0}
-    assert found.compensated["median"] == 3.0
-    assert found.ratio == pytest.approx(3 / 11)
-    assert found.made_worse == 1
-    assert found.p_value == pytest.approx(4 / 16)  # ranks 2, 3, 1, 4; the smallest against the rest
-    assert not found.significant
+    found = compare_paired(without, np.array([2.0, 4.0, 13.0, 1.0]))
+    assert found["without"] == {"median": 11.0, "lower_quartile": 9.5, "upper_quartile": 14.0}
+    assert found["compensated"]["median"] == 3.0
+    assert found["ratio"] == pytest.approx(3 / 11)
+    assert found["made_worse"] == 1
+    assert found["p_value"] == pytest.approx(4 / 16)  # ranks 2, 3, 1, 4: 3rd against all
+    assert not found["significant"]
     twenty = np.linspace(5.0, 9.0, 20)
-    assert compare(twenty, np.linspace(0.1, 0.3, 20)).p_value == pytest.approx(2.0**-19)
+    assert compare_paired(twenty, np.linspace(0.1, 0.3, 20))["p_value"] == pytest.approx(2.0**-19)
 
 
 def test_what_is_no_difference_is_none():
     assert signed_rank_p(np.zeros(5)) == 1.0
     for wrong in (np.ones(3), np.ones((2, 2)), np.ones(0)):
         with pytest.raises(ValueError, match="are no pairs"):
-            compare(wrong, np.ones(0) if wrong.ndim == 1 else wrong)
+            compare_paired(wrong, np.ones(0) if wrong.ndim == 1 else wrong)
 
 
 def test_the_cases_are_those_of_the_paper():
@@ -101,17 +105,17 @@ def row(name, before, after, paper=None):
 
 def test_claims_are_counted_and_a_miss_is_named():
     good = [row(name, 9.0, 4.0, (17.0, 7.0) if name == "L2S" else None) for name in PLAIN_SWAPS]
-    assert [claim.reached for claim in swap_claims(good)] == [True, True, True, False]
-    assert "9.0 to 4.0 cm, a factor of 2.2" in swap_claims(good)[-1].found
+    assert [claim["reached"] for claim in check_swaps(good)] == [True, True, True, False]
+    assert "9.0 to 4.0 cm, a factor of 2.2" in check_swaps(good)[-1]["found"]
     bad = [row(name, 8.0 if k < 5 else 9.0, 4.0) for k, name in enumerate(PLAIN_SWAPS)]
     bad[0], bad[9] = row("S2S", 3.0, 3.5), row("LL2L", 20.0, 11.0)
-    claims = swap_claims(bad)
-    assert [claim.reached for claim in claims] == [False, False, False]
-    assert "not in S2S" in claims[0].found and "not in LL2L" in claims[1].found
-    assert claims[2].found == "5 do"
-    assert len(swap_claims(good[:3])) == 3  # the ten are not there to be counted
-    rings = ring_claims([row("ring of 16", 15.0, 8.0, (15.0, 10.0))])
-    assert [claim.reached for claim in rings] == [False, True]
+    claims = check_swaps(bad)
+    assert [claim["reached"] for claim in claims] == [False, False, False]
+    assert "not in S2S" in claims[0]["found"] and "not in LL2L" in claims[1]["found"]
+    assert claims[2]["found"] == "5 do"
+    assert len(check_swaps(good[:3])) == 3  # the ten are not there to be counted
+    rings = check_rings([row("ring of 16", 15.0, 8.0, (15.0, 10.0))])
+    assert [claim["reached"] for claim in rings] == [False, True]
 
 
 def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
@@ -126,32 +130,6 @@ def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
     )
     assert found.neighbours[1] == 1
     assert (found.judged_cm(None) == found.worst_cm.max(axis=-1)).all()
-
-
-PLAN = FlightPlan(figure=8, truths=("wake",), cases=("S2S", "L2S*"), episodes=2, engine="batch")
-
-
-def test_an_interrupted_figure_goes_on(tmp_path, monkeypatch):
-    cases: list[str] = []
-
-    def counted(case, *arguments):
-        if len(cases) == 1:
-            raise KeyboardInterrupt
-        cases.append(case.name)
-        return fly_case(case, *arguments)
-
-    monkeypatch.setattr(flown_module, "fly_case", counted)
-    with pytest.raises(KeyboardInterrupt):
-        reproduce_flights(tmp_path / "a", PLAN, progress=False)
-    assert not (tmp_path / "a" / "figure_8.json").exists()
-    monkeypatch.setattr(flown_module, "fly_case", fly_case)
-    report = reproduce_flights(tmp_path / "a", PLAN, progress=False)
-    monkeypatch.setattr(flown_module, "fly_case", None)  # nothing is left to be flown
-    assert reproduce_flights(tmp_path / "a", PLAN, progress=False) == report
-    monkeypatch.setattr(flown_module, "fly_case", fly_case)
-    reproduce_flights(tmp_path / "b", PLAN, progress=False)
-    for name in ("figure_8.json", "figure_8.csv", "figure_8.png"):
-        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
 def test_flights_of_other_settings_and_damaged_ones_are_refused(tmp_path):
@@ -173,10 +151,10 @@ def test_the_command_flies_swaps_and_says_what_it_found(tmp_path, capsys):
     files = ["--out", str(tmp_path), "--json", str(copy)]
     assert main([*COMMAND, "--figure", "8", *options, *files]) == 0
     said = capsys.readouterr()
-    assert "Fig. 8" in said.err and "s flown" in said.err
+    assert "Fig. 8" in said.err
     report = json.loads((tmp_path / "figure_8.json").read_text())
     assert report == json.loads(copy.read_text())
-    assert format_report(report) in said.out
+    assert format_flights(report) in said.out
     table = said.out.splitlines()[2:6]
     assert len({len(line) for line in table}) == 1
     assert table[2].split()[0] == "L2S" and "17 -> 7" in table[2]
@@ -222,14 +200,15 @@ def test_the_command_flies_rings(tmp_path, capsys):
 
 
 def test_what_is_odd_is_noted(tmp_path, monkeypatch):
-    module = "swarm_envs.training.reproduce.flight_tests"
+    module = "swarm_envs.training.reproduce.paired_flight_figures"
     monkeypatch.setattr(f"{module}.default_engine", lambda: "batch")
     weights = tmp_path / "learned.safetensors"
     source = load_belief("wake").name
     with open(source, "rb") as file:  # noqa: PTH123
         weights.write_bytes(file.read())
-    plan = FlightPlan(figure=8, truths=(str(weights),), belief=weights, cases=("S2S",), episodes=1)
-    notes = reproduce_flights(tmp_path / "out", plan, progress=False)["notes"]
+    asked = {"figure": 8, "truth": str(weights), "belief": weights, "cases": ("S2S",)}
+    report, _ = run_quietly("neural-swarm2", episodes=1, out=tmp_path / "out", **asked)
+    notes = report["notes"]
     assert "compiled twin of Bullet" in notes[0]
     assert "the very force that blows" in notes[1]
 
@@ -273,8 +252,8 @@ def test_what_cannot_be_flown_fails_before_anything_is_written(options, said, ca
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", [8, 9, 1])
 def test_the_claims_hold_for_both_forces(figure, tmp_path):
-    plan = FlightPlan(figure=figure, episodes=20 if figure == 8 else 5, engine="batch")
-    report = reproduce_flights(tmp_path, plan, progress=False)
+    asked = {"figure": figure, "episodes": 20 if figure == 8 else 5, "engine": "batch"}
+    report, _ = run_quietly("neural-swarm2", out=tmp_path, **asked)
     assert [air["truth"]["name"] for air in report["truths"]] == ["learned", "wake"]
     for air in report["truths"]:
         missed = [claim for claim in air["claims"] if not claim["reached"]]

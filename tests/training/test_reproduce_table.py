@@ -18,22 +18,33 @@ from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, layers
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.reproduce.ablation import (
-    Budget,
-    fit_config,
-    format_table,
-    run_ablation,
-    run_folder,
+    ABLATIONS,
+    AblationPlan,
+    ablation_cells,
+    ablation_report,
 )
-from swarm_envs.training.reproduce.cells import CELLS
+from swarm_envs.training.reproduce.study import run_cells, write_report
 from swarm_envs.vehicles import GRAM_FORCE
 
-CELL = {cell.name: cell for cell in CELLS}
-FIT = "swarm_envs.training.reproduce.ablation.fit"
-SOME = [CELL["H=10"], CELL["no-spectral-norm"]]
+FIT = "swarm_envs.training.force_model.pipeline.fit"
+SOME = ("H=10", "no-spectral-norm")
+
+
+def plan_of(rows, out, cells=tuple(ABLATIONS), seeds=(0,), **length):
+    short = {"steps": 8, "batch_size": 64, **length}
+    return AblationPlan(out=out, data=rows, cells=cells, seeds=seeds, length=short, progress=False)
+
+
+def run_table(plan):
+    """Fit what is not there yet, write the table, and give it."""
+    cells = run_cells(ablation_cells(plan), plan.out, None, progress=False)
+    report = ablation_report(plan, cells)
+    write_report(plan.out, "table_3", report)
+    return report.summary
 
 
 @pytest.fixture(scope="module")
-def budget(tmp_path_factory):
+def rows(tmp_path_factory):
     """Rows in which the force is -20 g m/s times the neighbour's speed in x."""
     rng, count = np.random.default_rng(0), 600
     neighbor = rng.uniform(-0.3, 0.3, (count, 1, 6))
@@ -57,7 +68,7 @@ def budget(tmp_path_factory):
     )
     path = tmp_path_factory.mktemp("rows") / "rows.npz"
     save_rows(path, rows)
-    return Budget(path, steps=8, batch_size=64)
+    return path
 
 
 @pytest.mark.parametrize(
@@ -71,7 +82,7 @@ def budget(tmp_path_factory):
     ],
 )
 def test_sizes_are_those_of_the_paper(name, phi, rho):
-    cell = CELL[name]
+    cell = ABLATIONS[name]
     network = DeepSet(DeepSetSpec(("S", "L"), **cell.changes))
     for module in (*network.phi.values(), network.phi_environment):
         assert [layer.out_features for layer in layers(module)] == phi
@@ -81,7 +92,7 @@ def test_sizes_are_those_of_the_paper(name, phi, rho):
 
 
 def test_the_values_are_those_of_the_paper():
-    values = {c.name: (c.paper_mean, c.paper_deviation) for c in CELLS}
+    values = {c.name: (c.paper_mean, c.paper_deviation) for c in ABLATIONS.values()}
     assert values["H=10"] == (6.70, 0.05)
     assert values["H=20,L=4"] == (6.42, 0.18)
     assert values["H=40"] == (6.63, 0.35)
@@ -118,13 +129,15 @@ def test_every_size_flies_as_it_was_fitted(hidden, depth, blind, anchor, tmp_pat
     assert (np.abs(still - flown).max() < 1e-12) == blind
 
 
-def test_each_cell_changes_one_thing(budget, tmp_path):
-    plain = vars(fit_config(CELL["H=20,L=4"], 0, budget, tmp_path))
+def test_each_cell_changes_one_thing(rows, tmp_path):
+    plain = vars(plan_of(rows, tmp_path).fit_config("H=20,L=4", 0))
     changed = {
-        cell.name: {
-            k: v for k, v in vars(fit_config(cell, 0, budget, tmp_path)).items() if v != plain[k]
+        name: {
+            k: v
+            for k, v in vars(plan_of(rows, tmp_path).fit_config(name, 0)).items()
+            if v != plain[k] and k != "out"
         }
-        for cell in CELLS
+        for name in ABLATIONS
     }
     assert changed == {
         "H=20,L=4": {},
@@ -139,30 +152,27 @@ def test_each_cell_changes_one_thing(budget, tmp_path):
     }
 
 
-def test_velocity_counts_where_the_force_depends_on_it(budget, tmp_path):
-    cells = [CELL["H=20,L=4"], CELL["no-relative-velocity"]]
-    table = run_ablation(
-        tmp_path, budget._replace(steps=600, learning_rate=1e-2), [0], cells, progress=False
-    )
+def test_velocity_counts_where_the_force_depends_on_it(rows, tmp_path):
+    cells = ("H=20,L=4", "no-relative-velocity")
+    table = run_table(plan_of(rows, tmp_path, cells, steps=600, learning_rate=1e-2))
     seen, blind = (row["ours_g2"] / table["scenario_mean_g2"] for row in table["rows"])
     assert seen < 0.7  # of the labels' variance, which the blind one cannot explain
     assert blind > 0.95
 
 
-def test_without_the_clip_weights_grow_past_it(budget, tmp_path):
+def test_without_the_clip_weights_grow_past_it(rows, tmp_path):
     norms = {}
-    for cell in (CELL["H=20,L=4"], CELL["no-spectral-norm"]):
-        run_ablation(
-            tmp_path, budget._replace(steps=40, learning_rate=0.1), [0], [cell], progress=False
-        )
-        network = load_network(run_folder(tmp_path, cell, 0) / "learned.safetensors")
+    for cell in ("H=20,L=4", "no-spectral-norm"):
+        plan = plan_of(rows, tmp_path, (cell,), steps=40, learning_rate=0.1)
+        run_table(plan)
+        network = load_network(plan.folder(cell, 0) / "learned.safetensors")
         matrices = [p.detach().numpy() for p in network.parameters() if p.ndim == 2]
-        norms[cell.name] = max(np.linalg.norm(m, 2) for m in matrices)
+        norms[cell] = max(np.linalg.norm(m, 2) for m in matrices)
     assert norms["H=20,L=4"] <= 3.0 + 1e-4
     assert norms["no-spectral-norm"] > 3.5
 
 
-def test_an_interrupted_table_goes_on(budget, tmp_path, monkeypatch):
+def test_an_interrupted_table_goes_on(rows, tmp_path, monkeypatch):
     fits: list[Path] = []
 
     def counted(config):
@@ -172,17 +182,18 @@ def test_an_interrupted_table_goes_on(budget, tmp_path, monkeypatch):
         return fit(config)
 
     monkeypatch.setattr(FIT, counted)
+    plan = plan_of(rows, tmp_path, SOME, (4, 5))
     with pytest.raises(KeyboardInterrupt):
-        run_ablation(tmp_path, budget, [4, 5], SOME, progress=False)
+        run_table(plan)
     partial = json.loads((tmp_path / "table_3.json").read_text())
     assert (partial["runs_done"], partial["runs_wanted"]) == (3, 4)
     monkeypatch.setattr(FIT, fit)
-    table = run_ablation(tmp_path, budget, [4, 5], SOME, progress=False)
+    table = run_table(plan)
     assert json.loads((tmp_path / "table_3.json").read_text()) == table
     monkeypatch.setattr(FIT, None)  # nothing is left to be fitted
-    assert run_ablation(tmp_path, budget, [4, 5], SOME, progress=False) == table
+    assert run_table(plan) == table
     for cell, row in zip(SOME, table["rows"], strict=True):
-        runs = [run_folder(tmp_path, cell, seed) / "learned.json" for seed in (4, 5)]
+        runs = [plan.folder(cell, seed) / "learned.json" for seed in (4, 5)]
         errors = [json.loads(p.read_text())["findings"]["errors"]["overall"] for p in runs]
         assert row["ours_g2"] == pytest.approx(sum(errors) / 2, abs=1e-4)
         assert row["ours_deviation_g2"] == pytest.approx(
@@ -192,25 +203,30 @@ def test_an_interrupted_table_goes_on(budget, tmp_path, monkeypatch):
         lines = list(csv.DictReader(file))
     assert [line["paper_g2"] for line in lines] == ["6.7", ""]
     assert [float(line["ours_g2"]) for line in lines] == [row["ours_g2"] for row in table["rows"]]
-    assert "6.70 ± 0.05" in format_table(table)
+    assert (
+        "6.70 ± 0.05"
+        in ablation_report(
+            plan, run_cells(ablation_cells(plan), tmp_path, None, progress=False)
+        ).text
+    )
 
 
-def test_runs_of_other_settings_are_refused(budget, tmp_path):
-    run_ablation(tmp_path, budget, [0], SOME[:1], progress=False)
+def test_runs_of_other_settings_are_refused(rows, tmp_path):
+    run_table(plan_of(rows, tmp_path, SOME[:1]))
     with pytest.raises(ValueError, match="was made with other steps; choose another folder"):
-        run_ablation(tmp_path, budget._replace(steps=9), [0], SOME[:1], progress=False)
+        run_table(plan_of(rows, tmp_path, SOME[:1], steps=9))
     with pytest.raises(FileNotFoundError, match="give its path by --data"):
-        run_ablation(tmp_path, budget._replace(data=tmp_path / "no.npz"), [0], SOME)
+        run_table(plan_of(tmp_path / "no.npz", tmp_path))
 
 
-def test_the_command_fits_a_cell(budget, capsys, tmp_path):
+def test_the_command_fits_a_cell(rows, capsys, tmp_path):
     command = ["reproduce", "neural-swarm2", "--table", "3", "--out", str(tmp_path)]
     options = ["--cells", "L=5", "--seeds", "1", "--seed", "7", "--steps", "3"]
-    assert main([*command, "--data", str(budget.data), *options]) == 0
+    assert main([*command, "--data", str(rows), *options]) == 0
     said = capsys.readouterr()
     assert "7.21 ± 0.28" in said.out
     assert "Table III" in said.err
-    assert run_folder(tmp_path, CELL["L=5"], 7).is_dir()
+    assert (tmp_path / "runs" / "L=5" / "seed_7").is_dir()
     assert main([*command, "--data", str(tmp_path / "no.npz")]) == 1
     assert "no file of rows" in capsys.readouterr().err
 
@@ -235,27 +251,27 @@ def test_bad_options_are_explained(options, said, capsys, monkeypatch):
     assert said in capsys.readouterr().err
 
 
-def test_a_sum_over_pairs_stands_beside_the_deep_set_by_scenario(budget, tmp_path):
-    rows = read_rows(budget.data)
-    second = np.concatenate([rows.neighbor, rows.neighbor[::-1]], axis=1)
-    force = rows.force_g.copy()
+def test_a_sum_over_pairs_stands_beside_the_deep_set_by_scenario(rows, tmp_path):
+    one = read_rows(rows)
+    second = np.concatenate([one.neighbor, one.neighbor[::-1]], axis=1)
+    force = one.force_g.copy()
     force[:, 2] = -20.0 * np.abs(second[..., 3]).max(axis=1)  # the stronger of two, no sum
     joint = dataclasses.replace(
-        rows, neighbor=second, neighbor_type=np.repeat(rows.neighbor_type, 2, axis=1),
-        force_g=force, scenario_names=("SS2S", "LL2L"), flight=rows.flight + 1,
+        one, neighbor=second, neighbor_type=np.repeat(one.neighbor_type, 2, axis=1),
+        force_g=force, scenario_names=("SS2S", "LL2L"), flight=one.flight + 1,
     )  # fmt: skip
     folder = tmp_path / "rows"
     save_rows(folder / "three.npz", joint)
-    save_rows(folder / "two.npz", dataclasses.replace(rows, scenario_names=("S2S", "L2L")))
-    cells = [CELL["H=20,L=4"], CELL["pairwise"]]
-    table = run_ablation(tmp_path, budget._replace(data=folder), [0], cells, progress=False)
+    save_rows(folder / "two.npz", dataclasses.replace(one, scenario_names=("S2S", "L2L")))
+    plan = plan_of(folder, tmp_path, ("H=20,L=4", "pairwise"))
+    table = run_table(plan)
     deep, pairs = table["rows"]
     for row in (deep, pairs):
         errors = row["scenarios_g2"]
         assert set(errors) == {"S2S", "L2L", "SS2S", "LL2L"}
         mean = (errors["SS2S"] + errors["LL2L"]) / 2
         assert row["three_drones_g2"] == pytest.approx(mean, abs=1e-3)
-    assert (run_folder(tmp_path, CELL["pairwise"], 0) / "pairwise.safetensors").is_file()
+    assert (plan.folder("pairwise", 0) / "pairwise.safetensors").is_file()
     with (tmp_path / "table_3.csv").open(newline="") as file:
         lines = list(csv.DictReader(file))
     assert [float(line["SS2S_g2"]) for line in lines] == [

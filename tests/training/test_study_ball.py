@@ -17,10 +17,10 @@ from swarm_envs.baselines.neural_swarm.theorem import (
     without_clamp,
 )
 from swarm_envs.control.config import GAINS, MID, ControllerConfig, PositionGains
-from swarm_envs.training.reproduce.studies.ball import format_ball, measure, reproduce_ball
-from swarm_envs.training.reproduce.studies.planted import (
+from swarm_envs.training.reproduce.ball_study import (
     fly_quadrotors,
     growing_error,
+    measure_ball,
     random_errors,
 )
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL
@@ -150,23 +150,7 @@ def test_errors_to_plant_are_checked():
 
 
 def test_bounds_hold_in_the_study():
-    row = measure("stiff", seed=1, flights=1)["row"]
+    row = measure_ball("stiff", seed=1, flights=1)["row"]
     assert row["point_over_envelope"] <= 1.001
     assert row["point_growing_cm"] == pytest.approx(row["ball_cm"], rel=1e-3)
     assert row["point_random_cm"] < row["ball_cm"] < row["clamped_growing_cm"]
-
-
-@pytest.mark.slow
-def test_the_study_writes_what_it_found(tmp_path):
-    summary = reproduce_ball(tmp_path, episodes=2, progress=False)
-    for row in summary["rows"]:
-        assert row["point_over_envelope"] <= 1.001
-        assert row["point_random_cm"] < row["ball_cm"]
-        assert row["point_growing_cm"] == pytest.approx(row["ball_cm"], rel=1e-3)
-        assert row["quadrotor_growing_cm"] == pytest.approx(row["ball_cm"], rel=0.01)
-        assert row["ball_cm"] < row["clamped_growing_cm"] < row["clamped_bound_cm"]
-    belief = summary["shipped_belief"]
-    assert belief["flown_cm"] < belief["clamped_bound_cm"] < belief["ball_cm"]
-    assert f"{belief['flown_cm']:.1f} cm" in format_ball(summary)
-    assert (tmp_path / "ball.png").stat().st_size > 20_000
-    assert (tmp_path / "ball.csv").read_text().startswith("gains,ball_cm")

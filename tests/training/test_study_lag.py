@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import csv
-import json
 
 import pytest
 
 from swarm_envs.files import write_table
-from swarm_envs.training.reproduce.runs import draw_seeds, run_cells
-from swarm_envs.training.reproduce.studies.lag import (
-    VARIANTS,
-    WANTED_RATIO,
-    format_lag,
-    reproduce_lag,
-)
+from swarm_envs.training.reproduce.lag_study import LAG_VARIANTS
+from swarm_envs.training.reproduce.study import draw_seeds, run_cells
+from tests.helpers.papers import run_quietly
 
 
 def test_variants_differ_in_what_they_say_alone():
-    configs = {(v.gains, v.oracle, v.lag): v.controller for v in VARIANTS}
+    configs = {(v.gains, v.oracle, v.lag): v.controller for v in LAG_VARIANTS}
     assert len(configs) == 12
     on, off = configs["mid", True, True], configs["mid", True, False]
     assert on.feedforward is not None
@@ -28,9 +23,10 @@ def test_variants_differ_in_what_they_say_alone():
 
 
 def test_lag_compensation_cuts_the_compensated_error_to_a_quarter(tmp_path):
-    summary = reproduce_lag(tmp_path, seed=3, episodes=4, progress=False)
+    asked = {"study": "lag", "episodes": 4, "engine": "batch", "out": tmp_path}
+    summary, said = run_quietly("neural-swarm2", seed=3, **asked)
     assert set(summary["reductions"]["exact"]) == {"soft", "mid", "stiff"}
-    assert min(summary["reductions"]["exact"].values()) >= WANTED_RATIO
+    assert min(summary["reductions"]["exact"].values()) >= 4.0
     assert all(1.05 < ratio < 1.4 for ratio in summary["reductions"]["none"].values())
     median = {(r["gains"], r["force"], r["lag"]): r["median_cm"] for r in summary["rows"]}
     for force in ("exact", "none"):
@@ -40,12 +36,10 @@ def test_lag_compensation_cuts_the_compensated_error_to_a_quarter(tmp_path):
     with (tmp_path / "lag.csv").open(newline="") as file:
         assert [row["gains"] for row in csv.DictReader(file)][:4] == ["soft"] * 4
     assert (tmp_path / "lag.png").stat().st_size > 20_000
-    said = format_lag(summary)
     assert f"{summary['reductions']['exact']['mid']:.1f}" in said
-    again = reproduce_lag(tmp_path, seed=3, episodes=4, progress=False)
-    assert again == summary
+    assert run_quietly("neural-swarm2", seed=3, **asked)[0] == summary
     with pytest.raises(ValueError, match="made with other seed"):
-        reproduce_lag(tmp_path, seed=4, episodes=4, progress=False)
+        run_quietly("neural-swarm2", seed=4, **asked)
 
 
 @pytest.mark.slow
@@ -53,38 +47,20 @@ def test_lag_compensation_cuts_the_compensated_error_to_a_quarter(tmp_path):
 def test_the_claim_on_twenty_swaps(engine, tmp_path):
     if engine == "bullet":
         pytest.importorskip("pybullet")
-    summary = reproduce_lag(tmp_path, episodes=20, engine=engine, progress=False)
+    asked = {"study": "lag", "episodes": 20, "engine": engine, "out": tmp_path}
+    summary, _ = run_quietly("neural-swarm2", **asked)
     assert min(summary["reductions"]["exact"].values()) >= 20.0
 
 
-def test_an_interrupted_study_goes_on(tmp_path):
+def test_cells_of_other_settings_and_damaged_ones_are_refused(tmp_path):
     path = tmp_path / "cells.json"
-    made: list[str] = []
-
-    def compute(name):
-        def cell():
-            if name == "b" and not path.exists():
-                raise AssertionError("b before a")
-            if name == "c" and made.count("b") == 1 and made.count("stop") == 0:
-                made.append("stop")
-                raise KeyboardInterrupt
-            made.append(name)
-            return {"value": len(made)}
-
-        return cell
-
-    jobs = {name: compute(name) for name in "abc"}
-    with pytest.raises(KeyboardInterrupt):
-        run_cells(path, {"seed": 0}, jobs, progress=False)
-    assert set(json.loads(path.read_text())["cells"]) == {"a", "b"}
-    found = run_cells(path, {"seed": 0}, jobs, progress=False)
-    assert made == ["a", "b", "stop", "c"]
-    assert list(found) == ["a", "b", "c"]
+    found = run_cells({"a": lambda: {"value": 1}}, path, {"seed": 0}, progress=False)
+    assert found == {"a": {"value": 1}}
     with pytest.raises(ValueError, match="made with other seed"):
-        run_cells(path, {"seed": 1}, jobs, progress=False)
+        run_cells({}, path, {"seed": 1}, progress=False)
     path.write_text("{")
     with pytest.raises(ValueError, match="is damaged"):
-        run_cells(path, {"seed": 0}, jobs, progress=False)
+        run_cells({}, path, {"seed": 0}, progress=False)
 
 
 def test_bad_numbers_are_refused(tmp_path):

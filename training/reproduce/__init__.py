@@ -1,13 +1,10 @@
 """Figures and tables of the papers, remade with our models, the paper's value beside ours.
 
-`cases`, `forces`, `maps`, `heatmaps`: Fig. 5 of Neural-Swarm2 and its superposition gap; `bins`,
-`bin_plots`: calibration against measured bins; `larger`: more drones than were measured; `figure`:
-all of it. `ablation`: Table III (needs torch). `flight_cases`, `flown`, `paired`: the flight tests
-of Fig. 8, 9 and 1, flown by `swarm_envs.baselines.neural_swarm.flights`; `flight_report`,
-`flight_claims`, `swap_plot`, `ring_plot`, `flight_tests`: what is made of them. `options`: the
-command `swarm-envs reproduce neural-swarm2`; `papers`: what other papers it knows.
+Each is a `Study` (`study`): a grid of cells, what is made of them, and the paper's claims. `papers`
+names the papers; `neural_swarm2`, `dmpc_figures` and `rth3d_figures` their options and studies;
+`reproduce_all` runs all of them, and `reproduce_page` sets them side by side.
 """
 
-from swarm_envs.training.reproduce.figure import format_summary, reproduce_figure
+from swarm_envs.training.reproduce.force_map_figure import format_summary, reproduce_figure
 
 __all__ = ["format_summary", "reproduce_figure"]

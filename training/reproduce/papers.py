@@ -1,49 +1,61 @@
-"""The papers whose figures and tables can be remade, each with options of its own."""
+"""The papers whose figures and tables can be remade."""
 
 from __future__ import annotations
 
 import importlib
-from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType, ModuleType
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from swarm_envs.training.reproduce.study import Study
 
 
 @dataclass(frozen=True)
 class Paper:
     """A paper of which something can be remade."""
 
+    title: str
+    """Of the paper."""
     summary: str
     """What is remade, in a line."""
     module: str
-    """Has `ReproduceOptions`, a dataclass with a property `needs_torch`, and `run(options)`, which
-    does it and returns what to print."""
+    """Has `OPTIONS`, the command's dataclass of options, and `STUDIES`, everything it numbers."""
 
 
-PAPERS: Mapping[str, Paper] = MappingProxyType(
-    {
-        "neural-swarm2": Paper(
-            "interaction forces, the controller that knows them, the planner",
-            "swarm_envs.training.reproduce.options",
-        ),
-        "dmpc-swarm": Paper(
-            "distributed MPC over a radio that loses messages",
-            "swarm_envs.training.reproduce.dmpc_swarm.options",
-        ),
-        "rth3d": Paper(
-            "paths for 100,000 labelled robots on three-dimensional grids",
-            "swarm_envs.training.reproduce.rth3d.options",
-        ),
-    }
-)
+_PACKAGE = "swarm_envs.training.reproduce"
+PAPERS = {
+    "neural-swarm2": Paper(
+        "Neural-Swarm2: Planning and Control of Heterogeneous Multirotor Swarms using Learned "
+        "Interactions",
+        "interaction forces, the controller that knows them, the planner",
+        f"{_PACKAGE}.neural_swarm2",
+    ),
+    "dmpc-swarm": Paper(
+        "DMPC-Swarm: Distributed Model Predictive Control on Nano UAV Swarms",
+        "distributed MPC over a radio that loses messages",
+        f"{_PACKAGE}.dmpc_figures",
+    ),
+    "rth3d": Paper(
+        "Polynomial Time Near-Time-Optimal Multi-Robot Path Planning in Three Dimensions (RTH3D)",
+        "paths for 100,000 labelled robots on three-dimensional grids",
+        f"{_PACKAGE}.rth3d_figures",
+    ),
+}
 """Every paper by the name that the command takes."""
 
 ALL = "all"
 """In a paper's place: every table and figure of all of them."""
 
 
-def load(paper: str) -> ModuleType:
-    """The module that remakes what is in a paper, a key of `PAPERS`."""
+def load_paper(paper: str) -> Any:
+    """The module of a paper, a key of `PAPERS`."""
     return importlib.import_module(PAPERS[paper].module)
+
+
+def numbered_studies() -> dict[str, Study]:
+    """Every numbered table and figure of the papers by key, such as `neural-swarm2/table-3`."""
+    studies = (study for paper in PAPERS for study in load_paper(paper).STUDIES)
+    return {study.key: study for study in studies if study.numbered}
 
 
 def overview(program: str) -> str:

@@ -1,0 +1,81 @@
+"""Table II of Neural-Swarm2: flights of the twelve scenarios, and the rows of force they gave."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from swarm_envs.files import claimed
+from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
+from swarm_envs.training.collection.collect import CollectionConfig
+from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, exactly
+from swarm_envs.training.reproduce.study import Study
+
+
+class _Collection(NamedTuple):
+    """A run of `swarm-envs collect`."""
+
+    words: list[str]  # after `swarm-envs`
+    options: CollectOptions  # what these words say
+
+
+def collection(folder: Path, flights: int, seed: int) -> _Collection:
+    """Flights for a study: `flights` and `flights.json` in its folder.
+
+    Args:
+        folder: of the study.
+        flights: of each team and motion.
+        seed: of all of them.
+    """
+    out, numbers = folder / "flights", folder / "flights.json"
+    motions = ("walks", "low_walks", "swaps", "low_swaps")
+    words = ["collect", "--out", str(out), "--json", str(numbers)]
+    for name in motions:
+        words += [f"--{name.replace('_', '-')}", str(flights)]
+    counts: dict[str, Any] = dict.fromkeys(motions, flights)
+    config = CollectionConfig(**counts, seed=seed)
+    words += ["--seed", str(seed)] * bool(seed)
+    return _Collection(words, CollectOptions(out=out, json=numbers, config=config))
+
+
+def collect_rows(wanted: _Collection) -> str:
+    """Do what `swarm-envs collect` does with these options; it prints by itself."""
+    with claimed(wanted.options.out):
+        run_collect(wanted.options)
+    return ""
+
+
+def _claims(numbers: Any, extent: Extent) -> list[Claim]:
+    flown = numbers["scenarios"]
+    fewer = Reason("--quick flies eight flights of 20 s a team", Range(1.0))
+    thinner = Reason(
+        "rows are logged less often here, and only while a neighbour is near", Range(1e3)
+    )
+    given = len(flown) - len(numbers["missing"])
+    shortest = min(scenario["drone_seconds"] for scenario in flown.values())
+    known = (fewer,) if extent.quick else ()
+    return [
+        Claim("scenarios that were flown and gave rows", "12", given, exactly(12.0)),
+        Claim(
+            "flight of the scenario with the least, s", "around 1000", shortest, Range(800.0), known
+        ),
+        Claim(
+            "rows of measured force, all scenarios",
+            "1.4 million",
+            numbers["rows"],
+            Range(0.7e6),
+            (thinner,),
+        ),
+    ]
+
+
+TABLE_2 = Study(
+    paper="neural-swarm2",
+    name="table-2",
+    label="Table II",
+    shows="the twelve scenarios of the data collection",
+    collects=(60, 2),
+    claims=_claims,
+    numbers="flights.json",
+)
+"""Remade by `swarm-envs collect` alone."""

@@ -1,0 +1,425 @@
+"""The figures of DMPC-Swarm on the package's MLR-DMPC, and a sweep of messages lost beside them."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
+from swarm_envs.training.reproduce import dmpc_flights
+from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about, exactly
+from swarm_envs.training.reproduce.dmpc_flights import (
+    CRASH_M,
+    ReferenceFlight,
+    SwarmSetup,
+    fly_circle,
+    fly_sequence,
+    recording_of,
+)
+from swarm_envs.training.reproduce.dmpc_plots import (
+    JAM_S,
+    LOSSES,
+    MODES,
+    THEIRS,
+    median_total,
+    plot_formations,
+    plot_jam,
+    plot_losses,
+    plot_sequence,
+)
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, StudyOptions, drawing
+
+_PAPER = "dmpc-swarm"  # as `swarm-envs reproduce` names the paper
+_Fly = Callable[[SwarmSetup], ReferenceFlight]
+_APART_M = 0.25  # scaled distance that references keep
+
+
+@dataclass(frozen=True, kw_only=True)
+class DmpcSwarmOptions(StudyOptions):
+    """Remake a figure of DMPC-Swarm, the public simulation's times beside ours.
+
+    `--figure 3a` draws the formations, `--figure 3b` flies through them with one, two and three
+    compute units, `--figure 3c` with each trigger, `--figure 4` a circle while no compute unit
+    hears anything for two seconds. `--study loss` sweeps the share of messages lost, met by our
+    recovery, by the paper's, and not at all.
+    What takes a while goes on where it was when it is killed and called again.
+    """
+
+    paper: ClassVar[str] = _PAPER
+    counts: ClassVar[tuple[str, ...]] = ("seeds",)
+
+    figure: Literal["3a", "3b", "3c", "4"] | None = None
+    """number of the figure"""
+    study: Literal["loss"] | None = None
+    """the sweep of losses"""
+    seeds: int = 3
+    """how many, each a run of every cell"""
+    replay: bool = True
+    """write a replay page of each cell's first run; needs plotly"""
+
+
+OPTIONS = DmpcSwarmOptions
+"""What `swarm-envs reproduce dmpc-swarm` takes."""
+
+
+def _setups_of(options: DmpcSwarmOptions) -> dict[str, list[SwarmSetup]]:
+    """What is flown in each cell of a figure or of the sweep, one run a seed."""
+    varied: dict[str, dict[str, Any]]
+    if options.figure == "3b":
+        varied = {f"{m} CU{'s' * (m > 1)}": {"compute_units": m} for m in (1, 2, 3)}
+    elif options.figure == "3c":
+        varied = {trigger: {"trigger": trigger} for trigger in ("RR", "DT", "HT")}
+    elif options.figure == "4":
+        rounds = round(JAM_S / MlrDmpcConfig().round_s)
+        jam = LossModel(jams=(Jam(first_round=0, last_round=rounds - 1, receivers="units"),))
+        varied = {f"jam, {n}": {"loss": jam, "recovery": mode} for n, mode in MODES.items()}
+    else:
+        varied = {
+            f"{100 * loss:g} %, {name}": {"loss": loss, "recovery": mode}
+            for name, mode in MODES.items()
+            for loss in LOSSES
+        }
+    seeds = range(options.seed, options.seed + options.seeds)
+    return {name: [SwarmSetup(**v, seed=s) for s in seeds] for name, v in varied.items()}
+
+
+@functools.cache  # a cell's first flight is measured, and drawn
+def _first_flight(fly: _Fly, setup: SwarmSetup) -> ReferenceFlight:
+    return fly(setup)
+
+
+def _measure(fly: _Fly, setups: Sequence[SwarmSetup]) -> Cell:
+    """What one cell's flights measured."""
+    flights = [_first_flight(fly, setups[0]), *map(fly, setups[1:])]
+    totals = [flight.total_s for flight in flights]
+    least = [float(flight.scaled_distance.min()) for flight in flights]
+    return {
+        "seeds": [setup.seed for setup in setups],
+        "total_s": totals,
+        "legs_s": [flight.legs_s for flight in flights],
+        "arrived": sum(total is not None for total in totals),
+        "least_scaled_distance_m": least,
+        "crashes": sum(distance < CRASH_M for distance in least),
+    }
+
+
+def _grid(fly: _Fly, options: DmpcSwarmOptions) -> Cells:
+    _first_flight.cache_clear()
+    return {name: partial(_measure, fly, runs) for name, runs in _setups_of(options).items()}
+
+
+def _settings(options: DmpcSwarmOptions) -> dict[str, Any]:
+    return {"seeds": [options.seed + k for k in range(options.seeds)]}
+
+
+def _report(fly: _Fly, options: DmpcSwarmOptions, cells: Mapping[str, Cell]) -> Report:
+    """The picture, the table and the pages; cells of an earlier run are flown again to be drawn."""
+    name = options.chosen.file
+    files: dict[str, Callable[[Path], object]] = {}
+    if options.study is not None:
+        files[f"{name}.png"] = partial(plot_losses, cells=cells)
+    else:
+        setups = _setups_of(options)
+        flights = {cell: _first_flight(fly, runs[0]) for cell, runs in setups.items()}
+        sequence = partial(plot_sequence, figure=str(options.figure), cells=cells)
+        draw = plot_jam if options.figure == "4" else sequence
+        files[f"{name}.png"] = partial(draw, flights=flights)
+        if options.replay:
+            files |= _replay_pages(options, flights)
+    theirs = {**THEIRS, "jam, ours": None, "jam, none": None}  # of which there is no time
+    summary = {"cells": dict(cells), "theirs_s": theirs}
+    return Report(summary, _text(cells), _table(cells), files)
+
+
+def _replay_pages(
+    options: DmpcSwarmOptions, flights: Mapping[str, ReferenceFlight]
+) -> dict[str, Callable[[Path], object]]:
+    from swarm_envs.viewing.replay import write_replay
+
+    pages: dict[str, Callable[[Path], object]] = {}
+    for name, flight in flights.items():
+        plain = "".join(c if c.isalnum() else "_" for c in name).strip("_")
+        recording = recording_of(flight, name, options.seed)
+        pages[f"{options.chosen.file}_{plain}.html"] = partial(write_replay, recording=recording)
+    return pages
+
+
+def _text(cells: Mapping[str, Cell]) -> str:
+    """The numbers as text, the public simulation's beside them."""
+    lines = [
+        f"{'':18}{'arrived':>9}{'median s':>10}{'theirs s':>10}{'least scaled m':>16}{'crashes':>9}"
+    ]
+    for name, cell in cells.items():
+        median, known = (
+            "-" if value is None else f"{value:.1f}"
+            for value in (median_total(cell), THEIRS.get(name))
+        )
+        lines.append(
+            f"{name:18}{cell['arrived']:>6}/{len(cell['total_s']):<2}{median:>10}{known:>10}"
+            f"{min(cell['least_scaled_distance_m']):>16.4f}{cell['crashes']:>9}"
+        )
+    return "\n".join(lines)
+
+
+def _table(cells: Mapping[str, Cell]) -> list[dict[str, object]]:
+    """One row for each run."""
+    columns = ("seeds", "total_s", "legs_s", "least_scaled_distance_m")
+    return [
+        {
+            "cell": name,
+            "seed": seed,
+            "total_s": total,
+            "legs_s": " ".join(f"{leg:.1f}" for leg in legs),
+            "least_scaled_distance_m": least,
+            "theirs_s": THEIRS.get(name),
+        }
+        for name, cell in cells.items()
+        for seed, total, legs, least in zip(*(cell[column] for column in columns), strict=True)
+    ]
+
+
+def _formations(options: DmpcSwarmOptions, cells: Mapping[str, Any]) -> Report:
+    """Fig. 3a: where the drones of each formation stand."""
+    config = MlrDmpcConfig()
+    places = {name: formation(name, dmpc_flights.DRONES) for name in dict.fromkeys(SEQUENCE)}
+    least = {n: round(float(scaled_distances(p, config).min()), 4) for n, p in places.items()}
+    summary = {
+        "sequence": list(SEQUENCE),
+        "distance_m": config.distance_m,
+        "formations": {
+            name: {"drones": len(points), "least_scaled_distance_m": least[name]}
+            for name, points in places.items()
+        },
+    }
+    table = [
+        {"formation": name, "drone": i}
+        | dict(zip(("x_m", "y_m", "z_m"), np.round(p, 4).tolist(), strict=True))
+        for name, points in places.items()
+        for i, p in enumerate(points)
+    ]
+    text = "\n".join(
+        f"{name:10}{len(points):4} drones, least scaled distance {least[name]:.3f} m"
+        for name, points in places.items()
+    )
+    draw = partial(plot_formations, places=places, box=config.box)
+    return Report(summary, text, table, {"figure_3a.png": draw})
+
+
+def _formation_claims(numbers: Any, extent: Extent) -> list[Claim]:
+    places = numbers["formations"]
+    drones = min(entry["drones"] for entry in places.values())
+    return [
+        Claim("drones in each formation", "16", drones, exactly(16.0)),
+        *(
+            Claim(
+                f"{name}: least scaled distance of two places, m",
+                f"at least {_APART_M:g}",
+                entry["least_scaled_distance_m"],
+                Range(_APART_M),
+            )
+            for name, entry in places.items()
+        ),
+    ]
+
+
+def _total(cell: Cell) -> float:
+    """Median time to the last arrival, s; NaN if most did not arrive."""
+    median = median_total(cell)
+    return float("nan") if median is None else median
+
+
+def _time_claim(name: str, cell: Cell) -> Claim:
+    totals = [total for total in cell["total_s"] if total is not None]
+    faster = "their formations are others; and detours, deadlocks and selection are our own"
+    several = len(totals) > 1
+    return Claim(
+        f"{name}: all four changes of formation, s",
+        f"({THEIRS[name]:g})",
+        _total(cell),
+        about(THEIRS[name], 0.2),
+        (Reason(faster, Range(20.0)),),
+        spread=(min(totals), max(totals)) if several else None,
+        spread_is="least and largest" if several else "",
+    )
+
+
+def _distance_claim(where: str, *cells: Cell) -> Claim:
+    sampled = Reason(
+        "distances are kept at samples, 0.1 s apart; between them a little is lost, as in the "
+        "paper",
+        Range(0.24, _APART_M),
+    )
+    return Claim(
+        f"{where}: least scaled distance of two references, m",
+        f"at least {_APART_M:g}",
+        min(least for cell in cells for least in cell["least_scaled_distance_m"]),
+        Range(_APART_M - 1e-3),
+        (sampled,),
+    )
+
+
+def _unit_claims(numbers: Any, extent: Extent) -> list[Claim]:
+    """More compute units are faster, and the second is worth more than the third."""
+    cells = numbers["cells"]
+    one, two, three = (_total(cells[name]) for name in ("1 CU", "2 CUs", "3 CUs"))
+    return [
+        *(_time_claim(name, cell) for name, cell in cells.items()),
+        Claim(
+            "time that the second unit saves over what the third saves",
+            "the most significant improvement is from one to two",
+            (one - two) / (two - three) if two != three else float("inf"),
+            Range(1.0),
+        ),
+        _distance_claim("all", *cells.values()),
+    ]
+
+
+def _trigger_claims(numbers: Any, extent: Extent) -> list[Claim]:
+    """Round robin is slowest in most formations, the other two are much alike."""
+    cells = numbers["cells"]
+    complete = {n: [legs for legs in cells[n]["legs_s"] if len(legs) == 4] for n in cells}
+    rr, dt, ht = (np.median(complete[name], axis=0) for name in ("RR", "DT", "HT"))
+    faster = (
+        "in the authors' public simulation DT is faster too, 34.2 s to 38.4 s; with 15 seeds here "
+        "the medians are 26.3 s and 32.8 s, a ratio of 0.80"
+    )
+    return [
+        *(_time_claim(name, cell) for name, cell in cells.items()),
+        Claim(
+            "changes of formation in which RR is slowest, of 4",
+            "3",
+            int((rr > np.maximum(dt, ht)).sum()),
+            Range(3.0, 4.0),
+        ),
+        Claim(
+            "time with DT over time with HT",
+            "generally similar",
+            _total(cells["DT"]) / _total(cells["HT"]),
+            Range(0.8, 1.25),
+            (Reason(faster, Range(0.7, 0.9)),),
+        ),
+        _distance_claim("all", *cells.values()),
+    ]
+
+
+def _jam_claims(numbers: Any, extent: Extent) -> list[Claim]:
+    """With recovery all arrive and nobody is near; without, references meet."""
+    cells, jam = numbers["cells"], THEIRS["jam, paper's"]
+    ours, theirs, none = (cells[f"jam, {name}"] for name in ("ours", "paper's", "none"))
+    references = (
+        "these are references: 0.25 m were to be kept, and tracking errors, which the paper's "
+        "drones have, come on top"
+    )
+    forgotten = (
+        "units that have forgotten all drones know them again after ten rounds here, after 65 there"
+    )
+    arrive = "share of runs in which all arrive"
+    return [
+        _distance_claim("our recovery", ours),
+        _distance_claim("the paper's recovery", theirs),
+        Claim(
+            "without recovery: least scaled distance of two references, m",
+            f"two collide (below {CRASH_M:g})",
+            min(none["least_scaled_distance_m"]),
+            Range(0.0, CRASH_M),
+            (Reason(references, Range(CRASH_M, 0.2)),),
+        ),
+        *(
+            Claim(
+                f"{whose} recovery: {arrive}",
+                "all exchange their positions",
+                cell["arrived"] / len(cell["seeds"]),
+                exactly(1.0),
+            )
+            for whose, cell in (("our", ours), ("the paper's", theirs))
+        ),
+        Claim(
+            "our recovery: time to the last arrival, s",
+            f"({jam:g})",
+            _total(ours),
+            about(jam, 0.2),
+            (Reason(forgotten, Range(10.0, jam)),),
+        ),
+    ]
+
+
+def _flown(number: str, shows: str, fly: _Fly, claims: Any, note: str) -> Study:
+    """A figure that is flown; its replay pages are left to the command by itself if quick."""
+    return Study(
+        paper=_PAPER,
+        name=f"figure-{number}",
+        label=f"Fig. {number}",
+        shows=shows,
+        grid=partial(_grid, fly),
+        settings=_settings,
+        cells_file=f"figure_{number}.json",
+        report=partial(_report, fly),
+        claims=claims,
+        pictures=(f"figure_{number}.png",),
+        quick={"seeds": 1, "replay": False},
+        note=note,
+    )
+
+
+_BRACKETS = (
+    "The paper prints no numbers: those in brackets are of the authors' public simulation, on "
+    "formations of its own."
+)
+STUDIES = (
+    drawing(
+        _PAPER,
+        1,
+        "the swarm, its radio, and the phases of a round",
+        "an overview drawing: nothing is measured",
+    ),
+    drawing(
+        _PAPER,
+        2,
+        "sixteen Crazyflies, three laptops and their radios",
+        "a photograph of the hardware",
+    ),
+    Study(
+        paper=_PAPER,
+        name="figure-3a",
+        label="Fig. 3a",
+        shows="the formations that are flown: plane, pyramid, cube, sphere",
+        report=_formations,
+        claims=_formation_claims,
+        pictures=("figure_3a.png",),
+    ),
+    _flown(
+        "3b",
+        "those formations with one, two and three compute units",
+        fly_sequence,
+        _unit_claims,
+        _BRACKETS,
+    ),
+    _flown("3c", "the same with each event trigger", fly_sequence, _trigger_claims, _BRACKETS),
+    _flown(
+        "4",
+        "sixteen drones across a circle while no compute unit hears for two seconds",
+        fly_circle,
+        _jam_claims,
+        "The time in brackets is of the authors' public simulation; the paper prints none.",
+    ),
+    Study(
+        paper=_PAPER,
+        name="study-loss",
+        label="Losses",
+        shows="time and distance by the share of messages that the radio loses",
+        file="losses",
+        grid=partial(_grid, fly_circle),
+        settings=_settings,
+        cells_file="losses.json",
+        report=partial(_report, fly_circle),
+    ),
+)
+"""Every numbered figure of the paper, which has no table, and the sweep of losses."""

@@ -1,0 +1,182 @@
+"""Flights whose force prediction is wrong, late or noisy, or whose sensors are.
+
+The environment's own tracking loop knows the state exactly and evaluates its force model at once.
+Here the same controller, `TrackingController`, flies from outside, at 240 Hz and the rotors, so
+that its measurements and predictions can be spoiled; the environment's truth is not touched. With
+nothing spoiled it flies as the environment's loop does.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.flights import FlightTest
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.control.tracking import TrackingController
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.interactions import InteractionModel
+from swarm_envs.physics.rigid_body import PHYSICS_RATE
+from swarm_envs.state import BoolArray, FloatArray, Setpoint, SwarmState
+from swarm_envs.tasks.motion import reference_of
+from swarm_envs.vehicles import GRAM_FORCE
+
+_NOISE_HZ = 5.0
+"""The noise of the belief lies below this frequency, Hz: as errors of a model do in flight."""
+
+
+@dataclass(frozen=True)
+class Imperfection:
+    """What is spoiled; by default nothing.
+
+    Raises:
+        ValueError: a number is negative or not finite.
+    """
+
+    scale: float = 1.0
+    """Factor of the believed force."""
+    noise_g: float = 0.0
+    """Root mean square of noise below 5 Hz on its vertical part, gram-force, each drone's own."""
+    delay_s: float = 0.0
+    """How late the believed force comes, s; rounded to steps of 1/240 s."""
+    position_noise_m: float = 0.0
+    """Standard deviation of measured positions, each component, white from step to step, m."""
+    velocity_noise: float = 0.0
+    """Standard deviation of measured velocities, the same, m/s."""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no size."""
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if not 0.0 <= value < np.inf:
+                raise ValueError(
+                    f"Imperfection.{entry.name} is {value!r}, but must be finite and not negative"
+                )
+
+
+NOTHING = Imperfection()
+"""Spoils nothing."""
+
+
+class Worst(NamedTuple):
+    """How E flights went."""
+
+    height_error: FloatArray
+    """(E, N) largest vertical distance to the reference, m."""
+    crashed: BoolArray
+    """(E,) ended by a collision or a tumble: its errors are not its worst."""
+
+
+def fly_imperfectly(
+    test: FlightTest,
+    controller: ControllerConfig,
+    seeds: Sequence[int],
+    imperfection: Imperfection = NOTHING,
+) -> Worst:
+    """Fly one episode for each seed, all at once; the same seeds give the same flights.
+
+    Args:
+        test: what is flown, and in which air; its decision rate is not used.
+        controller: of every drone; what it feeds forward is spoiled.
+        seeds: at least one. They draw the swaps as `flights.fly` does, and the noise.
+        imperfection: how.
+    """
+    core = _make_core(test, len(seeds))
+    try:
+        core.reset(list(seeds))
+        loop = TrackingController(test.task.team, len(seeds), replace(controller, feedforward=None))
+        most = core.world.drones["nominal_max_rotor_thrust"][..., None]
+        rng = np.random.default_rng(list(seeds))
+        belief = _Belief(core, controller.feedforward, imperfection, rng)
+        while core.running.any():
+            state = _measure(core.physics.state, imperfection, rng)
+            commands = loop.commands(state, _setpoint(core), belief.force(state))
+            core.step(2.0 * commands / most - 1.0)
+        drones = core.world.drones
+        crashed = np.asarray((drones["crashed"] > 0.0).any(axis=1))
+        return Worst(drones["worst_height_error"].copy(), crashed)
+    finally:
+        core.close()
+
+
+def _make_core(test: FlightTest, num_envs: int) -> SwarmCore:
+    config = EnvConfig(
+        physics=test.engine,
+        interactions=test.truth,
+        horizon_s=test.horizon_s,
+        randomization=test.randomization,
+        end_on_success=False,
+        action="rotors",
+        decision_rate=PHYSICS_RATE,
+    )
+    return SwarmCore(test.task, config, num_envs)
+
+
+def _setpoint(core: SwarmCore) -> Setpoint:
+    reference = reference_of(core.world.drones)
+    straight = np.zeros((core.num_envs, core.num_drones))
+    return Setpoint(*reference, straight, straight)
+
+
+def _measure(state: SwarmState, imperfection: Imperfection, rng: np.random.Generator) -> SwarmState:
+    """The state with the noise of its sensors."""
+    noise = imperfection.position_noise_m, imperfection.velocity_noise
+    if noise == (0.0, 0.0):
+        return state
+    shape = state.position.shape
+    return state._replace(
+        position=state.position + noise[0] * rng.standard_normal(shape),
+        velocity=state.velocity + noise[1] * rng.standard_normal(shape),
+    )
+
+
+class _Belief:
+    """The predicted force that controllers are given, step by step: scaled, noisy and late."""
+
+    def __init__(
+        self,
+        core: SwarmCore,
+        model: InteractionModel | None,
+        imperfection: Imperfection,
+        rng: np.random.Generator,
+    ) -> None:
+        self._team, self._model, self._scale = core.task.team, model, imperfection.scale
+        shape = (core.num_envs, core.num_drones)
+        steps = round(float(core.settings["horizon_s"][0]) * PHYSICS_RATE) + 1
+        size = imperfection.noise_g * GRAM_FORCE
+        self._noise = size * slow_noise(rng, (*shape, steps)) if size > 0.0 else None
+        delay = round(imperfection.delay_s * PHYSICS_RATE)
+        self._late = deque([np.zeros((*shape, 3))] * delay)
+        self._step = 0
+
+    def force(self, state: SwarmState) -> FloatArray | None:
+        """(E, N, 3) what is believed in the next step, N; None if there is no belief."""
+        if self._model is None:
+            return None
+        force = self._scale * self._model.forces(state.position, state.velocity, self._team)
+        if self._noise is not None:
+            force[..., 2] += self._noise[..., self._step]
+        self._step += 1
+        self._late.append(force)
+        return self._late.popleft()
+
+
+def slow_noise(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+    """Gaussian noise below 5 Hz along the last axis, sampled at 240 Hz, root mean square 1.
+
+    Args:
+        rng: source of the noise.
+        shape: (..., T) of the noise; each series of T samples is scaled to its root mean square.
+    """
+    steps = shape[-1]
+    frequency = np.fft.rfftfreq(steps, 1.0 / PHYSICS_RATE)
+    spectrum = np.fft.rfft(rng.standard_normal(shape))
+    spectrum[..., (frequency > _NOISE_HZ) | (frequency == 0.0)] = 0.0
+    noise = np.fft.irfft(spectrum, steps)
+    size: FloatArray = np.sqrt((noise**2).mean(axis=-1, keepdims=True))
+    return noise / size

@@ -1,0 +1,217 @@
+"""Compensation of the motors' lag, eq. (22), on and off, with an exact force model.
+
+What is measured is the controller alone: it feeds forward the environment's own force model, an
+oracle that no real controller has, so that what is left of the error is what the lag leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.flights import (
+    Flights,
+    default_engine,
+    fly,
+    format_columns,
+    swap_test,
+)
+from swarm_envs.control.config import GAINS, ControllerConfig
+from swarm_envs.interactions import load
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
+from swarm_envs.viewing.style import GREY, INK, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+TRUTH = "learned"
+"""The force model of the environment, and what the oracle feeds forward."""
+TEAM = "L2S"
+"""The swap whose errors the paper gives (Sec. VII-E)."""
+_EPISODES = 20
+
+
+@dataclass(frozen=True)
+class _LagVariant:
+    """One controller of the study."""
+
+    gains: str  # `soft`, `mid` or `stiff`
+    oracle: bool  # whether it feeds forward the exact force; else it is the uncompensated baseline
+    lag: bool  # whether it compensates the motors' lag, eq. (22)
+
+    @property
+    def name(self) -> str:
+        """Also its cell's name."""
+        force = "exact force" if self.oracle else "no force"
+        return f"{self.gains}, {force}, lag {'compensated' if self.lag else 'not compensated'}"
+
+    @property
+    def controller(self) -> ControllerConfig:
+        """The configuration of the tracking loop."""
+        oracle_force = load(TRUTH) if self.oracle else None
+        return ControllerConfig(GAINS[self.gains], oracle_force, self.lag)
+
+
+LAG_VARIANTS = tuple(
+    _LagVariant(gains, oracle, lag)
+    for gains in GAINS
+    for oracle in (False, True)
+    for lag in (False, True)
+)
+"""What is flown: gains, beliefs, with and without lag compensation."""
+
+
+def _settings(options: Any) -> dict[str, Any]:
+    return {
+        "team": TEAM,
+        "seed": options.seed,
+        "episodes": options.episodes or _EPISODES,
+        "engine": options.engine or default_engine(),
+        "truth": TRUTH,
+    }
+
+
+def _grid(options: Any) -> Cells:
+    """The same swaps by every variant."""
+    seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
+    engine = options.engine or default_engine()
+    return {v.name: partial(_measure, v, seeds, engine) for v in LAG_VARIANTS}
+
+
+def _measure(variant: _LagVariant, seeds: Sequence[int], engine: str) -> Cell:
+    """Fly one variant: worst height errors of the lowest drone, and the first flight's errors."""
+    flights = fly(swap_test(TEAM, truth=TRUTH, engine=engine), variant.controller, seeds)
+    return {
+        "worst_cm": np.round(100.0 * flights.worst_height_error[:, -1], 4).tolist(),
+        "crashed": int(flights.crashed.sum()),
+        "height_m": np.round(_height_error(flights, 0), 6).tolist(),
+    }
+
+
+def _height_error(flights: Flights, e: int) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(T,) height error of the lowest drone of flight `e`, m."""
+    return flights.position[e, :, -1, 2] - flights.reference[e, :, -1, 2]
+
+
+def _row(variant: _LagVariant, cell: Cell) -> dict[str, Any]:
+    worst = np.array(cell["worst_cm"])
+    return {
+        "gains": variant.gains,
+        "force": "exact" if variant.oracle else "none",
+        "lag": "compensated" if variant.lag else "not compensated",
+        "median_cm": round(float(np.median(worst)), 3),
+        "best_cm": round(float(worst.min()), 3),
+        "worst_cm": round(float(worst.max()), 3),
+        "crashed": cell["crashed"],
+    }
+
+
+def reductions(rows: Sequence[dict[str, Any]]) -> dict[str, dict[str, float]]:
+    """How many times smaller the median error is with lag compensation, by force and gains."""
+    median = {(r["force"], r["gains"], r["lag"]): r["median_cm"] for r in rows}
+    return {
+        force: {
+            gains: round(
+                median[force, gains, "not compensated"] / median[force, gains, "compensated"], 2
+            )
+            for gains in GAINS
+        }
+        for force in ("none", "exact")
+    }
+
+
+def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
+    rows = [_row(variant, cells[variant.name]) for variant in LAG_VARIANTS]
+    summary = {**_settings(options), "rows": rows, "reductions": reductions(rows)}
+    traces = {v.name: cells[v.name]["height_m"] for v in LAG_VARIANTS}
+    draw = partial(_plot, rows=rows, traces=traces)
+    return Report(summary, _text(summary), rows, {"lag.png": draw})
+
+
+def _text(summary: Mapping[str, Any]) -> str:
+    lines = [("gains", "feed-forward", "lag not comp.", "lag compensated", "ratio")]
+    median = {(r["force"], r["gains"], r["lag"]): r["median_cm"] for r in summary["rows"]}
+    for force, ratios in summary["reductions"].items():
+        for gains, ratio in ratios.items():
+            off, on = (median[force, gains, f"{no}compensated"] for no in ("not ", ""))
+            name = "exact (oracle)" if force == "exact" else "none"
+            lines.append((gains, name, f"{off:.2f}", f"{on:.2f}", f"{ratio:.1f}"))
+    return "\n".join(
+        [
+            f"Worst height error of the lowest drone, {TEAM}, radius 0.5 m in 4 s, median of "
+            f"{summary['episodes']} swaps (cm)",
+            *format_columns(lines),
+            f"flights that crashed: {sum(row['crashed'] for row in summary['rows'])}",
+        ]
+    )
+
+
+_LOOK = {
+    ("none", "not compensated"): ("#E69F00", "no force, lag not compensated"),
+    ("none", "compensated"): ("#D55E00", "no force, lag compensated"),
+    ("exact", "not compensated"): ("#56B4E9", "exact force, lag not compensated"),
+    ("exact", "compensated"): ("#0072B2", "exact force, lag compensated"),
+}
+_SAMPLES_PER_SECOND = 48
+
+
+def _plot(
+    path: Path, rows: Sequence[Mapping[str, Any]], traces: Mapping[str, Sequence[float]]
+) -> None:
+    """Height errors of the first swap over time, default gains, and medians by gains."""
+    headline = "A small drone passes under a large one: lag compensation, eq. (22)"
+    with picture(path, 11.0, 4.2, headline) as figure:
+        over_time, medians = figure.subplots(1, 2, width_ratios=[1.25, 1.0])
+        for row, trace in zip(rows, traces.values(), strict=True):
+            if row["gains"] == "mid":
+                color, label = _LOOK[row["force"], row["lag"]]
+                time = np.arange(len(trace)) / _SAMPLES_PER_SECOND
+                over_time.plot(time, 100.0 * np.array(trace), color=color, label=label)
+        over_time.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
+        over_time.set(xlabel="Time (s)", ylabel="Height error (cm)", title="One swap, gains mid")
+        over_time.legend(fontsize=9)
+        over_time.grid(True)
+        _medians(medians, rows)
+
+
+def _medians(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
+    gains = list(dict.fromkeys(row["gains"] for row in rows))
+    for k, (look, (color, _)) in enumerate(_LOOK.items()):
+        own = [row for row in rows if (row["force"], row["lag"]) == look]
+        place = np.array([gains.index(row["gains"]) for row in own]) + 0.2 * (k - 1.5)
+        height = [row["median_cm"] for row in own]
+        axis.bar(place, height, 0.19, color=color)
+        for x, y in zip(place, height, strict=True):
+            axis.text(
+                x,
+                1.06 * y,
+                f"{y:.1f}" if y >= 1.0 else f"{y:.2f}",
+                ha="center",
+                va="bottom",
+                fontsize=8,
+                color=INK,
+            )
+    axis.set_yscale("log")
+    axis.set_ylim(0.05, 60.0)
+    axis.set_xticks(range(len(gains)), gains)
+    axis.set(ylabel="Worst height error, median (cm)", title="All swaps, by gains")
+    axis.grid(True, axis="y")
+
+
+LAG = Study(
+    paper="neural-swarm2",
+    name="study-lag",
+    label="Lag",
+    shows="height errors with and without compensation of the motors' lag, eq. (22)",
+    file="lag",
+    takes=("episodes", "engine"),
+    grid=_grid,
+    settings=_settings,
+    report=_report,
+)
+"""Gains, beliefs, with and without lag compensation."""

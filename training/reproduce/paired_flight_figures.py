@@ -1,0 +1,486 @@
+"""Fig. 8, 9 and 1 of Neural-Swarm2: flights without and with compensation, as tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.neural_swarm.flights import (
+    default_engine,
+    describe_model,
+    describe_spread,
+    format_columns,
+    versions,
+)
+from swarm_envs.errors import check_name
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.ring import RingTask
+from swarm_envs.tasks.swap import StackedLayout
+from swarm_envs.training.collection.flight import vehicle_names
+from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about, exactly
+from swarm_envs.training.reproduce.paired_flight_plots import plot_rings, plot_swaps
+from swarm_envs.training.reproduce.paired_flights import (
+    PLAIN_SWAPS,
+    SIDES,
+    SIGNIFICANT,
+    SWAPS,
+    FlightCase,
+    PairedFlights,
+    compare_paired,
+    fly_or_read,
+    ring_case,
+    swap_case,
+)
+from swarm_envs.training.reproduce.study import Cells, Report, Study, draw_seeds
+
+_TRUTHS = ("learned", "wake")
+"""The forces that are flown in if none is named: those for which a belief ships."""
+_WORST = "worst of each flight"  # name of the row of rings that is judged
+_MOST_EPISODES = 1000
+_EPISODES = 20
+_LARGE_CM, _LARGE_CASES = 8.0, 6  # errors above this are to be halved; so many cases exceed it
+
+
+def _truths(options: Any) -> tuple[str, ...]:
+    return _TRUTHS if options.truth is None else (options.truth,)
+
+
+def _belief(options: Any, truth: str) -> InteractionModel:
+    return load_belief(truth) if options.belief is None else load(options.belief)
+
+
+def _layout(options: Any) -> StackedLayout:
+    radius, duration = options.radius_m, options.duration_s
+    return StackedLayout(radius_m=(radius, radius), duration_s=(duration, duration))
+
+
+def _check(options: Any) -> None:
+    if (options.episodes or 1) > _MOST_EPISODES:
+        raise ValueError(f"episodes is {options.episodes}, but must be at most {_MOST_EPISODES}")
+    for case in options.cases:
+        check_name("case", case, SWAPS)
+    if not options.cases or len(set(options.cases)) < len(options.cases):
+        raise ValueError(f"cases are {options.cases}, but must be at least one, each named once")
+    if options.belief is not None and options.truth is None:
+        raise ValueError(
+            "a belief is learned in one environment: name its force model by --truth too"
+        )
+    _layout(options)
+
+
+def _cases(options: Any) -> dict[str, list[FlightCase]]:
+    """The cases of the figure in each air."""
+    engine = options.engine or default_engine()
+
+    def made(truth: InteractionModel) -> list[FlightCase]:
+        if options.figure != 8:
+            return [ring_case(options.figure, truth, engine)]
+        return [swap_case(name, _layout(options), truth, engine) for name in options.cases]
+
+    return {truth: made(load(truth)) for truth in _truths(options)}
+
+
+def _grid(options: Any) -> Cells:
+    """Every case in every air, each kept in a file of its own."""
+    seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
+    jobs = {}
+    for truth, cases in _cases(options).items():
+        belief, name = _belief(options, truth), Path(load(truth).name).stem
+        for case in cases:
+            file = f"{case.name.replace('*', 'x').replace(' ', '_')}.npz"
+            path = options.out / options.chosen.file / name / file
+            jobs[f"{case.name}, {truth}"] = partial(fly_or_read, path, case, belief, seeds)
+    return jobs
+
+
+def _report(options: Any, cells: Mapping[str, PairedFlights]) -> Report:
+    cases = _cases(options)
+    flown = {t: [cells[f"{c.name}, {t}"] for c in own] for t, own in cases.items()}
+    airs = [_air(options, truth, cases[truth], flown[truth]) for truth in cases]
+    first = next(iter(cases.values()))[0].test
+    episodes = options.episodes or _EPISODES
+    layout = _layout(options) if options.figure == 8 else first.task.layout  # type: ignore[attr-defined]
+    report = {
+        "figure": options.figure,
+        "what": "worst height error against the reference, cm; p of Wilcoxon's signed-rank test, "
+        "two-sided, pairs of flights with the same seed",
+        "engine": first.engine,
+        "seed": options.seed,
+        "episodes": episodes,
+        "seeds": draw_seeds(options.seed, episodes),
+        "layout": repr(layout),
+        "versions": versions(),
+        "truths": airs,
+        "notes": _notes(options, first.engine, flown),
+    }
+    draw = plot_swaps if options.figure == 8 else plot_rings
+    name = f"{options.chosen.file}.png"
+    picture = partial(draw, report=report, cases=list(cases.values()), flown=list(flown.values()))
+    return Report(report, format_flights(report), list(_table(report)), {name: picture})
+
+
+def _air(
+    options: Any, truth: str, cases: Sequence[FlightCase], flown: Sequence[PairedFlights]
+) -> dict[str, Any]:
+    rows = [_case_row(case, one) for case, one in zip(cases, flown, strict=True)]
+    checks = check_swaps(rows) if options.figure == 8 else check_rings(rows)
+    return {
+        "truth": describe_model(load(truth)),
+        "belief": describe_model(_belief(options, truth)),
+        "claims": checks,
+        "cases": rows,
+    }
+
+
+def _notes(options: Any, engine: str, flown: Mapping[str, Sequence[PairedFlights]]) -> list[str]:
+    """What is otherwise than one would think."""
+    notes = []
+    if engine == "batch" and options.engine is None:
+        notes.append("pybullet cannot be imported here, so the compiled twin of Bullet flew")
+    for name in flown:
+        truth = load(name)
+        if truth.fingerprint == _belief(options, name).fingerprint:
+            notes.append(f"the controller believes the very force that blows, {truth.name!r}")
+    crashed = sum(int(one.crashed.sum()) for own in flown.values() for one in own)
+    if crashed:
+        notes.append(f"{crashed} flights ended before the clock: their error is not their worst")
+    return notes
+
+
+def _case_row(case: FlightCase, flown: PairedFlights) -> dict[str, Any]:
+    """Everything that is said of a case: the judged error, every drone's, force, raw errors."""
+    team = case.test.task.team
+    names = vehicle_names(team)
+    drones = [
+        {
+            "drone": name,
+            **_place(case, i),
+            **_compared_errors(case, flown.worst_cm[..., i]),
+            "force_rms_g": round(float(flown.force_rms_g[i]), 3),
+            "error_rms_g": round(float(flown.error_rms_g[i]), 3),
+        }
+        for i, name in enumerate(names)
+    ]
+    return {
+        "case": case.name,
+        "judged": _WORST if case.judged is None else names[case.judged],
+        "episodes": int(flown.worst_cm.shape[1]),
+        "paper_cm": case.paper_cm,
+        **_compared_errors(case, flown.judged_cm(case.judged)),
+        "drones": drones,
+        "crashed": dict(zip(SIDES, flown.crashed.sum(axis=1).tolist())),
+        "least_separation_m": dict(zip(SIDES, flown.separation_m.min(axis=1).round(4).tolist())),
+        "explained": round(float(flown.explained), 4),
+        "mean_neighbours": round(float(flown.neighbours[0]), 2),
+        "most_neighbours": int(flown.neighbours[1]),
+        "others_cm": _others(case, flown) if len(team) > 1 else None,
+        "worst_height_error_cm": {
+            side: np.round(flown.worst_cm[k], 3).tolist() for k, side in enumerate(SIDES)
+        },
+    }
+
+
+def _compared_errors(case: FlightCase, errors: FloatArray) -> dict[str, Any]:
+    """Errors (2, E) compared. Flights on rings differ in their start alone: p says nothing."""
+    found = compare_paired(*errors)
+    if isinstance(case.test.task, RingTask):
+        del found["p_value"], found["significant"]
+    return found
+
+
+def _place(case: FlightCase, i: int) -> dict[str, str]:
+    task = case.test.task
+    if not isinstance(task, RingTask):
+        return {"place": "lowest" if i == len(task.team) - 1 else "upper"}
+    upright = task.orbit.first[i, 2] != 0.0
+    return {"place": "upright ring" if upright else "level ring"}
+
+
+def _others(case: FlightCase, flown: PairedFlights) -> dict[str, float] | None:
+    """Errors of the drones above the judged one: what compensating the lowest costs them."""
+    if case.judged is None:
+        return None
+    upper = flown.worst_cm[..., :-1]
+    worst = upper.max(axis=-1)
+    return {
+        "without": round(float(np.median(worst[0])), 3),
+        "compensated": round(float(np.median(worst[1])), 3),
+        "largest_growth": round(float((upper[1] - upper[0]).max()), 3),
+    }
+
+
+_COLUMNS = (
+    *("truth", "case", "drone", "place", "judged", "episodes"),
+    *(f"{side}_{w}_cm" for side in SIDES for w in ("median", "lower_quartile", "upper_quartile")),
+    *("ratio", "made_worse", "p_value", "paper_without_cm", "paper_compensated_cm"),
+    *("crashed_without", "crashed_compensated", "force_rms_g", "error_rms_g"),
+)  # fmt: skip
+
+
+def _table(report: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    """One row for each drone of each case, and for what is judged."""
+    for air in report["truths"]:
+        for row in air["cases"]:
+            drones = [d | {"judged": d["drone"] == row["judged"]} for d in row["drones"]]
+            if row["judged"] == _WORST:
+                own = {k: row[k] for k in (*SIDES, "ratio", "made_worse")}
+                drones.append(own | {"drone": _WORST, "judged": True})
+            for drone in drones:
+                paper = (drone["judged"] and row["paper_cm"]) or (None, None)
+                yield (
+                    {name: drone.get(name) for name in _COLUMNS}
+                    | {
+                        f"{side}_{what}_cm": round(value, 4)
+                        for side in SIDES
+                        for what, value in drone[side].items()
+                    }
+                    | {
+                        "truth": air["truth"]["name"],
+                        "case": row["case"],
+                        "episodes": row["episodes"],
+                        "paper_without_cm": paper[0],
+                        "paper_compensated_cm": paper[1],
+                        "crashed_without": row["crashed"]["without"],
+                        "crashed_compensated": row["crashed"]["compensated"],
+                    }
+                )
+
+
+def check_swaps(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """What the swaps of Fig. 8 should show, as far as their cases were flown, and whether they do.
+
+    Args:
+        rows: of the cases, as `_case_row` gives them.
+    """
+    worse = [row["case"] for row in rows if row["ratio"] >= 1.0]
+    large = [row for row in rows if row["without"]["median"] > _LARGE_CM]
+    stubborn = [row["case"] for row in large if row["ratio"] > 0.5]
+    checks = [
+        _checked(
+            "the median is smaller with compensation in every case",
+            f"in {len(rows) - len(worse)} of {len(rows)}{_but(worse)}",
+            not worse,
+        ),
+        _checked(
+            f"it is at least halved where it exceeds {_LARGE_CM:g} cm without",
+            f"in {len(large) - len(stubborn)} of {len(large)}{_but(stubborn)}",
+            not stubborn,
+        ),
+    ]
+    plain = [row for row in rows if row["case"] in PLAIN_SWAPS]
+    if len(plain) == len(PLAIN_SWAPS):
+        found = sum(row in large for row in plain)
+        said = f"at least {_LARGE_CASES} of the ten plain cases exceed it"
+        checks.append(_checked(said, f"{found} do", found >= _LARGE_CASES))
+    return checks + [_beats_paper(row) for row in rows if row["paper_cm"]]
+
+
+def check_rings(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Likewise of rings: each flight's worst error is halved, and the paper's factor beaten."""
+    said = "the worst drone's error is at least halved"
+    halved = [_checked(f"{r['case']}: {said}", _change(r), r["ratio"] <= 0.5) for r in rows]
+    return halved + [_beats_paper(row) for row in rows]
+
+
+def _checked(claim: str, found: str, reached: bool) -> dict[str, Any]:
+    return {"claim": claim, "found": found, "reached": reached}
+
+
+def _beats_paper(row: Mapping[str, Any]) -> dict[str, Any]:
+    before, after = row["paper_cm"]
+    said = f"{row['case']}: the factor is larger than the paper's {before:g} / {after:g} cm"
+    return _checked(said, _change(row), row["ratio"] < after / before)
+
+
+def _change(row: Mapping[str, Any]) -> str:
+    before, after = (row[side]["median"] for side in SIDES)
+    return f"{before:.1f} to {after:.1f} cm, a factor of {before / after:.1f}"
+
+
+def _but(cases: Sequence[str]) -> str:
+    return f", not in {', '.join(cases)}" if cases else ""
+
+
+def format_flights(report: Mapping[str, Any]) -> str:
+    """A report as text: a table for each force model, what is checked, notes."""
+    lines: list[str] = []
+    for air in report["truths"]:
+        lines += [
+            f"Worst height error (cm), median (quartiles) of {report['episodes']} flights each, "
+            f"{report['engine']} engine, {air['truth']['name']} forces, believed: "
+            f"{air['belief']['name']}",
+            "",
+            *(_swap_table(air) if report["figure"] == 8 else _ring_tables(air)),
+            "",
+            *(
+                f"{'reached' if claim['reached'] else 'MISSED'}: {claim['claim']}: {claim['found']}"
+                for claim in air["claims"]
+            ),
+            "",
+        ]
+    return "\n".join([*lines, *(f"note: {note}" for note in report["notes"])]).rstrip()
+
+
+_HEAD = ("without", "with", "ratio", "made worse")
+
+
+def _compared(row: Mapping[str, Any], episodes: int) -> tuple[str, ...]:
+    """The cells of `_HEAD`."""
+    spreads = [describe_spread(row[side]) for side in SIDES]
+    return (*spreads, f"{row['ratio']:.2f}", f"{row['made_worse']} of {episodes}")
+
+
+def _paper(row: Mapping[str, Any]) -> str:
+    return "{:g} -> {:g}".format(*row["paper_cm"]) if row["paper_cm"] else "-"
+
+
+def _swap_table(air: Mapping[str, Any]) -> list[str]:
+    rows: list[tuple[str, ...]] = [("case", *_HEAD, "p", "upper drones", "paper")]
+    for row in air["cases"]:
+        others = row["others_cm"]
+        upper = f"{others['without']:.1f} -> {others['compensated']:.1f}"
+        cells = (*_compared(row, row["episodes"]), f"{row['p_value']:.1g}", upper, _paper(row))
+        rows.append((row["case"], *cells))
+    return format_columns(rows)
+
+
+def _ring_tables(air: Mapping[str, Any]) -> list[str]:
+    lines = []
+    for row in air["cases"]:
+        rows: list[tuple[str, ...]] = [(row["case"], "place", *_HEAD, "force (g)", "its error (g)")]
+        for drone in row["drones"]:
+            force = (f"{drone['force_rms_g']:.2f}", f"{drone['error_rms_g']:.2f}")
+            rows.append(
+                (drone["drone"], drone["place"], *_compared(drone, row["episodes"]), *force)
+            )
+        rows.append((_WORST, "-", *_compared(row, row["episodes"]), "-", "-"))
+        lines += format_columns(rows)
+        lines.append(
+            f"paper, one drone of an upright ring: {_paper(row)} cm; neighbours: "
+            f"{row['mean_neighbours']:.1f} on average, {row['most_neighbours']} at most; "
+            f"{100 * row['explained']:.1f} % of the force's variance predicted"
+        )
+    return lines
+
+
+_ERROR = 0.3  # a height error may miss the paper's, one drone's or a median of six, by this share
+_QUIETER_AIR = (
+    "what is left in the hall, vehicles that are not what their model says, estimated states, "
+    "batteries and wakes that fluctuate, is not in this air"
+)
+_OWN_RINGS = Reason(
+    "the paper publishes no radii, speeds or phases of its rings; ours are our choice",
+    Range(3.0, 25.0),
+)
+_OWN_AIR = Reason(
+    "the force that blows here is a model, one of two, and not the air of their hall",
+    Range(8.5, 34.0),
+)
+
+
+def _compensation(where: str, case: Mapping[str, Any], without: Reason) -> Iterator[Claim]:
+    """Errors without and with compensation, and their ratio."""
+    before, after = case["paper_cm"]
+    known = Reason(_QUIETER_AIR, Range(0.0, after))
+    for side, key, paper, reason in (
+        ("without", "without", before, without),
+        ("with", "compensated", after, known),
+    ):
+        yield Claim(
+            f"{where}: error {side}, cm",
+            f"{paper:g}",
+            case[key]["median"],
+            about(paper, _ERROR),
+            (reason,),
+            spread=(case[key]["lower_quartile"], case[key]["upper_quartile"]),
+            spread_is="quartiles",
+        )
+    yield Claim(
+        f"{where}: error without over error with",
+        f"{before / after:.2g}",
+        1.0 / case["ratio"],
+        about(before / after, _ERROR),
+        (Reason(_QUIETER_AIR, Range(before / after)),),
+    )
+
+
+def _ring_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
+    """Fig. 1 and 9: the worst drone's height error in each air, and the force foreseen."""
+    five = numbers["figure"] == 9
+    for air in numbers["truths"]:
+        case, where = air["cases"][0], f"`{air['truth']['name']}` air"
+        yield from _compensation(where, case, _OWN_RINGS)
+        yield Claim(
+            f"{where}: share of the force's variance predicted",
+            "accurate" if five else "relatively less accurate",
+            case["explained"],
+            Range(0.9 if five else 0.5),
+        )
+
+
+def _swap_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
+    """Fig. 8: the one median that the paper prints, and its two claims about all cases."""
+    for air in numbers["truths"]:
+        where, cases = f"`{air['truth']['name']}` air", air["cases"]
+        (l2s,) = (case for case in cases if case["case"] == "L2S")
+        yield from _compensation(f"{where}, L2S", l2s, _OWN_AIR)
+        better = [case for case in cases if case["ratio"] < 1.0]
+        sure = [case for case in better if case["p_value"] < SIGNIFICANT]
+        yield Claim(
+            f"{where}: share of cases whose median improves",
+            "all",
+            len(better) / len(cases),
+            exactly(1.0),
+        )
+        yield Claim(
+            f"{where}: share of cases that improve with p < {SIGNIFICANT:g}",
+            "most",
+            len(sure) / len(cases),
+            Range(0.5, 1.0),
+        )
+
+
+_TAKES = ("truth", "belief", "episodes", "engine")
+
+
+def _flown(number: int, shows: str, claims: Any, takes: tuple[str, ...] = _TAKES) -> Study:
+    """The paper flies six swaps of each case, and so does the quick study."""
+    return Study(
+        paper="neural-swarm2",
+        name=f"figure-{number}",
+        label=f"Fig. {number}",
+        shows=shows,
+        takes=takes,
+        check=_check,
+        grid=_grid,
+        report=_report,
+        claims=claims,
+        pictures=(f"figure_{number}.png",),
+        quick={"episodes": 6, "engine": "batch"},
+    )
+
+
+FIGURE_1 = _flown(
+    1,
+    "sixteen drones on intertwined rings, with and without compensation (b, c); (a) is a "
+    "photograph",
+    _ring_claims,
+)
+"""Rings of 16."""
+FIGURE_8 = _flown(
+    8,
+    "worst height error of stacked swaps with and without compensation",
+    _swap_claims,
+    (*_TAKES, "cases", "radius_m", "duration_s"),
+)
+"""Stacked swaps."""
+FIGURE_9 = _flown(
+    9, "five drones on intertwined rings, and the force that is predicted there", _ring_claims
+)
+"""Rings of 5."""

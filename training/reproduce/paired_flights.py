@@ -1,0 +1,266 @@
+"""The flight tests of Neural-Swarm2 (Sec. VII-E), each flown without and with compensation.
+
+Fig. 8: stacked swaps. Its text names the notation (`SL2S`: small and large above small), the
+number of swaps (6), and one median; `S*` is a small drone with stronger motors, flown where the
+downwash was too much for a plain one: here wherever the lowest drone is a small one.
+
+Fig. 9 and 1: rings of 5 and 16. Radii, speeds and phases are not published; ours are those of
+`ring_v0` (see `swarm_envs.tasks.ring`), whose phases are locked.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.flights import Flights, FlightTest, fly, quartiles, swap_test
+from swarm_envs.control.config import ControllerConfig
+from swarm_envs.files import written_whole
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.field import INTERACTION_VOLUME
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tasks.base import Success
+from swarm_envs.tasks.ring import RingTask, ring_team
+from swarm_envs.tasks.swap import StackedLayout
+from swarm_envs.training.provenance import differing
+from swarm_envs.vehicles import GRAM_FORCE, team_string
+
+PLAIN_SWAPS = ("S2S", "L2S", "S2L", "L2L", "SS2S", "SL2S", "LL2S", "SS2L", "SL2L", "LL2L")
+"""Teams of Fig. 8, the lowest drone last."""
+STRONG_SWAPS = ("S2S*", "L2S*", "SS2S*", "SL2S*", "LL2S*")
+"""The same with stronger motors for the small drone that flies lowest."""
+SWAPS = (*PLAIN_SWAPS, *STRONG_SWAPS)
+"""Every case of Fig. 8."""
+_RING_SIZES = {9: 5, 1: 16}  # drones of the rings by number of the figure
+
+
+@dataclass(frozen=True)
+class FlightCase:
+    """One team on one motion."""
+
+    name: str
+    """Such as `L2S`, or `ring of 5`."""
+    test: FlightTest
+    """What is flown, in which air."""
+    judged: int | None
+    """Index of the drone whose error counts; None for the worst of each flight."""
+    paper_cm: tuple[float, float] | None = None
+    """The paper's error without and with compensation, if it gives one."""
+
+
+def swap_case(
+    name: str, layout: StackedLayout, truth: str | Path | InteractionModel, engine: str
+) -> FlightCase:
+    """A case of Fig. 8: judged by its lowest drone."""
+    paper = (17.0, 7.0) if name == "L2S" else None  # medians of six swaps
+    return FlightCase(name, swap_test(name, layout, truth, engine), -1, paper)
+
+
+def ring_case(figure: int, truth: str | Path | InteractionModel, engine: str) -> FlightCase:
+    """The rings of Fig. 9 or Fig. 1: judged by the worst drone of each flight."""
+    task = RingTask(ring_team(_RING_SIZES[figure]))
+    paper = {9: (10.0, 5.0), 1: (15.0, 10.0)}[figure]  # of one drone on an upright ring
+    return FlightCase(f"ring of {len(task.team)}", FlightTest(task, truth, engine), None, paper)
+
+
+def _settings_of(case: FlightCase) -> dict[str, object]:
+    """What decides on a case's flights beside controllers, seeds and force: ready for JSON."""
+    task = case.test.task
+    layout = task.layout if isinstance(task, RingTask) else getattr(task, "stacked", None)
+    return {
+        "case": case.name,
+        "team": team_string(task.team),
+        "engine": case.test.engine,
+        "layout": repr(layout),
+        "seconds": case.test.seconds,
+        "decision_rate": case.test.decision_rate,
+    }
+
+
+SIDES = ("without", "compensated")
+"""The two controllers, in the order of the arrays."""
+
+
+@dataclass(frozen=True)
+class PairedFlights:
+    """E episodes of a case, of N drones, by both controllers; sides are in the order of `SIDES`."""
+
+    worst_cm: FloatArray
+    """(2, E, N) worst height error of each drone since errors count."""
+    crashed: BoolArray
+    """(2, E) ended in a collision or a tumble: the errors are not the worst there."""
+    separation_m: FloatArray
+    """(2, E) smallest distance of two drones."""
+    force_rms_g: FloatArray
+    """(N,) of the true vertical force on the compensated drones since errors count."""
+    error_rms_g: FloatArray
+    """(N,) of the predicted force less that."""
+    explained: FloatArray
+    """() share of that force's variance, over all drones, which was predicted."""
+    neighbours: FloatArray
+    """(2,) others in a drone's interaction volume: mean and most."""
+    shown: FloatArray
+    """() index of the episode that pictures show: the middle one without compensation."""
+    time: FloatArray
+    """(T,) s, of that episode."""
+    height_error_cm: FloatArray
+    """(2, T, N) height over the reference."""
+    force_g: FloatArray
+    """(2, T, N) true vertical force."""
+    believed_g: FloatArray
+    """(T, N) what the compensated side predicted."""
+    reference: FloatArray
+    """(T, N, 3) m."""
+
+    def judged_cm(self, judged: int | None) -> FloatArray:
+        """(2, E) error that counts: of one drone, or of the worst of each flight if None."""
+        if judged is None:
+            return np.asarray(self.worst_cm.max(axis=-1))
+        return self.worst_cm[..., judged]
+
+
+def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -> PairedFlights:
+    """Fly every episode of a case without and with a belief: same seeds, gains, references.
+
+    Args:
+        case: what to fly.
+        belief: the force that the second controller predicts and compensates.
+        seeds: one for each episode.
+    """
+    without = fly(case.test, ControllerConfig(), seeds)
+    compensated = fly(case.test, ControllerConfig(feedforward=belief), seeds)
+    sides = (without, compensated)
+    worst = 100.0 * np.stack([side.worst_height_error for side in sides])
+    judged = worst[0].max(axis=-1) if case.judged is None else worst[0, :, case.judged]
+    shown = int(np.argsort(judged, kind="stable")[(len(judged) - 1) // 2])
+    separation = [[m["minimum_separation_m"] for m in side.metrics] for side in sides]
+    return PairedFlights(
+        worst_cm=worst,
+        crashed=np.stack([side.crashed for side in sides]),
+        separation_m=np.array(separation, dtype=np.float64),
+        shown=np.array(shown),
+        time=without.time,
+        height_error_cm=np.stack([_height_error_cm(side)[shown] for side in sides]),
+        force_g=np.stack([side.force[shown, ..., 2] / GRAM_FORCE for side in sides]),
+        believed_g=compensated.believed[shown, ..., 2] / GRAM_FORCE,
+        reference=without.reference[shown],
+        **_prediction(case, compensated),
+    )
+
+
+def _height_error_cm(flights: Flights) -> FloatArray:
+    return np.asarray(100.0 * (flights.position - flights.reference)[..., 2])
+
+
+def _prediction(case: FlightCase, flights: Flights) -> dict[str, FloatArray]:
+    """How well the belief of compensated flights follows the force, and how many were near."""
+    success = case.test.task.success
+    begins = 0.0 if isinstance(success, Success) else success.settle_s
+    flying = np.arange(len(flights.time)) < flights.samples[:, None]
+    flying &= (flights.time > 0.0) & (flights.time >= begins)
+    force = flights.force[flying][..., 2] / GRAM_FORCE
+    error = flights.believed[flying][..., 2] / GRAM_FORCE - force
+    position = flights.position[flying]
+    apart = np.abs(position[:, :, None] - position[:, None])
+    near = (apart < INTERACTION_VOLUME).all(axis=-1).sum(axis=-1) - 1
+    variance = float(force.var())
+    return {
+        "force_rms_g": np.sqrt(np.mean(force**2, axis=0)),
+        "error_rms_g": np.sqrt(np.mean(error**2, axis=0)),
+        "explained": np.array(1.0 - np.mean(error**2) / variance if variance else 0.0),
+        "neighbours": np.array([near.mean(), near.max()], dtype=np.float64),
+    }
+
+
+def fly_or_read(
+    path: Path, case: FlightCase, belief: InteractionModel, seeds: Sequence[int]
+) -> PairedFlights:
+    """Fly a case and write its file, or read the file if it is there.
+
+    Raises:
+        ValueError: the file is of other settings, or damaged.
+    """
+    settings = _settings_of(case) | {
+        "seeds": list(seeds),
+        "truth_sha256": load(case.test.truth).fingerprint,
+        "belief_sha256": belief.fingerprint,
+    }
+    if path.exists():
+        return _read(path, settings)
+    flown = fly_case(case, belief, seeds)
+    with written_whole(path) as partial:
+        np.savez_compressed(partial, settings=np.array(json.dumps(settings)), **vars(flown))
+    return flown
+
+
+def _read(path: Path, settings: dict[str, Any]) -> PairedFlights:
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
+            there = json.loads(str(arrays["settings"]))
+            flown = PairedFlights(
+                **{entry.name: arrays[entry.name] for entry in fields(PairedFlights)}
+            )
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(
+            f"{str(path)!r} is damaged, or no file of flights ({error}); delete it"
+        ) from error
+    differences = differing(there, settings)
+    if differences:
+        raise ValueError(
+            f"{str(path)!r} was flown with other settings: {differences}; choose another folder "
+            "by --out, or delete that file"
+        )
+    return flown
+
+
+SIGNIFICANT = 0.05
+"""Differences with a smaller p are called significant."""
+
+
+def compare_paired(without: FloatArray, compensated: FloatArray) -> dict[str, Any]:
+    """Compare errors (E,) of the same E episodes, without and with compensation.
+
+    Returns:
+        Ready for JSON: `without` and `compensated`, median and quartiles; `ratio` of the medians,
+        compensated over uncompensated; `made_worse`, episodes in which compensation made the error
+        larger; `p_value` of `signed_rank_p`, and whether it is `significant`.
+
+    Raises:
+        ValueError: they are not as many, or there are none.
+    """
+    if without.shape != compensated.shape or without.ndim != 1 or not len(without):
+        raise ValueError(
+            f"errors of shapes {without.shape} and {compensated.shape} are no pairs: give one "
+            "number for each episode, of the same episodes"
+        )
+    before, after = quartiles(without), quartiles(compensated)
+    p_value = signed_rank_p(compensated - without)
+    return {
+        "without": before,
+        "compensated": after,
+        "ratio": after["median"] / before["median"],
+        "made_worse": int((compensated > without).sum()),
+        "p_value": p_value,
+        "significant": p_value < SIGNIFICANT,
+    }
+
+
+def signed_rank_p(differences: FloatArray) -> float:
+    """Give p of Wilcoxon's signed-rank test, two-sided, of paired differences (E,).
+
+    The hypothesis is that differences are symmetric about 0. Pairs are compared because episodes
+    differ more among each other than controllers do, ranks because errors are not normal. Exact for
+    up to 50 pairs without ties or zeros, so that n pairs give no smaller p than 2^(1 - n); zeros
+    are dropped, and nothing but zeros gives 1.
+    """
+    from scipy.stats import wilcoxon
+
+    if not np.any(differences):
+        return 1.0
+    return float(wilcoxon(differences).pvalue)

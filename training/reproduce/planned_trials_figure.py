@@ -1,0 +1,333 @@
+"""Fig. 7 of Neural-Swarm2: random swaps of two and three, planned knowing the forces and not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.neural_swarm.flights import default_engine, format_columns
+from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
+from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason
+from swarm_envs.training.reproduce.planned_swaps import (
+    ATTEMPTS,
+    PLANNED_SHARE,
+    PLANNERS,
+    SIDES,
+    TrialSettings,
+    check_planned,
+    draw_swap,
+    fly_trial,
+    kept_plan,
+)
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study
+from swarm_envs.vehicles import parse_team
+from swarm_envs.viewing.style import INK, picture
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# In what plans are flown, and how the tables say it.
+_PLANTS: Mapping[str, str] = {
+    "model_plant": "(a) the planner's own model, tracked by a PID, no compensation",
+    "plain": "(b) quadrotors in unknown air, no compensation",
+    "compensated": "(b) quadrotors in unknown air, compensated",
+}
+
+
+def _settings(options: Any) -> dict[str, Any]:
+    truth = options.truth or "learned"
+    return {
+        "seed": options.seed,
+        "truth": truth,
+        "engine": options.engine or default_engine(),
+        "model": load_belief(truth).fingerprint,
+        "planned_share": PLANNED_SHARE,
+        "attempts": ATTEMPTS,
+    }
+
+
+def _grid(options: Any) -> Cells:
+    truth, engine = options.truth or "learned", options.engine or default_engine()
+    settings = TrialSettings(load_belief(truth), truth, engine)
+    return {
+        f"{team}, {planner}, {s}": partial(_trial, options.out, settings, team, planner, s)
+        for team in options.scenarios
+        for s in range(options.seed, options.seed + options.trials)
+        for planner in PLANNERS
+    }
+
+
+def _trial(out: Path, settings: TrialSettings, team: str, planner: str, seed: int) -> Cell:
+    """Plan, or read the plan that is kept, and fly."""
+    swap, path = draw_swap(team, seed), out / "plans" / f"{team}_{planner}_{seed}.npz"
+    plan = kept_plan(path, settings, swap, planner, seed)
+    return fly_trial(settings, swap, plan, planner, seed)
+
+
+def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
+    found = list(cells.values())
+    rows = {plant: scenario_rows(found, plant) for plant in _PLANTS}
+    summary = {
+        **_settings(options),
+        "trials": options.trials,
+        "rows": rows,
+        "verdicts": check_scenarios(rows["model_plant"]),
+        "not_converged": [n for n, c in cells.items() if c["plan"]["status"] != "converged"],
+        "crashed": {s: [n for n, c in cells.items() if c[s]["crashed"]] for s in SIDES},
+        "cells": found,
+    }
+    files = {
+        f"figure_7{'' if plant == 'model_plant' else f'_{plant}'}.png": partial(
+            plot_trials, cells=found, headline=f"Fig. 7 {title}", plant=plant
+        )
+        for plant, title in _PLANTS.items()
+    }
+    table = [{"plant": plant, **row} for plant in _PLANTS for row in rows[plant]]
+    return Report(summary, _text(summary), table, files)
+
+
+_ALLOWED = 1.1  # largest force over its bound that the aware planner may have, in any trial
+_PAPER_VIOLATIONS = ("SL", "SSL", "LL")
+"""Scenarios in which the paper's unaware planner "consistently" nearly doubles its bound."""
+
+
+def scenario_rows(
+    cells: Iterable[Mapping[str, Any]], plant: str = "model_plant"
+) -> list[dict[str, Any]]:
+    """One row for each scenario and planner.
+
+    Args:
+        cells: as `fly_trial` returns them.
+        plant: whose measures: the key in the cells.
+    """
+    grouped: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+    for cell in cells:
+        grouped.setdefault((cell["scenario"], cell["planner"]), []).append(cell)
+    return [_row(*key, own, plant) for key, own in grouped.items()]
+
+
+def _row(
+    scenario: str, planner: str, cells: Sequence[Mapping[str, Any]], plant: str
+) -> dict[str, Any]:
+    found = [cell[plant] for cell in cells]
+    errors = [max(f["error_cm"]) for f in found]
+    ratios = [f["over_bound"] for f in found]
+    return {
+        "scenario": scenario,
+        "planner": planner,
+        "trials": len(cells),
+        "worst_error_cm": round(max(errors), 3),
+        "median_error_cm": round(float(np.median(errors)), 3),
+        **{f"worst_force_{token}_g": _worst_force(scenario, token, found) for token in "SL"},
+        "worst_over_bound": round(max(ratios), 3),
+        "trials_over_bound": sum(ratio > 1.0 for ratio in ratios),
+        "least_clearance": round(min(f["clearance"] for f in found), 3),
+        "errors_cm": [round(error, 3) for error in errors],
+        "over_bound": [round(ratio, 3) for ratio in ratios],
+    }
+
+
+def _worst_force(scenario: str, token: str, found: Sequence[Mapping[str, Any]]) -> float | None:
+    """Largest force on any vehicle of a type, g; None where there is none."""
+    own = [i for i, vehicle in enumerate(parse_team(scenario)) if vehicle.token == token]
+    forces = [f["force_g"][i] for f in found for i in own]
+    return round(max(forces), 3) if forces else None
+
+
+def check_scenarios(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Whether the claims of Fig. 7 hold in these rows, claim by claim."""
+    by = {(row["scenario"], row["planner"]): row for row in rows}
+    scenarios = list(dict.fromkeys(row["scenario"] for row in rows))
+    unaware, aware = PLANNERS
+    return {
+        "aware_within_bound": all(by[s, aware]["worst_over_bound"] <= _ALLOWED for s in scenarios),
+        "aware_error_smaller": all(
+            by[s, aware]["worst_error_cm"] < by[s, unaware]["worst_error_cm"] for s in scenarios
+        ),
+        "unaware_violates": {
+            s: by[s, unaware]["worst_over_bound"] > 1.0 for s in _PAPER_VIOLATIONS if s in scenarios
+        },
+    }
+
+
+def format_scenarios(rows: Sequence[Mapping[str, Any]], title: str) -> str:
+    """The rows of `scenario_rows` as text."""
+    head = ("scenario", "planner", "error (cm)", "force S (g)", "force L (g)", "over bound")
+    lines: list[tuple[str, ...]] = [(*head, "trials over")]
+    for row in rows:
+        columns = ("worst_error_cm", "worst_force_S_g", "worst_force_L_g", "worst_over_bound")
+        values = ("-" if row[name] is None else f"{row[name]:.2f}" for name in columns)
+        over = f"{row['trials_over_bound']} of {row['trials']}"
+        lines.append((row["scenario"], row["planner"], *values, over))
+    bounds = ", ".join(f"{FORCE_BOUNDS_G[token]:g} g ({token})" for token in "SL")
+    return "\n".join([title, *format_columns(lines), f"worst of all trials; bounds {bounds}"])
+
+
+def _text(summary: Mapping[str, Any]) -> str:
+    """Tables of every plant, and what is checked."""
+
+    def yes(holds: bool) -> str:
+        return "yes" if holds else "no"
+
+    parts = [format_scenarios(summary["rows"][plant], title) for plant, title in _PLANTS.items()]
+    said = summary["verdicts"]
+    violated = ", ".join(f"{s}: {yes(v)}" for s, v in said["unaware_violates"].items())
+    crashed = [f"{n} ({side})" for side, names in summary["crashed"].items() for n in names]
+    checks = [
+        "(a) aware planner within 1.1 of the bounds in every trial: "
+        + yes(said["aware_within_bound"]),
+        f"(a) its worst error smaller in every scenario: {yes(said['aware_error_smaller'])}",
+        f"(a) unaware planner breaks a bound, as in the paper: {violated}",
+        f"plans that did not converge: {'; '.join(summary['not_converged']) or 'none'}",
+        f"crashed in (b): {'; '.join(crashed) or 'none'}",
+    ]
+    return "\n\n".join([*parts, "\n".join(checks)])
+
+
+_LOOK = {"unaware": ("#D55E00", -0.17, "not knowing the forces (BL)"),
+         "aware": ("#0072B2", 0.17, "knowing the forces (NN)")}  # fmt: skip
+_SIZES = {"S": "small", "L": "large"}
+
+
+def plot_trials(
+    path: Path, cells: Sequence[Mapping[str, Any]], headline: str, plant: str = "model_plant"
+) -> None:
+    """Draw worst error and worst force of each trial; bars reach to the worst of all.
+
+    Args:
+        path: the picture to write.
+        cells: as `fly_trial` returns them.
+        headline: stands above all.
+        plant: whose measures: the key in the cells.
+    """
+    scenarios = list(dict.fromkeys(cell["scenario"] for cell in cells))
+    with picture(path, 12.0, 4.6, headline) as figure:
+        axes = figure.subplots(1, 3)
+        for planner in _LOOK:
+            own = [cell for cell in cells if cell["planner"] == planner]
+            _errors(axes[0], scenarios, planner, own, plant)
+            for axis, token in zip(axes[1:], "SL", strict=True):
+                _forces(axis, scenarios, planner, own, plant, token)
+        axes[0].set(title="Worst tracking error", ylabel="Error (cm)")
+        for axis, token in zip(axes[1:], "SL", strict=True):
+            bound = FORCE_BOUNDS_G[token]
+            axis.axhline(bound, color="#C0202A", linewidth=1.4)
+            axis.set_title(f"Worst force on {_SIZES[token]} ones, bound {bound:g} g")
+            axis.set_ylabel("|f_a,z| (g)")
+        axes[0].margins(y=0.2)
+        axes[0].legend(fontsize=9, loc="upper right")
+
+
+def _errors(
+    axis: Axes,
+    scenarios: Sequence[str],
+    planner: str,
+    cells: Sequence[Mapping[str, Any]],
+    plant: str,
+) -> None:
+    values = {s: [max(c[plant]["error_cm"]) for c in cells if c["scenario"] == s]
+              for s in scenarios}  # fmt: skip
+    _dots(axis, values, planner)
+
+
+def _forces(
+    axis: Axes,
+    scenarios: Sequence[str],
+    planner: str,
+    cells: Sequence[Mapping[str, Any]],
+    plant: str,
+    token: str,
+) -> None:
+    values: dict[str, list[float]] = {}
+    for s in scenarios:
+        own = [i for i, vehicle in enumerate(parse_team(s)) if vehicle.token == token]
+        if own:
+            values[s] = [
+                max(c[plant]["force_g"][i] for i in own) for c in cells if c["scenario"] == s
+            ]
+    _dots(axis, values, planner)
+
+
+def _dots(axis: Axes, values: Mapping[str, Sequence[float]], planner: str) -> None:
+    color, offset, label = _LOOK[planner]
+    place = np.arange(len(values)) + offset
+    highest = [max(own) for own in values.values()]
+    axis.bar(place, highest, 0.3, color=color, alpha=0.35, label=label)
+    for x, own in zip(place, values.values(), strict=True):
+        spread = x + np.linspace(-0.1, 0.1, len(own)) * (len(own) > 1)
+        axis.plot(spread, own, "o", color=color, markersize=4, markeredgecolor="white",
+                  markeredgewidth=0.4)  # fmt: skip
+    axis.set_xticks(range(len(values)), list(values), color=INK)
+    axis.grid(True, axis="y")
+
+
+def _claims(numbers: Any, extent: Extent) -> list[Claim]:
+    """What the text says of the figure."""
+    rows = numbers["rows"]["model_plant"]
+    unaware, aware = ([r for r in rows if r["planner"] == planner] for planner in PLANNERS)
+    own = {row["scenario"]: row for row in unaware}
+    drawn = Reason(
+        "the swaps are drawn anew; those of the paper are not published", Range(1.2, 3.0)
+    )
+    small = own["SL"]["worst_force_S_g"]
+    return [
+        *(
+            Claim(
+                f"{team}, unaware: worst force over its bound",
+                "nearly double",
+                own[team]["worst_over_bound"],
+                Range(1.6, 2.4),
+                (drawn,),
+            )
+            for team in ("SL", "SSL", "LL")
+            if team in own
+        ),
+        Claim(
+            "SL, unaware: worst force on the small robot, g",
+            "greater than 10",
+            small,
+            Range(10.0),
+            (drawn,) if small > 6.0 else (),
+        ),
+        Claim(
+            "unaware: worst tracking error of all scenarios, cm",
+            "over 10",
+            max(row["worst_error_cm"] for row in unaware),
+            Range(10.0),
+        ),
+        Claim(
+            "aware: worst force over its bound, all scenarios",
+            "at most 1",
+            max(row["worst_over_bound"] for row in aware),
+            Range(0.0, 1.0),
+        ),
+        Claim(
+            "aware: worst tracking error of all scenarios, cm",
+            "-",
+            max(row["worst_error_cm"] for row in aware),
+        ),
+    ]
+
+
+FIGURE_7 = Study(
+    paper="neural-swarm2",
+    name="figure-7",
+    label="Fig. 7",
+    shows="worst errors and forces of random swaps, planned with and without the forces",
+    takes=("truth", "engine", "scenarios", "trials"),
+    check=check_planned,
+    grid=_grid,
+    settings=_settings,
+    report=_report,
+    claims=_claims,
+    pictures=("figure_7.png",),
+    quick={"trials": 2, "engine": "batch", "scenarios": ("SL", "LL", "SSL")},
+    note="On the planner's own model of the forces, tracked by a PID without compensation, as "
+    "in the paper.",
+)
+"""Every trial of every team by both planners."""

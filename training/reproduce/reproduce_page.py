@@ -1,0 +1,220 @@
+"""The page: every item with the paper's values, ours, the reason, our pictures, the command."""
+
+from __future__ import annotations
+
+import base64
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarm_envs.training.reproduce.claims import Agreement, Claim, format_number
+from swarm_envs.training.reproduce.papers import PAPERS
+
+if TYPE_CHECKING:
+    from swarm_envs.training.reproduce.reproduce_all import StudyOutcome
+
+_STYLE = """
+:root { --ink: #202428; --soft: #60656b; --line: #dfe3e8; --paper: #ffffff; --shade: #f5f7f9;
+  --agrees: #17703c; --explained: #8a5a00; --unexplained: #b00020; --link: #0b5cad; }
+@media (prefers-color-scheme: dark) { :root { --ink: #e6e9ec; --soft: #a3a9b0; --line: #3a4047;
+  --paper: #16191c; --shade: #1f2327; --agrees: #67c98d; --explained: #e0ab4f;
+  --unexplained: #ff7b8c; --link: #7ab8ff; } img { background: #ffffff; } }
+* { box-sizing: border-box; }
+body { margin: 0 auto; max-width: 1200px; padding: 16px 20px 60px; color: var(--ink);
+  background: var(--paper); font: 16px/1.5 system-ui, sans-serif; overflow-wrap: anywhere; }
+h1 { font-size: 1.6rem; line-height: 1.2; } h2 { font-size: 1.3rem; margin-top: 2.5rem; }
+h3 { font-size: 1.08rem; margin: 0; } p { margin: 0.5rem 0; } a { color: var(--link); }
+.soft { color: var(--soft); }
+section.item { border-top: 1px solid var(--line); padding: 18px 0 10px; }
+table { border-collapse: collapse; width: 100%; margin: 10px 0; font-size: 0.94rem; }
+th, td { text-align: left; vertical-align: top; padding: 5px 10px 5px 0;
+  border-bottom: 1px solid var(--line); }
+th { color: var(--soft); font-weight: 600; } td.number { font-variant-numeric: tabular-nums; }
+td:nth-child(1) { width: 30%; } td:nth-child(5) { width: 32%; }
+.agrees { color: var(--agrees); } .explained { color: var(--explained); }
+.unexplained, .failed { color: var(--unexplained); font-weight: 600; }
+img { max-width: 100%; height: auto; display: block; margin: 10px 0; border-radius: 4px; }
+pre { background: var(--shade); padding: 8px 12px; border-radius: 4px; white-space: pre-wrap;
+  font-size: 0.85rem; }
+code { font-size: 0.92em; } details > summary { cursor: pointer; color: var(--soft); }
+nav { display: flex; flex-wrap: wrap; gap: 4px 14px; }
+@media (max-width: 760px) {
+  body { padding: 12px 14px 40px; }
+  table, tbody, tr, td { display: block; width: 100% !important; } thead { display: none; }
+  tr { border-bottom: 1px solid var(--line); padding: 8px 0; }
+  td { border: 0; padding: 1px 0; } td:empty { display: none; }
+  td[data-name]::before { content: attr(data-name) ": "; color: var(--soft); }
+  td:nth-child(1) { font-weight: 600; }
+}
+"""
+_HEADS = ("quantity", "paper", "ours", "agrees if", "difference")
+_SAID: dict[Agreement, str] = {
+    "agrees": "agrees",
+    "explained": "differs, explained",
+    "unexplained": "differs, unexplained",
+    "ours alone": "nothing to compare",
+}
+_COUNTED: dict[Agreement, str] = {
+    "agrees": "agree",
+    "explained": "differ for a known reason",
+    "unexplained": "differ, unexplained",
+    "ours alone": "have nothing to be compared with",
+}
+
+
+def html_page(outcomes: Sequence[StudyOutcome], about: Sequence[str], out: Path) -> str:
+    """The whole page as HTML that asks for nothing outside itself.
+
+    Args:
+        outcomes: of every item, in the order of the page.
+        about: lines that stand at the top.
+        out: folder of the run; pictures of finished items are taken from there.
+    """
+    by_paper: dict[str, list[StudyOutcome]] = {}
+    for outcome in outcomes:
+        by_paper.setdefault(outcome.study.paper, []).append(outcome)
+    parts = [
+        "<!DOCTYPE html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        '<link rel="icon" href="data:,">',
+        f"<title>Three papers, side by side</title><style>{_STYLE}</style></head><body>",
+        "<h1>Three papers, side by side</h1>",
+        *(f"<p>{_text(line)}</p>" for line in about),
+        *_summary(outcomes),
+    ]
+    for paper, own in by_paper.items():
+        parts.append(f'<h2 id="{escape(paper)}">{escape(PAPERS[paper].title)}</h2>')
+        parts.append(f"<nav>{''.join(_links(own))}</nav>")
+        parts += [part for outcome in own for part in _item(outcome, out)]
+    return "\n".join([*parts, "</body></html>", ""])
+
+
+def _text(line: str) -> str:
+    """A line with what stands between backquotes as code."""
+    pieces = escape(line).split("`")
+    return "".join(f"<code>{piece}</code>" if k % 2 else piece for k, piece in enumerate(pieces))
+
+
+def _summary(outcomes: Sequence[StudyOutcome]) -> Iterator[str]:
+    states = Counter(outcome.state for outcome in outcomes)
+    yield "<p>Items: " + ", ".join(f"{count} {state}" for state, count in states.items()) + ".</p>"
+    yield from (f"<p>{escape(line)}</p>" for line in _count(outcomes))
+    failed = [outcome for outcome in outcomes if outcome.state == "failed"]
+    for outcome in failed:
+        yield (
+            f'<p class="failed">Failed: <a href="#{escape(_anchor(outcome))}">'
+            f"{escape(outcome.study.key)}</a>: {escape(outcome.error)}</p>"
+        )
+
+
+def _anchor(outcome: StudyOutcome) -> str:
+    return outcome.study.key.replace("/", "-")
+
+
+def _links(outcomes: Sequence[StudyOutcome]) -> Iterator[str]:
+    for outcome in outcomes:
+        soft = "" if outcome.state == "done" else ' class="soft"'
+        label = escape(outcome.study.label)
+        yield f'<a{soft} href="#{escape(_anchor(outcome))}">{label}</a>'
+
+
+def _item(outcome: StudyOutcome, out: Path) -> Iterator[str]:
+    study = outcome.study
+    yield f'<section class="item" id="{escape(_anchor(outcome))}">'
+    yield f"<h3>{escape(study.label)}: {_text(study.shows)}</h3>"
+    if study.missing:
+        yield f'<p class="soft">Not remade: {_text(study.missing)}.</p>'
+    elif outcome.state == "failed":
+        yield f'<p class="failed">Failed: {escape(outcome.error)}</p>'
+    elif outcome.state == "not run":
+        yield '<p class="soft">Not run yet.</p>'
+    if study.note:
+        yield f'<p class="soft">{_text(study.note)}</p>'
+    if outcome.claims:
+        yield from _table(outcome.claims)
+    if outcome.state == "done":
+        for name in study.pictures:
+            yield _picture(out / study.key / name, f"{study.label}, ours")
+    if outcome.commands:
+        spent = f", {outcome.cpu_s:.0f} s of CPU time" if outcome.state == "done" else ""
+        lines = "\n".join(escape(command) for command in outcome.commands)
+        yield f"<details open><summary>Remade by{spent}</summary><pre>{lines}</pre></details>"
+    yield "</section>"
+
+
+def _picture(path: Path, says: str) -> str:
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    return f'<img loading="lazy" alt="{escape(says)}" src="data:image/png;base64,{data}">'
+
+
+def _table(claims: Sequence[Claim]) -> Iterator[str]:
+    heads = "".join(f"<th>{escape(head)}</th>" for head in _HEADS)
+    yield f"<table><thead><tr>{heads}</tr></thead><tbody>"
+    for claim in claims:
+        cells = dict(zip(_HEADS, _cells(claim), strict=True))
+        yield (
+            "<tr>"
+            + "".join(_html_cell(name, text, claim) for name, text in cells.items())
+            + "</tr>"
+        )
+    yield "</tbody></table>"
+
+
+def _html_cell(name: str, text: str, claim: Claim) -> str:
+    if name == "quantity":
+        return f"<td>{_text(text)}</td>"
+    look = (
+        f' class="{claim.agreement.replace(" ", "-")}"'
+        if name == "difference"
+        else ' class="number"'
+    )
+    return f'<td data-name="{escape(name)}"{look}>{_text(text)}</td>'
+
+
+def _cells(claim: Claim) -> tuple[str, str, str, str, str]:
+    """A claim as text: quantity, the paper's, ours with its spread, tolerance, what it comes to."""
+    ours = format_number(claim.ours)
+    if claim.spread is not None:
+        low, high = map(format_number, claim.spread)
+        ours += f" ({low} to {high}, {claim.spread_is})"
+    said = _SAID[claim.agreement] + (f": {claim.reason.text}" if claim.reason else "")
+    return claim.quantity, claim.paper, ours, str(claim.agrees or ""), said
+
+
+def markdown_page(outcomes: Sequence[StudyOutcome], about: Sequence[str]) -> str:
+    """The same numbers as a page in Markdown, without pictures and commands.
+
+    Args:
+        outcomes: of every item, in the order of the page.
+        about: paragraphs that stand at the top.
+    """
+    head = [line for paragraph in about for line in (paragraph, "")]
+    lines = ["# Side by side", "", *head, *_count(outcomes), ""]
+    lines += ["| item | quantity | paper | ours | difference |", "|---|---|---|---|---|"]
+    for outcome in outcomes:
+        study = outcome.study
+        key = f"{study.paper}, {study.label}"
+        if not outcome.claims:
+            said = outcome.error or outcome.state
+            said = f"not remade: {study.missing}" if study.missing else said
+            lines.append(_line((key, study.shows, "", "", said)))
+        for claim in outcome.claims:
+            quantity, paper, ours, _, said = _cells(claim)
+            lines.append(_line((key, quantity, paper, ours, said)))
+            key = ""
+    return "\n".join([*lines, ""])
+
+
+def _count(outcomes: Sequence[StudyOutcome]) -> Iterator[str]:
+    """How many numbers agree, in a sentence; nothing if there are none."""
+    found = Counter(claim.agreement for outcome in outcomes for claim in outcome.claims)
+    said = [f"{found[kind]} {says}" for kind, says in _COUNTED.items() if found[kind]]
+    if said:
+        yield f"Of {found.total()} numbers {', '.join(said)}."
+
+
+def _line(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cell.replace('|', '&#124;') for cell in cells)} |"

@@ -1,0 +1,308 @@
+"""A table or figure of a paper as a study: a grid of cells, a report of them, and claims.
+
+A study declares what is varied (`grid`), what is made of the measured cells (`report`) and which
+numbers of the paper they are held against (`claims`). `run_study` runs any of them: it computes
+the cells that are not there yet, writes the numbers, the table and the pictures, and goes on where
+it was when it was killed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from swarm_envs.errors import check_name
+from swarm_envs.files import write_json, write_table
+from swarm_envs.training.reproduce.claims import Claim, Extent
+
+Cell = dict[str, Any]
+"""The numbers of one cell, ready for JSON."""
+Cells = Mapping[str, Callable[[], Any]]
+"""What computes each cell, by name."""
+
+
+class Report(NamedTuple):
+    """What a study found."""
+
+    summary: dict[str, Any]
+    """The numbers, ready for JSON."""
+    text: str
+    """What is printed."""
+    table: Sequence[Mapping[str, Any]] = ()
+    """Rows of the CSV file; no file is written if there are none."""
+    files: Mapping[str, Callable[[Path], object]] = {}
+    """What writes each picture or page, by the file's name."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """A numbered table or figure of a paper, or a study beside it."""
+
+    paper: str
+    """As `swarm-envs reproduce` names it."""
+    name: str
+    """Such as `figure-3b`, `table-1` or `study-lag`."""
+    label: str
+    """As the paper names it, such as `Fig. 3b`."""
+    shows: str
+    """What it shows, in a line."""
+    missing: str = ""
+    """Why it cannot be remade in simulation; empty if it can."""
+    file: str = ""
+    """Name of its files without suffix; `figure_3b` for `figure-3b` if not given."""
+    takes: tuple[str, ...] | None = None
+    """Options that have a meaning for it, beside those of `StudyOptions`; None for all."""
+    check: Callable[[Any], object] = lambda options: None
+    """Raises ValueError for options that contradict each other."""
+    needs_torch: bool = False
+    """Whether it trains."""
+    grid: Callable[[Any], Cells] | None = None
+    """Gives what computes each cell from the options; None for a study of a single cell."""
+    settings: Callable[[Any], Mapping[str, Any]] | None = None
+    """What all cells share; they are kept with it in a JSON file. None where each keeps itself."""
+    cells_file: str = ""
+    """That file; `lag_cells.json` for a study with the files `lag` if not given."""
+    report: Callable[[Any, Mapping[str, Any]], Report] | None = None
+    """Takes the options and the cells; None for what other commands make."""
+    claims: Callable[[Any, Extent], Sequence[Claim]] | None = None
+    """Holds the numbers of the JSON file against the paper's."""
+    numbers: str = ""
+    """File with the numbers that claims are made of; the study's JSON file if not given."""
+    pictures: tuple[str, ...] = ()
+    """Pictures that the page of `reproduce all` shows."""
+    note: str = ""
+    """What a reader of that page must know beside the claims."""
+    full: Mapping[str, Any] = field(default_factory=dict)
+    """Options in `reproduce all` that are not the defaults."""
+    quick: Mapping[str, Any] = field(default_factory=dict)
+    """Options in `reproduce all --quick`."""
+    collects: tuple[int, int] | None = None
+    """Flights of each team and motion that are collected first, in full and quick."""
+
+    def __post_init__(self) -> None:
+        """Refuse a study that is half declared.
+
+        Raises:
+            ValueError: it is neither remade nor says why not, or both; or it makes no claim.
+        """
+        remade = self.report is not None or self.collects is not None
+        if remade == bool(self.missing):
+            raise ValueError(f"{self.key}: say how it is remade, or why it is not, and not both")
+        if self.numbered and remade and self.claims is None:
+            raise ValueError(f"{self.key}: say which claims of the paper it is held against")
+        if not self.file:
+            object.__setattr__(self, "file", self.name.replace("-", "_"))
+
+    @property
+    def key(self) -> str:
+        """Such as `neural-swarm2/table-3`: its folder in `reproduce all`, and how it is named."""
+        return f"{self.paper}/{self.name}"
+
+    @property
+    def numbered(self) -> bool:
+        """Whether the paper numbers it: `reproduce all` remakes those."""
+        return not self.name.startswith("study-")
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudyOptions:
+    """Options of `swarm-envs reproduce PAPER`; a paper adds its figures and what they take."""
+
+    paper: ClassVar[str]
+    """As the command names it."""
+    counts: ClassVar[tuple[str, ...]] = ()
+    """Options that must be 1 or more if they are given."""
+
+    out: Path = Path("reproduce")
+    """folder for pictures, numbers, runs and pages; made if missing"""
+    json: Path | None = None
+    """write the numbers to this file too"""
+    seed: int = 0
+    """the first of the seeds"""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be done.
+
+        Raises:
+            ValueError: not exactly one study, an option that has no meaning for it, or a number
+                out of range.
+        """
+        study = self.chosen
+        for name in _foreign(self, study):
+            homes = [s for s in _studies_of(self.paper).values() if name in (s.takes or ())]
+            raise ValueError(
+                f"--{name.replace('_', '-')} has no meaning for {_flag_of(study)}, but for "
+                f"{' or '.join(map(_flag_of, homes))}; leave it out"
+            )
+        if self.seed < 0:
+            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
+        for name in self.counts:
+            if getattr(self, name) is not None and getattr(self, name) < 1:
+                raise ValueError(f"--{name} is {getattr(self, name)}, but must be 1 or more")
+        study.check(self)
+
+    @property
+    def chosen(self) -> Study:
+        """The study that is asked for."""
+        studies = _studies_of(self.paper)
+        kinds = ("figure", "table", "study")
+        asked = [f"{k}-{getattr(self, k)}" for k in kinds if getattr(self, k, None) is not None]
+        if len(asked) != 1:
+            raise ValueError(f"give one of {', '.join(map(_flag_of, studies.values()))}")
+        return studies[check_name("study", asked[0], studies)]
+
+
+def drawing(paper: str, number: int, shows: str, missing: str) -> Study:
+    """A figure of a paper that nothing remakes, and why."""
+    name, label = f"figure-{number}", f"Fig. {number}"
+    return Study(paper=paper, name=name, label=label, shows=shows, missing=missing)
+
+
+def _studies_of(paper: str) -> dict[str, Study]:
+    """What `swarm-envs reproduce PAPER` remakes, by name."""
+    from swarm_envs.training.reproduce.papers import load_paper
+
+    return {s.name: s for s in load_paper(paper).STUDIES if s.report is not None}
+
+
+def _flag_of(study: Study) -> str:
+    """How a study is asked for, such as `--figure 5`."""
+    return "--" + study.name.replace("-", " ", 1)
+
+
+def _foreign(options: StudyOptions, study: Study) -> list[str]:
+    """Options that were given although they mean nothing for the study."""
+    if study.takes is None:
+        return []
+    known = {"figure", "table", "study", "out", "json", "seed", *study.takes}
+    return [
+        entry.name
+        for entry in dataclasses.fields(options)
+        if entry.name not in known and getattr(options, entry.name) != entry.default
+    ]
+
+
+def run_study(study: Study, options: Any, progress: bool = True) -> tuple[dict[str, Any], str]:
+    """Compute the cells of a study that are not there yet, and write what it found.
+
+    Args:
+        study: what is run.
+        options: what was asked for.
+        progress: show a progress bar.
+
+    Returns:
+        The numbers, ready for JSON, and what to print.
+
+    Raises:
+        ValueError: an earlier run in the folder was of other settings, or is damaged.
+        OSError: the folder cannot be written.
+    """
+    assert study.report is not None
+    path, settings = options.out / (study.cells_file or f"{study.file}_cells.json"), None
+    cells: dict[str, Any] = {}
+    if study.grid is not None:
+        jobs = study.grid(options)
+        settings = None if study.settings is None else study.settings(options)
+        cells = run_cells(jobs, path, settings, study.label, progress)
+    report = study.report(options, cells)
+    kept = settings is not None and path == options.out / f"{study.file}.json"
+    written = write_report(options.out, study.file, report, kept)
+    if options.json is not None:
+        write_json(options.json, report.summary)
+    return report.summary, f"{report.text}\nwrote {', '.join(map(str, written))}"
+
+
+def write_report(out: Path, name: str, report: Report, kept: bool = False) -> list[Path]:
+    """Write the numbers, the table, the pictures and the pages of a report; give their files.
+
+    Args:
+        out: folder, made if missing.
+        name: of the files.
+        report: what was found.
+        kept: the JSON file of this name holds the cells, and is there already.
+    """
+    files = [out / f"{name}.json"]
+    if report.table:
+        files.append(out / f"{name}.csv")
+        write_table(files[-1], report.table)
+    for file, write in report.files.items():
+        files.append(out / file)
+        write(files[-1])
+    if not kept:
+        write_json(files[0], report.summary)
+    return files
+
+
+def run_cells(
+    cells: Cells,
+    path: Path,
+    settings: Mapping[str, Any] | None,
+    label: str = "",
+    progress: bool = True,
+) -> dict[str, Any]:
+    """Compute every cell that the file does not hold yet, and write the file after each.
+
+    Args:
+        cells: what computes each, by name.
+        path: JSON file with `settings` and `cells`; made, or gone on with.
+        settings: what all cells share, ready for JSON; None for cells that keep themselves.
+        label: of the progress bar.
+        progress: show a progress bar.
+
+    Returns:
+        The cells in the order asked for.
+
+    Raises:
+        ValueError: the file is damaged, or was made with other settings.
+    """
+    wanted = json.loads(json.dumps(None if settings is None else dict(settings)))
+    found = {} if settings is None else _read_cells(path, wanted)
+    done = {name: found[name] for name in cells if name in found}
+    with tqdm(total=len(cells), initial=len(done), desc=label, disable=not progress) as bar:
+        for name, compute in cells.items():
+            if name in done:
+                continue
+            bar.set_postfix_str(name)
+            done[name] = compute()
+            if settings is not None:
+                found[name] = done[name] = json.loads(json.dumps(done[name], allow_nan=False))
+                write_json(path, {"settings": wanted, "cells": found})
+            bar.update()
+    return {name: done[name] for name in cells}
+
+
+def _read_cells(path: Path, wanted: Mapping[str, Any]) -> dict[str, Cell]:
+    if not path.is_file():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        made, cells = content["settings"], dict(content["cells"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{str(path)!r} is damaged ({error}); delete it") from error
+    differing = sorted(k for k in wanted.keys() | made.keys() if wanted.get(k) != made.get(k))
+    if differing:
+        raise ValueError(
+            f"{str(path)!r} was made with other {', '.join(differing)}; choose another folder by "
+            "--out, or delete it"
+        )
+    return cells
+
+
+def draw_seeds(seed: int, count: int) -> list[int]:
+    """Seeds of so many flights, drawn from one.
+
+    Raises:
+        ValueError: the seed is negative, or the count below one.
+    """
+    if seed < 0:
+        raise ValueError(f"seed is {seed}, but must be 0 or more")
+    if count < 1:
+        raise ValueError(f"the number of flights is {count}, but must be 1 or more")
+    return [int(s) for s in np.random.SeedSequence(seed).generate_state(count)]
