@@ -51,7 +51,7 @@ QUICK: tuple[str, ...] = (
     "rest_to_rest",
     "error_ball",
     "max_density",
-    "buildings",
+    "building_columns",
     "agents.load",
 )
 QUICK += (
