@@ -53,4 +53,7 @@ suppress_warnings = ["ref.python"]  # types are named shortly: two classes may s
 default_role = "code"
 smartquotes = False  # `--drones` stays what is typed
 nitpicky = True  # names in docstrings must lead somewhere; types of other libraries cannot
-nitpick_ignore_regex = [(r"py:(class|exc|data|func|meth|attr|mod)", r".*")]
+nitpick_ignore_regex = [
+    (r"py:(class|exc|data|func|meth|attr|mod)", r".*"),
+    (r"py:obj", r"typing\.Annotated.*"),  # what `POSITIVE` and its like are an alias of
+]
