@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import json
 import struct
 import sys
@@ -72,21 +72,18 @@ class Swarm:
 def script(monkeypatch: pytest.MonkeyPatch) -> Any:
     """The example as a module, with cflib's part that it packs with."""
     mem = ModuleType("cflib.crazyflie.mem")
-    mem.Poly4D = Poly4D  # type: ignore[attr-defined]
-    mem.MemoryElement = SimpleNamespace(TYPE_TRAJ=0x12)  # type: ignore[attr-defined]
+    vars(mem).update(Poly4D=Poly4D, MemoryElement=SimpleNamespace(TYPE_TRAJ=0x12))
     for name in ("cflib", "cflib.crazyflie"):
         monkeypatch.setitem(sys.modules, name, ModuleType(name))
     monkeypatch.setitem(sys.modules, mem.__name__, mem)
-    spec = importlib.util.spec_from_file_location("fly_crazyflie", FILE)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    monkeypatch.syspath_prepend(FILE.parent)
+    monkeypatch.delitem(sys.modules, FILE.stem, raising=False)
+    return importlib.import_module(FILE.stem)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two drones that cross, one half a metre above the other."""
     out = tmp_path_factory.mktemp("crossing")
     time = np.linspace(0.0, 4.0, 201)
     starts = np.array([[-1.0, 0.0, 1.0], [1.0, 0.0, 1.5]])
@@ -96,8 +93,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_what_is_uploaded_are_the_file_s_bytes(script: Any, folder: Path) -> None:
-    trajectories = script.load(folder, URIS)
+@pytest.fixture
+def trajectories(script: Any, folder: Path) -> Any:
+    return script.load(folder, URIS)
+
+
+def test_what_is_uploaded_are_the_file_s_bytes(
+    script: Any, folder: Path, trajectories: Any
+) -> None:
     swarm = Swarm(trajectories, {})
     swarm.parallel_safe(script.upload, {uri: [p] for uri, p in trajectories.items()})
     for name, uri in URIS.items():
@@ -109,8 +112,7 @@ def test_what_is_uploaded_are_the_file_s_bytes(script: Any, folder: Path) -> Non
         assert (uri, "define_trajectory", 1, 0, len(pieces)) in swarm.log
 
 
-def test_upper_drones_take_off_first_and_land_last(script: Any, folder: Path) -> None:
-    trajectories = script.load(folder, URIS)
+def test_upper_drones_take_off_first_and_land_last(script: Any, trajectories: Any) -> None:
     swarm = Swarm(trajectories, {})
     waited: list[float] = []
     script.fly(swarm, trajectories, waited.append)
@@ -124,8 +126,7 @@ def test_upper_drones_take_off_first_and_land_last(script: Any, folder: Path) ->
     assert max(waited) == pytest.approx(5.0, abs=1e-3)  # the trajectory's 4 s and a rest
 
 
-def test_an_interruption_lands_everyone(script: Any, folder: Path) -> None:
-    trajectories = script.load(folder, URIS)
+def test_an_interruption_lands_everyone(script: Any, trajectories: Any) -> None:
     swarm = Swarm(trajectories, {})
 
     def sleep(seconds: float) -> None:
@@ -138,8 +139,7 @@ def test_an_interruption_lands_everyone(script: Any, folder: Path) -> None:
     assert ends == ["land", "land", "stop", "stop"]
 
 
-def test_drones_in_wrong_places_do_not_take_off(script: Any, folder: Path) -> None:
-    trajectories = script.load(folder, URIS)
+def test_drones_in_wrong_places_do_not_take_off(script: Any, trajectories: Any) -> None:
     right = {URIS["drone_0"]: (-1.0, 0.05, 0.0), URIS["drone_1"]: (1.0, 0.0, 0.0)}
     script.check(Swarm(trajectories, right), trajectories)
     changed = {URIS["drone_0"]: right[URIS["drone_1"]], URIS["drone_1"]: right[URIS["drone_0"]]}

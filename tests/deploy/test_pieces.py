@@ -21,30 +21,33 @@ def random_pieces(rng: np.random.Generator, count: int = 3) -> Pieces:
     return Pieces(rng.uniform(0.3, 1.5, count), rng.normal(size=(count, 4, 8)) * scale)
 
 
+def independent(pieces: Pieces, time: FloatArray, derivative: int = 0) -> FloatArray:
+    """(T, 4) by numpy's polynomials."""
+    knots = np.concatenate([[0.0], np.cumsum(pieces.duration)])
+    which = np.clip(np.searchsorted(knots, time) - 1, 0, len(pieces) - 1)
+    polynomials = [
+        [np.polynomial.Polynomial(c).deriv(derivative) for c in piece]
+        for piece in pieces.coefficients
+    ]
+    return np.array(
+        [[p(t - knots[k]) for p in polynomials[k]] for t, k in zip(time, which, strict=True)]
+    )
+
+
 def test_evaluation_is_numpy_s() -> None:
     pieces = random_pieces(np.random.default_rng(0))
-    knots = np.concatenate([[0.0], np.cumsum(pieces.duration)])
+    time = np.append(np.linspace(0.0, pieces.total_s, 29), pieces.knots)  # knots: the earlier one
     for derivative in range(9):
-        for k in range(len(pieces)):
-            time = np.linspace(knots[k] + 1e-6, knots[k + 1] - 1e-6, 7)
-            expected = [
-                np.polynomial.Polynomial(c).deriv(derivative)(time - knots[k])
-                for c in pieces.coefficients[k]
-            ]
-            found = evaluate(pieces, time, derivative)
-            np.testing.assert_allclose(found, np.transpose(expected), atol=1e-9)
+        expected = independent(pieces, time, derivative)
+        np.testing.assert_allclose(evaluate(pieces, time, derivative), expected, atol=1e-9)
 
 
 def test_it_rests_before_and_after_as_the_firmware_does() -> None:
     pieces = random_pieces(np.random.default_rng(1))
-    last = np.polynomial.polynomial.polyval(pieces.duration[-1], pieces.coefficients[-1].T)
-    np.testing.assert_allclose(evaluate(pieces, pieces.total_s + 5.0), last, atol=1e-9)
-    np.testing.assert_allclose(evaluate(pieces, -1.0), pieces.coefficients[0, :, 0])
-    for time in (-1.0, pieces.total_s + 5.0):
-        assert not evaluate(pieces, time, 1).any()
-    # At a knot the earlier piece counts (`piecewise_eval` in pptraj.c).
-    first = np.polynomial.polynomial.polyval(pieces.duration[0], pieces.coefficients[0].T)
-    np.testing.assert_allclose(evaluate(pieces, pieces.duration[0]), first, atol=1e-9)
+    outside = np.array([-1.0, pieces.total_s + 5.0])
+    ends = independent(pieces, np.array([0.0, pieces.total_s]))
+    np.testing.assert_allclose(evaluate(pieces, outside), ends, atol=1e-9)
+    assert not evaluate(pieces, outside, 1).any()
 
 
 def test_jumps_are_those_of_the_coefficients() -> None:
@@ -62,9 +65,8 @@ def test_a_file_is_read_back_to_the_last_bit(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.duration, pieces.duration)
     np.testing.assert_array_equal(again.coefficients, pieces.coefficients)
     # What `uav_trajectories` and Crazyswarm read it with.
-    table = np.loadtxt(
-        tmp_path / "a.csv", delimiter=",", skiprows=1, usecols=range(33), dtype=np.float32
-    )
+    path, every = tmp_path / "a.csv", range(33)
+    table = np.loadtxt(path, delimiter=",", skiprows=1, usecols=every, dtype=np.float32)
     np.testing.assert_array_equal(table[:, 0], pieces.duration)
     np.testing.assert_array_equal(table[:, 1:], pieces.coefficients.reshape(-1, 32))
 
@@ -77,11 +79,12 @@ def test_files_of_others_are_read(tmp_path: Path) -> None:
 
 
 def test_memory_is_that_of_the_firmware() -> None:
-    assert struct.calcsize("<33f") == PIECE_BYTES
-    assert MOST_PIECES == 31
-    assert HEADER[0] == "Duration"
-    assert HEADER[1:9] == tuple(f"x^{k}" for k in range(8))
-    assert HEADER[-1] == "yaw^7"
+    assert (struct.calcsize("<33f"), 4096 // 132) == (PIECE_BYTES, MOST_PIECES)
+    assert (HEADER[0], HEADER[1:9], HEADER[-1]) == (
+        "Duration",
+        tuple(f"x^{k}" for k in range(8)),
+        "yaw^7",
+    )
 
 
 @pytest.mark.parametrize(
@@ -120,18 +123,6 @@ def helix(time: FloatArray, speed: float = 1.0) -> FloatArray:
     return np.column_stack([np.cos(angle), np.sin(angle), 1.0 + 0.1 * time, angle])
 
 
-def independent(pieces: Pieces, time: FloatArray) -> FloatArray:
-    """(T, 4) by numpy's polynomials."""
-    knots = np.concatenate([[0.0], np.cumsum(pieces.duration)])
-    which = np.clip(np.searchsorted(knots, time, side="right") - 1, 0, len(pieces) - 1)
-    return np.array(
-        [
-            [np.polynomial.Polynomial(c)(t - knots[k]) for c in pieces.coefficients[k]]
-            for t, k in zip(time, which, strict=True)
-        ]
-    )
-
-
 def test_a_helix_is_followed_and_a_smaller_tolerance_takes_more_pieces() -> None:
     time, counts = np.linspace(0.0, 20.0, 4001), []
     for tolerance in (0.1, 0.01, 0.001):
@@ -158,8 +149,7 @@ def test_velocity_and_acceleration_are_those_of_the_helix() -> None:
 def test_a_polynomial_of_7th_degree_is_one_piece_with_its_coefficients() -> None:
     time = np.linspace(0.0, 2.0, 401)
     wanted = np.random.default_rng(0).normal(size=(4, 8)) / 2.0 ** np.arange(8)
-    rows = np.column_stack([np.polynomial.polynomial.polyval(time, c) for c in wanted])
-    pieces = fit_pieces(time, rows, 1e-4)
+    pieces = fit_pieces(time, np.polynomial.polynomial.polyval(time, wanted.T).T, 1e-4)
     assert len(pieces) == 1
     np.testing.assert_allclose(pieces.coefficients[0], wanted, atol=1e-6)
 
@@ -172,9 +162,8 @@ def test_a_polynomial_that_rests_at_both_ends_is_exact_too() -> None:
     pieces = fit_pieces(time, rows, 1e-4, rests=(True, True))
     assert len(pieces) == 1
     np.testing.assert_allclose(independent(pieces, time), rows, atol=1e-5)
-    for t in (0.0, pieces.total_s):
-        for derivative in (1, 2):
-            assert np.abs(evaluate(pieces, t, derivative)).max() < 1e-4
+    for derivative in (1, 2):
+        assert np.abs(evaluate(pieces, [0.0, pieces.total_s], derivative)).max() < 1e-4
 
 
 def test_pieces_join_smoothly() -> None:
