@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,11 @@ import pytest
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import load, record_episode
+from swarm_envs.tasks.obstacles import Box, Column
 from swarm_envs.vehicles import parse_team
 from swarm_envs.viewing.record import About, Recorder, Recording, Solid, solids
 from swarm_envs.viewing.summary import events, metric_rows, near_misses, outcome, team_label
-from swarm_envs.viewing.trajectory import COLUMNS, read_trajectory, write_trajectory
+from swarm_envs.viewing.trajectory import COLUMNS, GROUPS, read_trajectory, write_trajectory
 
 
 @pytest.fixture(scope="module")
@@ -24,22 +25,6 @@ def flight() -> Recording:
     recording = record_episode(env, load("random"), seed=3)
     env.close()
     return recording
-
-
-def same(one: Recording, other: Recording) -> bool:
-    for name in (field.name for field in fields(Recording)):
-        a, b = getattr(one, name), getattr(other, name)
-        if isinstance(a, np.ndarray):
-            if a.dtype != b.dtype:
-                return False
-            np.testing.assert_array_equal(a, b)
-        elif name == "reward_terms":
-            assert list(a) == list(b)
-            for term in a:
-                np.testing.assert_array_equal(a[term], b[term])
-        elif a != b:
-            return False
-    return True
 
 
 def test_a_recording_is_what_a_loop_of_env_step_sees(flight):
@@ -70,10 +55,6 @@ def test_a_recording_agrees_with_itself(flight):
     weighted = sum(w * flight.reward_terms[name] for name, w in task.reward_weights.items())
     np.testing.assert_allclose(flight.reward[1:], weighted[1:], atol=1e-12)
     assert np.isnan(flight.reward[0]).all()  # nothing had been flown
-    mean = (flight.velocity[1:] + flight.velocity[:-1]) / 2
-    moved = np.diff(flight.position, axis=0) * flight.about.decision_rate
-    np.testing.assert_allclose(moved, mean, atol=0.02)
-    np.testing.assert_allclose(np.linalg.norm(flight.quaternion, axis=-1), 1.0)
     about = flight.about
     assert (about.task, about.agent, about.seed) == ("swap_v0", "RandomAgent", 3)
 
@@ -101,7 +82,15 @@ def test_a_file_gives_back_what_it_was_given(flight, tmp_path, suffix):
     given = replace(flight, about=replace(flight.about, solids=walls))
     path = tmp_path / f"a{suffix}"
     write_trajectory(path, given)
-    assert same(read_trajectory(path), given)
+    again = read_trajectory(path)
+    assert (again.team, again.about) == (given.team, given.about)
+    assert list(again.reward_terms) == list(given.reward_terms)
+    for name in ("time", *GROUPS):
+        found, wanted = getattr(again, name), getattr(given, name)
+        assert found.dtype == wanted.dtype
+        np.testing.assert_array_equal(found, wanted)
+    for name, term in given.reward_terms.items():
+        np.testing.assert_array_equal(again.reward_terms[name], term)
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
 
 
@@ -125,9 +114,8 @@ def test_the_table_has_a_row_for_each_drone_at_each_time(flight, tmp_path):
 def test_files_that_hold_no_episode_are_refused(flight, tmp_path):
     np.savez(tmp_path / "a.npz", x=np.zeros(3))
     np.savez(tmp_path / "b.npz", x=np.array([{}], dtype=object))
-    (tmp_path / "c.npz").write_text("text")
     lacking = r"a\.npz holds no episode: it lacks about, time, pos"
-    for name, why in (("a", lacking), ("b", "not an npz file"), ("c", "not an npz file")):
+    for name, why in (("a", lacking), ("b", "not an npz file")):
         with pytest.raises(ValueError, match=why):
             read_trajectory(tmp_path / f"{name}.npz")
     with pytest.raises(FileNotFoundError):
@@ -139,19 +127,18 @@ def test_files_that_hold_no_episode_are_refused(flight, tmp_path):
 def test_tables_of_other_things_are_refused(flight, tmp_path):
     arrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "a.parquet"
-    parquet.write_table(arrow.table({"x": [1.0]}), path)
-    with pytest.raises(ValueError, match="holds no episode"):
-        read_trajectory(path)
-    path.write_text("text")
-    with pytest.raises(ValueError, match="not a Parquet file"):
-        read_trajectory(path)
     write_trajectory(path, flight)
     table = parquet.read_table(path)
-    parquet.write_table(table.drop_columns(["z"]), path)
-    with pytest.raises(ValueError, match="lacks z"):
-        read_trajectory(path)
-    parquet.write_table(table.slice(0, 4), path)
-    with pytest.raises(ValueError, match="4 rows, no multiple of its 3 drones"):
+    for wrong, why in (
+        (arrow.table({"x": [1.0]}), "holds no episode"),
+        (table.drop_columns(["z"]), "lacks z"),
+        (table.slice(0, 4), "4 rows, no multiple of its 3 drones"),
+    ):
+        parquet.write_table(wrong, path)
+        with pytest.raises(ValueError, match=why):
+            read_trajectory(path)
+    path.write_text("text")
+    with pytest.raises(ValueError, match="not a Parquet file"):
         read_trajectory(path)
 
 
@@ -161,21 +148,14 @@ def test_without_pyarrow_the_message_says_how_to_get_it(flight, tmp_path, monkey
         write_trajectory(tmp_path / "a.parquet", flight)
 
 
-class Block:
-    low, high = (0.0, 0.1, 0.2), (1.0, 1.1, 9.0)
-
-
-class Post:
-    center, radius, height = (1.0, -1.0), 0.25, 1.5
-
-
 def test_obstacles_become_solids_below_the_ceiling():
-    block, post = solids([Block(), Post()], ceiling=2.5)
+    given = Box((0.0, 0.1, 0.2), (1.0, 1.1, 9.0)), Column((1.0, -1.0), 0.25, 1.5)
+    block, post = solids(given, ceiling=2.5)
     assert block == Solid(False, (0.0, 0.1, 0.2), (1.0, 1.1, 2.5))
     assert post == Solid(True, (0.75, -1.25, 0.0), (1.25, -0.75, 1.5))
     assert block.rings().shape == (2, 4, 3)
     ring = post.rings()[1]
-    np.testing.assert_allclose(np.linalg.norm(ring[:, :2] - Post.center, axis=1), 0.25)
+    np.testing.assert_allclose(np.linalg.norm(ring[:, :2] - [1.0, -1.0], axis=1), 0.25)
     assert (ring[:, 2] == 1.5).all()
 
 
@@ -183,43 +163,34 @@ def still(steps: int, drones: int = 2) -> Recording:
     """Small drones that hang half a metre apart for `steps` samples."""
     place = np.tile([0.0, 0.0, 1.0], (steps, drones, 1))
     place[..., 0] += 0.5 * np.arange(drones)
-    off = np.zeros((steps, drones), dtype=bool)
-    nobody = np.full((steps, drones), -1)
+    off, nobody = np.zeros((steps, drones), dtype=bool), np.full((steps, drones), -1)
     level = np.tile([0.0, 0.0, 0.0, 1.0], (steps, drones, 1))
     return Recording(
         team=parse_team("S" * drones),
         time=np.arange(steps) / 48,
-        position=place,
         quaternion=level,
-        reference=place,
-        force=0.0 * place,
-        velocity=0.0 * place,
         rotor_thrust=0.0 * level,
-        goal=place,
-        setpoint=place,
-        contact_drone=nobody,
-        contact_floor=off,
-        contact_wall=off,
-        contact_obstacle=nobody,
-        tumbling=off,
+        **dict.fromkeys(("position", "reference", "goal", "setpoint"), place),
+        **dict.fromkeys(("velocity", "force"), 0.0 * place),
+        **dict.fromkeys(("contact_drone", "contact_obstacle"), nobody),
+        **dict.fromkeys(("contact_floor", "contact_wall", "tumbling"), off),
         reward=0.0 * level[..., 0],
         reward_terms={},
         about=About("swap_v0", "me", 1, "batch", 48, ((-2, -2, 0), (2, 2, 2.5)), (), {}),
     )
 
 
+KINDS = ("drone", "floor", "obstacle")
+
+
 def test_events_are_named_once_when_they_begin():
     quiet = still(6, drones=3)
-    contact_drone, floor = quiet.contact_drone.copy(), quiet.contact_floor.copy()
-    obstacle = quiet.contact_obstacle.copy()
-    contact_drone[2:4, 0], contact_drone[2:4, 1] = 1, 0
-    floor[3:, 2] = True
-    obstacle[5, 1] = 0
-    bumped = replace(
-        quiet, contact_drone=contact_drone, contact_floor=floor, contact_obstacle=obstacle
-    )
+    contacts = {f"contact_{kind}": getattr(quiet, f"contact_{kind}").copy() for kind in KINDS}
+    contacts["contact_drone"][2:4, :2] = 1, 0
+    contacts["contact_floor"][3:, 2] = True
+    contacts["contact_obstacle"][5, 1] = 0
     assert events(quiet) == []
-    found = events(bumped)
+    found = events(replace(quiet, **contacts))
     assert [(e.frame, e.kind, e.drones) for e in found] == [
         (2, "drone", (0, 1)),
         (3, "floor", (2,)),
