@@ -11,10 +11,13 @@ from typing import Annotated, Any, TypeVar
 
 from swarm_envs import __version__
 from swarm_envs.arguments import Range, Seed
-from swarm_envs.commands.checks import Misuse, command_options, forget_output
-from swarm_envs.commands.checks import check_file as _check_file
-from swarm_envs.commands.checks import check_folder as _check_folder
-from swarm_envs.commands.checks import need_torch as _need_torch
+from swarm_envs.commands.checks import (
+    Misuse,
+    check_outputs,
+    command_options,
+    forget_output,
+    need_torch,
+)
 from swarm_envs.errors import unknown_name
 
 PROGRAM = "swarm-envs"
@@ -57,9 +60,7 @@ class DemoOptions:
 
 def _demo(arguments: Sequence[str]) -> int:
     options = _read("demo", DemoOptions, arguments)
-    _check_folder("--out", options.out)
-    if options.json is not None:
-        _check_file("--json", options.json)
+    check_outputs(options.out, options.json)
     from swarm_envs.baselines.neural_swarm.demo import crashed_flights, format_table, run_demo
     from swarm_envs.files import claimed, write_json
 
@@ -67,10 +68,7 @@ def _demo(arguments: Sequence[str]) -> int:
         summary = run_demo(options.out, options.seed, options.swaps, options.video)
     if options.json is not None:
         write_json(options.json, summary)
-    print(format_table(summary))
-    print()
-    for note in summary["notes"]:
-        print(f"note: {note}")
+    print(format_table(summary), "", *(f"note: {note}" for note in summary["notes"]), sep="\n")
     files = [options.out / name for name in summary["files"].values() if name]
     print("wrote", ", ".join(map(str, [options.out / "summary.json", *files])))
     crashed = crashed_flights(summary)
@@ -84,10 +82,8 @@ def _fit(arguments: Sequence[str]) -> int:
     from swarm_envs.training.force_model.force_fit_config import FitConfig
 
     config = _read("fit", FitConfig, arguments, prefixes=True)
-    _check_folder("--out", config.out)
-    if config.json is not None:
-        _check_file("--json", config.json)
-    _need_torch()
+    check_outputs(config.out, config.json)
+    need_torch()
     from swarm_envs.files import claimed
     from swarm_envs.training.force_model.pipeline import fit
 
@@ -102,9 +98,7 @@ def _collect(arguments: Sequence[str]) -> int:
     from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
 
     options = _read("collect", CollectOptions, arguments)
-    _check_folder("--out", options.out)
-    if options.json is not None:
-        _check_file("--json", options.json)
+    check_outputs(options.out, options.json)
     with claimed(options.out):
         run_collect(options)
     return DONE
@@ -114,10 +108,8 @@ def _curriculum(arguments: Sequence[str]) -> int:
     from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 
     config = _read("curriculum", CurriculumConfig, arguments)
-    _check_folder("--out", config.out)
-    if config.json is not None:
-        _check_file("--json", config.json)
-    _need_torch()
+    check_outputs(config.out, config.json)
+    need_torch()
     from swarm_envs.files import claimed
     from swarm_envs.training.curriculum.run import run_curriculum
 
@@ -151,7 +143,9 @@ def _export(arguments: Sequence[str]) -> int:
     if not arguments or arguments[0] in ("-h", "--help"):
         print(export.OVERVIEW)
         return DONE if arguments else MISUSED
-    options, export_kind = export.find_kind(arguments[0])
+    if arguments[0] not in export.KINDS:
+        raise Misuse(unknown_name("kind", arguments[0], export.KINDS))
+    options, export_kind = export.KINDS[arguments[0]]
     export_kind(_read(f"export {arguments[0]}", options, arguments[1:]))
     return DONE
 
@@ -162,7 +156,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", RlConfig, arguments, prefixes=True)
     check_training(config)
-    _need_torch()
+    need_torch()
     run_train(config)
     return DONE
 
@@ -171,7 +165,7 @@ def _train_sweep(arguments: Sequence[str]) -> int:
     from swarm_envs.commands.train_sweep import SweepOptions, run_sweep
 
     options = _read("train-sweep", SweepOptions, arguments)
-    _need_torch()
+    need_torch()
     return FAILED if run_sweep(options) else DONE
 
 

@@ -38,7 +38,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, aec_view, blueprint_view, parallel_view
+from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.tasks.formation import (
     LABELS,
     LAYOUTS,
@@ -116,11 +116,5 @@ class FormationOptions(TaskOptions):
         return given if shapes is None else {**given, "shapes": tuple(shapes)}
 
 
-blueprint = blueprint_view(FormationOptions)
-"""Make what every interface is made from: the task, the configuration and the render mode."""
-
-parallel_env = parallel_view(FormationOptions)
-"""Make the environment with PettingZoo's parallel interface."""
-
-env = aec_view(FormationOptions)
-"""The same one agent at a time, with PettingZoo's AEC interface."""
+blueprint, parallel_env, env = task_views(FormationOptions)
+"""Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

@@ -34,7 +34,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from swarm_envs.arguments import typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, aec_view, blueprint_view, parallel_view
+from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.tasks.ring import REWARD_WEIGHTS, RingLayout, RingTask, ring_team
 from swarm_envs.vehicles import Team
 
@@ -64,11 +64,5 @@ class RingOptions(TaskOptions):
         )
 
 
-blueprint = blueprint_view(RingOptions)
-"""Make what every interface is made from: the task, the configuration and the render mode."""
-
-parallel_env = parallel_view(RingOptions)
-"""Make the environment with PettingZoo's parallel interface."""
-
-env = aec_view(RingOptions)
-"""The same one agent at a time, with PettingZoo's AEC interface."""
+blueprint, parallel_env, env = task_views(RingOptions)
+"""Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

@@ -42,7 +42,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from swarm_envs.arguments import typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, aec_view, blueprint_view, parallel_view
+from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, CircleLayout, Layout, StackedLayout, SwapTask
 
 
@@ -72,11 +72,5 @@ class SwapOptions(TaskOptions):
         )
 
 
-blueprint = blueprint_view(SwapOptions)
-"""Make what every interface is made from: the task, the configuration and the render mode."""
-
-parallel_env = parallel_view(SwapOptions)
-"""Make the environment with PettingZoo's parallel interface."""
-
-env = aec_view(SwapOptions)
-"""The same one agent at a time, with PettingZoo's AEC interface."""
+blueprint, parallel_env, env = task_views(SwapOptions)
+"""Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

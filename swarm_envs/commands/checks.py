@@ -42,6 +42,17 @@ def check_file(option: str, file: Path, suffixes: tuple[str, ...] = ()) -> None:
     _check_writable(given, file.absolute().parent)
 
 
+def check_outputs(out: Path, json: Path | None) -> None:
+    """Refuse an `--out` that is no folder to write into, or a `--json` that is no such file.
+
+    Raises:
+        Misuse: naming the option and what is wrong with it.
+    """
+    check_folder("--out", out)
+    if json is not None:
+        check_file("--json", json)
+
+
 def _exists(given: str, path: Path) -> bool:
     try:
         return path.exists()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from swarm_envs.arguments import Seed
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.checks import Misuse, check_file, check_outputs, command_options
 from swarm_envs.errors import unknown_name
 
 if TYPE_CHECKING:
@@ -29,29 +29,35 @@ kinds:
 """What `swarm-envs export` says without a kind."""
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
-class ForceOptions:
-    """Write a fitted force model as a C99 header for a microcontroller.
-
-    It holds the weights as float32 and needs no library; see docs/forces.md.
-    """
+class HeaderOptions:
+    """Where a header is written, and how it names what it defines."""
 
     out: Path
     """the header to write, such as learned.h"""
-    model: str = "learned"
-    """`learned`, or the path of weights that `swarm-envs fit` made"""
     name: str | None = None
     """prefix of everything that the header defines; by default the file's name"""
     seed: Seed = 0
     """the states of the header's self-test are drawn from it"""
     json: Path | None = None
-    """write what the header holds to this file too"""
+    """write what the header holds and costs to this file too"""
 
 
 @command_options
 @dataclass(frozen=True, kw_only=True)
-class PolicyOptions:
+class ForceOptions(HeaderOptions):
+    """Write a fitted force model as a C99 header for a microcontroller.
+
+    It holds the weights as float32 and needs no library; see docs/forces.md.
+    """
+
+    model: str = "learned"
+    """`learned`, or the path of weights that `swarm-envs fit` made"""
+
+
+@command_options
+@dataclass(frozen=True, kw_only=True)
+class PolicyOptions(HeaderOptions):
     """Write a trained policy as a C99 header for a microcontroller.
 
     It picks the nearest neighbours, makes the features, evaluates the network and steers the
@@ -61,17 +67,9 @@ class PolicyOptions:
     policy: str
     """swap-ppo, swap-ppo-8, formation-ppo, ring-ppo, a .safetensors file, or a training run's
     folder"""
-    out: Path
-    """the header to write, such as policy.h"""
-    name: str | None = None
-    """prefix of everything that the header defines; by default the file's name"""
-    seed: Seed = 0
-    """the states of the header's self-test are drawn from it"""
-    json: Path | None = None
-    """write what the header holds and costs to this file too"""
 
 
-def _check_outputs(options: ForceOptions | PolicyOptions) -> str:
+def _check_outputs(options: HeaderOptions) -> str:
     """Refuse places that cannot be written; give the prefix."""
     for option, file in (("--out", options.out), ("--json", options.json)):
         if file is not None:
@@ -132,7 +130,7 @@ def export_policy(options: PolicyOptions) -> None:
     )
 
 
-def _write(options: ForceOptions | PolicyOptions, text: str, facts: dict[str, Any]) -> None:
+def _write(options: HeaderOptions, text: str, facts: dict[str, Any]) -> None:
     from swarm_envs.files import write_json, written_whole
 
     with written_whole(options.out) as partial:
@@ -182,9 +180,7 @@ def export_trajectory(options: TrajectoryOptions) -> None:
         ImportError: Parquet without pyarrow.
         ValueError: the file holds no flight, or one that cannot be fitted or must not be flown.
     """
-    check_folder("--out", options.out)
-    if options.json is not None:
-        check_file("--json", options.json)
+    check_outputs(options.out, options.json)
     if not options.file.is_file():
         raise Misuse(f"there is no file {str(options.file)!r}")
     from swarm_envs.deploy import settled
@@ -257,14 +253,3 @@ KINDS: Mapping[str, tuple[type, Callable[[Any], None]]] = {
     "force": (ForceOptions, export_force),
 }
 """What can be exported: its options, read from the command line, and what exports it."""
-
-
-def find_kind(name: str) -> tuple[type, Callable[[Any], None]]:
-    """Options and exporter of the kind of this name.
-
-    Raises:
-        Misuse: there is none.
-    """
-    if name not in KINDS:
-        raise Misuse(unknown_name("kind", name, KINDS))
-    return KINDS[name]

@@ -100,9 +100,7 @@ def run_fly(options: FlyOptions) -> None:
     finally:
         env.close()
     _print_summary(recording, agent)
-    for option, path in files.items():
-        WRITERS[option](path, recording)
-        print(f"wrote {path}", flush=True)
+    _write_files(files, recording)
 
 
 def check_outputs(out: Path | None, files: Mapping[str, Path]) -> None:
@@ -227,18 +225,6 @@ def _write_json(path: Path, recording: Recording) -> None:
     write_json(path, content)
 
 
-def _write_trajectory(path: Path, recording: Recording) -> None:
-    from swarm_envs.viewing.trajectory import write_trajectory
-
-    write_trajectory(path, recording)
-
-
-def _write_replay(path: Path, recording: Recording) -> None:
-    from swarm_envs.viewing.replay import write_replay
-
-    write_replay(path, recording)
-
-
 def _write_video(path: Path, recording: Recording) -> None:
     from tqdm import tqdm
 
@@ -253,13 +239,19 @@ def _write_video(path: Path, recording: Recording) -> None:
         raise OSError(f"{error}; name the video .gif, which needs no ffmpeg") from error
 
 
-WRITERS = {
-    "json": _write_json,
-    "trajectory": _write_trajectory,
-    "replay": _write_replay,
-    "video": _write_video,
-}
-"""What writes a recording into a file, by option."""
+def _write_files(files: Mapping[str, Path], recording: Recording) -> None:
+    """Write a recording into files, by their options, and say so."""
+    from swarm_envs.viewing import write_replay, write_trajectory
+
+    writers = {
+        "json": _write_json,
+        "trajectory": write_trajectory,
+        "replay": write_replay,
+        "video": _write_video,
+    }
+    for option, path in files.items():
+        writers[option](path, recording)
+        print(f"wrote {path}", flush=True)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,7 +288,4 @@ def run_replay(options: ReplayOptions) -> None:
         check_trajectory_path(options.file)
     except ValueError as error:
         raise Misuse(str(error)) from error
-    recording = read_trajectory(options.file)
-    for option, path in files.items():
-        WRITERS[option](path, recording)
-        print(f"wrote {path}", flush=True)
+    _write_files(files, read_trajectory(options.file))

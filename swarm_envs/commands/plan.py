@@ -6,14 +6,16 @@ from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from swarm_envs.commands.checks import Misuse, check_file, check_folder
+from swarm_envs.arguments import POSITIVE_S, Count, Range, Seed
+from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 
 if TYPE_CHECKING:
     from swarm_envs.baselines.rth3d import GridInstance, GridPlan
 
 
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
     """Plan paths for robots on a grid that each have a goal of their own, by RTH3D and PIBT.
@@ -23,17 +25,17 @@ class PlanOptions:
 
     grid: str = "48x24x12"
     """vertices along x, y and z, such as 144x72x36; two sides for a flat grid"""
-    density: float | None = None
+    density: Annotated[float, Range(0.0, 1.0, above=True)] | None = None
     """robots per vertex, such as 0.333; a third if not given, 2/9 between buildings"""
-    robots: int | None = None
+    robots: Count | None = None
     """number of robots, instead of a density"""
     family: str = "uniform"
     """uniform, quasi-random, mirror, rings, blocks, small-blocks, buildings, quasi-buildings"""
     method: str = "auto"
     """rth3d, rth3d-lba, pibt, or auto, the best of the last two"""
-    seed: int = 0
+    seed: Seed = 0
     """of the instance and of pibt"""
-    time_limit_s: float | None = None
+    time_limit_s: Annotated[float, POSITIVE_S] | None = None
     """seconds after which no further phase of planning begins"""
     out: Path | None = None
     """folder for plan.npz, plan.json and plan.png, all three"""
@@ -45,21 +47,9 @@ class PlanOptions:
     """write what was measured, .json"""
 
     def __post_init__(self) -> None:
-        """Refuse numbers with which nothing can be planned.
-
-        Raises:
-            ValueError: a number out of range, or both a density and a number of robots.
-        """
-        if self.seed < 0:
-            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
+        """Refuse a grid that is none, and two numbers of robots."""
         if self.density is not None and self.robots is not None:
             raise ValueError("--density and --robots both say how many robots; give one of them")
-        if self.density is not None and not 0 < self.density <= 1:
-            raise ValueError(f"--density is {self.density}, but must be above 0 and at most 1")
-        if self.robots is not None and self.robots < 1:
-            raise ValueError(f"--robots is {self.robots}, but must be 1 or more")
-        if self.time_limit_s is not None and not self.time_limit_s > 0:
-            raise ValueError(f"--time-limit-s is {self.time_limit_s}, but must be above 0")
         self.shape()
 
     def shape(self) -> tuple[int, ...]:
@@ -110,9 +100,17 @@ def run_plan(options: PlanOptions) -> None:
 
 
 def _write(files: Mapping[str, Path], found: GridPlan) -> None:
-    writers = {"save": _save, "json": _write_json, "picture": _draw}
+    from swarm_envs import __version__
+    from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
+    from swarm_envs.files import write_json
+
     for option, path in files.items():
-        writers[option](path, found)
+        if option == "save":
+            found.save(path)
+        elif option == "json":
+            write_json(path, facts(found) | {"version": __version__})
+        else:
+            plot_grid_plan(path, found)
         print(f"wrote {path}", flush=True)
 
 
@@ -202,20 +200,3 @@ def summary_lines(found: GridPlan) -> list[str]:
     for phase in found.phases:
         lines.append(f"  {phase.name.ljust(width)}  {phase.makespan:5d}  {phase.seconds:7.2f} s")
     return lines
-
-
-def _save(path: Path, found: GridPlan) -> None:
-    found.save(path)
-
-
-def _write_json(path: Path, found: GridPlan) -> None:
-    from swarm_envs import __version__
-    from swarm_envs.files import write_json
-
-    write_json(path, facts(found) | {"version": __version__})
-
-
-def _draw(path: Path, found: GridPlan) -> None:
-    from swarm_envs.baselines.rth3d.grid_plan import plot_grid_plan
-
-    plot_grid_plan(path, found)

@@ -7,11 +7,12 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.arguments import POSITIVE_M, Range, typed
 from swarm_envs.deploy.flight import AT_REST, Flight
 from swarm_envs.deploy.pieces import (
     MOST_PIECES,
@@ -34,10 +35,18 @@ PICTURE = "paths.png"
 """Name of the picture."""
 SAMPLE_COLUMNS = ("time", *"xyz", "vx", "vy", "vz", "ax", "ay", "az", "yaw")
 """Of the sampled files: s, m, m/s, m/s^2, rad."""
+Tolerance = Annotated[float, POSITIVE_M]
+"""Largest distance of a trajectory from the path that was flown, m."""
+PieceCount = Annotated[int, Range(1, MOST_PIECES)]
+"""Pieces that each drone may take: more do not fit into its memory."""
 
 
+@typed
 def fit_flight(
-    flight: Flight, tolerance: float = 0.01, most: int = MOST_PIECES, progress: bool = False
+    flight: Flight,
+    tolerance: Tolerance = 0.01,
+    most: PieceCount = MOST_PIECES,
+    progress: bool = False,
 ) -> tuple[Pieces, ...]:
     """Pieces for every drone of a flight, all of the same duration.
 
@@ -53,10 +62,6 @@ def fit_flight(
         ValueError: a tolerance or number that cannot be, or a path that so many pieces do not
             follow; the message names the drone.
     """
-    if not 0.0 < tolerance < np.inf:
-        raise ValueError(f"tolerance is {tolerance}, but must be positive and finite")
-    if not 1 <= most <= MOST_PIECES:
-        raise ValueError(f"most is {most}, but must be from 1 to {MOST_PIECES}: memory ends there")
     fitted = []
     for i, name in enumerate(tqdm(flight.names, "fit", unit="drone", disable=not progress)):
         first, last = flight.end_speeds[:, i] <= AT_REST
@@ -75,12 +80,13 @@ def fit_flight(
     return tuple(fitted)
 
 
+@typed
 def export_flight(
     flight: Flight,
     folder: str | Path,
-    tolerance: float = 0.01,
-    most: int = MOST_PIECES,
-    rate: float = 100.0,
+    tolerance: Tolerance = 0.01,
+    most: PieceCount = MOST_PIECES,
+    rate: Annotated[float, Range(0.0, 1000.0, above=True, unit="Hz")] = 100.0,
     source: Mapping[str, Any] | None = None,
     progress: bool = False,
 ) -> TeamReport:
@@ -99,8 +105,6 @@ def export_flight(
         ValueError: the flight cannot be fitted, or must not be flown; nothing was written.
         OSError: the folder cannot be written.
     """
-    if not 0.0 < rate <= 1000.0:
-        raise ValueError(f"rate is {rate}, but must be positive and at most 1000")
     fitted = fit_flight(flight, tolerance, most, progress)
     found = report(flight, fitted, tolerance)
     if found.problems:

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.errors import check_name
+from swarm_envs.arguments import POSITIVE_S, OneOf, typed
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team, parse_team
@@ -155,7 +155,12 @@ class Flight:
         return {name: change(array) for name, array in known.items() if array is not None}
 
 
-def flight_of(recording: Recording, path: str = "flown", yaw: str = "hold") -> Flight:
+@typed
+def flight_of(
+    recording: Recording,
+    path: Annotated[str, OneOf(PATHS)] = "flown",
+    yaw: Annotated[str, OneOf(YAWS)] = "hold",
+) -> Flight:
     """The flight that an episode's record holds.
 
     Args:
@@ -166,8 +171,6 @@ def flight_of(recording: Recording, path: str = "flown", yaw: str = "hold") -> F
     Raises:
         ValueError: another path or yaw, or a record that is no flight.
     """
-    check_name("path", path, PATHS)
-    check_name("yaw", yaw, YAWS)
     x, y, z, w = np.moveaxis(recording.quaternion, -1, 0)
     turned = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     flight = Flight(
@@ -193,9 +196,10 @@ def _along_setpoints(flight: Flight, setpoint: FloatArray) -> Flight:
     return replace(asked, velocity=spline(flight.time, 1))
 
 
+@typed
 def flight_along(
     reference: Callable[[float], Reference],
-    duration_s: float,
+    duration_s: Annotated[float, POSITIVE_S],
     team: str | Team,
     rate: float = RATE,
 ) -> Flight:
@@ -210,8 +214,6 @@ def flight_along(
     Raises:
         ValueError: a duration that is not positive, or a reference that is not finite.
     """
-    if not 0.0 < duration_s < np.inf:
-        raise ValueError(f"duration_s is {duration_s}, but must be positive and finite")
     time = np.linspace(0.0, duration_s, int(np.ceil(duration_s * rate)) + 1)
     # At the end itself a plan may say that all is over.
     samples = [reference(min(t, duration_s * (1.0 - 1e-12))) for t in time]
@@ -246,7 +248,8 @@ def _check_time(time: npt.NDArray[np.float64]) -> None:
 _RATE = 50.0
 
 
-def settled(flight: Flight, seconds: float) -> Flight:
+@typed
+def settled(flight: Flight, seconds: Annotated[float, POSITIVE_S]) -> Flight:
     """A flight whose drones are brought from rest before it, and to rest after it.
 
     The ramps are polynomials of 5th degree, over half of what the speed at that end would cover in
@@ -260,8 +263,6 @@ def settled(flight: Flight, seconds: float) -> Flight:
     Raises:
         ValueError: the duration is not positive.
     """
-    if not 0.0 < seconds < np.inf:
-        raise ValueError(f"seconds is {seconds}, but must be positive and finite")
     first, last = flight.end_speeds.max(axis=1)
     if last > AT_REST:
         flight = _with_ramp(flight, seconds)

@@ -15,11 +15,12 @@ import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import Range, typed
 from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 
@@ -93,8 +94,12 @@ def _single(name: str, values: npt.NDArray[Any], positive: bool = False) -> Floa
     return rounded
 
 
+@typed
 def evaluate(
-    pieces: Pieces, time: npt.ArrayLike, derivative: int = 0, single: bool = False
+    pieces: Pieces,
+    time: npt.ArrayLike,
+    derivative: Annotated[int, Range(0)] = 0,
+    single: bool = False,
 ) -> FloatArray:
     """Where the drone should be, or a derivative of that.
 
@@ -113,8 +118,6 @@ def evaluate(
     Raises:
         ValueError: the derivative is negative.
     """
-    if derivative < 0:
-        raise ValueError(f"derivative is {derivative}, but must be 0 or more")
     asked, knots = np.asarray(time, dtype=np.float64), pieces.knots
     inside = np.clip(asked, 0.0, knots[-1])
     which = np.clip(np.searchsorted(knots, inside, side="left") - 1, 0, len(pieces) - 1)

@@ -74,7 +74,6 @@ _TASK: _Entries = (
     ("reference_acceleration", 3, "m/s^2", ACCELERATION_LIMIT),
     ("time_left", 1, "of the clock", 1.0),
 )
-_NEIGHBOR_WIDTH = sum(width for _, width, _, _ in _NEIGHBOR)
 
 
 @cache

@@ -8,7 +8,7 @@ import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from typing import Annotated, Any, NamedTuple, ParamSpec
+from typing import Annotated, Any, Generic, NamedTuple, ParamSpec
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
@@ -75,34 +75,33 @@ class TaskOptions(EnvConfig, ABC):
         return Blueprint(self.make_task(), config, self.render_mode)
 
 
-def blueprint_view(options: Callable[P, TaskOptions]) -> Callable[P, Blueprint]:
-    """The function that makes what every interface to a task is made from."""
+class TaskViews(NamedTuple, Generic[P]):
+    """The functions that make a task's environment, all with the same options."""
+
+    blueprint: Callable[P, Blueprint]
+    """Makes what every interface is made from."""
+    parallel_env: Callable[P, SwarmParallelEnv]
+    """Makes the environment with PettingZoo's parallel interface."""
+    env: Callable[P, AECEnv[str, Any, Any]]
+    """Makes it with PettingZoo's AEC interface."""
+
+
+def task_views(options: Callable[P, TaskOptions]) -> TaskViews[P]:
+    """The functions of a task whose options are of a class."""
 
     def blueprint(*args: P.args, **given: P.kwargs) -> Blueprint:
+        """Make what every interface to the task is made from."""
         return options(*args, **given).blueprint()
 
-    return _documented(blueprint, options, "Make what every interface to the task is made from.")
-
-
-def parallel_view(options: Callable[P, TaskOptions]) -> Callable[P, SwarmParallelEnv]:
-    """The function that makes a task's environment with PettingZoo's parallel interface."""
-
     def parallel_env(*args: P.args, **given: P.kwargs) -> SwarmParallelEnv:
-        return SwarmParallelEnv(*options(*args, **given).blueprint())
-
-    return _documented(
-        parallel_env, options, "Make the environment with PettingZoo's parallel interface."
-    )
-
-
-def aec_view(options: Callable[P, TaskOptions]) -> Callable[P, AECEnv[str, Any, Any]]:
-    """The function that makes a task's environment with PettingZoo's AEC interface."""
+        """Make the environment with PettingZoo's parallel interface."""
+        return SwarmParallelEnv(*blueprint(*args, **given))
 
     def env(*args: P.args, **given: P.kwargs) -> AECEnv[str, Any, Any]:
-        turns = SwarmTurnEnv(SwarmParallelEnv(*options(*args, **given).blueprint()))
-        return OrderEnforcingWrapper(turns)
+        """Make the environment with PettingZoo's AEC interface."""
+        return OrderEnforcingWrapper(SwarmTurnEnv(parallel_env(*args, **given)))
 
-    return _documented(env, options, "Make the environment with PettingZoo's AEC interface.")
+    return TaskViews(*(_documented(view, options) for view in (blueprint, parallel_env, env)))
 
 
 _RAISES = """\
@@ -112,9 +111,7 @@ Raises:
     ImportError: `physics="bullet"` without pybullet."""
 
 
-def _documented(
-    view: Callable[P, Any], options: Callable[P, TaskOptions], summary: str
-) -> Callable[P, Any]:
+def _documented(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> Any:
     """Give a view the signature of the options, and a docstring that explains each of them."""
     made: Any = view
     made.__signature__ = inspect.signature(options).replace(
@@ -125,7 +122,7 @@ def _documented(
     shared = [field.name for field in fields(EnvConfig)]
     own = [name for name in table if name not in shared]
     entries = [_entry(table[name]) for name in (*own, *shared)]
-    made.__doc__ = "\n".join([summary, "", "Args:", *entries, "", _RAISES])
+    made.__doc__ = "\n".join([made.__doc__, "", "Args:", *entries, "", _RAISES])
     return view
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.errors import unknown_name
+from swarm_envs.errors import check_name, unknown_name
 from swarm_envs.interactions.field import NONE, WAKE, ForceField, empty_field
 from swarm_envs.interactions.forces import all_forces, check_states, types_array
 from swarm_envs.interactions.packed import PackedField, packed
@@ -69,8 +69,7 @@ class InteractionModel:
         Raises:
             ValueError: the precision is neither `"float64"` nor `"float32"`.
         """
-        if precision not in PRECISIONS:
-            raise ValueError(unknown_name("precision", precision, PRECISIONS))
+        check_name("precision", precision, PRECISIONS)
         if self.field.kind in (NONE, WAKE):
             return self  # no network to evaluate
         field = self.field._replace(weights=self.field.weights.astype(precision))

@@ -31,19 +31,6 @@ def arena_of(num_drones: int) -> FloatArray:
     return np.array([[-half, -half, 0.0], [half, half, ARENA_HEIGHT]]) * grown
 
 
-def check_range(name: str, ends: tuple[float, float], least: float = 0.0) -> None:
-    """Refuse a range (low, high) from which nothing could be drawn.
-
-    Raises:
-        ValueError: it is not two numbers with `least` < low <= high.
-    """
-    pair = np.array(ends, dtype=np.float64)
-    if pair.shape != (2,) or not least < pair[0] <= pair[1] < np.inf:
-        raise ValueError(
-            f"{name} is {ends!r}, but must be (low, high) with {least:g} < low <= high"
-        )
-
-
 def check_points(
     name: str,
     points: FloatArray,

@@ -11,11 +11,12 @@ import math
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import Range, typed_options
 from swarm_envs.physics.bullet import build_body
 from swarm_envs.state import BoolArray, FloatArray, SwarmState
 from swarm_envs.vehicles import Vehicle, parse_team
@@ -193,8 +194,10 @@ def _floor(points: FloatArray, footprint: FloatArray, distance: FloatArray) -> F
 
 _BACKGROUND = -1
 """What Bullet's segmentation says where it drew nothing."""
+_PIXELS = Range(16, 4096)
 
 
+@typed_options
 class Camera:
     """Draws pictures of a team from states of any engine, in a Bullet client of its own.
 
@@ -217,19 +220,14 @@ class Camera:
     def __init__(
         self,
         team: str | Sequence[Vehicle],
-        width: int = 640,
-        height: int = 400,
+        width: Annotated[int, _PIXELS] = 640,
+        height: Annotated[int, _PIXELS] = 400,
         *,
-        azimuth_deg: float = -60.0,
-        elevation_deg: float = 16.0,
-        field_of_view_deg: float = 35.0,
+        azimuth_deg: Annotated[float, Range(-360.0, 360.0)] = -60.0,
+        elevation_deg: Annotated[float, Range(0.0, 89.0)] = 16.0,
+        field_of_view_deg: Annotated[float, Range(5.0, 120.0)] = 35.0,
     ) -> None:
         self.team = parse_team(team)
-        _check("width", width, 16, 4096)
-        _check("height", height, 16, 4096)
-        _check("azimuth_deg", azimuth_deg, -360, 360)
-        _check("elevation_deg", elevation_deg, 0, 89)
-        _check("field_of_view_deg", field_of_view_deg, 5, 120)
         self.width, self.height = width, height
         self._angles = azimuth_deg, elevation_deg, field_of_view_deg
         self._radius = np.array([vehicle.radius for vehicle in self.team])
@@ -347,8 +345,3 @@ def _import_renderer() -> Any:
             "render_mode=None and look at the replay page, which needs none: `swarm-envs fly "
             "--replay out.html`, or swarm_envs.viewing.replay.write_replay(path, recording)."
         ) from error
-
-
-def _check(name: str, value: float, low: float, high: float) -> None:
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value}, but must lie in [{low}, {high}]")

@@ -234,13 +234,13 @@ def flown(agent: PolicyAgent, task: str, seed: int, **options: Any) -> tuple[np.
             order = [i, *(j for j in range(len(tokens)) if j != i)]
             x, y, z, w = state.quaternion[i]
             up = 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)
-            task = [1.0 - view.time / view.horizon_s]
+            wanted: Any = [1.0 - view.time / view.horizon_s]
             if agent.policy.note.features == REFERENCE:
-                task = np.concatenate([part[i] for part in reference[:3]])
+                wanted = np.concatenate([part[i] for part in reference[:3]])
             thrust = state.rotor_thrust[i].sum() / view.team[i].max_thrust
-            moving = (array[order] for array in (state.position, state.velocity, view.goals))
-            known = KnownState(*moving, np.take(tokens, order), up, thrust, setpoint[0][i], task)
-            row = as_row(known)
+            moving: Any = (array[order] for array in (state.position, state.velocity, view.goals))
+            own: Any = (up, thrust, setpoint.position[i], wanted)
+            row = as_row(KnownState(*moving, np.take(tokens, order), *own))
             row["setpoint"] = np.concatenate([part[i] for part in setpoint[:4]])
             row["dt"] = 1.0 / agent.policy.note.decision_rate
             rows.append(row)
@@ -282,7 +282,12 @@ def test_it_decides_and_steers_as_in_flight(
 def test_what_is_not_finite_or_unknown_asks_for_nothing(tmp_path: Path) -> None:
     policy = odd_policy(TYPED, "mlp", "mean", False)
     good = as_row(draw_state(policy, 4, np.random.default_rng(1)))
-    places = [("moving", (0, 1)), ("moving", (2, 4)), ("moving", (4, 8)), ("up", 1)]
+    places: list[tuple[str, Any]] = [
+        ("moving", (0, 1)),
+        ("moving", (2, 4)),
+        ("moving", (4, 8)),
+        ("up", 1),
+    ]
     broken = [(field, at, np.nan) for field, at in [*places, ("thrust", ()), ("task", ...)]]
     large = list(VEHICLES).index("L")  # it was trained with S and S*
     broken += [("thrust", (), np.inf), ("types", 0, large), ("types", 3, large)]

@@ -149,7 +149,8 @@ def test_velocity_and_acceleration_are_those_of_the_helix() -> None:
 def test_a_polynomial_of_7th_degree_is_one_piece_with_its_coefficients() -> None:
     time = np.linspace(0.0, 2.0, 401)
     wanted = np.random.default_rng(0).normal(size=(4, 8)) / 2.0 ** np.arange(8)
-    pieces = fit_pieces(time, np.polynomial.polynomial.polyval(time, wanted.T).T, 1e-4)
+    rows = np.column_stack([np.polynomial.polynomial.polyval(time, c) for c in wanted])
+    pieces = fit_pieces(time, rows, 1e-4)
     assert len(pieces) == 1
     np.testing.assert_allclose(pieces.coefficients[0], wanted, atol=1e-6)
 
