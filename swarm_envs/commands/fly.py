@@ -132,6 +132,7 @@ def _prepare(options: FlyOptions) -> tuple[SwarmParallelEnv, Agent]:
     """The environment that was asked for, as the agent requires it."""
     from swarm_envs import make
     from swarm_envs.agents import load
+    from swarm_envs.agents.protocol import check_options_agree
 
     given: dict[str, Any] = {"interactions": options.interactions}
     given |= {"num_drones": options.drones} if options.team is None else {"team": options.team}
@@ -140,11 +141,7 @@ def _prepare(options: FlyOptions) -> tuple[SwarmParallelEnv, Agent]:
             given[name] = getattr(options, name)
     try:
         agent = load(options.agent)
-        for name, wanted in agent.requires.items():
-            if given.get(name, wanted) != wanted:
-                raise ValueError(
-                    f"agent {options.agent!r} requires {name}={wanted!r}, not {given[name]!r}"
-                )
+        check_options_agree(agent, given)
         env = make(find_task(options.task), **{**given, **agent.requires})
     except (ValueError, TypeError, FileNotFoundError) as error:
         raise Misuse(str(error)) from error

@@ -21,7 +21,27 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
 
 
-class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
+class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
+    """What both interfaces do with the parallel environment beneath them."""
+
+    def __init__(self, task: Task, config: EnvConfig, render_mode: str | None) -> None:
+        self.parallel = SwarmParallelEnv(task, config, render_mode)
+        self.render_mode = render_mode
+        self.metadata = {
+            "render_modes": list(RENDER_MODES),
+            "render_fps": config.decision_rate,
+        }
+
+    def render(self) -> Any:
+        """A picture of the swarm; see `SwarmParallelEnv.render`."""
+        return self.parallel.render()
+
+    def close(self) -> None:
+        """Free what physics and renderer hold."""
+        self.parallel.close()
+
+
+class SwarmJointEnv(_SwarmEnv):
     """All drones as one agent: observations and actions of the team one after another.
 
     The reward is the mean of the drones'. `info` has `rewards` (N,), and at the end
@@ -34,17 +54,11 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
     ) -> None:
         given = config or EnvConfig()
         check_flat(given)
-        self.parallel = SwarmParallelEnv(task, given, render_mode)
-        self.render_mode = render_mode
-        self.metadata = {
-            "render_modes": list(RENDER_MODES),
-            "render_fps": given.decision_rate,
-        }
-        self.observation_space: spaces.Space[Any] = joint_box(self.core.rows.shape[1:], np.inf)
+        super().__init__(task, given, render_mode)
+        shape = (self.core.num_drones, self.core.mode.width)
         edge = 1.0 if self.core.mode.bounded else np.inf
-        self.action_space: spaces.Space[Any] = joint_box(
-            (self.core.num_drones, self.core.mode.width), edge
-        )
+        self.observation_space: spaces.Space[Any] = joint_box(self.core.rows.shape[1:], np.inf)
+        self.action_space: spaces.Space[Any] = joint_box(shape, edge)
 
     @property
     def core(self) -> SwarmCore:
@@ -78,14 +92,6 @@ class SwarmJointEnv(gymnasium.Env[Float32Array, npt.NDArray[np.float32]]):
             info["episode_metrics"] = self.core.metrics()
         reward = float(result.rewards[0].mean())
         return self._observation(), reward, terminated, truncated, info
-
-    def render(self) -> Any:
-        """A picture of the swarm; see `SwarmParallelEnv.render`."""
-        return self.parallel.render()
-
-    def close(self) -> None:
-        """Free what physics and renderer hold."""
-        self.parallel.close()
 
     def _observation(self) -> Float32Array:
         return self.core.rows[0].reshape(-1).copy()
@@ -144,7 +150,7 @@ Policy = Callable[[Observation], npt.ArrayLike]
 """From one drone's observation to its action."""
 
 
-class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
+class SwarmSoloEnv(_SwarmEnv):
     """One drone's own observations, actions and rewards; the rest of the team belongs to the air.
 
     Made by `gymnasium.make("swarm_envs/SwapSolo-v0", ...)`. `info` is the drone's of
@@ -171,7 +177,7 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
         drone: int = 0,
         others: Policy | None = None,
     ) -> None:
-        self.parallel = SwarmParallelEnv(task, config, render_mode)
+        super().__init__(task, config or EnvConfig(), render_mode)
         agents = self.parallel.possible_agents
         if check_integer("drone", drone, 0) >= len(agents):
             raise ValueError(f"drone is {drone}, but the team has drones 0 to {len(agents) - 1}")
@@ -180,11 +186,6 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
                 f"others is {others!r:.80}, but must be a function from an observation to an action"
             )
         self.agent, self.others = agents[drone], others
-        self.render_mode = render_mode
-        self.metadata = {
-            "render_modes": list(RENDER_MODES),
-            "render_fps": self.parallel.core.config.decision_rate,
-        }
         self.observation_space: spaces.Space[Any] = self.parallel.observation_space(self.agent)
         self.action_space: spaces.Space[Any] = self.parallel.action_space(self.agent)
         self._seen: dict[str, Observation] = {}
@@ -214,14 +215,6 @@ class SwarmSoloEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
         self._seen, rewards, ends, cuts, infos = self.parallel.step(actions)
         me = self.agent
         return self._seen[me], rewards[me], ends[me], cuts[me], infos[me]
-
-    def render(self) -> Any:
-        """A picture of the swarm; see `SwarmParallelEnv.render`."""
-        return self.parallel.render()
-
-    def close(self) -> None:
-        """Free what physics and renderer hold."""
-        self.parallel.close()
 
 
 def make_solo(

@@ -6,16 +6,16 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.files import written_whole
 from swarm_envs.state import FloatArray
 from swarm_envs.viewing.camera import Camera
+from swarm_envs.viewing.overlay import draw_arrow
 from swarm_envs.viewing.record import FlightRecord
-from swarm_envs.viewing.style import font
+from swarm_envs.viewing.style import GREY, INK, font, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -26,18 +26,6 @@ WITHOUT_COLOR = "#D55E00"
 """Vermilion of Okabe and Ito's palette, which colour-blind readers can tell from the blue."""
 COMPENSATED_COLOR = "#0072B2"
 """Blue of the same."""
-
-_STYLE: Any = {
-    "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#E3E6EA",
-    "grid.linewidth": 0.8,
-    "axes.axisbelow": True,
-    "axes.edgecolor": "#60656B",
-    "axes.labelcolor": "#202428",
-}
 
 
 @dataclass(frozen=True)
@@ -78,13 +66,7 @@ def plot_comparisons(path: Path, comparisons: Sequence[Comparison], headline: st
     """
     if not comparisons:
         raise ValueError("no comparison was given; plot at least one")
-    import matplotlib as mpl
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(1.6 + 3.7 * len(comparisons), 6.4), layout="constrained")
-        FigureCanvasAgg(figure)
+    with picture(path, 1.6 + 3.7 * len(comparisons), 6.4, headline) as figure:
         axes = figure.subplots(
             2,
             len(comparisons),
@@ -98,9 +80,6 @@ def plot_comparisons(path: Path, comparisons: Sequence[Comparison], headline: st
         axes[0, 0].set_ylabel("Height error of the lowest drone (cm)")
         axes[1, 0].set_ylabel("Vertical interaction force\non the lowest drone (g)")
         _add_legend(figure, axes[0, 0], len(comparisons[0].without))
-        figure.suptitle(headline, fontsize=13, fontweight="bold")
-        with written_whole(path) as partial:
-            figure.savefig(partial, dpi=150)
 
 
 def _plot_column(comparison: Comparison, upper: Axes, lower: Axes) -> None:
@@ -113,13 +92,14 @@ def _plot_column(comparison: Comparison, upper: Axes, lower: Axes) -> None:
         _plot_lines(upper, time, [flight.height_error_cm() for flight in flights], color)
         _plot_lines(lower, time, [flight.vertical_force_g() for flight in flights], color)
     for axis in (upper, lower):
-        axis.axhline(0.0, color="#60656B", linewidth=0.8, zorder=1)
+        axis.grid(True)
+        axis.axhline(0.0, color=GREY, linewidth=0.8, zorder=1)
         meeting = _meeting_time(comparison.without[0])
         if meeting is not None:
-            axis.axvline(meeting, color="#60656B", linewidth=0.8, linestyle=":", zorder=1)
+            axis.axvline(meeting, color=GREY, linewidth=0.8, linestyle=":", zorder=1)
     before, after = np.median(comparison.without_cm), np.median(comparison.compensated_cm)
     upper.set_title(
-        f"{comparison.title}\nmedian of worst errors: {before:.1f} → {after:.1f} cm", fontsize=11
+        f"{comparison.title}\nmedian of worst errors: {before:.1f} → {after:.1f} cm", loc="center"
     )
     lower.set_xlabel("Time (s)")
     lower.set_xlim(0.0, float(time[-1]))
@@ -147,9 +127,9 @@ def _add_legend(figure: Figure, axis: Axes, flights: int) -> None:
     lines = [
         Line2D([], [], color=WITHOUT_COLOR, linewidth=2.0, label="without compensation"),
         Line2D([], [], color=COMPENSATED_COLOR, linewidth=2.0, label="with compensation"),
-        Line2D([], [], color="#60656B", linewidth=0.7, label=f"one of {flights} swaps"),
-        Line2D([], [], color="#60656B", linewidth=2.0, label="median"),
-        Line2D([], [], color="#60656B", linewidth=0.8, linestyle=":", label="drones in line"),
+        Line2D([], [], color=GREY, linewidth=0.7, label=f"one of {flights} swaps"),
+        Line2D([], [], color=GREY, linewidth=2.0, label="median"),
+        Line2D([], [], color=GREY, linewidth=0.8, linestyle=":", label="drones in line"),
     ]
     figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), frameon=False)
 
@@ -160,7 +140,7 @@ _HEADER, _CHART = 56, 184
 _SMOOTH = 2
 """Everything is drawn at this many times the size and then averaged: neither Bullet's renderer
 nor lines are smoothed otherwise."""
-_INK, _PALE, _PAPER = "#202428", "#7A8088", "#FFFFFF"
+_PALE, _PAPER = "#7A8088", "#FFFFFF"
 _ARROW_M_PER_G = 0.012
 _CAPTIONS = ("Without compensation", "With compensation")
 _COLORS = (WITHOUT_COLOR, COMPENSATED_COLOR)
@@ -250,7 +230,8 @@ class SideBySide:
         force = float(flight.vertical_force_g()[index])
         foot = flight.position[index, -1]
         tip = foot + np.array([0.0, 0.0, _ARROW_M_PER_G * force])
-        _arrow(pen, lens.project(np.stack([foot, tip])), _INK)
+        foot, tip = lens.project(np.stack([foot, tip]))
+        draw_arrow(pen, foot, tip, INK, width=3 * _SMOOTH, head=9.0 * _SMOOTH)
         error = float(flight.height_error_cm()[index])
         _write(pen, (20, 14), _CAPTIONS[side], 21, bold=True, color=color)
         _write(pen, (20, 44), f"height error {_signed(error)} cm", 18)
@@ -310,20 +291,6 @@ def _dash(pen: ImageDraw, pixels: FloatArray, color: str) -> None:
         pen.line(_points(np.array(ends)), fill=color, width=2 * _SMOOTH)
 
 
-def _arrow(pen: ImageDraw, pixels: FloatArray, color: str) -> None:
-    foot, tip = pixels
-    length = float(np.linalg.norm(tip - foot))
-    head = 9.0 * _SMOOTH
-    if length < head:  # too weak to point anywhere
-        return
-    ahead = (tip - foot) / length
-    across = np.array([-ahead[1], ahead[0]])
-    neck = tip - head * ahead
-    pen.line(_points(np.stack([foot, neck])), fill=color, width=3 * _SMOOTH)
-    corners = np.stack([tip, neck + 0.55 * head * across, neck - 0.55 * head * across])
-    pen.polygon(_points(corners), fill=color)
-
-
 def _write(
     pen: ImageDraw,
     at: Sequence[float],
@@ -332,7 +299,7 @@ def _write(
     *,
     bold: bool = False,
     anchor: str = "la",
-    color: str = _INK,
+    color: str = INK,
 ) -> None:
     place = (at[0] * _SMOOTH, at[1] * _SMOOTH)
     pen.text(place, text, fill=color, font=font(size * _SMOOTH, bold), anchor=anchor)

@@ -82,6 +82,29 @@ def draw_behind(picture: Picture, lens: Lens, overlay: Overlay) -> Picture:
     return np.array(canvas if overlay.enlarged else canvas.reduce(2))
 
 
+def draw_arrow(
+    canvas: ImageDraw, foot: FloatArray, tip: FloatArray, ink: str | Color, width: int, head: float
+) -> None:
+    """Draw an arrow between two pixels (2,), unless it is shorter than its head: too weak to point.
+
+    Args:
+        canvas: drawn on.
+        foot: where it begins.
+        tip: where it ends.
+        ink: its colour.
+        width: of its line, pixels.
+        head: length of its head, pixels.
+    """
+    length = float(np.linalg.norm(tip - foot))
+    if length < head:
+        return
+    ahead = (tip - foot) / length
+    across, neck = np.array([-ahead[1], ahead[0]]), tip - head * ahead
+    canvas.line([tuple(foot), tuple(neck)], fill=ink, width=width)
+    corners = (tip, neck + 0.5 * head * across, neck - 0.5 * head * across)
+    canvas.polygon([(float(x), float(y)) for x, y in corners], fill=ink)
+
+
 class _Pen:
     """Draws shapes of the world on a picture that is drawn at twice its final size.
 
@@ -131,15 +154,7 @@ class _Pen:
         ends = self._pixels(np.stack([foot, tip]))
         if len(ends) < 2:
             return
-        start, end = np.array(ends)
-        length, head = float(np.linalg.norm(end - start)), 14.0
-        if length < head:  # too weak to point anywhere
-            return
-        ahead = (end - start) / length
-        across, neck = np.array([-ahead[1], ahead[0]]), end - head * ahead
-        self._canvas.line([tuple(start), tuple(neck)], fill=_FORCE, width=4)
-        corners = (end, neck + 0.5 * head * across, neck - 0.5 * head * across)
-        self._canvas.polygon([(float(x), float(y)) for x, y in corners], fill=_FORCE)
+        draw_arrow(self._canvas, *np.array(ends), _FORCE, width=4, head=14.0)
 
     def _pixels(self, points: FloatArray) -> list[tuple[float, float]]:
         """Places on the canvas of the points that lie before the camera."""

@@ -238,9 +238,9 @@ def flown(agent: PolicyAgent, task: str, seed: int, **options: Any) -> tuple[np.
             if agent.policy.note.features == REFERENCE:
                 wanted = np.concatenate([part[i] for part in reference[:3]])
             thrust = state.rotor_thrust[i].sum() / view.team[i].max_thrust
-            moving: Any = (array[order] for array in (state.position, state.velocity, view.goals))
-            own: Any = (up, thrust, setpoint.position[i], wanted)
-            row = as_row(KnownState(*moving, np.take(tokens, order), *own))
+            moving = [array[order] for array in (state.position, state.velocity, view.goals)]
+            own = [np.take(tokens, order), up, thrust, setpoint.position[i], wanted]
+            row = as_row(KnownState._make([*moving, *own]))
             row["setpoint"] = np.concatenate([part[i] for part in setpoint[:4]])
             row["dt"] = 1.0 / agent.policy.note.decision_rate
             rows.append(row)
