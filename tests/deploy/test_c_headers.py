@@ -46,72 +46,40 @@ PROGRAM = """
 #define PILOT_SELF_TEST
 #include "pilot.h"
 #include <stdio.h>
-struct row { int others, types[9]; float moving[9][9], up[3], thrust, setpoint[12], task[9], dt; };
+struct row { int others; float dt; struct pilot_drone drones[9]; struct pilot_own own; @set@; };
+struct out { float sound, action[4]; @set@; };
 int main(void)
 {
     struct row r;
     while (fread(&r, sizeof r, 1, stdin) == 1) {
-        struct pilot_drone drones[9];
-        struct pilot_own own;
-        struct { float sound, action[4], setpoint[12]; } out = {0};
-        int j, k;
-        for (j = 0; j < 9; j++) {
-            for (k = 0; k < 3; k++) {
-                drones[j].position[k] = r.moving[j][k];
-                drones[j].velocity[k] = r.moving[j][3 + k];
-                drones[j].goal[k] = r.moving[j][6 + k];
-            }
-            drones[j].type = r.types[j];
-        }
-        for (k = 0; k < 3; k++) own.up[k] = r.up[k], own.setpoint[k] = r.setpoint[k];
-        own.thrust = r.thrust;
-        @task@
-        out.sound = (float)pilot_act(drones, &own, r.others, drones + 1, out.action);
+        struct out out = {0};
+        out.sound = (float)pilot_act(r.drones, &r.own, r.others, r.drones + 1, out.action);
         @steer@
         if (fwrite(&out, sizeof out, 1, stdout) != 1) return 2;
     }
     return pilot_self_test() < 1e-5f ? 0 : 1;
 }
 """
-STEER = """{
-            struct pilot_setpoint s;
-            for (k = 0; k < 3; k++) {
-                s.position[k] = r.setpoint[k], s.velocity[k] = r.setpoint[3 + k];
-                s.acceleration[k] = r.setpoint[6 + k], s.jerk[k] = r.setpoint[9 + k];
-            }
-            pilot_steer(out.action, &s);
-            pilot_advance(&s, r.dt);
-            for (k = 0; k < 3; k++) {
-                out.setpoint[k] = s.position[k], out.setpoint[3 + k] = s.velocity[k];
-                out.setpoint[6 + k] = s.acceleration[k], out.setpoint[9 + k] = s.jerk[k];
-            }
-        }"""
-REFERENCES = """for (k = 0; k < 3; k++) {
-            own.reference_position[k] = r.task[k], own.reference_velocity[k] = r.task[3 + k];
-            own.reference_acceleration[k] = r.task[6 + k];
-        }"""
-ROW = np.dtype(
-    [
-        ("others", np.int32),
-        ("types", np.int32, MOST),
-        ("moving", np.float32, (MOST, 9)),
-        ("up", np.float32, 3),
-        ("thrust", np.float32),
-        ("setpoint", np.float32, 12),
-        ("task", np.float32, 9),
-        ("dt", np.float32),
-    ]
+STEER = "pilot_steer(out.action, &r.s); pilot_advance(&r.s, r.dt); out.s = r.s;"
+VECTOR = (np.float32, 3)
+DRONE = np.dtype(
+    [("position", *VECTOR), ("velocity", *VECTOR), ("goal", *VECTOR), ("type", np.int32)]
 )
 
 
 def as_row(state: KnownState) -> np.ndarray:
-    """A row of the program's input."""
-    row = np.zeros((), ROW)
+    """A row of the program's input, its set-point at rest."""
+    own = [("up", *VECTOR), ("thrust", np.float32), ("setpoint", *VECTOR)]
+    own += [("task", np.float32, len(state.task)), ("steered", np.float32, 12)]
+    head = [("others", np.int32), ("dt", np.float32), ("drones", DRONE, MOST)]
+    row = np.zeros((), np.dtype([*head, *own]))
     count = len(state.position)
-    row["others"], row["types"][:count] = count - 1, state.types
-    row["moving"][:count] = np.concatenate([state.position, state.velocity, state.goal], axis=1)
-    row["up"], row["thrust"], row["dt"] = state.up, state.thrust, 0.1
-    row["setpoint"][:3], row["task"][: len(state.task)] = state.setpoint, state.task
+    row["others"], row["dt"], row["drones"]["type"][:count] = count - 1, 0.1, state.types
+    for name in ("position", "velocity", "goal"):
+        row["drones"][name][:count] = getattr(state, name)
+    for name in ("up", "thrust", "setpoint", "task"):
+        row[name] = getattr(state, name)
+    row["steered"][:3] = state.setpoint
     return row
 
 
@@ -133,9 +101,9 @@ def run_program(folder: Path, source: str, rows: np.ndarray) -> np.ndarray:
 def in_c(policy: Policy, folder: Path, rows: np.ndarray) -> np.ndarray:
     """(rows, 17): whether it decided, its action, the set-point after the decision."""
     (folder / "pilot.h").write_text(policy_header(policy, "pilot"))
-    task = REFERENCES if policy.note.features == REFERENCE else "own.time_left = r.task[0];"
-    steer = STEER if policy.note.action in ("acceleration", "velocity") else ""
-    program = PROGRAM.replace("@task@", task).replace("@steer@", steer)
+    steers = policy.note.action in ("acceleration", "velocity")
+    program = PROGRAM.replace("@steer@", STEER if steers else "")
+    program = program.replace("@set@", "struct pilot_setpoint s" if steers else "float s[12]")
     return run_program(folder, program, rows).reshape(-1, 17)
 
 
@@ -241,7 +209,7 @@ def flown(agent: PolicyAgent, task: str, seed: int, **options: Any) -> tuple[np.
             moving = [array[order] for array in (state.position, state.velocity, view.goals)]
             own = [np.take(tokens, order), up, thrust, setpoint.position[i], wanted]
             row = as_row(KnownState._make([*moving, *own]))
-            row["setpoint"] = np.concatenate([part[i] for part in setpoint[:4]])
+            row["steered"] = np.concatenate([part[i] for part in setpoint[:4]])
             row["dt"] = 1.0 / agent.policy.note.decision_rate
             rows.append(row)
         actions += list(decided.values())
@@ -253,7 +221,7 @@ def flown(agent: PolicyAgent, task: str, seed: int, **options: Any) -> tuple[np.
 
 def equally_near(row: np.ndarray) -> bool:
     """Whether rounding to single precision decides which of two others is nearer."""
-    place = row["moving"][: 1 + row["others"], :3].astype(np.float64)
+    place = row["drones"]["position"][: 1 + row["others"]].astype(np.float64)
     gaps = np.diff(np.sort(np.linalg.norm(place[1:] - place[0], axis=1)))
     return bool((gaps < 1e-6).any())
 
@@ -282,19 +250,16 @@ def test_it_decides_and_steers_as_in_flight(
 def test_what_is_not_finite_or_unknown_asks_for_nothing(tmp_path: Path) -> None:
     policy = odd_policy(TYPED, "mlp", "mean", False)
     good = as_row(draw_state(policy, 4, np.random.default_rng(1)))
-    places: list[tuple[str, Any]] = [
-        ("moving", (0, 1)),
-        ("moving", (2, 4)),
-        ("moving", (4, 8)),
-        ("up", 1),
-    ]
-    broken = [(field, at, np.nan) for field, at in [*places, ("thrust", ()), ("task", ...)]]
+    broken: list[tuple[str, Any, float]] = [("up", 1, np.nan), ("task", ..., np.nan)]
+    broken += [("position", (0, 1), np.nan), ("velocity", (2, 1), np.nan), ("goal", (4, 2), np.nan)]
+    broken += [("thrust", (), np.nan), ("thrust", (), np.inf)]
     large = list(VEHICLES).index("L")  # it was trained with S and S*
-    broken += [("thrust", (), np.inf), ("types", 0, large), ("types", 3, large)]
+    broken += [("type", 0, large), ("type", 3, large)]
     rows = []
-    for field, at, value in broken:
+    for name, at, value in broken:
         rows.append(good.copy())
-        rows[-1][field][at] = value
+        part = rows[-1]["drones"] if name in (DRONE.names or ()) else rows[-1]
+        part[name][at] = value
     out = in_c(policy, tmp_path, np.stack([*rows, good]))
     assert not out[:-1, :4].any()
     assert out[-1, 0] == 1.0
