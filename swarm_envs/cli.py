@@ -82,13 +82,24 @@ def _fit(arguments: Sequence[str]) -> int:
     from swarm_envs.training.force_model.force_fit_config import FitConfig
 
     config = _read("fit", FitConfig, arguments, prefixes=True)
+    return _learn(config, "swarm_envs.training.force_model.pipeline", "fit")
+
+
+def _curriculum(arguments: Sequence[str]) -> int:
+    from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
+
+    config = _read("curriculum", CurriculumConfig, arguments)
+    return _learn(config, "swarm_envs.training.curriculum.run", "run_curriculum")
+
+
+def _learn(config: Any, module: str, function: str) -> int:
+    """Fit a model with a function of a module that needs torch, and print its report."""
     check_outputs(config.out, config.json)
     need_torch()
     from swarm_envs.files import claimed
-    from swarm_envs.training.force_model.pipeline import fit
 
     with claimed(config.out):
-        report = fit(config)
+        report = getattr(importlib.import_module(module), function)(config)
     print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
     return DONE
 
@@ -101,21 +112,6 @@ def _collect(arguments: Sequence[str]) -> int:
     check_outputs(options.out, options.json)
     with claimed(options.out):
         run_collect(options)
-    return DONE
-
-
-def _curriculum(arguments: Sequence[str]) -> int:
-    from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
-
-    config = _read("curriculum", CurriculumConfig, arguments)
-    check_outputs(config.out, config.json)
-    need_torch()
-    from swarm_envs.files import claimed
-    from swarm_envs.training.curriculum.run import run_curriculum
-
-    with claimed(config.out):
-        report = run_curriculum(config)
-    print(*report.lines(), f"wrote the model and the report into {config.out}", sep="\n")
     return DONE
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
-from swarm_envs.commands.fly import find_task
+from swarm_envs.commands.fly import EpisodeOptions, find_task, prepare
 from swarm_envs.training.scale_out.options import ScaleOptions
 
 if TYPE_CHECKING:
@@ -22,21 +22,13 @@ if TYPE_CHECKING:
 
 @command_options
 @dataclass(frozen=True, kw_only=True)
-class EvaluateOptions:
+class EvaluateOptions(EpisodeOptions):
     """Fly many episodes of one or more agents on the same seeds, and report what they add up to.
 
     Interrupted or killed, the same command goes on after the last whole episode. An agent that
     fails is named in the report, the others go on, and the exit code is 1.
     """
 
-    task: str = "swap"
-    """what is flown: `swap`, or with its version, `swap_v0`"""
-    layout: str | None = None
-    """of the task, such as `random` or `circle`; its default if not given"""
-    drones: Count = 4
-    """number of small drones, if no team is given"""
-    team: str | None = None
-    """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     agent: list[str] = field(default_factory=lambda: ["tracking"])
     """who flies, one or more: names as of `fly`, folders of trained policies, or
     path/to/file.py:Class; each with +filter at its end behind a safety filter"""
@@ -46,12 +38,8 @@ class EvaluateOptions:
     """the episodes' seeds are drawn from it: the same for every agent"""
     physics: str = "batch"
     """`batch` or `bullet`"""
-    interactions: str = "learned"
-    """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
     force_rate: Count = 240
     """evaluations of the force per second: 240 over an integer"""
-    horizon_s: float | None = None
-    """the clock, s; the task's if not given"""
     out: Path | None = None
     """folder for report.json, and for every episode's numbers in episodes/"""
     json: Path | None = None
@@ -63,13 +51,6 @@ class EvaluateOptions:
         """Refuse names that would be flown twice."""
         if len(set(self.agent)) < len(self.agent) or not self.agent:
             raise ValueError(f"--agent is {self.agent}; name one or more, each once")
-
-    def setting(self) -> dict[str, Any]:
-        """The options of the environment that were given."""
-        team = {"num_drones": self.drones} if self.team is None else {"team": self.team}
-        names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
-        given = {name: getattr(self, name) for name in names}
-        return {**team, **{name: value for name, value in given.items() if value is not None}}
 
 
 def run_evaluate(options: EvaluateOptions) -> int:
@@ -165,22 +146,6 @@ def unflyable(error: BaseException) -> str:
 def described(agent: Agent, env: SwarmParallelEnv) -> dict[str, Any]:
     """What a report says of an agent beside its scores."""
     return {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
-
-
-def prepare(name: str, options: EvaluateOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
-    """The agent, and the environment as it requires it.
-
-    Raises:
-        Exception: whatever an agent's own file raises.
-        ValueError: it cannot be made, or requires another environment than was asked for.
-    """
-    from swarm_envs import make
-    from swarm_envs.agents import load
-    from swarm_envs.agents.protocol import check_options_agree
-
-    agent, given = load(name), options.setting()
-    check_options_agree(agent, given)
-    return agent, make(task, **{**given, **agent.requires})
 
 
 def _fly(

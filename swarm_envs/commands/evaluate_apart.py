@@ -13,10 +13,10 @@ from swarm_envs.commands.evaluate import (
     EvaluateOptions,
     described,
     open_episodes,
-    prepare,
     tell_before,
     unflyable,
 )
+from swarm_envs.commands.fly import prepare
 from swarm_envs.training.scale_out.episodes import (
     AgentEpisodes,
     EvaluationSpec,

@@ -33,13 +33,9 @@ _SUFFIXES = {
 }
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
-class FlyOptions:
-    """Fly one episode, print its metrics, and write what is asked for.
-
-    A crash in flight is a result, not a failure of the command.
-    """
+class EpisodeOptions:
+    """What is flown, and in which air."""
 
     task: str = "swap"
     """what is flown: `swap`, or with its version, `swap_v0`"""
@@ -49,18 +45,35 @@ class FlyOptions:
     """number of small drones, if no team is given"""
     team: str | None = None
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
-    agent: str = "tracking"
-    """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
-    -compensated), neural-swarm-planner, swap-ppo, swap-ppo-8, formation-ppo, ring-ppo, the folder
-    of a trained policy, or path/to/file.py:Class; with +filter at its end behind a safety filter"""
-    seed: Seed = 0
-    """of the episode and the agent"""
     physics: str | None = None
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
+
+    def setting(self) -> dict[str, Any]:
+        """The options of the environment that were given."""
+        team = {"num_drones": self.drones} if self.team is None else {"team": self.team}
+        names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
+        given = {name: getattr(self, name, None) for name in names}
+        return {**team, **{name: value for name, value in given.items() if value is not None}}
+
+
+@command_options
+@dataclass(frozen=True, kw_only=True)
+class FlyOptions(EpisodeOptions):
+    """Fly one episode, print its metrics, and write what is asked for.
+
+    A crash in flight is a result, not a failure of the command.
+    """
+
+    agent: str = "tracking"
+    """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
+    -compensated), neural-swarm-planner, swap-ppo, swap-ppo-8, formation-ppo, ring-ppo, the folder
+    of a trained policy, or path/to/file.py:Class; with +filter at its end behind a safety filter"""
+    seed: Seed = 0
+    """of the episode and the agent"""
     out: Path | None = None
     """folder for flight.json, trajectory.parquet, replay.html and flight.mp4, all four"""
     video: Path | None = None
@@ -94,7 +107,10 @@ def run_fly(options: FlyOptions) -> None:
     """
     files = options.files()
     check_outputs(options.out, files)
-    env, agent = _prepare(options)
+    try:
+        agent, env = prepare(options.agent, options, find_task(options.task))
+    except (ValueError, TypeError, FileNotFoundError) as error:
+        raise Misuse(str(error)) from error
     try:
         recording = _fly(env, agent, options)
     finally:
@@ -128,24 +144,20 @@ def check_outputs(out: Path | None, files: Mapping[str, Path]) -> None:
         import_bullet()
 
 
-def _prepare(options: FlyOptions) -> tuple[SwarmParallelEnv, Agent]:
-    """The environment that was asked for, as the agent requires it."""
+def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:
+    """The agent of a name, and the environment as it requires it.
+
+    Raises:
+        Exception: whatever an agent's own file raises.
+        ValueError: it cannot be made, or requires another environment than was asked for.
+    """
     from swarm_envs import make
     from swarm_envs.agents import load
     from swarm_envs.agents.protocol import check_options_agree
 
-    given: dict[str, Any] = {"interactions": options.interactions}
-    given |= {"num_drones": options.drones} if options.team is None else {"team": options.team}
-    for name in ("layout", "physics", "horizon_s"):
-        if getattr(options, name) is not None:
-            given[name] = getattr(options, name)
-    try:
-        agent = load(options.agent)
-        check_options_agree(agent, given)
-        env = make(find_task(options.task), **{**given, **agent.requires})
-    except (ValueError, TypeError, FileNotFoundError) as error:
-        raise Misuse(str(error)) from error
-    return env, agent
+    agent, given = load(name), options.setting()
+    check_options_agree(agent, given)
+    return agent, make(task, **{**given, **agent.requires})
 
 
 def find_task(name: str) -> str:
