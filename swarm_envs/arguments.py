@@ -386,10 +386,6 @@ def _one_of(names: Sequence[Any]) -> Kind:
     )
 
 
-def _all_fit(kinds: Iterable[Kind], values: Iterable[Any]) -> bool:
-    return all(kind.fits(value) for kind, value in zip(kinds, values))
-
-
 def _tuple_of(inner: Sequence[Any]) -> Kind:
     if len(inner) == 2 and inner[1] is Ellipsis:
         return _many_of(kind_of(inner[0]), (tuple, list))
@@ -400,13 +396,11 @@ def _tuple_of(inner: Sequence[Any]) -> Kind:
     return Kind(
         words,
         lambda value: (
-            isinstance(value, tuple | list) and len(value) == len(kinds) and _all_fit(kinds, value)
+            isinstance(value, tuple | list)
+            and len(value) == len(kinds)
+            and all(kind.fits(part) for kind, part in zip(kinds, value))
         ),
     )
-
-
-def _each_fits(kind: Kind, values: Iterable[Any]) -> bool:
-    return all(map(kind.fits, values))
 
 
 def _many_of(kind: Kind, holders: tuple[type, ...]) -> Kind:
@@ -415,7 +409,7 @@ def _many_of(kind: Kind, holders: tuple[type, ...]) -> Kind:
         lambda value: (
             isinstance(value, holders)
             and not isinstance(value, str | bytes)
-            and _each_fits(kind, cast(Iterable[Any], value))
+            and all(map(kind.fits, cast(Iterable[Any], value)))
         ),
     )
 

@@ -168,8 +168,7 @@ class Recorder:
         self._team: Team = ()
         self._about: About | None = None
         self._rows: list[dict[str, Any]] = []
-        self._terms: list[list[list[float]]] = []
-        self._names: tuple[str, ...] = ()
+        self._terms: tuple[str, ...] = ()
 
     def __call__(self, env: SwarmParallelEnv) -> None:
         """Take a sample of the environment's truth, without rewards."""
@@ -189,7 +188,7 @@ class Recorder:
             infos: by agent, of that step.
         """
         task, agents = env.core.task, env.possible_agents
-        self._team, self._names = env.view.team, task.reward_names
+        self._team, self._terms = env.view.team, task.reward_names
         by_drone = [(infos or {}).get(agent, {}) for agent in agents]
         self._about = About(
             task=task.name,
@@ -204,7 +203,7 @@ class Recorder:
         row = _sample(env)
         row["reward"] = np.array([(rewards or {}).get(agent, np.nan) for agent in agents])
         terms = [info.get("reward_terms", {}) for info in by_drone]
-        self._terms.append([[t.get(name, np.nan) for t in terms] for name in self._names])
+        row["terms"] = np.array([[t.get(name, np.nan) for t in terms] for name in self._terms])
         self._rows.append(row)
 
     def record(self) -> Recording:
@@ -218,8 +217,8 @@ class Recorder:
         columns: dict[str, Any] = {
             name: np.array([row[name] for row in self._rows]) for name in self._rows[0]
         }
-        terms = np.array(self._terms).reshape(len(self._rows), len(self._names), len(self._team))
-        named = {name: terms[:, k].copy() for k, name in enumerate(self._names)}
+        terms = columns.pop("terms")
+        named = {name: terms[:, k].copy() for k, name in enumerate(self._terms)}
         return Recording(self._team, reward_terms=named, about=self._about, **columns)
 
 
