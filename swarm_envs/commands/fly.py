@@ -106,7 +106,7 @@ def run_fly(options: FlyOptions) -> None:
         ValueError: the agent failed in flight.
     """
     files = options.files()
-    check_outputs(options.out, files)
+    _check_files(options.out, files)
     try:
         agent, env = prepare(options.agent, options, find_task(options.task))
     except (ValueError, TypeError, FileNotFoundError) as error:
@@ -119,7 +119,7 @@ def run_fly(options: FlyOptions) -> None:
     _write_files(files, recording)
 
 
-def check_outputs(out: Path | None, files: Mapping[str, Path]) -> None:
+def _check_files(out: Path | None, files: Mapping[str, Path]) -> None:
     """Refuse files that cannot be written, or for which something is not installed.
 
     Raises:
@@ -290,7 +290,7 @@ def run_replay(options: ReplayOptions) -> None:
         files["video"] = options.video
     if options.out.suffix != ".html":
         raise Misuse(f"--out is {str(options.out)!r}, but must end in .html")
-    check_outputs(None, files)
+    _check_files(None, files)
     if not options.file.is_file():
         raise Misuse(f"there is no file {str(options.file)!r}")
     try:
