@@ -154,7 +154,8 @@ class _Pen:
         ends = self._pixels(np.stack([foot, tip]))
         if len(ends) < 2:
             return
-        draw_arrow(self._canvas, *np.array(ends), _FORCE, width=4, head=14.0)
+        start, end = np.array(ends)
+        draw_arrow(self._canvas, start, end, _FORCE, width=4, head=14.0)
 
     def _pixels(self, points: FloatArray) -> list[tuple[float, float]]:
         """Places on the canvas of the points that lie before the camera."""
