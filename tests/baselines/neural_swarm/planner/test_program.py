@@ -147,18 +147,6 @@ def test_what_cannot_be_kept_shows_in_the_slacks() -> None:
     assert program_of(problem, prior).solve(tight).state_slack > 0.09
 
 
-def test_a_lone_robot_flies_the_least_effort_path() -> None:
-    """Without forces and bounds in reach: a straight line, the control linear in time."""
-    problem = PlanningProblem(
-        STARTS[:1], GOALS[:1], parse_team("S"), load("none"), dt=0.1, max_duration=3.0, plane="yz"
-    )
-    prior = straight_lines(problem)
-    solution = program_of(problem, prior).solve(around(problem, prior, 0))
-    bend = np.diff(solution.controls, n=2, axis=0)
-    assert np.abs(bend).max() < 1e-5
-    np.testing.assert_allclose(solution.states[-1, :2], problem.goals[0, 1:], atol=1e-6)
-
-
 @pytest.mark.parametrize("robot", [0, 2])
 def test_what_is_linearised_is_right_to_first_order(robot: int) -> None:
     """Halving a change quarters what the linearised forces, distances and effort miss."""

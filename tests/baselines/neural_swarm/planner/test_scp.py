@@ -83,14 +83,6 @@ def test_the_aware_plan_keeps_force_bounds_that_the_unaware_one_breaks() -> None
     assert check_plan(aware, refined.trajectories).force_ratio < 1.05
 
 
-def test_the_same_seed_gives_the_same_bytes() -> None:
-    problem, few = swap(), RefinementOptions(max_sweeps=4)
-    first, second = (
-        refine(problem, bent(problem), np.random.default_rng(7), few) for _ in range(2)
-    )
-    assert first.trajectories.states.tobytes() == second.trajectories.states.tobytes()
-
-
 def test_a_deadline_and_a_limit_leave_the_best_so_far_and_say_so() -> None:
     problem = swap()
     late = refine(problem, bent(problem), np.random.default_rng(0), deadline=time.monotonic() - 1)
