@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import Seed, typed
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
     PAPER_SWAP,
@@ -56,7 +56,7 @@ _HORIZON_S = PAPER_SWAP.duration_s[1] + RECOVERY_S
 @typed
 def run_demo(
     out: Path,
-    seed: int = 0,
+    seed: Seed = 0,
     swaps: int = 6,
     video: bool = True,
     progress: bool = True,
@@ -85,8 +85,6 @@ def run_demo(
         ValueError: `seed` or `swaps` is impossible.
         OSError: the folder cannot be written.
     """
-    if seed < 0:
-        raise ValueError(f"seed is {seed}, but must not be negative")
     if not 1 <= swaps <= 1000:
         raise ValueError(f"swaps is {swaps}, but must lie in [1, 1000]")
     out.mkdir(parents=True, exist_ok=True)

@@ -16,12 +16,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import Range, typed
 from swarm_envs.baselines.neural_swarm.numpy_controller import (
     UP,
     NumpyTrackingController,
@@ -30,6 +30,9 @@ from swarm_envs.baselines.neural_swarm.numpy_controller import (
 from swarm_envs.control.config import ControllerConfig, PositionGains
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
+
+_Mass = Annotated[float, Range(0.0, above=True, unit="kg")]
+_Rate = Annotated[float, Range(0.0, unit="N/s")]
 
 
 class ErrorBall(NamedTuple):
@@ -42,7 +45,7 @@ class ErrorBall(NamedTuple):
 
 
 @typed
-def error_ball(gains: PositionGains, mass: float, error_rate: float) -> ErrorBall:
+def error_ball(gains: PositionGains, mass: _Mass, error_rate: _Rate) -> ErrorBall:
     """The ball of eq. (23), for gains that are the same in x, y and z.
 
     Args:
@@ -53,15 +56,15 @@ def error_ball(gains: PositionGains, mass: float, error_rate: float) -> ErrorBal
     Raises:
         ValueError: the mass is not positive, or the rate negative.
     """
-    _check(mass, "error_rate", error_rate, "N/s")
     force_gain = gains.position * gains.integral * mass * gains.velocity
     return ErrorBall(error_rate / force_gain, min(gains.position, gains.velocity, gains.integral))
 
 
+@typed
 def error_envelope(
     gains: PositionGains,
-    mass: float,
-    error_rate: float,
+    mass: _Mass,
+    error_rate: _Rate,
     time: npt.ArrayLike,
     position_error: npt.ArrayLike = (0.0, 0.0, 0.0),
     velocity_error: npt.ArrayLike = (0.0, 0.0, 0.0),
@@ -89,7 +92,6 @@ def error_envelope(
     """
     from scipy.linalg import expm
 
-    _check(mass, "error_rate", error_rate, "N/s")
     p, v, f = (
         np.asarray(x, dtype=np.float64) for x in (position_error, velocity_error, force_error)
     )
@@ -108,7 +110,10 @@ def error_envelope(
     return np.asarray((expm(times[:, None, None] * flow) @ start)[:, 0])
 
 
-def clamped_radius(config: ControllerConfig, mass: float, error: float) -> float:
+@typed
+def clamped_radius(
+    config: ControllerConfig, mass: _Mass, error: Annotated[float, Range(0.0, unit="N")]
+) -> float:
     """Largest position error of one axis in the limit where the integral is clamped, m.
 
     The controller's integral holds at most K_v Gamma `velocity_integral_limit` against a model
@@ -123,7 +128,6 @@ def clamped_radius(config: ControllerConfig, mass: float, error: float) -> float
     Raises:
         ValueError: the mass is not positive, or the error negative.
     """
-    _check(mass, "error", error, "N")
     gains = config.gains
     stiffness = gains.position * mass * (gains.velocity + gains.integral)
     return (error + integral_force(config, mass)) / stiffness
@@ -180,10 +184,3 @@ def fly_point_mass(
         velocity = velocity + dt * acceleration
         errors[k + 1] = position
     return errors
-
-
-def _check(mass: float, name: str, bound: float, unit: str) -> None:
-    if not 0.0 < mass < math.inf:
-        raise ValueError(f"mass is {mass!r}, but must be positive and finite, in kg")
-    if not 0.0 <= bound < math.inf:
-        raise ValueError(f"{name} is {bound!r}, but must be finite and not negative, in {unit}")

@@ -13,8 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_integer, check_name
+from swarm_envs.arguments import Seed, typed
+from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray
 
 Array = npt.NDArray[Any]
@@ -327,7 +327,7 @@ FAMILIES: Mapping[str, Family] = {
 
 @typed
 def make_instance(
-    family: str, shape: Shape, count: int | None = None, seed: int = 0
+    family: str, shape: Shape, count: int | None = None, seed: Seed = 0
 ) -> GridInstance:
     """Draw an instance.
 
@@ -350,7 +350,7 @@ def make_instance(
     if count is not None and not kind.free_count:
         free = ", ".join(repr(name) for name, other in FAMILIES.items() if other.free_count)
         raise ValueError(f"count is {count}, but {family!r} fixes it; leave it out, or take {free}")
-    generator = np.random.default_rng(check_integer("seed", seed, 0))
+    generator = np.random.default_rng(seed)
     walls = building_columns(sides) if kind.buildings else np.zeros(sides, dtype=np.bool_)
     starts, goals = kind.draw(_Draw(sides, count, generator, walls))
     if len(starts) == 0:

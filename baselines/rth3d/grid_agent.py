@@ -7,12 +7,13 @@ matched so that the squared ways sum to the least, and the flight is checked bef
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from swarm_envs.agents.scripted import PlannedAgent
+from swarm_envs.arguments import POSITIVE_M, Range, typed
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance, worst_clearance
 from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig, faster, smooth
@@ -26,6 +27,7 @@ from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 
 MOST_SMOOTHED = 1000
 """More drones than this fly the unsmoothed splines."""
+_Metres = Annotated[float, POSITIVE_M]
 _SPACING_M = 0.4  # horizontal spacing where drones are small enough
 _OBSTACLE_M = 0.1  # distance to obstacles beside the radius, m, where the grid leaves as much
 
@@ -62,6 +64,7 @@ class Lattice:
         return np.asarray(cells[linear_sum_assignment(square)[1]])
 
 
+@typed
 class GridAgent(PlannedAgent[SplineFlight]):
     """Plans every set of goals on a grid and flies the plan.
 
@@ -80,15 +83,11 @@ class GridAgent(PlannedAgent[SplineFlight]):
 
     def __init__(
         self,
-        spacing: tuple[float, float, float] | None = None,
+        spacing: tuple[_Metres, _Metres, _Metres] | None = None,
         method: str | None = None,
         controller: ControllerConfig | None = None,
-        share: float = 0.7,
+        share: Annotated[float, Range(0.0, 1.0, above=True)] = 0.7,
     ) -> None:
-        if spacing is not None and not (min(spacing) > 0.0 and np.isfinite(spacing).all()):
-            raise ValueError(f"spacing is {spacing}, but must be positive")
-        if not 0.0 < share <= 1.0:
-            raise ValueError(f"share is {share!r}, but must lie in (0, 1]")
         super().__init__({"action": "setpoint", "controller": controller or ControllerConfig()})
         self._spacing, self._method, self._share = spacing, method, share
 

@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from numbers import Real
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import POSITIVE_S, Seed, typed
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
@@ -32,7 +32,7 @@ from swarm_envs.baselines.rth3d.highways import Highways, choose_highways
 from swarm_envs.baselines.rth3d.pibt import Pibt
 from swarm_envs.baselines.rth3d.rubik import balance_both, shuffle
 from swarm_envs.compiled import announce_compilation
-from swarm_envs.errors import check_integer, check_name
+from swarm_envs.errors import check_name
 
 _PATIENCE = 1.5
 """An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
@@ -250,15 +250,6 @@ METHODS: Mapping[str, Solver] = {
 """Every method by its name."""
 
 
-def _check_limit(time_limit: float | None) -> float:
-    if time_limit is None:
-        return float("inf")
-    number = isinstance(time_limit, Real) and not isinstance(time_limit, bool)
-    if not number or not time_limit > 0:
-        raise ValueError(f"time_limit is {time_limit!r}, but must be seconds above 0, or None")
-    return time.monotonic() + float(time_limit)
-
-
 @typed
 def plan(
     starts: npt.ArrayLike,
@@ -266,8 +257,8 @@ def plan(
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
     method: str = "auto",
-    seed: int = 0,
-    time_limit: float | None = None,
+    seed: Seed = 0,
+    time_limit: Annotated[float, POSITIVE_S] | None = None,
     watch: Callable[[str], None] | None = None,
 ) -> GridPlan:
     """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
@@ -298,8 +289,8 @@ def plan(
     solver = METHODS[check_name("method", method, METHODS)]
     if method != "pibt":
         check_pattern(instance.obstacles)
-    check_integer("seed", seed, 0)
-    clock = PlanningClock(_check_limit(time_limit), watch)
+    deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
+    clock = PlanningClock(deadline, watch)
     announce_compilation(follow_paths)
     if instance.lower_bound == 0:
         solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)

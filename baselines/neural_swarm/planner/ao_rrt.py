@@ -15,11 +15,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import POSITIVE_S, Count, Range, check_value, typed
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.propagation import INVALID, make_scene, working_state
 from swarm_envs.baselines.neural_swarm.planner.search_tree import Chances, empty_tree, grow_tree
@@ -28,7 +28,6 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     trajectories_through,
 )
 from swarm_envs.compiled import announce_compilation
-from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import FloatArray
 
 Stop = Literal["iterations", "no improvement", "time limit"]
@@ -36,6 +35,7 @@ Stop = Literal["iterations", "no improvement", "time limit"]
 Postprocess = Literal["repeat", "track"]
 """How a robot that arrived flies on to the common end of the plan."""
 
+_SHARE = Range(0.0, 1.0)
 _NODES_PER_ITERATION = 8  # on average there are fewer; a full tree ends early
 
 
@@ -48,39 +48,30 @@ class SearchConfig:
         ValueError: a number is out of range; the message names it.
     """
 
-    iterations: int = 100_000
+    iterations: Count = 100_000
     """The most iterations (lines 6 to 11) of all trees together."""
-    iterations_per_tree: int = 2000
+    iterations_per_tree: Count = 2000
     """The most iterations of one tree before it is given up."""
-    patience: int = 1000
+    patience: Count = 1000
     """The most outer loops in a row that find nothing cheaper."""
-    time_limit: float | None = None
+    time_limit: Annotated[float, POSITIVE_S] | None = None
     """The most wall-clock time, s; looked at after each tree. Only this stop is not repeatable."""
-    edge: int = 2
+    edge: Count = 2
     """Steps of the problem over which an action is held: the paper's constant delta t."""
     postprocess: Postprocess = "track"
     """After arrival within epsilon: `"repeat"` brakes in one step and stays there, `"track"` is
     drawn to the goal itself by virtual tracking. Either way to the common end of the plan."""
-    fresh: float = 0.5
+    fresh: Annotated[float, _SHARE] = 0.5
     """How often an outer loop plans everyone anew, below the cost bound, instead of replanning one
     after another among the motions there are: the way out of a poor homeomorphism class."""
-    least_gain: float = 0.005
+    least_gain: Annotated[float, Range(0.0, 1.0, below=True)] = 0.005
     """Share by which a plan must be cheaper than the best; below it, trees do not look."""
     chances: Chances = field(default_factory=Chances)
     """Probabilities of what a tree does in an iteration."""
 
     def __post_init__(self) -> None:
-        """Refuse what makes no search."""
-        for name in ("iterations", "iterations_per_tree", "patience", "edge"):
-            check_integer(name, getattr(self, name), 1)
-        check_name("postprocess", self.postprocess, ("repeat", "track"))
-        if self.time_limit is not None and not self.time_limit > 0.0:
-            raise ValueError(f"time_limit is {self.time_limit!r} s, but must be positive or None")
-        if not 0.0 <= self.least_gain < 1.0:
-            raise ValueError(f"least_gain is {self.least_gain!r}, but must be in [0, 1)")
-        for name, chance in (("fresh", self.fresh), *self.chances._asdict().items()):
-            if not 0.0 <= chance <= 1.0:
-                raise ValueError(f"chance {name!r} is {chance!r}, but must be in [0, 1]")
+        for name, chance in self.chances._asdict().items():
+            check_value(f"chances.{name}", chance, Annotated[float, _SHARE])
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ import math
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 from tqdm import tqdm
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import POSITIVE_S, Count, Seed, typed
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import LoopRecord, SearchConfig
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search as search_team
 from swarm_envs.baselines.neural_swarm.planner.convex_program import PenaltyWeights
@@ -22,7 +22,6 @@ from swarm_envs.baselines.neural_swarm.planner.problem import (
     Plane,
     PlanningBounds,
     PlanningProblem,
-    check_positive,
 )
 from swarm_envs.baselines.neural_swarm.planner.scp import (
     RefinementOptions,
@@ -37,7 +36,7 @@ from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     trajectories_through,
 )
 from swarm_envs.baselines.neural_swarm.planner.verify import PlanCheck, check_plan
-from swarm_envs.errors import check_array, check_integer
+from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.vehicles import Team, parse_team
 
@@ -57,13 +56,13 @@ def plan_swarm(
     team: str | Team,
     model: InteractionModel | str | Path | None,
     bounds: PlanningBounds | None = None,
-    seed: int = 0,
+    seed: Seed = 0,
     *,
     plane: Plane = "xyz",
     dt: float = 0.1,
     max_duration: float = 5.0,
-    time_limit: float | None = None,
-    attempts: int = ATTEMPTS,
+    time_limit: Annotated[float, POSITIVE_S] | None = None,
+    attempts: Count = ATTEMPTS,
     initial: Trajectories | None = None,
     search: SearchConfig | None = None,
     options: RefinementOptions | None = None,
@@ -98,8 +97,6 @@ def plan_swarm(
         ImportError: osqp is missing.
     """
     began = time.monotonic()
-    if time_limit is not None:
-        check_positive("time_limit", time_limit)
     problem = PlanningProblem(
         starts=np.asarray(starts),
         goals=np.asarray(goals),
@@ -110,13 +107,12 @@ def plan_swarm(
         max_duration=max_duration,
         plane=plane,
     )
-    check_integer("seed", seed, 0)
     if initial is not None:
         _check_initial(problem, initial)
     deadline = math.inf if time_limit is None else began + time_limit
     plans: list[SwarmPlan] = []
     with tqdm(desc="plan", unit="program", disable=not progress) as bar:
-        for attempt in range(check_integer("attempts", attempts, 1)):
+        for attempt in range(attempts):
             stages = _Stages(problem, [seed, attempt], search or SEARCH, options, deadline, bar)
             plans.append(stages.plan(initial))
             if plans[-1].converged or initial is not None or time.monotonic() > deadline:

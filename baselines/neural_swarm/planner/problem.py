@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import POSITIVE, check_value, typed
 from swarm_envs.errors import check_array, check_name, unknown_name
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
@@ -20,6 +18,8 @@ from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle, parse_team
 
 FORCE_BOUNDS_G: Mapping[str, float] = MappingProxyType({"S": 5.0, "S*": 5.0, "L": 10.0})
 """f_a,max by vehicle token, grams (Neural-Swarm2, Sec. VII-D, Fig. 6 and 7)."""
+Positive = Annotated[float, POSITIVE]
+"""A number, positive and finite."""
 
 
 @typed
@@ -38,28 +38,24 @@ class PlanningBounds:
     """Lower corner of the box of positions, m."""
     upper: tuple[float, float, float] = (2.0, 2.0, 2.5)
     """Upper corner of the box of positions, m."""
-    speed: float = 2.0
+    speed: Positive = 2.0
     """Largest |v| along each axis, m/s."""
-    acceleration: float = 5.0
+    acceleration: Positive = 5.0
     """Largest |u| along each axis, m/s^2: thrust per mass, gravity removed (eq. 13)."""
     force_g: Mapping[str, float] = field(default_factory=lambda: FORCE_BOUNDS_G)
     """f_a,max, the largest |f_a,z| by vehicle token, grams."""
-    force_change_g: float = 10.0
+    force_change_g: Positive = 10.0
     """b_fa, by how much planning one robot may change the vertical force on another, grams."""
-    clearance_factor: float = 1.1
+    clearance_factor: Positive = 1.1
     """Distance to keep over the sum of the two radii: r(lk) of eq. (6) with room for tracking."""
-    goal_distance: float = 0.1
+    goal_distance: Positive = 0.1
     """epsilon in position, m: how near to the goal stage 1 may end."""
-    goal_speed: float = 0.2
+    goal_speed: Positive = 0.2
     """epsilon in velocity, m/s: how slow stage 1 must be there."""
 
     def __post_init__(self) -> None:
-        """Refuse what bounds nothing or everything."""
-        for bound in dataclasses.fields(self):
-            if bound.type == "float":
-                check_positive(bound.name, getattr(self, bound.name))
         for token, grams in self.force_g.items():
-            check_positive(f"force_g[{token!r}]", grams)
+            check_value(f"force_g[{token!r}]", grams, Positive)
         low, high = check_array("lower", self.lower, (3,)), check_array("upper", self.upper, (3,))
         if not (low < high).all():
             raise ValueError(
@@ -90,17 +86,6 @@ class PlanningBounds:
         distances = self.clearance_factor * (radii[:, None] + radii[None, :])
         np.fill_diagonal(distances, 0.0)
         return distances
-
-
-def check_positive(name: str, value: object) -> None:
-    """Refuse a number that is not positive and finite.
-
-    Raises:
-        ValueError: naming the number.
-    """
-    number = value if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-    if not 0.0 < number < math.inf:
-        raise ValueError(f"{name} is {value!r}, but must be a number, positive and finite")
 
 
 Plane = Literal["xyz", "yz"]
@@ -142,7 +127,6 @@ class PlanningProblem:
     """In which plane robots move."""
 
     def __post_init__(self) -> None:
-        """Read the arguments and refuse what cannot be planned."""
         team = parse_team(self.team)
         object.__setattr__(self, "team", team)
         for name in ("starts", "goals"):
@@ -150,8 +134,8 @@ class PlanningProblem:
             places = check_array(name, getattr(self, name), (len(team), 3), rows).copy()
             places.flags.writeable = False
             object.__setattr__(self, name, places)
-        check_positive("dt", self.dt)
-        check_positive("max_duration", self.max_duration)
+        check_value("dt", self.dt, Positive)
+        check_value("max_duration", self.max_duration, Positive)
         if not 1 <= self.steps <= _MOST_STEPS:
             raise ValueError(
                 f"max_duration is {self.max_duration:g} s and dt {self.dt:g} s, which makes "

@@ -16,11 +16,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import NOT_NEGATIVE, Range, typed
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     PenaltyWeights,
     ProgramSolution,
@@ -104,6 +105,7 @@ def _force_excess(
     return np.asarray(np.abs(forces) / bounds - 1.0)
 
 
+_Amount = Annotated[float, NOT_NEGATIVE]
 _NEARLY = 5e-3
 """Share of a force bound by which it may be exceeded between knots."""
 
@@ -113,41 +115,30 @@ _NEARLY = 5e-3
 class RefinementOptions:
     """How stage 2 searches."""
 
-    max_sweeps: int = 80
+    max_sweeps: Annotated[int, Range(0)] = 80
     """How often all robots are planned, at most."""
-    trust_position: float = 0.3
+    trust_position: _Amount = 0.3
     """b_x of positions to begin with, and at most, m."""
-    trust_speed: float = 1.0
+    trust_speed: _Amount = 1.0
     """b_x of velocities, m/s."""
-    trust_control: float = 5.0
+    trust_control: _Amount = 5.0
     """b_u, m/s^2."""
-    grow: float = 1.5
+    grow: _Amount = 1.5
     """By how much a trust region grows after a step that was taken."""
-    shrink: float = 0.4
+    shrink: _Amount = 0.4
     """By how much it shrinks after one that was not."""
-    least_trust: float = 2e-3
+    least_trust: _Amount = 2e-3
     """Share of the trust region at which a robot has settled."""
-    max_tightenings: int = 4
+    max_tightenings: Annotated[int, Range(0)] = 4
     """How often force bounds are lowered because forces exceed them between knots."""
-    renewed_trust: float = 0.2
+    renewed_trust: _Amount = 0.2
     """Share of the trust region that robots have at least after that."""
-    tolerance: float = 2e-4
+    tolerance: _Amount = 2e-4
     """Share of the merit that a step must promise, else the robot has settled."""
     weights: PenaltyWeights = PenaltyWeights()
     """Of goals and bounds."""
     solver: SolverSettings = SolverSettings()
     """Of each program."""
-
-    def __post_init__(self) -> None:
-        """Refuse numbers that no search can have.
-
-        Raises:
-            ValueError: naming the option and its value.
-        """
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, int | float) and not 0.0 <= value < np.inf:
-                raise ValueError(f"{field.name} is {value!r:.80}, but must be finite and 0 or more")
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,12 @@ import math
 from collections.abc import Sequence
 from functools import cache
 from itertools import product
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.arguments import POSITIVE, POSITIVE_M, typed
 from swarm_envs.baselines.rth3d.flight.spline import BASIS, SplineFlight, on_grid, shortest_step
 from swarm_envs.compiled import kernel
 from swarm_envs.interactions import InteractionModel
@@ -110,7 +111,10 @@ def _least_square(d: FloatArray, stretch: FloatArray, weights: FloatArray) -> fl
     return least
 
 
-def least_spacing(distance: float, scaling: tuple[float, float, float]) -> FloatArray:
+@typed
+def least_spacing(
+    distance: Annotated[float, POSITIVE_M], scaling: tuple[float, float, float]
+) -> FloatArray:
     """Spacing (3,), m, at which any valid plan keeps a scaled distance, m.
 
     Distances are divided by `scaling`, the diagonal of Theta, such as (1, 1, 6).
@@ -118,8 +122,6 @@ def least_spacing(distance: float, scaling: tuple[float, float, float]) -> Float
     Raises:
         ValueError: the distance is not positive and finite.
     """
-    if not 0.0 < distance < math.inf:
-        raise ValueError(f"distance is {distance!r} m, but must be positive and finite")
     return np.array(scaling) * distance / worst_clearance()
 
 
@@ -168,11 +170,12 @@ def largest_force_g(
     return float(np.abs(force[..., 2]).max() / GRAM_FORCE)
 
 
+@typed
 def space_for_forces(
     paths: npt.NDArray[np.integer],
     team: Team,
     model: InteractionModel,
-    limit_g: float,
+    limit_g: Annotated[float, POSITIVE],
     *,
     speed: float = 2.0,
     acceleration: float = 5.0,
@@ -197,8 +200,6 @@ def space_for_forces(
         ValueError: the limit is not positive, or no spacing up to seven times the least one is wide
             enough: a robot alone may already feel more.
     """
-    if not limit_g > 0.0:
-        raise ValueError(f"limit_g is {limit_g!r}, but must be positive")
     touching = 2.0 * max(vehicle.radius for vehicle in team)
     found: list[SpacedFlight] = []
     for ratio in heights:

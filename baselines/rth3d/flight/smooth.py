@@ -18,19 +18,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
 from tqdm import tqdm
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, Count, typed
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
 from swarm_envs.baselines.rth3d.flight.clearance import smallest_distance
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
 from swarm_envs.compiled import kernel
-from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray, IntArray
 
 BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
@@ -300,7 +299,7 @@ class SmoothingConfig:
         ValueError: a number is out of range.
     """
 
-    distance: float
+    distance: Annotated[float, POSITIVE_M]
     """Scaled distance that robots keep where they have it, m."""
     scaling: tuple[float, float, float] = (1.0, 1.0, 1.0)
     """Diagonal of Theta: distances are divided by it."""
@@ -308,26 +307,18 @@ class SmoothingConfig:
     """Corners of where robots may fly, m; widened to what the flight uses now."""
     obstacles: tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...] = ()
     """Corners of boxes to keep clear of, m."""
-    obstacle_distance: float = 0.1
+    obstacle_distance: Annotated[float, POSITIVE_M] = 0.1
     """Distance kept to them, m, where it is kept now."""
-    travel: float = 0.25
+    travel: Annotated[float, POSITIVE_M] = 0.25
     """How far a control point moves by axis in a round, m."""
-    rounds: int = 5
+    rounds: Count = 5
     """How often."""
-    jerk_weight: float = 1.0
+    jerk_weight: Annotated[float, NOT_NEGATIVE] = 1.0
     """Of squared third differences, beside squared second differences."""
-    speed: float = 2.0
+    speed: Annotated[float, POSITIVE] = 2.0
     """Largest speed by axis for the time a step takes at the end, m/s."""
-    acceleration: float = 5.0
+    acceleration: Annotated[float, POSITIVE] = 5.0
     """Largest acceleration by axis, m/s^2."""
-
-    def __post_init__(self) -> None:
-        for name in ("distance", "obstacle_distance", "travel", "speed", "acceleration"):
-            if not 0.0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name} is {getattr(self, name)!r}, but must be positive")
-        check_integer("rounds", self.rounds, 1)
-        if not 0.0 <= self.jerk_weight < np.inf:
-            raise ValueError(f"jerk_weight is {self.jerk_weight!r}, but must be 0 or more")
 
 
 @typed

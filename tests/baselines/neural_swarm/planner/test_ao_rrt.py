@@ -173,12 +173,9 @@ def test_the_clock_ends_a_search_with_the_best_so_far():
 
 def test_bad_options_are_refused():
     for changes, message in (
-        ({"iterations": 0}, "iterations is 0"),
         ({"edge": 1.5}, "edge is 1.5"),
         ({"postprocess": "none"}, "unknown postprocess"),
-        ({"time_limit": -1.0}, "time_limit is -1.0"),
-        ({"least_gain": 1.0}, "least_gain is 1.0"),
-        ({"chances": Chances(goal=1.5)}, "chance 'goal' is 1.5"),
+        ({"chances": Chances(goal=1.5)}, "goal is 1.5"),
     ):
         with pytest.raises(ValueError, match=message):
             SearchConfig(**changes)

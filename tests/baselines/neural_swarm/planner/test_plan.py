@@ -93,20 +93,18 @@ def test_a_damaged_file_is_refused_by_name(plan: SwarmPlan, tmp_path, damage, sa
 
 
 @pytest.mark.parametrize("name", ["plan.npz", "plan.json"])
-@pytest.mark.parametrize("length", [0, 100, 3000])
-def test_a_file_cut_short_is_refused(plan: SwarmPlan, tmp_path, name: str, length: int) -> None:
+def test_other_files_are_refused(plan: SwarmPlan, tmp_path, name: str) -> None:
     path = tmp_path / name
-    plan.save(path)
-    path.write_bytes(path.read_bytes()[:length])
-    with pytest.raises(ValueError, match=r"plan\.\w+' is no plan, or damaged"):
+    with pytest.raises(FileNotFoundError):
         SwarmPlan.load(path)
-
-
-def test_other_suffixes_and_missing_files(plan: SwarmPlan, tmp_path) -> None:
+    plan.save(path)
+    whole = path.read_bytes()
+    for length in (0, 3000):
+        path.write_bytes(whole[:length])
+        with pytest.raises(ValueError, match=r"plan\.\w+' is no plan, or damaged"):
+            SwarmPlan.load(path)
     with pytest.raises(ValueError, match=r"suffix '\.pkl'"):
         plan.save(tmp_path / "plan.pkl")
-    with pytest.raises(FileNotFoundError):
-        SwarmPlan.load(tmp_path / "none.npz")
 
 
 def test_a_lone_robots_plan_survives_json(tmp_path) -> None:
@@ -138,23 +136,17 @@ def test_the_reference_meets_the_knots_and_is_its_own_derivative(plan: SwarmPlan
 
 def test_out_of_time_is_the_best_so_far_and_says_so() -> None:
     plan = make(time_limit=1e-6)
-    assert plan.status == "time limit"
+    assert plan.status == "time limit" and "time limit" in plan.reason
     assert not plan.converged
-    assert "time limit" in plan.reason
-    assert plan.states.shape == (31, 2, 6)
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
         ({"time_limit": 0.0}, "time_limit is 0"),
-        ({"seed": -1}, "seed is -1"),
-        ({"attempts": 0}, "attempts is 0"),
         ({"dt": 0.05}, "initial.dt is 0.1 s, but dt is 0.05"),
         ({"max_duration": 2.0}, "initial has 30 steps"),
-        ({"bounds": PlanningBounds(clearance_factor=20.0)}, "in collision"),
         ({"bounds": PlanningBounds(upper=(2.0, 0.5, 2.5))}, "outside the box"),
-        ({"plane": "xz"}, "unknown plane"),
     ],
 )
 def test_bad_input_is_refused_before_planning(change: dict[str, object], said: str) -> None:

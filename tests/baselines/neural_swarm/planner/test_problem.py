@@ -36,14 +36,11 @@ def moved(places, drone, place):
     ("changes", "message"),
     [
         ({"starts": moved(STARTS, 0, [0, -2.5, 1])}, r"start of drone 0 .* outside the box"),
-        ({"goals": moved(GOALS, 2, [0, 1, 2.6])}, r"goal of drone 2 .* outside the box"),
-        ({"starts": moved(STARTS, 1, [0, 0.9, 1])}, r"starts of drones 1 and 2 .* 0\.1 m apart"),
         ({"goals": moved(GOALS, 1, [0, 1, 1.1])}, r"goals of drones 0 and 1 .* 0\.132 m apart"),
         ({"goals": moved(GOALS, 1, [0.1, 0, 1.5])}, r"plane='yz' keeps x"),
         ({"max_duration": 1.0}, r"drone 0 cannot reach .* at least 1\.31 s"),
         ({"dt": 0.7, "max_duration": 1.39}, r"1 steps of 0\.7 s"),
         ({"dt": 0.0}, "dt is 0.0"),
-        ({"max_duration": float("nan")}, "max_duration is nan"),
         ({"plane": "xy"}, "unknown plane 'xy'"),
         ({"team": "SX"}, "unknown vehicle token 'X'"),
         ({"team": "SS"}, r"starts has shape \(3, 3\)"),
@@ -86,12 +83,9 @@ def test_starts_and_goals_in_another_wake_are_refused():
     ("changes", "message"),
     [
         ({"speed": 0.0}, "speed is 0.0"),
-        ({"acceleration": float("inf")}, "acceleration is inf"),
-        ({"force_change_g": -1.0}, "force_change_g is -1.0"),
         ({"force_g": {"S": 0.0}}, r"force_g\['S'\] is 0.0"),
         ({"clearance_factor": 0.9}, "clearance_factor is 0.9, but must be at least 1"),
         ({"lower": (0, 0, 3)}, "upper must be larger"),
-        ({"upper": (0, 0)}, r"upper is \(0, 0\)"),
     ],
 )
 def test_bounds_refused(changes, message):
