@@ -259,17 +259,11 @@ def split_tables(aims: Array, shift: Array, bounded: bool, levels: Array) -> Non
 def assign_levels(
     aims: npt.NDArray[np.integer], real: npt.NDArray[np.bool_], bounded: bool
 ) -> Items:
-    """A level for every item, so that each level of a table is a perfect matching.
+    """A level (G, K, D) for every item, so that each level of a table is a perfect matching.
 
-    Args:
-        aims: (G, K, D) which column each item of G tables belongs into, every column D times. Item
-            d of a column lies in level d now.
-        real: (G, K, D) False for items that may be shifted by any distance at no cost.
-        bounded: keep the largest shift small (RTH3D-LBA); otherwise any matchings do (RTH3D).
-
-    Returns:
-        (G, K, D) the level of each item: in each column, and among the items that belong into the
-        same column, all different.
+    `aims` (G, K, D) says which column each item of G tables belongs into, every column D times;
+    item d of a column lies in level d now. Items that are not `real` may be shifted by any distance
+    at no cost; of the others, `bounded` keeps the largest shift small (RTH3D-LBA).
     """
     levels = np.empty(aims.shape, dtype=np.int32)
     present = np.broadcast_to(np.arange(aims.shape[2], dtype=np.int32), aims.shape)

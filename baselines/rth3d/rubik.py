@@ -177,35 +177,34 @@ def shuffle(highways: Highways, balanced: _Balanced, bounded: bool, clock: Plann
 
 def _shifts(
     table: _Table, height: _Ints, row: _Ints, after: _Ints, long: LongShift, robots: _Ints
-) -> list[tuple[str, Shift | LongShift]]:
-    """The five shuffles of the robots alone."""
+) -> dict[str, Shift | LongShift]:
+    """The five shuffles of the robots alone, by name and in order."""
     y = table.highways.rows
     present = np.arange(len(height), dtype=np.int32)
     old_row, goal_row = (k // table.heights % table.rows for k in (present, table.goal))
     across, up = table.highways.shape[2], 1
-    moves: dict[str, Shift | LongShift] = {
+    return {
         "heights": Shift((height - present % table.heights)[robots], up),
         "rows": Shift((y[row] - y[old_row])[robots], across),
         "long axis": LongShift(*(part[robots] for part in long)),
         "rows to goals": Shift((y[goal_row] - y[after])[robots], across),
         "heights to goals": Shift((table.goal % table.heights - height)[robots], up),
     }
-    return list(moves.items())
 
 
 def _write(
     highways: Highways,
     balanced: _Balanced,
-    shifts: list[tuple[str, Shift | LongShift]],
+    shifts: dict[str, Shift | LongShift],
     clock: PlanningClock,
 ) -> Paths:
     side = highways.shape[1] * highways.shape[2]
-    lengths = [len(balanced.first) - 1, *(shift.duration for _, shift in shifts)]
+    lengths = [len(balanced.first) - 1, *(shift.duration for shift in shifts.values())]
     whole = sum(lengths) + len(balanced.last) - 1
     paths = np.empty((whole + 1, balanced.first.shape[1]), dtype=np.int32)
     paths[: lengths[0] + 1] = balanced.first
     begin = lengths[0]
-    for name, shift in shifts:
+    for name, shift in shifts.items():
         with clock.phase(name) as record:
             if isinstance(shift, LongShift):
                 write_long_shift(paths, begin, shift.duration, *shift, side)

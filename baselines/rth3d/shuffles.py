@@ -80,14 +80,10 @@ def _cheapest(rows: tuple[int, ...], headings: tuple[int, ...], obstacle: bool) 
 
 @cache
 def lane_changes(held: int) -> npt.NDArray[np.int8]:
-    """All changes of lanes.
+    """All changes of lanes in a cell that holds 3 robots, or 2 around an obstacle.
 
-    Args:
-        held: robots of a cell: 3, or 2 around an obstacle.
-
-    Returns:
-        (3 ** held, held, STEPS, 2) where each robot is after each step, for every combination of
-        headings; the first robot's heading counts 1, the next one's 3, the last one's 9.
+    (3 ** held, held, STEPS, 2) where each robot is after each step, for every combination of
+    headings; the first robot's heading counts 1, the next one's 3, the last one's 9.
     """
     rows = (0, 1, 2) if held == 3 else (0, 2)
     found = np.empty((3**held, held, STEPS, 2), dtype=np.int8)
@@ -217,13 +213,10 @@ def park_in_cells(
 ) -> None:
     """Plan the long shuffle of all strips that hold as many robots a cell.
 
-    Args:
-        table: (S, held, q) the item in each place of each strip: held rows, q cells.
-        source: (items,) the cell in which each item is.
-        goal: (items,) the cell that it belongs into.
-        changes: from `lane_changes(held)`.
-        place: (items, STEPS, 2) written: where in its cell the item is during the change of lanes.
-        spot: (items,) written: the x in its goal's cell at which it parks, -1 if its strip rests.
+    `table` (S, held, q) has the item in each place of each strip; `source` and `goal` (items,) are
+    the cells in which it is and belongs. Written: `place` (items, STEPS, 2), where in its cell it
+    is during the change of lanes, and `spot` (items,), the x in its goal's cell at which it parks,
+    -1 if its strip rests.
     """
     strips, held, cells = table.shape
     last = changes.shape[2] - 1

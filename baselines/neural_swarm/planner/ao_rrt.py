@@ -13,7 +13,7 @@ plans last as long as the problem allows.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
@@ -82,10 +82,6 @@ class LoopRecord:
     """Cost of the best plan after it, m/s; infinite as long as there is none."""
     iterations: int
     """Iterations in all trees so far."""
-    fresh: bool
-    """Whether it planned everyone anew."""
-    tree_sizes: tuple[int, ...]
-    """Nodes in its trees, in the order of planning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,42 +182,43 @@ class _Search:
     def plan_team(self) -> LoopRecord:
         """One outer loop (lines 3 to 15): every robot once, in a random order."""
         fresh = self.best is None or bool(self.rng.random() < self.options.fresh)
-        sizes = tuple(self.plan_afresh() if fresh else self.replan_each())
-        return LoopRecord(float(self.cost), self.iterations, fresh, sizes)
+        if fresh:
+            self.plan_afresh()
+        else:
+            self.replan_each()
+        return LoopRecord(float(self.cost), self.iterations)
 
-    def plan_afresh(self) -> Iterator[int]:
-        """Plan everyone from nothing; give up when one finds no way. Yields the tree sizes."""
+    def plan_afresh(self) -> None:
+        """Plan everyone from nothing; give up when one finds no way."""
         states = np.zeros((self.knots, self.robots, 6))
         planned: list[int] = []
         for robot in self.rng.permutation(self.robots).tolist():
-            cost, path, size = self.plan_robot(robot, states, planned)
-            yield size
+            cost, path = self.plan_robot(robot, states, planned)
             if cost == INVALID:
                 return
             states[:, robot] = path
             planned.append(robot)
         self.best, self.cost = states, cost
 
-    def replan_each(self) -> Iterator[int]:
-        """Replan one robot after another, the others on their paths. Yields the tree sizes."""
+    def replan_each(self) -> None:
+        """Replan one robot after another, the others on their paths."""
         assert self.best is not None
         for robot in self.rng.permutation(self.robots).tolist():
-            cost, path, size = self.plan_robot(robot, self.best, list(range(self.robots)))
-            yield size
+            cost, path = self.plan_robot(robot, self.best, list(range(self.robots)))
             if cost != INVALID:
                 self.best, self.cost = self.best.copy(), cost
                 self.best[:, robot] = path
 
     def plan_robot(
         self, robot: int, states: FloatArray, planned: list[int]
-    ) -> tuple[float, FloatArray, int]:
-        """One tree: cost of the team with the robot's new path (K + 1, 6), and the tree's size."""
+    ) -> tuple[float, FloatArray]:
+        """One tree: cost of the team with the robot's new path (K + 1, 6), and the path."""
         options, path = self.options, np.zeros((self.knots, 6))
         if self.stop() is not None:
-            return INVALID, path, 0
+            return INVALID, path
         tracked = options.postprocess == "track"
         scene = make_scene(self.problem, robot, states, planned, options.edge, tracked)
-        cost, used, size = grow_tree(
+        cost, used, _ = grow_tree(
             scene,
             self.tree,
             working_state(scene),
@@ -232,4 +229,4 @@ class _Search:
             path,
         )
         self.iterations += max(used, 1)
-        return cost, path, size
+        return cost, path

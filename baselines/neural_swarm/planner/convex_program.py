@@ -46,10 +46,6 @@ class ProgramSolution:
     """(T + 1, 2 D) new states as the linearised dynamics see them."""
     controls: FloatArray
     """(T, D) new controls as the linearised dynamics see them, m/s^2."""
-    goal_slack: float
-    """Largest component by which the goal is missed, m or m/s."""
-    state_slack: float
-    """delta."""
     objective: float
     """Value of the program's objective."""
     status: str
@@ -78,17 +74,10 @@ class ConstraintRows:
         upper: npt.ArrayLike,
         *entries: tuple[IntArray, npt.ArrayLike],
     ) -> slice:
-        """Add a group of rows of a shape; infinite bounds bind nothing.
+        """Add a group of rows of a shape, and return where they are; infinite bounds bind nothing.
 
-        Args:
-            shape: of the group.
-            lower: (*shape) or a number.
-            upper: (*shape) or a number.
-            entries: columns (*shape, n) and values of n variables in each row, broadcast. Zeros
-                belong to the pattern, too.
-
-        Returns:
-            Where the rows are.
+        `entries` are columns (*shape, n) and values of n variables in each row, broadcast. Zeros
+        belong to the pattern, too.
         """
         first, self.count = self.count, self.count + int(np.prod(shape))
         rows = np.arange(first, self.count).reshape(*shape, 1)
@@ -143,11 +132,7 @@ class RobotProgram:
         self._solver: Any = None
 
     def solve(self, problem: ConvexSubproblem) -> ProgramSolution:
-        """Solve for one convexified problem, starting from the last one's solution.
-
-        Args:
-            problem: of the steps, axes and neighbours that the program was made for.
-        """
+        """Solve for one convexified problem, starting from the last one's solution."""
         rows = ConstraintRows()
         self._add_motion(rows, problem)
         self._add_own_bounds(rows, problem)
@@ -300,8 +285,6 @@ class RobotProgram:
         return ProgramSolution(
             states=z[self._x],
             controls=z[self._u],
-            goal_slack=float(z[self._goal][0]),
-            state_slack=float(z[self._delta][0]),
             objective=float(info.obj_val) - constant,
             status=str(info.status),
             iterations=int(info.iter),

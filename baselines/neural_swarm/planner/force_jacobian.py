@@ -21,16 +21,9 @@ def force_jacobian(
     """Derivative of the forces on every robot by the state of one.
 
     Where the model has a kink (a ReLU, the end of a measured range, the edge of the interaction
-    volume), the derivative of one side, or of central differences a mean.
-
-    Args:
-        model: the force model.
-        team: the N vehicles.
-        states: (K, N, 6) positions (m) and velocities (m/s) of all robots at K knots.
-        robot: index i of the robot that moves.
-
-    Returns:
-        (K, N, 3, 6) d f_a(j) / d x(i): N per m and N per m/s.
+    volume), the derivative of one side, or of central differences a mean. States are (K, N, 6):
+    positions (m) and velocities (m/s) of all robots at K knots. Returned is (K, N, 3, 6), in which
+    [k, j] is d f_a(j) / d x(i) for the robot i that moves: N per m and N per m/s.
     """
     if model.field.kind == LEARNED:
         field = model.with_precision("float64").field

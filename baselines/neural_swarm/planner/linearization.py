@@ -100,15 +100,10 @@ def convexify(
     trust_control: float,
     force_bounds: FloatArray,
 ) -> ConvexSubproblem:
-    """Linearise one robot's problem around the prior motions of all.
+    """Linearise one robot's problem around the prior motions of all, which fit their forces.
 
-    Args:
-        problem: what is planned.
-        prior: motions of all robots that fit their controls and forces.
-        robot: index i.
-        trust_state: largest change of a position, m, and of a velocity, m/s.
-        trust_control: largest change of a control, m/s^2.
-        force_bounds: (N,) largest vertical force on each robot, N.
+    `trust_state` is the largest change of a position, m, and of a velocity, m/s, `trust_control`
+    that of a control, m/s^2, `force_bounds` (N,) the largest vertical force on each robot, N.
     """
     axes, bounds, steps = list(problem.axes), problem.bounds, prior.steps
     columns, dims = axes + [3 + axis for axis in axes], len(axes)

@@ -113,8 +113,8 @@ def plan_swarm(
     plans: list[SwarmPlan] = []
     with tqdm(desc="plan", unit="program", disable=not progress) as bar:
         for attempt in range(attempts):
-            stages = _Stages(problem, [seed, attempt], search or SEARCH, options, deadline, bar)
-            plans.append(stages.plan(initial))
+            drawn = (seed, attempt)
+            plans.append(_run(problem, drawn, initial, search or SEARCH, options, deadline, bar))
             if plans[-1].converged or initial is not None or time.monotonic() > deadline:
                 break
     return min(plans, key=_rank)
@@ -147,75 +147,70 @@ def _check_initial(problem: PlanningProblem, initial: Trajectories) -> None:
         )
 
 
-class _Stages:
-    """Both stages of one attempt, whose draws come from the seed and the attempt's number."""
+def _run(
+    problem: PlanningProblem,
+    drawn: tuple[int, int],
+    initial: Trajectories | None,
+    search: SearchConfig,
+    options: RefinementOptions | None,
+    deadline: float,
+    bar: Any,
+) -> SwarmPlan:
+    """Both stages of an attempt, whose draws come from (seed, attempt), and the check."""
+    began, rng = time.monotonic(), np.random.default_rng(drawn)
+    about: dict[str, Any] = {}
 
-    def __init__(
-        self,
-        problem: PlanningProblem,
-        seeds: list[int],
-        search: SearchConfig,
-        options: RefinementOptions | None,
-        deadline: float,
-        bar: Any,
-    ) -> None:
-        self.problem, self.seeds, self.deadline, self.bar = problem, seeds, deadline, bar
-        self.search, self.options = search, options
-        self.rng = np.random.default_rng(seeds)
+    def show(record: StepRecord) -> None:
+        bar.set_postfix_str(f"sweep {record.sweep}, merit {record.merit:.4g}", refresh=False)
+        bar.update()
 
-    def plan(self, initial: Trajectories | None) -> SwarmPlan:
-        """Search, unless motions are given, then refine and verify."""
-        problem, began = self.problem, time.monotonic()
-        about: dict[str, Any] = {}
-        if initial is None:
-            initial, about = self.first_motions(began)
-        else:
-            initial = trajectories_through(problem, initial.states)
-        searched = time.monotonic()
-        refined = refine(problem, initial, self.rng, self.options, self.deadline, self.show_program)
-        check = check_plan(problem, refined.trajectories)
-        status, reason = _outcome(refined, check)
-        return SwarmPlan(
-            team=problem.team,
-            starts=problem.starts,
-            goals=problem.goals,
-            trajectories=refined.trajectories,
-            initial=initial,
-            bounds=problem.bounds,
-            plane=problem.plane,
-            model_name=problem.model.name,
-            model_fingerprint=problem.model.fingerprint,
-            seed=self.seeds[0],
-            status=status,
-            reason=reason,
-            check=check,
-            search=about | {"attempt": self.seeds[1]},
-            history=refined.history,
-            seconds={"stage 1": searched - began, "stage 2": time.monotonic() - searched},
-        )
+    if initial is None:
+        left = _SEARCH_SHARE * (deadline - began)
+        limit = min(search.time_limit or math.inf, max(left, _SHORTEST_SEARCH_S))
+        config = replace(search, time_limit=limit) if limit < math.inf else search
+        initial, about = _first_motions(problem, config, rng, bar)
+    else:
+        initial = trajectories_through(problem, initial.states)
+    searched = time.monotonic()
+    refined = refine(problem, initial, rng, options, deadline, show)
+    check = check_plan(problem, refined.trajectories)
+    status, reason = _outcome(refined, check)
+    return SwarmPlan(
+        team=problem.team,
+        starts=problem.starts,
+        goals=problem.goals,
+        trajectories=refined.trajectories,
+        initial=initial,
+        bounds=problem.bounds,
+        plane=problem.plane,
+        model_name=problem.model.name,
+        model_fingerprint=problem.model.fingerprint,
+        seed=drawn[0],
+        status=status,
+        reason=reason,
+        check=check,
+        search=about | {"attempt": drawn[1]},
+        history=refined.history,
+        seconds={"stage 1": searched - began, "stage 2": time.monotonic() - searched},
+    )
 
-    def first_motions(self, began: float) -> tuple[Trajectories, dict[str, Any]]:
-        """Motions of stage 1, or bent lines if it finds none; and what the search did."""
-        left = began + _SEARCH_SHARE * (self.deadline - began) - time.monotonic()
-        limit = min(self.search.time_limit or math.inf, max(left, _SHORTEST_SEARCH_S))
-        config = replace(self.search, time_limit=limit) if limit < math.inf else self.search
-        found = search_team(self.problem, config, self.rng, self.show_loop)
-        about = {
-            "found": found.trajectories is not None,
-            "stop": found.stop,
-            "loops": len(found.loops),
-            "iterations": found.iterations,
-        }
-        return found.trajectories or _bent_lines(self.problem, self.rng), about
 
-    def show_loop(self, loop: LoopRecord) -> None:
-        """Tell the progress bar of an outer loop of stage 1."""
-        self.bar.set_postfix_str(f"search: cost {loop.cost:.3g} after {loop.iterations} iterations")
+def _first_motions(
+    problem: PlanningProblem, config: SearchConfig, rng: np.random.Generator, bar: Any
+) -> tuple[Trajectories, dict[str, Any]]:
+    """Motions of stage 1, or bent lines if it finds none; and what the search did."""
 
-    def show_program(self, record: StepRecord) -> None:
-        """Tell the progress bar of a program of stage 2."""
-        self.bar.set_postfix_str(f"sweep {record.sweep}, merit {record.merit:.4g}", refresh=False)
-        self.bar.update()
+    def show(loop: LoopRecord) -> None:
+        bar.set_postfix_str(f"search: cost {loop.cost:.3g} after {loop.iterations} iterations")
+
+    found = search_team(problem, config, rng, show)
+    about = {
+        "found": found.trajectories is not None,
+        "stop": found.stop,
+        "loops": len(found.loops),
+        "iterations": found.iterations,
+    }
+    return found.trajectories or _bent_lines(problem, rng), about
 
 
 def _bent_lines(problem: PlanningProblem, rng: np.random.Generator) -> Trajectories:

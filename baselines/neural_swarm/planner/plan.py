@@ -139,7 +139,15 @@ class SwarmPlan:
             ValueError: another suffix.
             OSError: the file cannot be written.
         """
-        _write(Path(path), self)
+        file = _checked(path)
+        arrays, about = _arrays(self), _about(self)
+        about["sha256"] = _digest(arrays, about)
+        if file.suffix == ".json":
+            write_json(file, {"about": about, **{name: a.tolist() for name, a in arrays.items()}})
+            return
+        written: dict[str, Any] = {**arrays, "about": np.array(json.dumps(about, allow_nan=False))}
+        with written_whole(file) as partial:
+            np.savez_compressed(partial, **written)
 
     @classmethod
     def load(cls, path: str | Path) -> SwarmPlan:
@@ -149,7 +157,18 @@ class SwarmPlan:
             ValueError: another suffix, or the file is damaged; the message says what is wrong.
             OSError: the file cannot be read.
         """
-        return _read(Path(path))
+        file = _checked(path)
+        try:
+            if file.suffix == ".npz":
+                arrays = _read_npz(file)
+                return _assemble(json.loads(str(arrays.pop("about"))), arrays)
+            content = json.loads(file.read_text(encoding="utf-8"))
+            return _assemble(content.pop("about"), content)
+        except OSError:
+            raise
+        except (ValueError, TypeError, KeyError, AttributeError, zipfile.BadZipFile) as error:
+            what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
+            raise ValueError(f"{str(file)!r} is no plan, or damaged: {what}") from error
 
 
 # ---- Files of plans: npz or JSON, written whole, refused when damaged
@@ -160,36 +179,11 @@ _PARTS = ("states", "controls", "forces")
 _MOTIONS = ("trajectories", "initial")
 
 
-def _write(path: Path, plan: SwarmPlan) -> None:
-    _check_suffix(path)
-    arrays, about = _arrays(plan), _about(plan)
-    about["sha256"] = _digest(arrays, about)
-    if path.suffix == ".json":
-        write_json(path, {"about": about, **{name: a.tolist() for name, a in arrays.items()}})
-        return
-    written: dict[str, Any] = {**arrays, "about": np.array(json.dumps(about, allow_nan=False))}
-    with written_whole(path) as partial:
-        np.savez_compressed(partial, **written)
-
-
-def _read(path: Path) -> SwarmPlan:
-    _check_suffix(path)
-    try:
-        if path.suffix == ".npz":
-            arrays = _read_npz(path)
-            return _assemble(json.loads(str(arrays.pop("about"))), arrays)
-        content = json.loads(path.read_text(encoding="utf-8"))
-        return _assemble(content.pop("about"), content)
-    except OSError:
-        raise
-    except (ValueError, TypeError, KeyError, AttributeError, zipfile.BadZipFile) as error:
-        what = f"it lacks {error}" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{str(path)!r} is no plan, or damaged: {what}") from error
-
-
-def _check_suffix(path: Path) -> None:
-    if path.suffix not in _SUFFIXES:
-        raise ValueError(unknown_name("suffix", path.suffix, _SUFFIXES, f"of {str(path)!r}"))
+def _checked(path: str | Path) -> Path:
+    file = Path(path)
+    if file.suffix not in _SUFFIXES:
+        raise ValueError(unknown_name("suffix", file.suffix, _SUFFIXES, f"of {str(file)!r}"))
+    return file
 
 
 def _arrays(plan: SwarmPlan) -> dict[str, FloatArray]:

@@ -110,15 +110,9 @@ def make_scene(
     edge: int,
     tracked: bool,
 ) -> Scene:
-    """The scene for planning one robot among those that have motions.
+    """The scene for planning one robot among those that have motions: the `planned` ones.
 
-    Args:
-        problem: the whole problem.
-        robot: index of the robot to be planned.
-        states: (K + 1, N, 6) the motions there are; of others the rows are not read.
-        planned: indices of the robots that have motions, this robot among them or not.
-        edge: steps in an edge of the search tree.
-        tracked: see `Scene.tracked`.
+    Of `states` (K + 1, N, 6) other rows are not read; an `edge` of the search tree is in steps.
     """
     others = [j for j in planned if j != robot]
     index, bounds = [robot, *others], problem.bounds

@@ -282,14 +282,9 @@ def refine(
 ) -> RefinementResult:
     """Refine motions until no robot can improve the team's plan.
 
-    Args:
-        problem: what is planned.
-        initial: motions of all robots of one length, that begin at the starts: those of stage 1,
-            or any guess. They may miss goals and break bounds.
-        rng: draws the order of robots.
-        options: how to search; None for the defaults.
-        deadline: `time.monotonic()` after which no program is begun, s.
-        watch: called after every program.
+    The initial ones begin at the starts, and may miss goals and break bounds. `rng` draws the
+    order of robots; no program is begun after the deadline, s, of `time.monotonic()`; `watch` is
+    called after every program.
     """
     state = _Refiner(problem, initial, options or RefinementOptions())
     out_of_time = False

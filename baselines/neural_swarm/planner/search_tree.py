@@ -413,18 +413,9 @@ def grow_tree(
 ) -> tuple[float, int, int]:
     """Grow a tree until a flight to the goal is found that costs less than a bound.
 
-    Args:
-        scene: what one robot is planned among.
-        tree: storage, overwritten.
-        work: working memory.
-        bound: c, what the flight must cost less than, of all robots together, m/s.
-        iterations: the largest number of iterations.
-        chances: how often the search does what.
-        rng: source of all randomness.
-        states: (K + 1, 6) overwritten with the flight: position (m) and velocity (m/s).
-
-    Returns:
-        Cost of the flight, `INVALID` if none was found; iterations used; nodes in the tree.
+    The bound c, m/s, is on the cost of all robots together. `tree` is overwritten, and `states`
+    (K + 1, 6) with the flight: position (m) and velocity (m/s). Returns the cost of the flight,
+    `INVALID` if none was found; iterations used; nodes in the tree.
     """
     direct = plant_root(scene, tree, work)
     drawn = np.zeros(6)

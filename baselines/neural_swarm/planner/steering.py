@@ -24,16 +24,11 @@ PLACE, SPEED = 0, 1
 
 
 def responses(drag: FloatArray, dt: float, steps: int) -> FloatArray:
-    """What a unit velocity and a unit control do after each number of steps.
+    """What a unit velocity and a unit control do after up to K steps of dt, s: (2, K + 1, 2, 3).
 
-    Args:
-        drag: (3,) linear drag per mass along each axis, 1/s.
-        dt: length of a step, s; the acceleration is held over it.
-        steps: the largest number of steps K.
-
-    Returns:
-        (2, K + 1, 2, 3): [COAST] after starting at 1 m/s without control, [PUSH] after starting at
-        rest with 1 m/s^2 held; for each the [PLACE] (m) and [SPEED] (m/s) along each axis.
+    [COAST] after starting at 1 m/s without control, [PUSH] after starting at rest with 1 m/s^2
+    held; for each the [PLACE] (m) and [SPEED] (m/s) along each axis, with linear `drag` (3,) per
+    mass, 1/s. The acceleration is held over a step.
     """
     table = np.zeros((2, steps + 1, 2, 3))
     table[COAST, 0, SPEED] = 1.0
@@ -51,16 +46,7 @@ def impulse_cost(table: FloatArray, steps: int, way: FloatArray, velocity: Float
     """Least integral of ||u|| from a velocity (3,) to rest, a way (3,) further: two impulses.
 
     A lower bound where nothing but drag acts; exactly so in the limit of short steps, as a held
-    control is not dragged within its step.
-
-    Args:
-        table: from `responses`.
-        steps: number of steps to the end, at least 1.
-        way: from here to the goal, m.
-        velocity: here, m/s.
-
-    Returns:
-        m/s.
+    control is not dragged within its step. `table` is from `responses`; the result is in m/s.
     """
     first, last = 0.0, 0.0
     for k in range(3):
@@ -82,17 +68,9 @@ def reach_burst(
 ) -> bool:
     """Find the shortest burst after which coasting leads to a place in time, at any velocity.
 
-    Args:
-        table: from `responses`.
-        edge: steps in an edge.
-        edges: edges until then.
-        limit: largest |u| along an axis, m/s^2.
-        way: (3,) from here to the place, m.
-        velocity: (3,) here, m/s.
-        control: (3,) overwritten: the burst's control, m/s^2.
-
-    Returns:
-        Whether there is one; else the control is the longest burst's, beyond the limit.
+    The place lies a `way` (3,), m, and so many `edges` of so many steps ahead; `limit` is the
+    largest |u| along an axis, m/s^2. `control` (3,) becomes the burst's, m/s^2. Returns whether
+    there is one; else the control is the longest burst's, beyond the limit.
     """
     total = edges * edge
     for burst in range(1, min(edges, LONGEST_BURST) + 1):
@@ -120,9 +98,7 @@ def rest_bursts(
     """Find the cheapest pair of bursts, now and last, that lead to a place at rest in time.
 
     Arguments are as of `reach_burst`, with at least 2 edges; `control` becomes the first burst's.
-
-    Returns:
-        The integral of ||u|| over both bursts in steps times m/s^2; infinite if there are none.
+    Returns the integral of ||u|| over both, in steps times m/s^2; infinite if there are none.
     """
     best, total = np.inf, edges * edge
     longest = min(edges - 1, LONGEST_BURST)

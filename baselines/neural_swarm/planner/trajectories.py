@@ -148,24 +148,17 @@ class ClosestApproach(NamedTuple):
 def step_weights(fraction: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
     """Weights of the velocities at a step's two ends in the position within it.
 
-    With the acceleration held, p(tau) = p + a v + b v', where v and v' are the velocities at the
-    ends, and a and b what is returned, s.
-
-    Args:
-        fraction: (...) fraction tau of the step, in [0, 1].
-        dt: length of the step, s.
+    With the acceleration held, p(tau) = p + a v + b v' at a fraction tau in [0, 1] of the step,
+    where v and v' are the velocities at the ends, and a and b what is returned, s.
     """
     half = 0.5 * fraction**2
     return dt * (fraction - half), dt * half
 
 
 def position_within(states: FloatArray, fraction: FloatArray, dt: float) -> FloatArray:
-    """Positions (..., T, ..., 3) within each of T steps, m.
+    """Positions (..., T, ..., 3), m, at fractions of steps between states (T + 1, ..., 6).
 
-    Args:
-        states: (T + 1, ..., 6) states at the knots.
-        fraction: fraction of each step, that broadcasts against (T, ...).
-        dt: time between knots, s.
+    Fractions broadcast against (T, ...).
     """
     first, second = step_weights(fraction[..., None], dt)
     start, end = states[:-1], states[1:]
@@ -188,12 +181,7 @@ def vertical_forces(problem: PlanningProblem, states: FloatArray) -> FloatArray:
 
 
 def closest_approach(states: FloatArray, dt: float) -> ClosestApproach:
-    """The closest approach to the origin in every step of relative motions.
-
-    Args:
-        states: (T + 1, ..., 6) relative positions (m) and velocities (m/s) at the knots.
-        dt: time between knots, s.
-    """
+    """The closest approach to the origin in every step of relative motions (T + 1, ..., 6)."""
     corner = np.linspace(0.0, 1.0, _CHORDS + 1).reshape(-1, *(1,) * (states.ndim - 1))
     points = position_within(states, corner, dt)
     way = np.diff(points, axis=0)

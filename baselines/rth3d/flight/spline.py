@@ -107,13 +107,9 @@ class SplineFlight:
 def on_grid(
     paths: npt.NDArray[np.integer], spacing: FloatArray, origin: FloatArray, step_s: float
 ) -> SplineFlight:
-    """The flight along paths on a grid.
+    """The flight along paths (T + 1, n, 3) on a grid of a spacing (3,) and an origin (3,), m.
 
-    Args:
-        paths: (T + 1, n, 3) vertices, one for each step.
-        spacing: (3,) distance of neighbouring vertices by axis, m.
-        origin: (3,) where the vertex (0, 0, 0) stands, m.
-        step_s: duration of a step, s; `shortest_step` says which is possible.
+    Steps last `step_s`; `shortest_step` says how short they may be.
     """
     points = np.asarray(origin) + np.asarray(spacing) * np.asarray(paths, dtype=np.float64)
     ends = [points[:1]] * 2, [points[-1:]] * 2
@@ -124,12 +120,7 @@ def shortest_step(spacing: FloatArray, speed: float, acceleration: float) -> flo
     """Duration of a step, s, that keeps any path on a grid within bounds by axis.
 
     A path moves along one axis a step, so that control points of the speed are at most a spacing
-    apart from rest, those of the acceleration at most two spacings (a turn back).
-
-    Args:
-        spacing: (3,) m.
-        speed: m/s.
-        acceleration: m/s^2.
+    apart from rest, those of the acceleration at most two spacings (a turn back). SI units.
     """
     widest = float(np.max(spacing))
     return max(widest / speed, math.sqrt(2.0 * widest / acceleration))

@@ -18,6 +18,7 @@ from swarm_envs.baselines.rth3d.flight.clearance import (
 from swarm_envs.baselines.rth3d.flight.smooth import (
     BEZIER,
     SmoothingConfig,
+    bezier_points,
     improve,
     planes_between,
     smooth,
@@ -25,6 +26,7 @@ from swarm_envs.baselines.rth3d.flight.smooth import (
 )
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, on_grid, shortest_step
 from swarm_envs.interactions import load
+from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import parse_team
 
 UNIT = np.ones(3)
@@ -129,6 +131,44 @@ def test_smoothing_is_faster_and_no_less_safe(rounds):
     assert acceleration <= 5.0 + 1e-9
 
 
+def nearest_to_zero(points: FloatArray) -> FloatArray:
+    """Of the hull of points (4, 3): the nearest of all faces' own points that lie in them."""
+    found = []
+    for size in range(1, 5):
+        for chosen in itertools.combinations(points, size):
+            corner, edges = chosen[0], np.array(chosen[1:]).reshape(-1, 3) - chosen[0]
+            share = np.linalg.lstsq(edges.T, -corner, rcond=None)[0]
+            if (share >= 0.0).all() and share.sum() <= 1.0:
+                found.append(corner + share @ edges)
+    return min(found, key=lambda point: float(point @ point))
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("scaling", [(1.0, 1.0, 1.0), (1.0, 1.0, 2.5)])
+def test_planes_stand_where_two_robots_are_nearest(seed, scaling):
+    """Three robots move about places 0.6 m from each other."""
+    rng = np.random.default_rng(seed)
+    places = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.6, 0.3]])
+    inner = places + rng.uniform(-0.25, 0.25, (4, 3, 3))
+    control = np.concatenate([[places] * 3, inner, [places + 0.05] * 3])
+    flight, distance, theta = SplineFlight(control, 0.5), 0.55, np.array(scaling)
+    planes = planes_between(flight, distance, theta, 10.0)  # so far that everyone could meet
+    points, half = bezier_points(flight) / theta, len(planes.robot) // 2
+    assert half == 3 * flight.num_steps
+    held = np.einsum("pkx,px->pk", bezier_points(flight)[planes.step, planes.robot], planes.normal)
+    assert (held >= planes.offset - 1e-7).all()  # the flight as it is satisfies all
+    kept = 0
+    for k in range(half):
+        step, a, b = planes.step[k], planes.robot[k], planes.robot[half + k]
+        way = nearest_to_zero(points[step, a] - points[step, b])
+        apart = float(np.linalg.norm(way))
+        np.testing.assert_allclose(planes.normal[k] * theta, way / apart, atol=1e-4)
+        between = planes.offset[k] + planes.offset[half + k]
+        np.testing.assert_allclose(between, min(distance, apart), atol=1e-6)
+        kept += int(apart < distance)
+    assert 0 < kept < half  # some are nearer than the distance, and keep what they have
+
+
 def test_a_robot_s_program_is_solved_to_its_optimum():
     """Against OSQP on the whole program, all rows and bounds at once."""
     import osqp
@@ -203,26 +243,19 @@ def test_forces_decide_the_spacing():
         space_for_forces(paths, team, model, 1e-3)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"control": np.zeros((3, 2, 3))}, "at least 4"),
-        ({"control": np.cumsum(np.ones((8, 2, 3)), axis=0)}, "first three control points differ"),
-        ({"control": np.full((8, 2, 3), np.nan)}, "nan"),
-        ({"step_s": 0.0}, "step_s is 0.0"),
-    ],
-)
-def test_what_cannot_be_flown_is_refused(change, said):
-    with pytest.raises(ValueError, match=said):
-        SplineFlight(**{"control": np.zeros((8, 2, 3)), "step_s": 1.0, **change})
-
-
-def test_bad_numbers_are_refused():
+def test_what_cannot_be_flown_is_refused():
+    still = np.zeros((8, 2, 3))
+    for control, step_s, said in (
+        (still[:3], 1.0, "at least 4"),
+        (np.cumsum(still + 1.0, axis=0), 1.0, "first three control points differ"),
+        (still * np.nan, 1.0, "nan"),
+        (still, 0.0, "step_s is 0.0"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            SplineFlight(control, step_s)
     with pytest.raises(ValueError, match="stretch"):
         worst_clearance((1.0, 0.0, 1.0))
-    with pytest.raises(ValueError, match="distance is -1"):
-        least_spacing(-1.0, (1.0, 1.0, 1.0))
-    with pytest.raises(ValueError, match="travel is 0"):
-        SmoothingConfig(distance=0.3, box=((0, 0, 0), (1, 1, 1)), travel=0)
+    with pytest.raises(ValueError, match="two robots of this flight touch: no plane separates"):
+        planes_between(SplineFlight(np.zeros((7, 2, 3)), 0.5), 0.3, np.ones(3), 0.2)
     with pytest.raises(ValueError, match="limit_g"):
         space_for_forces(np.zeros((4, 1, 3), int), parse_team("S"), load("none"), -1.0)

@@ -116,7 +116,6 @@ def test_costs_never_rise_and_every_loop_is_told():
     assert tuple(told) == result.loops
     assert result.stop == "iterations"
     assert result.iterations == result.loops[-1].iterations == 10_000
-    assert all(size > 0 for size in result.loops[0].tree_sizes)
 
 
 def test_the_same_seed_gives_the_same_bytes():

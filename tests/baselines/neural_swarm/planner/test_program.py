@@ -116,13 +116,26 @@ def test_the_solution_is_that_of_cvxpy(plane: Plane, bend: str) -> None:
     problem = problem_of(plane)
     prior = straight_lines(problem, bend=BENDS[bend])
     for robot in range(3):
-        convex = around(problem, prior, robot)
-        solution = program_of(problem, prior).solve(convex)
-        states, controls, objective = oracle(convex, PenaltyWeights())
-        assert solution.status == "solved"
-        np.testing.assert_allclose(solution.states, states, atol=1e-4)
-        np.testing.assert_allclose(solution.controls, controls, atol=1e-4)
-        assert solution.objective == pytest.approx(objective, rel=1e-5)
+        check_against_oracle(problem, prior, around(problem, prior, robot))
+
+
+def check_against_oracle(problem: PlanningProblem, prior: Trajectories, c: ConvexSubproblem):
+    solution = program_of(problem, prior).solve(c)
+    states, controls, objective = oracle(c, PenaltyWeights())
+    assert solution.status == "solved"
+    np.testing.assert_allclose(solution.states, states, atol=1e-4)
+    np.testing.assert_allclose(solution.controls, controls, atol=1e-4)
+    assert solution.objective == pytest.approx(objective, rel=1e-5)
+
+
+def test_what_cannot_be_kept_is_missed_at_the_price_of_its_slack() -> None:
+    problem = problem_of("yz")
+    still = np.repeat(straight_lines(problem).states[:1], 31, axis=0)
+    prior = trajectories_through(problem, still)
+    convex = around(problem, prior, 2)  # the goal lies outside the trust region
+    check_against_oracle(problem, prior, convex)
+    tight = dataclasses.replace(convex, upper=convex.prior[0] - 0.1)
+    check_against_oracle(problem, prior, tight)
 
 
 def test_a_program_used_again_solves_the_new_problem() -> None:
@@ -133,18 +146,6 @@ def test_a_program_used_again_solves_the_new_problem() -> None:
         convex = around(problem, prior, 2)
         used, fresh = program.solve(convex), program_of(problem, prior).solve(convex)
         np.testing.assert_allclose(used.states, fresh.states, atol=1e-5)
-
-
-def test_what_cannot_be_kept_shows_in_the_slacks() -> None:
-    problem = problem_of("yz")
-    still = np.repeat(straight_lines(problem).states[:1], 31, axis=0)
-    prior = trajectories_through(problem, still)  # the goal lies outside the trust region
-    convex = around(problem, prior, 2)
-    solution = program_of(problem, prior).solve(convex)
-    way = np.abs(problem.goals[2] - problem.starts[2]).max()
-    assert solution.goal_slack == pytest.approx(way - convex.trust_state[0], abs=1e-4)
-    tight = dataclasses.replace(convex, upper=convex.prior[0] - 0.1)
-    assert program_of(problem, prior).solve(tight).state_slack > 0.09
 
 
 @pytest.mark.parametrize("robot", [0, 2])

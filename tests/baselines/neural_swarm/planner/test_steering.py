@@ -82,22 +82,6 @@ def test_two_bursts_cost_little_more_than_the_optimum(drag, velocity):
 
 
 @DRAGS
-def test_bursts_solved_anew_at_each_edge_end_at_rest_at_the_goal(drag):
-    edges, goal = 20, np.array([0.8, -1.2, 0.5])
-    table = responses(np.full(3, drag), DT, edges * EDGE)
-    p, v, control = np.zeros(3), np.array([0.3, 0.2, -0.4]), np.zeros(3)
-    for left in range(edges, 1, -1):
-        assert rest_bursts(table, EDGE, left, LIMIT, goal - p, v, control) < np.inf
-        assert np.abs(control).max() <= LIMIT
-        moved, v = fly(drag, v, np.tile(control, (EDGE, 1)))
-        p = p + moved
-        if left == 2:
-            last = fly(drag, v, np.tile(drag * v - v / (DT * EDGE), (EDGE, 1)))
-    np.testing.assert_allclose(p + last[0], goal, atol=5e-3)
-    np.testing.assert_allclose(last[1], 0.0, atol=1e-2)
-
-
-@DRAGS
 def test_a_burst_and_coasting_lead_to_the_place(drag):
     edges, place, control = 10, np.array([0.5, -0.9, 0.2]), np.zeros(3)
     table = responses(np.full(3, drag), DT, edges * EDGE)
