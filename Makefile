@@ -85,7 +85,8 @@ INTERPRETED := $(addprefix tests/test_,barrier.py motors.py neighbors.py noise.p
 	$(addprefix tests/physics/,test_contact.py test_rigid_body.py) \
 	$(addprefix tests/control/,test_mixer.py test_tracking.py) \
 	$(addprefix tests/tasks/,test_motion.py test_rewards.py) \
-	$(addprefix tests/baselines/rth3d/,test_flight.py test_validation.py) \
+	tests/baselines/rth3d/test_flight.py::test_planes_stand_where_two_robots_are_nearest \
+	tests/baselines/rth3d/test_validation.py \
 	$(addprefix tests/baselines/neural_swarm/planner/,test_kd_tree.py test_steering.py) \
 	$(addprefix tests/baselines/mlr_dmpc/,test_trajectory.py test_corridors.py test_reach.py)
 

@@ -1,15 +1,8 @@
 """Flight tests: references, a controller and a force that it may not know; statistics of flights.
 
 `run_flights` flies one case for many seeds: the compiled engine all of them at once, Bullet one
-after another with the same result. What is to be varied goes in by name:
-
-- who flies: the task's team, of vehicles such as `dataclasses.replace(SMALL, max_thrust=...)`;
-- the force that acts: `FlightTest.truth`; its scale, gusts, and drones that are not what the
-  controller takes them for: `FlightTest.randomization`, such as
-  `Randomization(force_scale=(1.5, 1.5))`;
-- what the controller compensates: `ControllerConfig(feedforward=model)`, any `InteractionModel`,
-  None for the baseline; its gains, filters and lag compensation are fields of the same class;
-- how close: the layout of the task.
+after another with the same result. A `FlightTest` says who flies, how close and in which forces,
+its `ControllerConfig` which force is compensated, with which gains and filters.
 
 Both sides of a comparison take the same seeds: episode `e` then has the same starts and references.
 """

@@ -109,13 +109,6 @@ def check_obstacles(obstacles: npt.ArrayLike | None, shape: Shape) -> BoolArray:
     return np.ascontiguousarray(found)
 
 
-def follows_pattern(obstacles: BoolArray) -> bool:
-    """Whether obstacles are whole columns at (3i + 1, 3j + 1), or none."""
-    columns: BoolArray = np.asarray(obstacles.any(axis=2))
-    inside = columns[1::3, 1::3].sum() == columns.sum()
-    return bool(inside and (columns == obstacles.all(axis=2)).all())
-
-
 def check_pattern(obstacles: BoolArray) -> None:
     """Refuse obstacles other than whole columns at (3i + 1, 3j + 1) (Sec. V-A).
 

@@ -8,6 +8,7 @@ been at its goal. There is no guarantee that all ever arrive.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, GridInstance, follows_pattern, numbers
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, check_pattern, numbers
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
@@ -39,9 +40,14 @@ class _Terrain(NamedTuple):
 def _ways_to_goals(instance: GridInstance) -> npt.NDArray[np.int32]:
     """(n, V) length of the shortest way from each vertex to each goal, by breadth-first search.
 
+    None, (0, 0), where obstacles follow the pattern.
+
     Raises:
         ValueError: it would not fit into memory, or no way leads from a start to its goal.
     """
+    with suppress(ValueError):
+        check_pattern(instance.obstacles)
+        return np.zeros((0, 0), dtype=np.int32)
     count, free = len(instance.goals), ~instance.obstacles
     if count * free.size > _MOST_WAYS:
         raise ValueError(
@@ -290,9 +296,7 @@ class Pibt:
             np.array(instance.shape, dtype=np.int32),
             np.array([m2 * m3, m3, 1], dtype=np.int32),
             walls.ravel() if walls.any() else np.zeros(0, dtype=bool),
-            np.zeros((0, 0), dtype=np.int32)
-            if follows_pattern(walls)
-            else _ways_to_goals(instance),
+            _ways_to_goals(instance),
             np.cumsum(columns, axis=0, dtype=np.int32),
             np.cumsum(columns, axis=1, dtype=np.int32),
         )

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
-from swarm_envs.errors import check_array, check_integer
+from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import rest_to_rest
@@ -99,20 +99,17 @@ def integrate_velocity(start: FloatArray, velocity: FloatArray, dt: float) -> Fl
 
 
 @typed
-def straight_lines(
-    problem: PlanningProblem, steps: int | None = None, bend: npt.ArrayLike | None = None
-) -> Trajectories:
+def straight_lines(problem: PlanningProblem, bend: npt.ArrayLike | None = None) -> Trajectories:
     """Motions straight from starts to goals, all at once: an initial guess for stage 2.
 
     Args:
         problem: what is planned.
-        steps: number of steps T; None for as many as the problem allows.
         bend: (N, 3) by how much each robot swerves half way, m; None for not at all.
 
     Raises:
-        ValueError: the bend has another shape, or there is no step.
+        ValueError: the bend has another shape.
     """
-    count = problem.steps if steps is None else check_integer("steps", steps, 1)
+    count = problem.steps
     aside = np.zeros((len(problem.team), 3)) if bend is None else bend
     swerve = 4.0 * check_array("bend", aside, problem.starts.shape, "(N, 3), m")
     time = np.arange(count + 1) * problem.dt

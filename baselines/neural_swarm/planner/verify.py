@@ -20,24 +20,6 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 
 @dataclass(frozen=True)
-class Tolerances:
-    """How far a plan may miss what it was to keep, and still be called good."""
-
-    goal_m: float = 0.01
-    """Distance to the goal at the end, m."""
-    goal_speed: float = 0.02
-    """Speed at the end, m/s."""
-    force: float = 0.05
-    """Excess over a force bound, between knots too, in parts of it."""
-    clearance: float = 0.02
-    """Missing clearance, in parts of it."""
-    bounds: float = 0.01
-    """Excess over box (m), speed (m/s) and control (m/s^2)."""
-    defect: float = 1e-6
-    """Difference between the plan and its flight forward, m and m/s."""
-
-
-@dataclass(frozen=True)
 class PlanCheck:
     """What came of flying a plan's controls forward under the planner's model of the forces."""
 
@@ -58,20 +40,17 @@ class PlanCheck:
     defect: float
     """Largest difference between the plan and its flight forward, m and m/s."""
 
-    def shortcomings(self, tolerances: Tolerances | None = None) -> tuple[str, ...]:
+    def shortcomings(self) -> tuple[str, ...]:
         """What of the plan is not good, in words; empty if all is."""
-        t = tolerances or Tolerances()
         kept = {
-            f"a goal is missed by {self.goal_error_m:.3g} m": self.goal_error_m <= t.goal_m,
-            f"a robot still flies {self.goal_speed:.3g} m/s": self.goal_speed <= t.goal_speed,
-            f"a force is {self.force_ratio:.3g} times its bound": self.force_ratio <= 1 + t.force,
+            f"a goal is missed by {self.goal_error_m:.3g} m": self.goal_error_m <= 0.01,
+            f"a robot still flies {self.goal_speed:.3g} m/s": self.goal_speed <= 0.02,
+            f"a force is {self.force_ratio:.3g} times its bound": self.force_ratio <= 1.05,
             f"a pair comes to {self.clearance_ratio:.3g} of its clearance": (
-                self.clearance_ratio >= 1 - t.clearance
+                self.clearance_ratio >= 0.98
             ),
-            f"box, speed or control are exceeded by {self.box_excess:.3g}": (
-                self.box_excess <= t.bounds
-            ),
-            f"flown forward it differs by {self.defect:.3g}": self.defect <= t.defect,
+            f"box, speed or control are exceeded by {self.box_excess:.3g}": self.box_excess <= 0.01,
+            f"flown forward it differs by {self.defect:.3g}": self.defect <= 1e-6,
         }
         return tuple(words for words, good in kept.items() if not good)
 

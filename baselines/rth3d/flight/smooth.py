@@ -23,7 +23,6 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.spatial import cKDTree
-from tqdm import tqdm
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, POSITIVE_M, Count, typed
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
@@ -322,28 +321,21 @@ class SmoothingConfig:
 
 
 @typed
-def smooth(flight: SplineFlight, config: SmoothingConfig, progress: bool = False) -> SplineFlight:
-    """A flight on the same vertices' way with less acceleration, and no longer than before.
+def smooth(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
+    """A valid flight on the same vertices' way with less acceleration, and no longer than before.
 
-    Args:
-        flight: valid, such as `on_grid` makes it.
-        config: see there.
-        progress: show a progress bar.
-
-    Returns:
-        The flight at the shortest step that keeps speed and acceleration. Planes keep the hulls of
-        the steps apart, which may be closer than the robots are: a round after which robots come
-        closer than they did, and than `config.distance`, is only a step towards the next.
+    It has the shortest step that keeps speed and acceleration. Planes keep the hulls of the steps
+    apart, which may be closer than the robots are: a round after which robots come closer than they
+    did, and than `config.distance`, is only a step towards the next.
     """
     if flight.num_steps <= FIXED:
         return flight
-    total, safe = config.rounds * flight.num_robots, flight
+    safe = flight
     kept = min(config.distance, smallest_distance(flight, config.scaling)) - _ROUNDING
-    with tqdm(total=total, desc="smoothing", unit="robot", disable=not progress) as bar:
-        for _ in range(config.rounds):
-            flight = _round(flight, config, bar)
-            if smallest_distance(flight, config.scaling) >= kept:
-                safe = flight
+    for _ in range(config.rounds):
+        flight = _round(flight, config)
+        if smallest_distance(flight, config.scaling) >= kept:
+            safe = flight
     return faster(safe, config.speed, config.acceleration)
 
 
@@ -354,7 +346,7 @@ def faster(flight: SplineFlight, speed: float, acceleration: float) -> SplineFli
     return replace(flight, step_s=flight.step_s * factor) if factor > 0.0 else flight
 
 
-def _round(flight: SplineFlight, config: SmoothingConfig, bar: tqdm) -> SplineFlight:
+def _round(flight: SplineFlight, config: SmoothingConfig) -> SplineFlight:
     scaling = np.array(config.scaling)
     boxes = np.array(config.obstacles, dtype=np.float64).reshape(-1, 2, 3)
     planes = (
@@ -369,7 +361,6 @@ def _round(flight: SplineFlight, config: SmoothingConfig, bar: tqdm) -> SplineFl
     for i in range(flight.num_robots):
         own = together.some(slice(bounds[i], bounds[i + 1]))
         control[:, i] = improve(flight.control[:, i], own, *_reach(flight, i, config), cost)
-        bar.update()
     return replace(flight, control=control)
 
 
