@@ -118,12 +118,6 @@ def test_costs_never_rise_and_every_loop_is_told():
     assert result.iterations == result.loops[-1].iterations == 10_000
 
 
-def test_the_same_seed_gives_the_same_bytes():
-    one, same, other = (plan(swap(), QUICK, seed) for seed in (5, 5, 6))
-    assert one.states.tobytes() == same.states.tobytes()
-    assert one.states.tobytes() != other.states.tobytes()
-
-
 def test_without_a_force_model_plans_lead_into_wakes():
     """The worst force over its bound, with the planner's model and without (Fig. 7)."""
     limits, worst = np.array([5.0, 10.0, 5.0]) * GRAM_FORCE, {}

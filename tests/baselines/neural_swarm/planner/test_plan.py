@@ -55,6 +55,7 @@ def test_without_a_model_the_planner_is_the_same_but_unaware() -> None:
     named = plan_swarm(PAIR, PAIR[::-1], "SL", "none", plane="yz", max_duration=3.0, seed=3)
     assert lost.model_name == "none"
     assert np.abs(lost.forces).max() == 0.0
+    assert lost.initial.states.tobytes() == named.initial.states.tobytes()
     assert lost.states.tobytes() == named.states.tobytes()
 
 
