@@ -34,6 +34,7 @@ def test_ten_drones_write_letters_with_places_drawn():
 
 def test_flights_go_around_buildings():
     agent = load("rth3d")
+    assert isinstance(agent, GridAgent)
     city: tuple[Obstacle, ...] = (*buildings(), Column((0.0, 0.0), 0.15))
     env = swap_v0.parallel_env(num_drones=5, obstacles=city, physics="batch", **agent.requires)
     metrics = fly_episode(env, agent, 0)
