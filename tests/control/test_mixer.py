@@ -44,11 +44,6 @@ def test_every_rotor_command_in_range_comes_back_from_its_wrench(vehicle: Vehicl
         np.testing.assert_allclose(exact_rotors(vehicle, t, m), row, rtol=0, atol=1e-14)
 
 
-def test_hover_is_shared_equally() -> None:
-    rotors = mix(SMALL, 4 * SMALL.hover_rotor_thrust, [0, 0, 0])
-    np.testing.assert_allclose(rotors, SMALL.hover_rotor_thrust, rtol=1e-15)
-
-
 @settings(max_examples=200, deadline=None)
 @given(vehicles, shares)
 def test_priorities(vehicle: Vehicle, share: tuple[float, float, float, float]) -> None:
@@ -85,26 +80,6 @@ def thrust_and_yaw(
     box[2] = (0, distance + slack)
     base, share, _ = linprog([0.0, -1.0, 0.0], upper, bound, bounds=box).x
     return np.asarray(unit * (base + share * turning))
-
-
-def test_yaw_is_given_up_before_thrust_and_thrust_before_roll() -> None:
-    largest = SMALL.max_rotor_thrust
-    full = np.array([0.0, 0.0, 1.0])
-    np.testing.assert_array_equal(mix(SMALL, 4 * largest, full), largest)
-    roll = np.array([4 * largest * SMALL.arm / np.sqrt(2), 0.0, 0.0])
-    # Twice what the rotors can roll: left at full, right at zero, whatever the thrust.
-    for thrust in (0.0, 2 * largest, 4 * largest):
-        np.testing.assert_allclose(
-            mix(SMALL, thrust, roll), [0, 0, largest, largest], rtol=0, atol=1e-15
-        )
-
-
-def test_wrench_takes_any_leading_axes() -> None:
-    rotors = np.random.default_rng(1).uniform(0, 0.1, (3, 2, 4))
-    thrust, torque = wrench(LARGE, rotors)
-    assert thrust.shape == (3, 2)
-    assert torque.shape == (3, 2, 3)
-    np.testing.assert_array_equal(thrust[1, 1], wrench(LARGE, rotors[1, 1])[0])
 
 
 @pytest.mark.parametrize(

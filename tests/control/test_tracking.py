@@ -11,16 +11,12 @@ from swarm_envs.baselines.neural_swarm.numpy_controller import (
 )
 from swarm_envs.control.config import (
     MID,
-    SOFT,
     STIFF,
     ControllerConfig,
     PositionGains,
-    gains,
     low_pass_blend,
 )
 from swarm_envs.control.tracking import TrackingController
-from swarm_envs.physics import BatchPhysics
-from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
 
@@ -131,23 +127,6 @@ def test_reset_forgets_only_the_masked_environments() -> None:
     assert not any(part.any() for part in memory(one).values())
 
 
-def test_a_first_step_has_no_kick_from_derivatives() -> None:
-    state = hover_state(TEAM, np.ones((4, 3)))
-    setpoint = Setpoint.hold(state.position.copy())
-    setpoint.velocity[..., 0] = 0.3
-    setpoint.yaw[...] = 1.0
-    on = TrackingController(TEAM, config=ControllerConfig(lag_compensation=True))
-    off = TrackingController(TEAM, config=ControllerConfig(lag_compensation=False))
-    np.testing.assert_array_equal(on.commands(state, setpoint), off.commands(state, setpoint))
-
-
-def test_hover_at_the_setpoint_commands_exactly_the_weight() -> None:
-    controller = TrackingController(TEAM)
-    state = hover_state(TEAM, np.ones((4, 3)))
-    commands = controller.commands(state, Setpoint.hold(state.position.copy()))
-    np.testing.assert_allclose(commands, state.rotor_thrust, rtol=1e-14)
-
-
 @pytest.mark.parametrize(("height", "lift"), [(50.0, 0.0), (0.0, 1.0)])
 def test_the_desired_force_never_points_down(height: float, lift: float) -> None:
     """Neither far above the set-point nor under a believed force of three times the weight."""
@@ -158,87 +137,12 @@ def test_the_desired_force_never_points_down(height: float, lift: float) -> None
     assert commands.sum() == pytest.approx(0.2 * SMALL.mass * GRAVITY, rel=1e-12)
 
 
-def test_feedforward_is_subtracted_from_the_thrust() -> None:
-    state = hover_state(TEAM, np.ones((4, 3)))
-    force = np.zeros((1, 4, 3))
-    force[..., 2] = -0.05
-    commands = TrackingController(TEAM).commands(state, Setpoint.hold(state.position.copy()), force)
-    weight = np.array([v.mass * GRAVITY for v in TEAM])
-    np.testing.assert_allclose(commands.sum(-1)[0], weight + 0.05, rtol=1e-12)
-
-
-def test_the_configured_model_is_asked_for_the_feedforward() -> None:
-    class Push:
-        """A model that pushes every drone down."""
-
-        name = "push"
-        types = ("S", "L")
-
-        def forces(self, position: FloatArray, velocity: FloatArray, team: object) -> FloatArray:
-            return np.zeros_like(position) - [0.0, 0.0, 0.05]
-
-    state = hover_state(TEAM, np.ones((4, 3)))
-    setpoint = Setpoint.hold(state.position.copy())
-    config = ControllerConfig(feedforward=Push())  # type: ignore[arg-type]
-    believed = TrackingController(TEAM, config=config).commands(state, setpoint)
-    force = np.zeros((1, 4, 3)) - [0.0, 0.0, 0.05]
-    given = TrackingController(TEAM).commands(state, setpoint, force)
-    np.testing.assert_array_equal(believed, given)
-
-
-def test_batched_is_the_single_one_to_the_last_bit() -> None:
-    both = TrackingController(TEAM, num_envs=2)
-    alone = TrackingController(TEAM)
-    flight = _RandomFlight(5, 1.0)
-    for _ in range(50):
-        state, setpoint, force = flight.advance()
-        second = SwarmState(*(part[1:] for part in state))
-        goal = Setpoint(*(part[1:] for part in setpoint))
-        many = both.commands(state, setpoint, force)
-        np.testing.assert_array_equal(many[1:], alone.commands(second, goal, force[1:]))
-
-
-def test_extrapolation_follows_the_cubic_exactly_in_one_environment() -> None:
-    rng = np.random.default_rng(0)
-    start = Setpoint(*(rng.normal(size=(2, 3, 3)) for _ in range(4)), *rng.normal(size=(2, 2, 3)))
-    physics = BatchPhysics("SLS", 2, "none", level=SETPOINTS)
-    physics.settings["step"] = 0.1
-    drones = physics.world.drones
-    moved = Setpoint(*(drones[f"setpoint_{name}"] for name in Setpoint._fields))
-    moved.assign(start)
-    physics.fly(5, np.array([False, True]))
-    t, (p, v, a, j, yaw, yaw_rate) = 0.5, start
-    expected = (
-        p + v * t + a * t**2 / 2 + j * t**3 / 6,
-        v + a * t + j * t**2 / 2,
-        a + j * t,
-        j,
-        yaw + yaw_rate * t,
-        yaw_rate,
-    )
-    for mine, initial, cubic in zip(moved, start, expected, strict=True):
-        np.testing.assert_array_equal(mine[0], initial[0])
-        np.testing.assert_allclose(mine[1], cubic[1], rtol=0, atol=1e-14)
-
-
 def test_low_pass_has_its_cutoff() -> None:
     """The discrete filter's step response is the continuous one's at the samples."""
     blend, value = low_pass_blend(20.0, 1 / 240), 0.0
     for k in range(1, 20):
         value += blend * (1.0 - value)
         assert value == pytest.approx(1 - np.exp(-2 * np.pi * 20.0 * k / 240), rel=1e-12)
-
-
-def test_compiled_gains_hold_the_configuration() -> None:
-    config = ControllerConfig(gains=SOFT, lag_compensation=False, rate_yaw=7.0)
-    settings = BatchPhysics("S", interactions="none", level=SETPOINTS, controller=config).settings
-    for name, value in gains(config).items():
-        assert settings[name].tolist() == [value]
-    s = settings[0]
-    assert (s.position_gain, s.velocity_gain, s.integral_gain) == (1.0, 2.0, 0.5)
-    assert (s.lead, s.rate_yaw, s.step) == (0.0, 7.0, 1 / 240)
-    with pytest.raises(ValueError, match="dt is 0"):
-        gains(ControllerConfig(), dt=0.0)
 
 
 def test_refused_calls_leave_the_memory_alone() -> None:

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from swarm_envs import TASKS, gymnasium_name, register, ring_v0, swap_v0
+from swarm_envs import TASKS, gymnasium_name, register, swap_v0
 from swarm_envs.envs.joint import make_joint, make_solo
 from swarm_envs.envs.vector import SwarmVectorEnv, make_vector
 
@@ -123,29 +123,6 @@ def test_vector_modes_are_those_of_gymnasium(mode):
     theirs.close()
 
 
-def test_vector_seeds():
-    env = make_vector("swap_v0", num_envs=2, **QUICK)
-    first, _ = env.reset(seed=[5, 9])
-    assert np.array_equal(env.reset(seed=[5, 9])[0], first)
-    assert np.array_equal(env.reset(seed=5)[0][0], first[0])
-    assert not np.array_equal(first[0], first[1])
-    single = make_joint("swap_v0", **QUICK)
-    assert np.array_equal(single.reset(seed=9)[0], first[1])
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda env: env.step(np.zeros((2, 6))), "no episode has begun"),
-        (lambda env: env.reset(seed=[1, 2, 3]), "seeds has 3 entries, but must have 2"),
-        (lambda env: env.reset(options={"strat": 1}), "unknown reset option 'strat'"),
-    ],
-)
-def test_vector_refuses(call, message):
-    with pytest.raises((RuntimeError, ValueError), match=message):
-        call(make_vector("swap_v0", num_envs=2, **QUICK))
-
-
 def test_what_was_refused_can_be_closed():
     """As Gymnasium 1.1 does when it is deleted."""
     half_made = object.__new__(SwarmVectorEnv)
@@ -159,14 +136,3 @@ def test_options_of_a_batch_and_of_a_team_in_one_box():
         gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=2, render_mode="rgb_array")
     with pytest.raises(ValueError, match="but a team in one Box has 'flat' rows"):
         make_joint("swap_v0", observation="dict", **QUICK)
-
-
-def test_one_agent_at_a_time():
-    env = ring_v0.env(num_drones=3, physics="batch", horizon_s=0.2)
-    env.reset(seed=0)
-    acted = 0
-    for agent in env.agent_iter(200):
-        _, _, ended, cut, _ = env.last()
-        env.step(None if ended or cut else env.action_space(agent).sample())
-        acted += not (ended or cut)
-    assert acted % 3 == 0 and acted > 0

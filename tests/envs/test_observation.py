@@ -93,15 +93,6 @@ def test_neighbors(num_neighbors):
                 assert not seen[f"neighbor_{k}.{name}"].any()
 
 
-def test_neighbors_that_leave_are_forgotten():
-    """Rows are written into a buffer: nothing of the last step may stay behind."""
-    env = swap_v0.parallel_env(team="S", physics="batch")
-    observations, _ = env.reset(seed=1)
-    for k in range(3):
-        assert fields(env, observations["drone_0"])[f"neighbor_{k}.mask"] == [0.0]
-    assert env.observation_space("drone_0").shape == (22 + 3 + 3 * 13 + 13,)
-
-
 @pytest.mark.parametrize("layout", ["random", "stacked"])
 def test_task(layout):
     env, observations = shaken(team="LSS*", layout=layout, horizon_s=5.0)
@@ -123,28 +114,3 @@ def test_rotors_have_no_setpoint():
     env, observations = shaken(action="rotors", steps=3)
     for agent in env.agents:
         assert not fields(env, observations[agent])["self.setpoint_offset"].any()
-
-
-def constants(layout: str) -> set[str]:
-    """Fields, with index, that are the same number in every observation of 20 flights."""
-    rows = []
-    for seed in range(20):
-        env, observations = shaken(seed, steps=5, layout=layout, team="LSS*S")
-        rows += [observations[agent] for agent in env.agents]
-        observations = env.step({agent: np.ones(3, np.float32) for agent in env.agents})[0]
-        rows += [observations[agent] for agent in observations]
-    still = np.ptp(np.array(rows), axis=0) == 0.0
-    return {
-        f"{field.name}[{k - field.where.start}]"
-        for field in env.observation_layout
-        for k in range(field.where.start, field.where.stop)
-        if still[k]
-    }
-
-
-def test_nothing_constant_but_what_is_documented():
-    masks = {f"neighbor_{k}.mask[0]" for k in range(3)}  # four drones: three neighbours, always
-    still = {f"task.reference_{what}[2]" for what in ("velocity", "acceleration")}
-    assert constants("stacked") == masks | still
-    horizontal = {name.replace("[2]", f"[{k}]") for name in still for k in range(2)}
-    assert constants("random") == masks | still | horizontal

@@ -92,16 +92,6 @@ def test_a_snapshot_is_independent_of_what_flies_on(engine):
     assert fly(env, np.random.default_rng(2), 30) == first
 
 
-def test_copies_share_nothing(engine):
-    env = flying(engine)
-    twin = copy.deepcopy(env)
-    before = twin.view.state.position.copy()
-    fly(env, np.random.default_rng(2), 10)
-    assert np.array_equal(twin.view.state.position, before)
-    env.close()
-    fly(twin, np.random.default_rng(2), 10)
-
-
 def test_looking_changes_nothing(engine):
     """Taking a snapshot, or a pickle, leaves the flight as it is, to the last bit."""
     one, other = flying(engine), flying(engine)

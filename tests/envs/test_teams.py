@@ -21,7 +21,6 @@ from swarm_envs.envs.randomization import Randomization
 from swarm_envs.envs.vector import make_vector
 from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel
-from swarm_envs.physics import BatchPhysics
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import LARGE, SMALL, Vehicle, parse_team
 from tests.helpers.faces import core_of
@@ -88,15 +87,6 @@ def test_equals_an_environment_made_with_that_team(engine, task, options, first,
         assert flight(env) == flight(made)
     for each in (env, like, made):
         each.close()
-
-
-def test_differs_from_the_constructor_s_team():
-    env = swap_v0.parallel_env(team="SSS", physics="batch")
-    out = []
-    for team in ("SSS", "LSS", "SSL"):
-        env.reset(seed=3, options={"team": team})
-        out.append(flight(env))
-    assert out[0] != out[1] != out[2] != out[0]
 
 
 WAYS = {
@@ -280,20 +270,3 @@ def test_a_vehicle_of_one_s_own():
     over = env.core.world.drones["over_bound"][0]
     assert over[0] > 40 and over[1] == 0
     assert env.core.physics.parameters.mass[0].tolist() == [0.05, SMALL.mass]
-
-
-def test_physics_by_itself():
-    """After `set_team` and a reset, the engine flies as one made with that team."""
-    changed, made = BatchPhysics("SS", 2), BatchPhysics("LS", 1)
-    changed.set_team(1, "LS")
-    changed.reset()
-    made.reset()
-    assert changed.teams == [parse_team("SS"), parse_team("LS")]
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        commands = rng.uniform(0.05, 0.3, (1, 2, 4))
-        state, like = changed.step(np.repeat(commands, 2, axis=0)), made.step(commands)
-        np.testing.assert_array_equal(state.position[1], like.position[0])
-        np.testing.assert_array_equal(state.quaternion[1], like.quaternion[0])
-    with pytest.raises(ValueError, match="the team has 3 vehicles, but must have 2, as before"):
-        changed.set_team(0, "SSS")

@@ -111,43 +111,6 @@ def test_the_same_flight_as_the_parallel_environment(engine):
     parallel.close()
 
 
-@pytest.mark.parametrize("observation", ["flat", "dict"])
-def test_observations_of_either_form(observation):
-    env = task_of("swap_v0", observation=observation).env()
-    env.reset(seed=1)
-    for agent in env.agent_iter(2 * DRONES):
-        assert env.observation_space(agent).contains(env.observe(agent))
-        env.step(row(0.1, 0.0, 0.0))
-
-
-@pytest.mark.parametrize(
-    ("action", "message"),
-    [
-        (np.zeros(2), r"action of 'drone_1' has shape \(2,\), but action 'acceleration' takes 3"),
-        (np.zeros((1, 3)), r"'drone_1' has shape \(1, 3\)"),
-        (np.array(["a"] * 3), "must be numbers"),
-        (row(0, np.nan, 0), "drone_1 has nan at index 1, but every number must be finite"),
-        (row(0, 0, np.inf), "drone_1 has inf at index 2"),
-        (row(1.5, 0, 0), r"drone_1 has 1.5 at index 0, but must lie in \[-1, 1\]"),
-        (None, r"'drone_1' has shape \(\)"),
-    ],
-)
-def test_a_bad_action_is_refused_in_its_turn(action, message):
-    """And nothing has changed: with a good one the flight is as if there had been none."""
-    env, other = task_of("swap_v0").env(), task_of("swap_v0").env()
-    for each in (env, other):
-        each.reset(seed=1)
-        each.step(row(0.1, 0.2, 0.3))
-    with pytest.raises(ValueError, match=message):
-        env.step(action)
-    assert env.agent_selection == "drone_1"
-    for each in (env, other):
-        each.step(row(0.3, 0.2, 0.1))
-        each.step(row(0.0, 0.0, 0.0))
-    assert np.array_equal(env.state(), other.state())
-    assert np.array_equal(env.observe("drone_0"), other.observe("drone_0"))
-
-
 def test_refusals():
     env = task_of("swap_v0", horizon_s=1 / 48).env()
     with pytest.raises(AttributeError, match="reset"):

@@ -42,11 +42,6 @@ def test_drones_touch_below_the_sum_of_radii(engine: type[Physics]) -> None:
     assert far.contacts.clearance[0, 0] == pytest.approx((reach + 1e-3) / reach)
 
 
-def test_a_drone_between_two_names_the_nearer(engine: type[Physics]) -> None:
-    physics = touched(engine, "SSS", [[-0.11, 0, 1], [0, 0, 1], [0.10, 0, 1]])
-    assert physics.contacts.drone.tolist() == [[1, 2, 1]]
-
-
 def test_floor_wall_and_ceiling(engine: type[Physics]) -> None:
     positions = [[0.0, 0, 0.05], [1.95, 0, 1], [0.0, -1.95, 1], [0.0, 0, 2.46], [1.0, 1, 0.07]]
     physics = touched(engine, "SSSSS", positions)

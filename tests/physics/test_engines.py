@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import resource
 from pathlib import Path
-from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -26,16 +25,6 @@ STACK = [[0.0, 0.0, 1.4], [0.02, 0.0, 1.0]]
 def engine(request: pytest.FixtureRequest) -> type[Physics]:
     chosen: type[Physics] = request.param
     return chosen
-
-
-def test_hover_state_hovers_without_forces(engine: type[Physics]) -> None:
-    physics = engine(TEAM, interactions="none")
-    state = physics.reset()
-    commands, before = state.rotor_thrust.copy(), state.position.copy()
-    for _ in range(240):
-        state = physics.step(commands)
-    np.testing.assert_allclose(state.position, before, atol=1e-9)
-    physics.close()
 
 
 @pytest.mark.parametrize(
@@ -82,51 +71,11 @@ def test_impossible_states_are_refused(field: str, value: float, complaint: str)
     np.testing.assert_array_equal(physics.state.position, before.position)
 
 
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ({"team": "SX"}, "unknown vehicle token 'X'.*valid: 'L', 'S'"),
-        ({"team": ""}, "no drones"),
-        ({"num_envs": 0}, "num_envs is 0"),
-        ({"force_rate": 100}, "force_rate is 100"),
-        ({"interactions": "learnt"}, "did you mean 'learned'"),
-    ],
-)
-def test_bad_options_say_what_would_do(
-    engine: type[Physics], options: dict[str, object], complaint: str
-) -> None:
-    with pytest.raises(ValueError, match=complaint):
-        engine(**cast(Any, {"team": "SL", **options}))
-
-
 def test_state_is_read_only(engine: type[Physics]) -> None:
     physics = engine(TEAM)
     with pytest.raises(ValueError, match="read-only"):
         physics.state.position[:] = 0.0
     physics.close()
-
-
-def test_force_is_held_between_evaluations() -> None:
-    held, fresh = BatchPhysics(TEAM, force_rate=48), BatchPhysics(TEAM)
-    for physics in (held, fresh):
-        physics.reset(hover_state(TEAM, STACK))
-    seen = []
-    for _ in range(20):
-        held.step(held.state.rotor_thrust)
-        fresh.step(fresh.state.rotor_thrust)
-        seen.append(held.force[0, 1, 2])
-    changes = np.flatnonzero(np.diff(seen)) + 1
-    assert changes.tolist() == [5, 10, 15]
-    np.testing.assert_allclose(held.state.position, fresh.state.position, atol=1e-3)
-
-
-def test_lower_drone_is_pushed_down_and_upper_is_not() -> None:
-    physics = BatchPhysics(TEAM)
-    physics.reset(hover_state(TEAM, STACK))
-    physics.step(physics.state.rotor_thrust)
-    upper, lower = physics.force[0, :, 2]
-    assert lower < -0.05
-    assert abs(upper) < 0.3 * abs(lower)
 
 
 def test_an_external_force_pushes_in_its_step_alone(engine: type[Physics]) -> None:
@@ -215,10 +164,3 @@ class TestBulletResources:
         client = physics.clients[0]
         del physics
         assert not pybullet.isConnected(client)
-
-    def test_without_pybullet_the_error_says_what_to_do(
-        self, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        monkeypatch.setitem(__import__("sys").modules, "pybullet", None)
-        with pytest.raises(ImportError, match=r"pip install pybullet.*physics='batch'"):
-            BulletPhysics(TEAM)

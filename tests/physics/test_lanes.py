@@ -15,7 +15,7 @@ from swarm_envs.interactions import load
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.physics.contact import SPOT_TYPE, meet, touch
-from swarm_envs.physics.rigid_body import integrate, sinc_cos, spin_rotors
+from swarm_envs.physics.rigid_body import integrate, spin_rotors
 from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
 
 pytestmark = [
@@ -88,13 +88,3 @@ def test_a_row_of_a_block_is_a_cache_line():
     assert all(place[1] % 64 == 0 for place in (BLOCK_TYPE.fields or {}).values())
     assert LANES * 8 == 64
     assert aligned(3, BLOCK_TYPE).ctypes.data % 64 == 0
-
-
-def test_sine_and_cosine_of_half_a_turn():
-    """Over all that a step can turn: half an angle of sqrt(3) * 1000 rad/s * dt is 3.6 rad."""
-    angle = np.concatenate([np.logspace(-12, 0, 200), np.linspace(0.01, 4.0, 400)])
-    for a in angle.tolist():
-        sinc, cosine = sinc_cos(a)
-        assert sinc == pytest.approx(np.sin(a) / a, abs=2e-14)
-        assert cosine == pytest.approx(np.cos(a), abs=1e-13)
-    assert sinc_cos(0.0) == (1.0, 1.0)

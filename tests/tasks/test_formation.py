@@ -169,14 +169,6 @@ def test_the_tracking_agent_flies_the_shapes():
     assert metrics["time_to_goal_s"] == pytest.approx(metrics["length_s"] - 0.5)
 
 
-def test_the_tracking_agent_writes_from_the_ground():
-    metrics = agent_metrics(
-        TrackingAgent.compensated(), num_drones=10, letters="ARC", start="ground"
-    )
-    assert metrics["success"]
-    assert metrics["stages"] == 3
-
-
 def test_a_missed_shape_is_no_success():
     """Too little time for the second shape; the flight goes on to the last."""
     agent = TrackingAgent()

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pettingzoo.test import parallel_api_test
 
 import swarm_envs
 from swarm_envs import TASKS
@@ -23,7 +22,6 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.motion import WRITERS
 from swarm_envs.tasks.rewards import REWARD_NAMES
-from swarm_envs.trajectories import rest_to_rest
 
 every_task = pytest.mark.parametrize("task", TASKS)
 EACH: list[tuple[str, dict[str, Any]]] = [
@@ -67,25 +65,6 @@ def test_the_documented_observation_table_is_the_layout():
         for field in observation_layout(1, 1)
     ]
     assert documented == layout
-
-
-@every_task
-def test_unknown_options_are_refused(task):
-    module = importlib.import_module(f"swarm_envs.{task}")
-    for wrong, near in (
-        ("num_drone", "num_drones"),
-        ("horizon", "horizon_s"),
-        ("obstacle", "obst"),
-    ):
-        with pytest.raises(TypeError, match=f"unknown option '{wrong}'; did you mean '{near}"):
-            module.parallel_env(**{wrong: 3})
-    with pytest.raises(TypeError, match="reward_weights is 3, but must be a mapping"):
-        module.parallel_env(reward_weights=3)
-
-
-@every_layout
-def test_api(task, options):
-    parallel_api_test(make(task, **options), num_cycles=100)
 
 
 @pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
@@ -163,35 +142,6 @@ def test_a_batch_is_its_single_environments(task, options):
             rows = many.reset(mask=over).copy()
             for e in np.flatnonzero(over).tolist():
                 np.testing.assert_array_equal(ones[e].reset()[0], rows[e])
-
-
-class Roundabout(TrackingAgent):
-    """Half a turn about the vertical axis, all at once: antipodal swaps without meeting."""
-
-    def act(self, observations: Any, view: Any) -> dict[str, np.ndarray]:
-        start, time = view.goals * [-1.0, -1.0, 1.0], view.time
-        share = rest_to_rest([0.0, 0.0, 0.0], [np.pi, 0.0, 0.0], 6.5, time)
-        angle, rate, bend = (float(part[0]) for part in share[:3])
-        out = start * [1.0, 1.0, 0.0]
-        across = np.cross([0.0, 0.0, 1.0], out)
-        radial = np.cos(angle) * out + np.sin(angle) * across
-        tangent = np.cos(angle) * across - np.sin(angle) * out
-        rows = np.zeros((len(start), 14))
-        rows[:, :3] = radial + start * [0.0, 0.0, 1.0]
-        rows[:, 3:6] = rate * tangent
-        rows[:, 6:9] = bend * tangent - rate**2 * radial
-        return dict(zip(observations, rows, strict=True))
-
-
-@pytest.mark.parametrize("n", [2, 4, 16, 40])
-def test_a_roundabout_solves_the_circle(n):
-    agent = Roundabout()
-    metrics = fly_episode(
-        make("swap_v0", layout="circle", num_drones=n, **agent.requires), agent, 0
-    )
-    assert metrics["success"]
-    assert metrics["stages_reached"] == 1
-    assert metrics["near_misses"] == 0
 
 
 @pytest.mark.parametrize("bound", [0.5, 5.0, 1e6])

@@ -15,8 +15,6 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import TrackingSuccess, world_of
 from swarm_envs.tasks.ring import (
-    FIVE,
-    SIXTEEN,
     RingLayout,
     RingTask,
     num_upright,
@@ -240,8 +238,3 @@ def test_a_goal_is_refused_and_changes_nothing():
     with pytest.raises(ValueError, match=r"in ring goals are where the reference is; leave it out"):
         env.reset(options={"goal": goal})
     assert env.core.generators[0].bit_generator.state == state
-
-
-def test_shipped_layouts():
-    assert (FIVE.vertical_m, FIVE.speed_m_s) == (0.55, 0.65)
-    assert (SIXTEEN.horizontal_m, SIXTEEN.vertical_m, SIXTEEN.speed_m_s) == ((1.0, 0.6), 0.5, 0.5)
