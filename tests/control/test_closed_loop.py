@@ -1,4 +1,4 @@
-"""The tracking loop in flight, on a small rigid-body simulator written here in numpy.
+"""The tracking loop in flight, on the compiled engine.
 
 Expected numbers are those of an independent prototype of the same loop: rise and overshoot of a
 step, worst height error under a wake, overshoot after a long push.
@@ -14,45 +14,19 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import pytest
+from scipy.spatial.transform import Rotation
 
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.control.tracking import TrackingController
-from swarm_envs.state import FloatArray, Parameters, Setpoint, SwarmState, hover_state, parameters
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.physics import BatchPhysics
+from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.trajectories import Reference, ramped_line, rest_to_rest
-from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team, parse_team
+from swarm_envs.vehicles import GRAM_FORCE, Team, parse_team
 from tests.helpers.orbits import ellipse
 
 DT = 1.0 / 240.0
-
-Force = Callable[[float, FloatArray], FloatArray]
-"""Time, s, and positions (N, 3), m, to the force on each drone (N, 3), N."""
-
-# Fits to measured flights (upper drone, lower drone): grams, width m, widening, power.
-WAKES = {
-    ("S", "S"): (19.94, 0.0278, 0.0789, 1.17),
-    ("L", "S"): (29.20, 0.0447, 0.0452, 2.34),
-    ("S", "L"): (15.19, 0.0675, 0.0460, 1.54),
-    ("L", "L"): (29.95, 0.0693, 0.0079, 8.58),
-}
-
-
-def wake(team: Team) -> Force:
-    """Downwash of every drone on those below it, in closed form."""
-
-    def force(_: float, position: FloatArray) -> FloatArray:
-        total = np.zeros_like(position)
-        for i, below in enumerate(team):
-            for j, above in enumerate(team):
-                if i == j:
-                    continue
-                grams, width, widening, power = WAKES[above.token, below.token]
-                dx, dy, dz = position[j] - position[i]
-                wide = width + widening * max(dz, 0.0)
-                core = np.exp(-(dx**2 + dy**2) / wide**2 / 2) / (1 + np.exp(-dz / 0.03))
-                total[i, 2] -= grams * GRAM_FORCE * (width / wide) ** power * core
-        return total
-
-    return force
+WAKE = load("wake")
 
 
 class Flight(NamedTuple):
@@ -69,17 +43,19 @@ def fly(
     seconds: float,
     *,
     config: ControllerConfig | None = None,
-    force: Force | None = None,
-    exact_feedforward: bool = False,
+    push: Callable[[float], float] = lambda t: 0.0,
+    interactions: str | InteractionModel = "none",
     yaw: Callable[[float], tuple[float, float]] = lambda t: (0.0, 0.0),
     tilt: float = 0.0,
     actual: Team | None = None,
 ) -> Flight:
     """Fly a team along a reference from hover, tilted about x by an angle, rad, at first."""
     controller = TrackingController(team, config=config)
-    truth = parameters(team if actual is None else actual)
+    physics = BatchPhysics(team if actual is None else actual, interactions=interactions)
     state = hover_state(team, reference(0.0).position)
     state.quaternion[..., 0], state.quaternion[..., 3] = np.sin(tilt / 2), np.cos(tilt / 2)
+    state = physics.reset(state)
+    force = np.zeros((1, len(team), 3))
     rows = []
     for step in range(round(seconds / DT)):
         at = reference(step * DT)
@@ -87,54 +63,12 @@ def fly(
         setpoint = Setpoint.hold(at.position[None])
         setpoint.velocity[...], setpoint.acceleration[...] = at.velocity, at.acceleration
         setpoint.yaw[...], setpoint.yaw_rate[...] = angle, rate
-        push = force(step * DT, state.position[0]) if force else np.zeros((len(team), 3))
-        believed = push[None] if exact_feedforward else None
-        commands = controller.commands(state, setpoint, believed)
-        error = state.position[0] - at.position
-        rotation = rotations(state.quaternion)
-        rows.append((error, rotation[0], commands[0]))
-        integrate(state, rotation, truth, commands, push[None])
+        commands = controller.commands(state, setpoint)
+        rotation = Rotation.from_quat(state.quaternion[0].copy()).as_matrix()
+        rows.append((state.position[0] - at.position, rotation, commands[0].copy()))
+        force[..., 2] = push(step * DT)
+        state = physics.step(commands, force)
     return Flight(*(np.array(column) for column in zip(*rows, strict=True)))
-
-
-def rotations(quaternion: FloatArray) -> FloatArray:
-    """Rotation matrices (..., 3, 3), body to world, of quaternions (x, y, z, w)."""
-    x, y, z, w = (quaternion[..., i] for i in range(4))
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
-
-
-def integrate(
-    state: SwarmState,
-    rotation: FloatArray,
-    truth: Parameters,
-    commands: FloatArray,
-    force: FloatArray,
-) -> None:
-    """One step: rotor lag, then semi-implicit Euler of a rigid body, in place."""
-    assert np.array_equal(commands, np.clip(commands, 0.0, truth.max_rotor_thrust[..., None]))
-    decay = np.exp(-truth.motor_rate * DT)[..., None]
-    state.rotor_thrust[...] = commands + (state.rotor_thrust - commands) * decay
-    f1, f2, f3, f4 = (state.rotor_thrust[..., i] for i in range(4))
-    roll, pitch = truth.rotor_offset * [f3 + f4 - f1 - f2, f2 + f3 - f1 - f4]
-    torque = np.stack([roll, pitch, truth.thrust_to_torque * (f2 + f4 - f1 - f3)], axis=-1)
-    rate = np.einsum("...ji,...j->...i", rotation, state.angular_velocity)
-    rate += DT * (torque - np.cross(rate, truth.inertia * rate)) / truth.inertia
-    state.angular_velocity[...] = np.einsum("...ij,...j->...i", rotation, rate)
-    total = rotation[..., 2] * (f1 + f2 + f3 + f4)[..., None] + force
-    state.velocity[...] += DT * (total / truth.mass[..., None] - [0.0, 0.0, GRAVITY])
-    state.position[...] += DT * state.velocity
-    omega = state.angular_velocity
-    speed = np.linalg.norm(omega, axis=-1, keepdims=True)
-    v, c = omega * DT / 2 * np.sinc(speed * DT / 2 / np.pi), np.cos(speed * DT / 2)
-    u, w = state.quaternion[..., :3].copy(), state.quaternion[..., 3:].copy()
-    state.quaternion[..., :3] = c * u + w * v + np.cross(v, u)
-    state.quaternion[..., 3:] = c * w - np.sum(u * v, axis=-1, keepdims=True)
-    state.quaternion[...] /= np.linalg.norm(state.quaternion, axis=-1, keepdims=True)
 
 
 def rest_at(*points: npt.ArrayLike) -> Callable[[float], Reference]:
@@ -153,13 +87,13 @@ def swap(team: Team, seconds: float) -> Callable[[float], Reference]:
 
 
 @cache
-def worst_height_error(
-    token: str, compensated: bool, config: ControllerConfig | None = None
-) -> float:
+def worst_height_error(token: str, compensated: bool, lag_compensation: bool = True) -> float:
     """Worst height error of the lowest drone of a team that swaps places in 4 s, m."""
     team = parse_team(token)
-    blow, way = wake(team), swap(team, 4.0)
-    flight = fly(team, way, 5.0, config=config, force=blow, exact_feedforward=compensated)
+    config = ControllerConfig(
+        feedforward=WAKE if compensated else None, lag_compensation=lag_compensation
+    )
+    flight = fly(team, swap(team, 4.0), 5.0, config=config, interactions=WAKE)
     return float(np.abs(flight.error[:, -1, 2]).max())
 
 
@@ -205,12 +139,14 @@ def test_hover_recovers_from_a_wrong_mass() -> None:
 
 def push_overshoot(limit: float) -> float:
     """Overshoot, m, after a 36 g push down for 1.5 s, more than the motors can hold."""
-
-    def push(t: float, position: FloatArray) -> FloatArray:
-        return np.zeros_like(position) - [0.0, 0.0, 36 * GRAM_FORCE * (1.0 <= t < 2.5)]
-
     config = ControllerConfig(velocity_integral_limit=limit)
-    flight = fly(parse_team("S"), rest_at((0.0, 0.0, 9.0)), 6.5, config=config, force=push)
+    flight = fly(
+        parse_team("S"),
+        rest_at((0.0, 0.0, 9.0)),
+        6.5,
+        config=config,
+        push=lambda t: -36 * GRAM_FORCE * (1.0 <= t < 2.5),
+    )
     assert flight.error[..., 2].min() < -1.0
     return float(flight.error[..., 2].max())
 
@@ -233,9 +169,8 @@ def test_feedforward_helps_every_team(token: str) -> None:
 
 
 def test_lag_compensation_multiplies_what_exact_feedforward_gains() -> None:
-    without = ControllerConfig(lag_compensation=False)
-    assert worst_height_error("L2S", True, without) > 3 * worst_height_error("L2S", True)
-    ratio = worst_height_error("L2S", False, without) / worst_height_error("L2S", False)
+    assert worst_height_error("L2S", True, False) > 3 * worst_height_error("L2S", True)
+    ratio = worst_height_error("L2S", False, False) / worst_height_error("L2S", False)
     assert 1.02 < ratio < 1.3
 
 

@@ -239,16 +239,12 @@ def test_active_pairs_counts_the_volume() -> None:
     assert active_pairs(window, position) == 6
 
 
-class TestBadInput:
-    """Messages name the value, the rule and the fix."""
-
-    def test_shapes(self) -> None:
-        with pytest.raises(ValueError, match=r"position has shape \(2, 3\)"):
-            load("learned").forces(np.zeros((2, 3)), np.zeros((2, 3)), "SS")
-        with pytest.raises(ValueError, match="velocity is nan"):
-            load("learned").forces(np.ones((1, 1, 3)), np.full((1, 1, 3), np.nan), "S")
-
-    def test_unknown_type(self) -> None:
-        odd = Vehicle(**{**vars(VEHICLES["S"]), "interaction_type": "XL"})
-        with pytest.raises(ValueError, match=r"interaction type 'XL'.*valid: 'L', 'S'"):
-            load("learned").forces(np.ones((1, 1, 3)), np.zeros((1, 1, 3)), [odd])
+def test_what_no_model_can_take() -> None:
+    learned, zero = load("learned"), np.zeros((1, 1, 3))
+    with pytest.raises(ValueError, match=r"position has shape \(2, 3\)"):
+        learned.forces(np.zeros((2, 3)), np.zeros((2, 3)), "SS")
+    with pytest.raises(ValueError, match="velocity is nan"):
+        learned.forces(zero, np.full((1, 1, 3), np.nan), "S")
+    odd = Vehicle(**{**vars(VEHICLES["S"]), "interaction_type": "XL"})
+    with pytest.raises(ValueError, match=r"interaction type 'XL'.*valid: 'L', 'S'"):
+        learned.forces(zero, zero, [odd])

@@ -1,9 +1,10 @@
-"""Files of weights that are whole as files, but whose numbers no kernel may be given."""
+"""Files of weights that are damaged, or whole, but with numbers that no kernel may be given."""
 
 from __future__ import annotations
 
 import itertools
 import json
+import pickle
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
+from swarm_envs.interactions import load
 from swarm_envs.interactions.weights_file import load_weights
 
 Tensors = dict[str, np.ndarray]
@@ -79,26 +81,38 @@ def test_what_a_note_may_say_too(tmp_path: Path, key: str, value: object) -> Non
     ("name", "tensor", "cause"),
     [
         ("phi.S.0.weight", np.ones(30), "shape"),
-        ("phi.S.0.weight", np.ones((5, 6, 1)), "shape"),
         ("phi.S.0.weight", np.ones((5, 7)), "maps 7 to 3"),
         ("phi.S.0.weight", np.ones((0, 6)), "shape"),
         ("phi.S.1.weight", np.ones((3, 4)), "do not fit"),
         ("phi.L.1.bias", np.zeros(2), "shape"),
-        ("phi.L.1.bias", np.zeros(4), "shape"),
-        ("rho.L.1.bias", np.zeros(()), "shape"),
         ("rho.L.1.bias", np.zeros((1, 1)), "shape"),
         ("phi.environment.0.bias", np.full(5, np.inf), "not finite"),
         ("phi.environment.0.bias", np.full(5, -1.1e6), r"beyond 1e\+06"),
         ("drag.S", np.zeros(2), "drag"),
         ("drag.S", np.full(3, -0.1), "drag"),
         ("rho.S.3.weight", np.ones((1, 1)), "networks have"),
-        ("phi.XL.0.weight", np.ones((1, 1)), "networks have"),
     ],
 )
 def test_tensors_that_would_be_read_out_of_bounds_or_wrongly(
     tmp_path: Path, name: str, tensor: np.ndarray, cause: str
 ) -> None:
     refused(write(tmp_path / "w", sound_tensors() | {name: tensor}, sound_note()), cause)
+
+
+@pytest.mark.parametrize("damage", [b"these are no weights", pickle.dumps({"w": 1}), None])
+def test_damaged_files(tmp_path: Path, damage: bytes | None) -> None:
+    path = write(tmp_path / "w", sound_tensors(), sound_note())
+    path.write_bytes(path.read_bytes()[:-100] if damage is None else damage)
+    refused(path, "")
+    save_file(sound_tensors(), path)
+    refused(path, "")
+    write(path, sound_tensors(), sound_note() | {"format": "deep-set-9"})
+    refused(path, "")
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no\.safetensors' does not exist; give the path"):
+        load(tmp_path / "no.safetensors")
 
 
 def test_a_missing_tensor(tmp_path: Path) -> None:
@@ -122,31 +136,21 @@ def one_pair(edit: Callable[[list[list[float]]], object]) -> dict[str, Any]:
         ("types", "SL"),
         ("types", ["S", "S"]),
         ("types", ["S", 1]),
-        ("types", ["S", ["L"]]),
         ("types", ["S", "environment"]),
-        ("types", None),
-        ("window", []),
         ("window", {}),
         ("window", WINDOW | {"lateral_m": [0.35, 0.25]}),
         ("window", WINDOW | {"lateral_m": [-0.1, 0.35]}),
         ("window", WINDOW | {"vertical_m": [0.8]}),
-        ("window", WINDOW | {"vertical_m": [0.8, 1.1, 1.2]}),
         ("window", WINDOW | {"vertical_m": [0.8, float("nan")]}),
-        ("window", WINDOW | {"vertical_m": [0.8, float("inf")]}),
         ("window", WINDOW | {"vertical_m": ["0.8", "1.1"]}),
-        ("window", WINDOW | {"vertical_m": 1.1}),
-        ("input_range", {}),
         ("input_range", [[0.0], [1.0]]),
         ("input_range", {"pair": RANGE["pair"]}),
         ("input_range", RANGE | {"environment": RANGE["pair"]}),
-        ("input_range", RANGE | {"environment": [[-2] * 4]}),
         ("input_range", one_pair(lambda pair: pair[0].pop())),
         ("input_range", one_pair(lambda pair: pair.reverse())),
         ("input_range", one_pair(lambda pair: pair[1].__setitem__(2, float("inf")))),
         ("anchor_height_m", -0.1),
-        ("anchor_height_m", float("nan")),
         ("anchor_height_m", "0.6"),
-        ("anchor_height_m", [0.6]),
         ("anchor_height_m", True),
         ("anchor_height_m", 10**400),
     ],
@@ -155,6 +159,6 @@ def test_notes_that_make_no_sense(tmp_path: Path, key: str, value: object) -> No
     refused(write(tmp_path / "w", sound_tensors(), sound_note() | {key: value}), "")
 
 
-@pytest.mark.parametrize("note", [[], "deep-set-1", None, 3])
+@pytest.mark.parametrize("note", [[], None])
 def test_a_note_that_is_no_object(tmp_path: Path, note: object) -> None:
     refused(write(tmp_path / "w", sound_tensors(), note), "not a JSON object")
