@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from swarm_envs import swap_v0
-from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.baselines.neural_swarm.numpy_controller import (
     NumpyTrackingController,
@@ -20,7 +19,6 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.interactions import load
-from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle, parse_team
 
@@ -127,13 +125,13 @@ def test_setpoint_extrapolates_with_its_jerk():
         np.testing.assert_allclose(setpoint.yaw[0], action[12] + action[13] * t, atol=1e-14)
 
 
-def crossing(action: str, engine: str, belief: str | None = None) -> SwarmParallelEnv:
+def crossing(action: str, belief: str | None) -> SwarmParallelEnv:
     """Two small drones and a strong one cross in a stack, wind on; decisions at 240 Hz."""
     feedforward = None if belief is None else load(belief)
     return swap_v0.parallel_env(
         team="SLS*",
         layout="stacked",
-        physics=engine,
+        physics="batch",
         action=action,
         decision_rate=240,
         controller=ControllerConfig(feedforward=feedforward),
@@ -166,7 +164,7 @@ def plain_commands(
 def test_plain_loop_through_rotors_flies_like_the_compiled_one(belief):
     """Design: a plain reference of the loop, flying through `rotors` at 240 Hz, to 1e-9."""
     agent = TrackingAgent(decision_rate=240)
-    own, rotors = crossing("setpoint", "batch", belief), crossing("rotors", "batch", belief)
+    own, rotors = crossing("setpoint", belief), crossing("rotors", belief)
     observations, _ = own.reset(seed=6)
     rotors.reset(seed=6)
     agent.reset(own, 6)
@@ -182,43 +180,6 @@ def test_plain_loop_through_rotors_flies_like_the_compiled_one(belief):
     assert own.core.metrics()["length_s"] == pytest.approx(3.5)
     assert force > 0.02  # newton: they did blow on each other
     assert worst < 1e-9
-
-
-@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
-@pytest.mark.parametrize("action", ["setpoint", "acceleration"])
-def test_engines_agree_until_the_first_contact(action):
-    envs = [crossing(action, engine) for engine in ("batch", "bullet")]
-    agent, rng = TrackingAgent(decision_rate=240), np.random.default_rng(2)
-    first, second = (env.reset(seed=3)[0] for env in envs)
-    agent.reset(envs[0], 3)
-    steps = 0
-    while envs[0].agents:
-        rows = rng.uniform(-0.2, 0.2, (3, 3)).astype(np.float32)
-        actions = dict(zip(envs[0].agents, rows, strict=True))
-        if action == "setpoint":
-            actions = agent.act(first, envs[0].view)
-        (first, rewards, *_), (second, others, *_) = (env.step(actions) for env in envs)
-        if envs[0].core.physics.contact.any():
-            break
-        for ours, theirs in zip(envs[0].view.state, envs[1].view.state, strict=True):
-            np.testing.assert_allclose(ours, theirs, atol=1e-9, rtol=0)
-        for name, row in first.items():
-            np.testing.assert_allclose(row, second[name], atol=1e-6)
-            assert rewards[name] == pytest.approx(others[name], abs=1e-8)
-        steps += 1
-    assert steps >= 480
-    envs[1].close()
-
-
-def test_lone_drone_flies_alone_whatever_the_model():
-    """`fly_episode` with the tracking agent: a drone that nobody blows on follows closely."""
-    env = swap_v0.parallel_env(
-        team="S", layout="stacked", physics="batch", **dict[str, Any](TrackingAgent().requires)
-    )
-    metrics = fly_episode(env, TrackingAgent(), seed=1)
-    assert metrics["success"]
-    assert 0.0 < metrics["worst_tracking_error_m"] < 0.05
-    assert metrics["minimum_separation_m"] is None
 
 
 @pytest.mark.parametrize("rate", [10, 48])

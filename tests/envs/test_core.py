@@ -2,24 +2,38 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import StepResult, SwarmCore
+from swarm_envs.envs.options import blueprint_of
 from swarm_envs.envs.randomization import Randomization
-from swarm_envs.tasks.swap import SwapTask
-from swarm_envs.vehicles import parse_team
 from tests.helpers.living import living
 
 SEEDS = (3, 14, 15, 92)
 STEPS = 120
 
 
-def cores(engine: str, num_envs: int, team: str = "LSS*", **options: object) -> SwarmCore:
-    layout = str(options.pop("layout", "random"))
-    config = EnvConfig(physics=engine, **options)  # type: ignore[arg-type]  # by name
-    return SwarmCore(SwapTask(team=parse_team(team), layout=layout), config, num_envs)
+CASES: list[tuple[str, dict[str, Any]]] = [
+    ("swap_v0", {"team": "LSS*"}),
+    ("swap_v0", {"team": "LSS*", "action": "rotors"}),
+    ("swap_v0", {"num_drones": 3, "layout": "circle"}),
+    ("swap_v0", {"num_drones": 3, "layout": "stacked"}),
+    ("ring_v0", {"horizon_s": 2.0}),
+    ("formation_v0", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
+    ("formation_v0", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
+]
+"""Every kind of episode: task and options."""
+
+
+def cores(
+    engine: str, num_envs: int, team: str = "LSS*", task: str = "swap_v0", **options: Any
+) -> SwarmCore:
+    if task == "swap_v0" and "num_drones" not in options:
+        options["team"] = team
+    return SwarmCore(*blueprint_of(task, physics=engine, **options)[:2], num_envs)
 
 
 def check_same(one: SwarmCore, many: SwarmCore, e: int) -> None:
@@ -36,17 +50,17 @@ def check_results(one: StepResult, many: StepResult, e: int) -> None:
     assert one.truncated[0] == many.truncated[e]
 
 
-@pytest.mark.parametrize("action", ["acceleration", "rotors"])
-def test_each_environment_of_a_batch_is_the_single_one(engine, action):
+@pytest.mark.parametrize(("task", "options"), CASES)
+def test_each_environment_of_a_batch_is_the_single_one(engine, task, options):
     """With resets of those that end, each by itself, going on with its own generator."""
-    many = cores(engine, len(SEEDS), action=action)
-    ones = [cores(engine, 1, action=action) for _ in SEEDS]
+    many = cores(engine, len(SEEDS), task=task, **options)
+    ones = [cores(engine, 1, task=task, **options) for _ in SEEDS]
     rows = many.reset(SEEDS).copy()
     for e, (one, seed) in enumerate(zip(ones, SEEDS, strict=True)):
         np.testing.assert_array_equal(one.reset([seed])[0], rows[e])
     rng, resets = np.random.default_rng(0), 0
     for _ in range(STEPS):
-        actions = rng.uniform(-1, 1, (len(SEEDS), 3, many.mode.width))
+        actions = rng.uniform(-1, 1, (len(SEEDS), many.num_drones, many.mode.width))
         result = many.step(actions)
         singles = [one.step(actions[e : e + 1]) for e, one in enumerate(ones)]
         for e, single in enumerate(singles):

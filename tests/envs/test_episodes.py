@@ -46,6 +46,7 @@ def contacts(infos: Infos) -> list[tuple[object, bool, bool]]:
 
 
 HOVER = [2 * SMALL.hover_rotor_thrust / SMALL.max_rotor_thrust - 1] * 4
+FREE = (None, False, False)
 CRASHES: list[tuple[str, list[list[float]], list[list[float]], tuple[object, bool, bool]]] = [
     (
         "collided_drones",

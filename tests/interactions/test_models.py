@@ -110,38 +110,6 @@ def test_ground_effect_lifts(model: InteractionModel) -> None:
         assert low > 1.0 * GRAM_FORCE
 
 
-def measured_bins(shared: Path, case: str, scenario: str, lateral: str) -> list[dict[str, float]]:
-    import csv
-
-    with (shared / "reference" / "measured_force_bins.csv").open() as file:
-        rows = [
-            row
-            for row in csv.DictReader(file)
-            if row["case"].startswith(case)
-            and row["scenario"] == scenario
-            and (row["extra"] or "") == lateral
-        ]
-    return [{k: float(row[k]) for k in ("bin_lo", "bin_hi", "fa_delay_mean")} for row in rows]
-
-
-def test_on_axis_force_is_as_measured(shared_data: Path, model: InteractionModel) -> None:
-    """S above S at 0.2-0.4 m: within 1.5 g of the measured bins minus their baseline."""
-    bins = measured_bins(shared_data, "one neighbour: f vs dz", "S2S", "lat[0,0.05)")
-    baseline = -1.0  # mean force of small drones far from everything
-    near = [b for b in bins if 0.2 <= b["bin_lo"] < 0.4]
-    assert len(near) == 2
-    rng = np.random.default_rng(0)
-    for b in near:
-        lower = np.tile([0.0, 0.0, 0.8], (400, 1))
-        angle, r = rng.uniform(0, 2 * np.pi, 400), 0.05 * np.sqrt(rng.uniform(0, 1, 400))
-        offset = np.stack(
-            [r * np.cos(angle), r * np.sin(angle), rng.uniform(b["bin_lo"], b["bin_hi"], 400)], -1
-        )
-        position = np.stack([lower, lower + offset], axis=1)
-        force = model.forces(position, np.zeros_like(position), "SS")[:, 0, 2] / GRAM_FORCE
-        assert force.mean() == pytest.approx(b["fa_delay_mean"] - baseline, abs=1.5)
-
-
 def test_compiled_deep_set_agrees_with_torch() -> None:
     torch = pytest.importorskip("torch")
     from importlib import resources
