@@ -21,9 +21,8 @@ from swarm_envs.control.tracking import TrackingController
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.state import FloatArray, Setpoint, hover_state
-from swarm_envs.trajectories import Reference, ramped_line, rest_to_rest
+from swarm_envs.trajectories import Reference, ramped_line
 from swarm_envs.vehicles import GRAM_FORCE, Team, parse_team
-from tests.helpers.orbits import ellipse
 
 DT = 1.0 / 240.0
 WAKE = load("wake")
@@ -208,19 +207,6 @@ def test_recovery_from_upside_down_with_a_slight_lean() -> None:
     flight = fly(parse_team("S"), rest_at((0.0, 0.0, 6.0)), 8.0, tilt=np.radians(170))
     assert flight.rotation[-1, 0, 2, 2] > 0.999
     assert np.abs(flight.error[-1]).max() < 0.05
-
-
-def test_a_mixed_team_tracks_smooth_references_closely() -> None:
-    team = parse_team("SLS*")
-    start = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [2.0, 0.0, 1.0]])
-    goal = start + np.array([[0.0, 1.0, 0.5], [0.0, -1.0, 0.0], [0.5, 0.5, -0.3]])
-    flight = fly(team, lambda t: rest_to_rest(start, goal, 2.5, t), 4.0)
-    assert np.abs(flight.error).max() < 0.01
-    half_axes = (0.5, 0.0, 0.0), (0.0, 0.5, 0.0)
-    flight = fly(
-        team, lambda t: ellipse(start, *half_axes, 1.3, np.zeros(3), t, ramp_time=2.0), 8.0
-    )
-    assert np.abs(flight.error).max() < 0.01
 
 
 @pytest.mark.parametrize(

@@ -9,17 +9,10 @@ import numpy as np
 import pytest
 
 from swarm_envs import swap_v0
-from swarm_envs.baselines.neural_swarm import TrackingAgent
-from swarm_envs.baselines.neural_swarm.numpy_controller import (
-    NumpyTrackingController,
-    TrackingTarget,
-)
-from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.interactions import load
-from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG, Vehicle, parse_team
 
 VEHICLES = {
@@ -123,63 +116,6 @@ def test_setpoint_extrapolates_with_its_jerk():
         np.testing.assert_allclose(setpoint.velocity[0], v + a * t + j * t**2 / 2, atol=1e-14)
         np.testing.assert_allclose(setpoint.acceleration[0], a + j * t, atol=1e-14)
         np.testing.assert_allclose(setpoint.yaw[0], action[12] + action[13] * t, atol=1e-14)
-
-
-def crossing(action: str, belief: str | None) -> SwarmParallelEnv:
-    """Two small drones and a strong one cross in a stack, wind on; decisions at 240 Hz."""
-    feedforward = None if belief is None else load(belief)
-    return swap_v0.parallel_env(
-        team="SLS*",
-        layout="stacked",
-        physics="batch",
-        action=action,
-        decision_rate=240,
-        controller=ControllerConfig(feedforward=feedforward),
-        stacked=StackedLayout(radius_m=(0.5, 0.5), duration_s=(3.0, 3.0)),
-        end_on_success=False,
-        horizon_s=3.5,
-    )
-
-
-def plain_commands(
-    env: SwarmParallelEnv, loops: list[NumpyTrackingController], belief: str | None
-) -> dict[str, np.ndarray]:
-    view = env.view
-    state, reference = view.state, view.reference(view.time)
-    force = np.zeros((len(loops), 3))
-    if belief is not None:
-        force = load(belief).forces(state.position[None], state.velocity[None], view.team)[0]
-    actions = {}
-    for i, (agent, loop) in enumerate(zip(env.agents, loops, strict=True)):
-        target = TrackingTarget(
-            reference.position[i], reference.velocity[i], reference.acceleration[i]
-        )
-        p, v, q, w = (array[i] for array in state[:4])
-        command = loop.commands(p, v, q, w, target, force[i])
-        actions[agent] = 2.0 * command / loop.vehicle.max_rotor_thrust - 1.0
-    return actions
-
-
-@pytest.mark.parametrize("belief", [None, "wake"])
-def test_plain_loop_through_rotors_flies_like_the_compiled_one(belief):
-    """Design: a plain reference of the loop, flying through `rotors` at 240 Hz, to 1e-9."""
-    agent = TrackingAgent(decision_rate=240)
-    own, rotors = crossing("setpoint", belief), crossing("rotors", belief)
-    observations, _ = own.reset(seed=6)
-    rotors.reset(seed=6)
-    agent.reset(own, 6)
-    loops = [NumpyTrackingController(vehicle) for vehicle in own.view.team]
-    worst, force = 0.0, 0.0
-    while own.agents and rotors.agents:
-        rotors.step(plain_commands(rotors, loops, belief))
-        observations = own.step(agent.act(observations, own.view))[0]
-        for ours, theirs in zip(own.view.state, rotors.view.state, strict=True):
-            worst = max(worst, np.abs(ours - theirs).max())
-        force = max(force, np.abs(own.view.oracle_force[:, 2]).max())
-    assert own.agents == rotors.agents == []
-    assert own.core.metrics()["length_s"] == pytest.approx(3.5)
-    assert force > 0.02  # newton: they did blow on each other
-    assert worst < 1e-9
 
 
 @pytest.mark.parametrize("rate", [10, 48])

@@ -82,23 +82,6 @@ def test_each_environment_of_a_batch_is_the_single_one(engine, task, options):
     many.close()
 
 
-@pytest.mark.parametrize("layout", ["random", "stacked"])
-def test_masked_reset_leaves_the_others_untouched(engine, layout):
-    core = cores(engine, 3, layout=layout)
-    core.reset([1, 2, 3])
-    for _ in range(10):
-        core.step(np.full((3, 3, 3), 0.1))
-    before = living(core)
-    generators = [g.bit_generator.state for g in core.generators]
-    core.reset(mask=np.array([False, True, False]))
-    for name, now in living(core).items():
-        np.testing.assert_array_equal(now[[0, 2]], before[name][[0, 2]], name)
-    assert core.time.tolist() == [pytest.approx(10 / 48), 0.0, pytest.approx(10 / 48)]
-    states = [g.bit_generator.state for g in core.generators]
-    assert [a == b for a, b in zip(generators, states, strict=True)] == [True, False, True]
-    core.close()
-
-
 @pytest.mark.parametrize("action", ["velocity", "ctbr"])
 def test_an_environment_begins_as_one_that_never_flew(engine, action):
     """Whatever was flown before: nothing of it is left anywhere."""

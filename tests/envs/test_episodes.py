@@ -12,7 +12,7 @@ from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.tasks.swap import REWARD_WEIGHTS, StackedLayout
+from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL
 
 Infos = dict[str, dict[str, Any]]
@@ -166,24 +166,18 @@ def test_success_is_rewarded_once_and_may_go_on():
     assert infos["drone_1"]["episode_metrics"]["length_s"] == pytest.approx(5.0)
 
 
-def test_rewards_are_the_weighted_sum_of_what_the_actions_did():
-    weights = {"progress": 0.3, "tracking": 0.7, "effort": -0.2}
-    env = swap_v0.parallel_env(team="LSS*", physics="batch", reward_weights=weights)
-    full = {**REWARD_WEIGHTS, **weights}
+def test_progress_is_what_the_distance_to_the_goal_shrank_by():
+    env = swap_v0.parallel_env(team="LSS*", physics="batch")
     rng = np.random.default_rng(0)
     env.reset(seed=0)
     while env.agents:
         actions = {a: rng.uniform(-1, 1, 3).astype(np.float32) for a in env.agents}
         before = np.linalg.norm(env.view.goals - env.view.state.position, axis=1)
-        _, rewards, _, _, infos = env.step(actions)
+        infos = env.step(actions)[4]
         after = np.linalg.norm(env.view.goals - env.view.state.position, axis=1)
-        for i, (agent, info) in enumerate(infos.items()):
-            terms = info["reward_terms"]
-            assert list(terms) == list(full)
-            assert rewards[agent] == pytest.approx(sum(full[n] * terms[n] for n in full))
-            assert terms["effort"] == pytest.approx(np.mean(actions[agent] ** 2.0) / 48)
-            expected = np.clip((before[i] - after[i]) * 48 / 2.0, -1, 1) / 48
-            assert terms["progress"] == pytest.approx(expected, abs=1e-12)
+        expected = np.clip((before - after) * 48 / 2.0, -1, 1) / 48
+        progress = [info["reward_terms"]["progress"] for info in infos.values()]
+        np.testing.assert_allclose(progress, expected, atol=1e-12)
 
 
 def test_metrics_against_a_logged_flight(engine):

@@ -8,67 +8,67 @@ from scipy.spatial.transform import Rotation
 
 from swarm_envs.physics import TIME_STEP, BatchPhysics, rigid_body
 from swarm_envs.physics.rigid_body import LARGEST_RATE, integrate, sinc_cos
-from swarm_envs.state import SwarmState, hover_state
+from swarm_envs.state import FloatArray, SwarmState, hover_state
 from swarm_envs.tables import BLOCK_TYPE, Records
-from swarm_envs.vehicles import GRAVITY, parse_team
+from swarm_envs.vehicles import GRAVITY, Team, parse_team
 
 STEPS = 240
 TEAM = parse_team("SL")
 
 
-def start(team=TEAM, height: float = 50.0) -> SwarmState:
+def start(team: Team = TEAM, height: float = 50.0) -> SwarmState:
     positions = [[10.0 * i, 0.0, height] for i in range(len(team))]
     return hover_state(team, positions)
 
 
+def flown(
+    state: SwarmState, commands: FloatArray | float, steps: int = STEPS, team: Team = TEAM
+) -> BatchPhysics:
+    """The engine after steps with the same rotor commands, N, from a state."""
+    physics = BatchPhysics(team, interactions="none")
+    physics.reset(state)
+    for _ in range(steps):
+        physics.step(np.broadcast_to(commands, state.rotor_thrust.shape))
+    return physics
+
+
 def test_free_fall_follows_the_parabola() -> None:
-    physics = BatchPhysics(TEAM, interactions="none")
     state = start()
     state.rotor_thrust[:] = 0.0
-    physics.reset(state)
-    for _ in range(STEPS):
-        physics.step(np.zeros((1, 2, 4)))
+    state = flown(state, 0.0).state
     t = STEPS * TIME_STEP
-    np.testing.assert_allclose(physics.state.velocity[0, :, 2], -GRAVITY * t, rtol=1e-12)
+    np.testing.assert_allclose(state.velocity[0, :, 2], -GRAVITY * t, rtol=1e-12)
     # semi-implicit Euler adds g t dt / 2 to the parabola, and nothing else
     fallen = GRAVITY * t**2 / 2 + GRAVITY * t * TIME_STEP / 2
-    np.testing.assert_allclose(physics.state.position[0, :, 2], 50.0 - fallen, rtol=1e-12)
+    np.testing.assert_allclose(state.position[0, :, 2], 50.0 - fallen, rtol=1e-12)
 
 
 def test_constant_thrust_along_a_tilted_axis() -> None:
     tilt = Rotation.from_euler("x", 0.3)
-    physics = BatchPhysics(TEAM, interactions="none")
     state = start()
     state.quaternion[:] = tilt.as_quat()
-    commands = state.rotor_thrust * 1.5
-    state.rotor_thrust[:] = commands
-    physics.reset(state)
-    for _ in range(STEPS):
-        physics.step(commands)
+    state.rotor_thrust[:] *= 1.5
+    velocity = flown(state, state.rotor_thrust.copy()).state.velocity[0]
     acceleration = 1.5 * GRAVITY * tilt.apply([0, 0, 1]) - np.array([0, 0, GRAVITY])
     expected = np.broadcast_to(acceleration * STEPS * TIME_STEP, (2, 3))
-    np.testing.assert_allclose(physics.state.velocity[0], expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(velocity, expected, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
 @pytest.mark.parametrize("rate", [1.0, 20.0, 140.0])
 def test_spin_about_a_principal_axis_keeps_its_rate(axis: int, rate: float) -> None:
     tilt = Rotation.from_rotvec([0.4, -0.2, 0.9])
-    physics = BatchPhysics(TEAM, interactions="none")
     state = start()
     state.rotor_thrust[:] = 0.0
     body_axis = np.eye(3)[axis]
     state.quaternion[:] = tilt.as_quat()
     state.angular_velocity[:] = rate * tilt.apply(body_axis)
-    physics.reset(state)
-    for _ in range(STEPS):
-        physics.step(np.zeros((1, 2, 4)))
+    state = flown(state, 0.0).state.copy()
     turned = tilt * Rotation.from_rotvec(body_axis * rate * STEPS * TIME_STEP)
     for i in range(2):
-        error = turned.inv() * Rotation.from_quat(physics.state.quaternion[0, i])
-        assert error.magnitude() < 1e-6
-        world_rate = physics.state.angular_velocity[0, i].copy()
-        body_rate = Rotation.from_quat(physics.state.quaternion[0, i]).inv().apply(world_rate)
+        attitude = Rotation.from_quat(state.quaternion[0, i])
+        assert (turned.inv() * attitude).magnitude() < 1e-6
+        body_rate = attitude.inv().apply(state.angular_velocity[0, i])
         np.testing.assert_allclose(body_rate, rate * body_axis, atol=rate * 1e-6)
 
 
@@ -116,28 +116,18 @@ def test_torque_free_spin_converges_at_first_order() -> None:
 
 
 def test_rotors_lag_exponentially() -> None:
-    physics = BatchPhysics(TEAM, interactions="none")
     state = start()
     state.rotor_thrust[:] = 0.0
-    physics.reset(state)
-    commands = np.full((1, 2, 4), 0.05)
-    for _ in range(24):
-        physics.step(commands)
     expected = 0.05 * (1.0 - np.exp(-16.0 * 0.1))
-    np.testing.assert_allclose(physics.state.rotor_thrust, expected, rtol=1e-12)
+    np.testing.assert_allclose(flown(state, 0.05, 24).state.rotor_thrust, expected, rtol=1e-12)
 
 
 def test_rotors_stay_within_what_motors_can() -> None:
-    physics = BatchPhysics(TEAM, interactions="none")
-    physics.reset(start())
-    for _ in range(STEPS):
-        physics.step(np.full((1, 2, 4), 10.0))
+    most = flown(start(), 10.0).state.rotor_thrust[0]
     expected = [[v.max_rotor_thrust] * 4 for v in TEAM]
-    np.testing.assert_allclose(physics.state.rotor_thrust[0], expected, rtol=1e-6)
-    for _ in range(STEPS):
-        physics.step(np.full((1, 2, 4), -10.0))
-    assert (physics.state.rotor_thrust >= 0.0).all()
-    assert (physics.state.rotor_thrust < 1e-6).all()
+    np.testing.assert_allclose(most, expected, rtol=1e-6)
+    least = flown(start(), -10.0).state.rotor_thrust
+    assert (least >= 0.0).all() and (least < 1e-6).all()
 
 
 @pytest.mark.parametrize(
@@ -146,37 +136,25 @@ def test_rotors_stay_within_what_motors_can() -> None:
 )
 def test_torque_signs(rotors: tuple[int, int], axis: int, sign: int) -> None:
     """Left rotors roll right side down, rear rotors pitch nose down, clockwise ones yaw left."""
-    physics = BatchPhysics("S", interactions="none")
-    state = start(parse_team("S"))
-    commands = state.rotor_thrust.copy()
-    commands[0, 0, list(rotors)] *= 1.2
-    state.rotor_thrust[:] = commands
-    physics.reset(state)
-    physics.step(commands)
-    rate = physics.state.angular_velocity[0, 0]
+    team = parse_team("S")
+    state = start(team)
+    state.rotor_thrust[0, 0, list(rotors)] *= 1.2
+    rate = flown(state, state.rotor_thrust.copy(), 1, team).state.angular_velocity[0, 0]
     assert np.sign(rate[axis]) == sign
     assert np.abs(np.delete(rate, axis)).max() < 1e-12
 
 
 def test_tumbling_is_reported_above_150_rad_per_s_only() -> None:
-    physics = BatchPhysics(TEAM, interactions="none")
     state = start()
     state.rotor_thrust[:] = 0.0
     state.angular_velocity[0, :, 2] = [149.0, 151.0]
-    physics.reset(state)
-    physics.step(np.zeros((1, 2, 4)))
-    assert physics.contacts.tumbling.tolist() == [[False, True]]
+    assert flown(state, 0.0, 1).contacts.tumbling.tolist() == [[False, True]]
 
 
 def test_numbers_stay_finite_while_tumbling_wildly() -> None:
-    physics = BatchPhysics(TEAM, interactions="none")
     state = start(height=500.0)
     state.angular_velocity[:] = [150.0, 140.0, -130.0]
-    physics.reset(state)
-    commands = np.tile([0.0, 1.0, 0.0, 1.0], (1, 2, 1))
-    for _ in range(2000):
-        physics.step(commands)
-    for array in physics.state:
+    for array in flown(state, np.array([0.0, 1.0, 0.0, 1.0]), 2000).state:
         assert np.isfinite(array).all()
 
 

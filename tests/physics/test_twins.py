@@ -105,31 +105,3 @@ def spinning(rate: float, wobble: float) -> SwarmState:
     state = hover_state(TEAM, [[0, 0, 100.0], [0.3, 0, 100.6], [0, 0.3, 99.5]])
     state.angular_velocity[0] = rate * np.array([[0, 0, 1], [wobble, 0, 1], [0, -wobble, -1]])
     return state
-
-
-def test_several_environments_at_once() -> None:
-    rng = np.random.default_rng(8)
-    positions = np.array([STACK, STACK]) + rng.uniform(-0.02, 0.02, (2, 3, 3))
-    with BulletPhysics(TEAM, num_envs=2) as bullet:
-        batch = BatchPhysics(TEAM, num_envs=2)
-        for engine in (batch, bullet):
-            engine.reset(hover_state(TEAM, positions))
-        hover = batch.state.rotor_thrust.copy()
-        commands = [hover * rng.uniform(0.98, 1.02, hover.shape) for _ in range(60)]
-        assert fly_both([batch, bullet], commands, np.zeros((60, 2, 3, 3))) < 1e-9
-
-
-def test_masked_reset_leaves_the_other_environment_alone() -> None:
-    positions = np.array([STACK, STACK])
-    for engine in (BatchPhysics(TEAM, num_envs=2), BulletPhysics(TEAM, num_envs=2)):
-        engine.reset(hover_state(TEAM, positions))
-        for _ in range(20):
-            engine.step(engine.state.rotor_thrust * 1.1)
-        before = engine.state.copy()
-        engine.reset(hover_state(TEAM, positions), np.array([True, False]))
-        for now, then in zip(engine.state, before, strict=True):
-            np.testing.assert_array_equal(now[1], then[1])
-        np.testing.assert_array_equal(engine.state.position[0], STACK)
-        engine.step(engine.state.rotor_thrust)
-        assert np.abs(engine.state.velocity[0]).max() < 0.1
-        engine.close()

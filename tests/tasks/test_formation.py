@@ -146,24 +146,16 @@ def test_stages_change_with_the_clock():
     assert not core.running.any()
 
 
-def agent_metrics(agent: TrackingAgent, seed: int = 0, **options: Any) -> dict[str, Any]:
-    env = formation_v0.parallel_env(physics="batch", **options, **agent.requires)
-    shapes: list[float] = []
-
-    def watch(env: Any) -> None:
-        shapes.append(float(env.core.world.environments["achieved"][0]))
-
-    metrics = fly_episode(env, agent, seed, watch)
-    metrics["shares"] = [share for share in shapes if share]
-    env.close()
-    return metrics
-
-
 def test_the_tracking_agent_flies_the_shapes():
-    metrics = agent_metrics(TrackingAgent(), num_drones=9)
+    agent = TrackingAgent()
+    env = formation_v0.parallel_env(num_drones=9, physics="batch", **agent.requires)
+    shares: list[float] = []
+    metrics = fly_episode(
+        env, agent, 0, lambda env: shares.append(env.core.world.environments["achieved"][0])
+    )
     assert metrics["success"]
     assert metrics["stages"] == metrics["stages_reached"] == 4
-    assert metrics["shares"] == [0.25] * 4
+    assert [share for share in shares if share] == [0.25] * 4
     assert metrics["collided_drones"] == 0
     assert 18.0 < metrics["length_s"] < 24.0
     assert metrics["time_to_goal_s"] == pytest.approx(metrics["length_s"] - 0.5)
@@ -185,12 +177,8 @@ def test_a_missed_shape_is_no_success():
     [
         ({"shapes": ("plane", "sfere")}, r"unknown shape 'sfere'; did you mean 'sphere'"),
         ({"shapes": ("plane",)}, r"shapes are \('plane',\), but must be at least 2"),
-        ({"labels": "nearst"}, r"unknown labels 'nearst'; did you mean 'nearest'"),
         ({"labels": "blocks"}, r"labels='blocks' needs shapes=\('blocks', ...\)"),
-        ({"start": "floor"}, r"unknown start 'floor'"),
         ({"travel_s": 7.0}, r"travel_s is 7.0, but must not exceed shape_s, 6.0"),
-        ({"shape_s": 0.0}, r"shape_s is 0.0, but must be positive"),
-        ({"turn_rad": (1.0, 0.0)}, r"turn_rad is \(1.0, 0.0\), but must be \(low, high\)"),
         ({"spacing_m": 0.1}, r"places are 0.100 m apart, but must be 0.170 m apart"),
         (
             {"spacing_m": 2.0},

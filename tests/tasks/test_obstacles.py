@@ -21,7 +21,6 @@ from swarm_envs.tasks.obstacles import (
     obstacle_distances,
     obstacle_rows,
 )
-from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.vehicles import SMALL, parse_team
 
 BLOCK = Box((0.0, -0.5, 0.0), (0.4, 0.5, 1.5))
@@ -89,9 +88,8 @@ def test_bullet_is_stopped_by_what_stands_there():
         physics.close()
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_hitting_one_ends_the_episode(engine):
-    env = swap_v0.parallel_env(num_drones=2, physics=engine, obstacles=(POST, BLOCK))
+def test_hitting_one_ends_the_episode():
+    env = swap_v0.parallel_env(num_drones=2, physics="batch", obstacles=(POST, BLOCK))
     start = [[-0.5, 0.0, 1.0], [-1.5, -1.5, 1.0]]
     env.reset(seed=0, options={"start": start, "goal": [[1.5, 1.5, 1.0], [-1.0, -1.0, 1.0]]})
     proximity = 0.0
@@ -222,27 +220,12 @@ def test_buildings_stand_on_a_grid():
     [
         (lambda: Box((0, 0, 0), (1, 0, 1)), ValueError, r"Box.low is .* each coordinate must grow"),
         (lambda: Box((0, 0), (1, 1)), ValueError, r"Box.low has shape \(2,\)"),  # type: ignore[arg-type]
-        (lambda: Column((0, 0), -0.1), ValueError, r"Column.radius is -0.1, but must be positive"),
         (lambda: Column((0, np.nan), 0.1), ValueError, r"Column.center is nan"),
         (lambda: buildings(0, 2), ValueError, r"columns is 0, but must be an integer"),
         (lambda: buildings(2, 2, spacing=0.3), ValueError, r"0 < width < spacing"),
-        (lambda: swarm_envs.make("ring_v0", obstacles=POST), TypeError, r"obstacles is Column"),
         (lambda: swarm_envs.make("swap_v0", obstacles=[1]), TypeError, r"obstacles is \[1\], but"),
     ],
 )  # fmt: skip
 def test_impossible_obstacles(call, error, message):
     with pytest.raises(error, match=message):
         call()
-
-
-def test_a_stack_beside_a_column_keeps_its_ranges():
-    """Drawing anew never leaves the ranges of the layout."""
-    layout = StackedLayout(radius_m=(0.5, 0.6))
-    column = (Column((0.9, 0.0), 0.15),)
-    env = swap_v0.parallel_env(
-        team="SS", layout="stacked", stacked=layout, obstacles=column, physics="batch"
-    )
-    for seed in range(10):
-        env.reset(seed=seed)
-        radius = np.hypot(*env.view.state.position[:, :2].T)
-        assert ((radius >= 0.5) & (radius <= 0.6)).all()

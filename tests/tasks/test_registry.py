@@ -88,13 +88,14 @@ def test_starts_are_random(task, options):
 
 
 @every_layout
-def test_rewards_are_sums_of_bounded_terms(task, options):
-    env, rng = make(task, **options), np.random.default_rng(0)
-    weights = env.core.task.reward_weights
-    sums: dict[str, float] = dict.fromkeys(REWARD_NAMES, 0.0)
+def test_rewards_are_weighted_sums_of_bounded_terms(task, options):
+    """A decision's by the clock, those of an episode by 1."""
+    env = make(task, reward_weights={"progress": 0.3, "effort": -0.2}, **options)
+    weights, rng = env.core.task.reward_weights, np.random.default_rng(0)
+    assert (weights["progress"], weights["effort"]) == (0.3, -0.2)
     for seed in range(4):
         env.reset(seed=seed)
-        sums = dict.fromkeys(REWARD_NAMES, 0.0)
+        sums: dict[str, float] = dict.fromkeys(REWARD_NAMES, 0.0)
         while env.agents:
             actions = {a: 0.2 * action for a, action in random_actions(env, rng).items()}
             _, rewards, _, _, infos = env.step(actions)
@@ -103,14 +104,15 @@ def test_rewards_are_sums_of_bounded_terms(task, options):
                 assert tuple(terms) == REWARD_NAMES
                 total = sum(weights[name] * terms[name] for name in REWARD_NAMES)
                 assert rewards[agent] == pytest.approx(total)
-                low = {"progress": -1 / 48}
-                high = {"crash": 1.0, "success": 1.0}
+                assert terms["effort"] == pytest.approx(np.mean(actions[agent] ** 2.0) / 48)
                 for name, value in terms.items():
-                    assert low.get(name, 0.0) - 1e-12 <= value <= high.get(name, 1 / 48) + 1e-12
+                    low = -1 / 48 if name == "progress" else 0.0
+                    high = 1.0 if name in ("crash", "success") else 1 / 48
+                    assert low - 1e-12 <= value <= high + 1e-12
             for name in sums:
                 sums[name] += infos["drone_0"]["reward_terms"][name]
         for name in ("at_goal", "tracking", "success", "crash"):
-            assert 0.0 <= sums[name] <= 1.0 + 1e-9  # over a whole episode
+            assert 0.0 <= sums[name] <= 1.0 + 1e-9
 
 
 @pytest.mark.parametrize("bound", [0.5, 5.0, 1e6])

@@ -9,7 +9,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import World
 from swarm_envs.tasks.base import Placement, world_of
 from swarm_envs.tasks.placing import arena_of, check_points, derangement, draw_apart
-from swarm_envs.tasks.swap import StackedLayout, SwapTask
+from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import parse_team
 
@@ -69,16 +69,6 @@ def test_stacked_reference_aligns_all_half_way():
             np.testing.assert_allclose(np.array(end[1:]), 0.0, atol=1e-9)
 
 
-def test_equal_ends_fix_a_stack():
-    layout = StackedLayout((0.6, 0.6), (0.25, 0.25), 1.0, (2.0, 2.0))
-    task = SwapTask(team=parse_team("SS"), layout="stacked", stacked=layout)
-    for seed in SEEDS:
-        start, duration = drawn(task, seed).start, drawn(task, seed).duration
-        np.testing.assert_allclose(start[:, 2], [1.25, 1.0])
-        np.testing.assert_allclose(np.hypot(*start[:, :2].T), 0.6)
-        assert duration == 2.0
-
-
 @pytest.mark.parametrize("n", [1, 2, 4, 16, 40])
 def test_random_starts_are_apart_and_goals_deranged(n):
     task = SwapTask(team=parse_team("S" * n))
@@ -106,14 +96,6 @@ def test_random_fills_its_box():
     points: FloatArray = np.concatenate([drawn(task, seed).start for seed in range(200)])
     np.testing.assert_allclose(points.min(axis=0), [-1.7, -1.7, 0.5], atol=0.05)
     np.testing.assert_allclose(points.max(axis=0), [1.7, 1.7, 2.0], atol=0.05)
-
-
-def test_random_has_no_reference_but_its_goals():
-    task = SwapTask(team=parse_team("SS"))
-    placement = drawn(task, 0)
-    reference = at(task, world_of(placement), 1.0)
-    np.testing.assert_array_equal(reference.position, placement.goals[0])
-    np.testing.assert_array_equal(np.array(reference[1:]), 0.0)
 
 
 def test_overfull_boxes_raise_instead_of_searching_for_ever():
