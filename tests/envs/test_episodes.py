@@ -89,16 +89,6 @@ def test_crashes_end_the_episode(engine, metric, start, actions, contact):
         assert touching - in_one_decision < metrics["minimum_separation_m"] < touching
 
 
-def test_the_clock_truncates(engine):
-    env = swap_v0.parallel_env(team="SS", physics=engine, horizon_s=1.5)
-    infos, rewards = fly(env, [[0, 0, 1], [1, 1, 1]], [[0, 0, 0]] * 2)
-    assert len(rewards) == 72
-    metrics = infos["drone_0"]["episode_metrics"]
-    assert metrics["length_s"] == pytest.approx(1.5)
-    assert metrics["time_to_goal_s"] is None
-    assert contacts(infos) == [FREE] * 2
-
-
 def stacked(agent: TrackingAgent, **options: Any) -> SwarmParallelEnv:
     layout = StackedLayout(radius_m=(0.5, 0.5), duration_s=(3.0, 3.0))
     fixed = {"layout": "stacked", "stacked": layout, "physics": "batch", **agent.requires}

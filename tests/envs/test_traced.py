@@ -17,9 +17,3 @@ def test_a_step_crosses_few_files_and_functions() -> None:
     functions = sum(len(names) for names in found.values())
     assert 0 < len(found) <= MOST_FILES, table(found)
     assert 0 < functions <= MOST_FUNCTIONS, table(found)
-
-
-def test_the_table_groups_functions_by_file_in_the_order_of_their_calls() -> None:
-    lines = table({"envs/b.py": ["Env.step", "check"], "a.py": ["fly"]}).splitlines()
-    assert lines[:3] == ["envs/b.py", "    Env.step", "    check"]
-    assert lines[3:] == ["a.py", "    fly", "2 files, 3 functions"]

@@ -139,20 +139,6 @@ def test_a_fixed_lead_fixes_the_start():
         np.testing.assert_allclose(start[1], tip, atol=1e-9)
 
 
-@pytest.mark.parametrize(("n", "interactions"), [(5, "learned"), (16, "wake")])
-def test_the_tracking_agent_keeps_to_the_rings(n, interactions):
-    worst = []
-    for agent in (TrackingAgent(), TrackingAgent.compensated()):
-        options = {"num_drones": n, "interactions": interactions, **agent.requires}
-        metrics = fly_episode(ring_v0.parallel_env(physics="batch", **options), agent, 0)
-        assert metrics["success"]
-        assert metrics["length_s"] == pytest.approx(12.0)
-        assert metrics["time_to_goal_s"] is None
-        worst.append(metrics["worst_height_error_m"])
-    plain, compensated = worst
-    assert compensated < 0.6 * plain
-
-
 def test_errors_of_the_start_up_do_not_count():
     """Drones that start 0.2 m above their rings: errors count once they had time to catch up."""
     agent = TrackingAgent()
