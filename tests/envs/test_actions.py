@@ -38,18 +38,11 @@ def repeat(env: SwarmParallelEnv, action: list[float] | np.ndarray, steps: int) 
 
 
 @every_vehicle
-def test_no_acceleration_hovers(vehicle, engine):
-    env = lone(vehicle, engine)
-    repeat(env, np.zeros(3, np.float32), 96)
-    np.testing.assert_allclose(env.view.state.position, [[0.0, 0.0, 1.0]], atol=1e-9)
-    env.close()
-
-
-@every_vehicle
-def test_rotors_at_hover_thrust_hover(vehicle, engine):
-    env = lone(vehicle, engine, action="rotors")
+@pytest.mark.parametrize("action", ["acceleration", "rotors"])
+def test_no_acceleration_and_hover_thrust_hover(vehicle, engine, action):
+    env = lone(vehicle, engine, action=action)
     share = vehicle.mass * 9.80665 / vehicle.max_thrust
-    repeat(env, np.full(4, 2.0 * share - 1.0), 48)
+    repeat(env, np.zeros(3) if action == "acceleration" else np.full(4, 2.0 * share - 1.0), 96)
     np.testing.assert_allclose(env.view.state.position, [[0.0, 0.0, 1.0]], atol=1e-9)
     env.close()
 

@@ -15,8 +15,11 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.interactions import load
 from swarm_envs.motors import BatteryModel
+from swarm_envs.vehicles import parse_team
 from tests.helpers.frozen import EVERYTHING
 
+TEAM = "LS*S"
+"""Who flies the first episode; then the constructor's team does."""
 ACTIONS = ("acceleration", "velocity", "ctbr", "rotors", "setpoint")
 
 
@@ -29,10 +32,11 @@ def flying(engine: str, action: str = "acceleration", **options: object) -> Swar
         battery=BatteryModel(),
         controller=ControllerConfig(feedforward=load("wake")),
         end_on_success=False,
+        horizon_s=1.0,
         force_rate=80,
         **options,  # type: ignore[arg-type]
     )
-    env.reset(seed=3)
+    env.reset(seed=3, options={"team": TEAM})
     fly(env, np.random.default_rng(1), 20)
     return env
 
@@ -59,6 +63,7 @@ def fly(env: SwarmParallelEnv, rng: np.random.Generator, steps: int) -> list[obj
 def restored(env: SwarmParallelEnv) -> SwarmParallelEnv:
     """Another environment of the same options, sent to the same place from elsewhere."""
     other = flying(env.physics_name, env.core.mode.name)
+    other.reset(seed=5)
     fly(other, np.random.default_rng(5), 7)
     other.set_state(env.get_state())
     return other
@@ -77,7 +82,9 @@ def test_goes_on_byte_for_byte(engine, action, way):
     """Through the episode's end into the next ones, so that the generator is there too."""
     env = flying(engine, action)
     twin = way(env)
+    assert twin.view.team == env.view.team == parse_team(TEAM)
     assert fly(twin, np.random.default_rng(2), 60) == fly(env, np.random.default_rng(2), 60)
+    assert twin.view.team == env.view.team == parse_team("SLS")
     twin.close()
     env.close()
 

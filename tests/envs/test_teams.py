@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from dataclasses import replace
 from typing import Any
 
@@ -84,38 +82,6 @@ def test_equals_an_environment_made_with_that_team(engine, task, options, first,
         assert flight(env) == flight(made)
     for each in (env, like, made):
         each.close()
-
-
-WAYS = {
-    "set_state": lambda env: env,
-    "deepcopy": copy.deepcopy,
-    "pickle": lambda env: pickle.loads(pickle.dumps(env)),  # noqa: S301
-}
-
-
-@pytest.mark.parametrize("way", list(WAYS))
-def test_snapshots_know_who_flies(engine, way):
-    """Restored into an environment that flies another team, or where it was taken."""
-    env = swap_v0.parallel_env(team="SSS", physics=engine, **EVERYTHING)
-    env.reset(seed=3, options={"team": "LS*S"})
-    flight(env, 10)
-    twin = WAYS[way](env)
-    snapshot = env.get_state()
-    if way == "set_state":
-        twin = swap_v0.parallel_env(team="SSS", physics=engine, **EVERYTHING)
-        twin.reset(seed=1)
-        twin.set_state(snapshot)
-    assert twin.view.team == env.view.team == parse_team("LS*S")
-    assert flight(twin) == (expected := flight(env))
-    env.reset()
-    env.set_state(snapshot)
-    assert flight(env) == expected
-    twin.reset()
-    env.reset()
-    assert flight(twin) == flight(env)
-    assert twin.view.team == parse_team("SSS")
-    twin.close()
-    env.close()
 
 
 def test_every_interface_passes_it_on(face):
