@@ -85,7 +85,7 @@ def test_each_environment_of_a_batch_is_the_single_one(engine, task, options):
 @pytest.mark.parametrize("action", ["velocity", "ctbr"])
 def test_an_environment_begins_as_one_that_never_flew(engine, action):
     """Whatever was flown before: nothing of it is left anywhere."""
-    options: dict[str, object] = {"action": action, "randomization": Randomization()}
+    options: dict[str, Any] = {"action": action, "randomization": Randomization()}
     used, fresh = (cores(engine, 2, "SS", **options) for _ in range(2))
     used.reset([1, 2])
     for _ in range(80):

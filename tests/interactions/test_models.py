@@ -73,6 +73,14 @@ def test_forces_do_not_depend_on_where_in_the_plane(model: InteractionModel) -> 
     )
 
 
+def test_environments_are_independent(model: InteractionModel) -> None:
+    position, velocity = swarm(np.random.default_rng(3), 6, 4)
+    together = model.forces(position, velocity, "SSLS")
+    for e in range(6):
+        alone = model.forces(position[e : e + 1], velocity[e : e + 1], "SSLS")
+        np.testing.assert_array_equal(alone[0], together[e])
+
+
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_the_force_fades_to_nothing_at_the_edge_without_a_step(
     model: InteractionModel, axis: int

@@ -184,7 +184,6 @@ def test_a_missed_shape_is_no_success():
             {"spacing_m": 2.0},
             r"shape 'pyramid' of 9 drones 2.0 m apart does not fit .* spacing_m",
         ),
-        ({"letters": "A!"}, r"unknown shape 'letter:!'"),
     ],
 )
 def test_impossible_options(options, message):

@@ -1,4 +1,4 @@
-"""What holds for every task: seeds, starts, rewards, memory, batches, and that one can win."""
+"""What holds for every task: its documentation, both engines, starts, rewards, force bounds."""
 
 from __future__ import annotations
 
