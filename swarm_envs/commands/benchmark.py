@@ -87,13 +87,13 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
     from swarm_envs.files import claimed, write_json
     from swarm_envs.training.scoreboard.board import FILE
     from swarm_envs.training.scoreboard.manifest import OtherBenchmark
-    from swarm_envs.training.scoreboard.runner import run_benchmark
+    from swarm_envs.training.scoreboard.runner import fly_benchmark
 
     check_folder("--out", out)
     plan = _plan(options)
     with claimed(out):
         try:
-            content = run_benchmark(plan, out, options.scale, options.table)
+            content = fly_benchmark(plan, out, options.scale, options.table)
         except OtherBenchmark as error:
             raise Misuse(str(error)) from error
         if options.json is not None:

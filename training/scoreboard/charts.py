@@ -24,7 +24,7 @@ from matplotlib.ticker import LogLocator
 from matplotlib.transforms import Bbox
 
 from swarm_envs.training.scoreboard.board import Board, Estimate, Interval, TaskInfo
-from swarm_envs.training.scoreboard.markup import format_micros, format_number, tag
+from swarm_envs.training.scoreboard.markup import format_micros, format_value, tag
 
 WIDTH, HEIGHT = 400, 280
 """Of a chart, in units of which its text is 12 high."""
@@ -251,7 +251,7 @@ def _draw_point(chart: _Chart, point: ComputePoint) -> None:
     (mark,) = chart.axes.plot(
         [x], [y], marker, color=_OWN, markersize=size, markeredgecolor=_PAPER, markeredgewidth=1
     )
-    said = f"{chart.labels[name]}: {format_number(y, '%')} %, {format_micros(x)}"
+    said = f"{chart.labels[name]}: {format_value(y, '%')} %, {format_micros(x)}"
     chart.belongs(mark, "mark", name, f"{said} (p99 {format_micros(point.slow)})")
 
 

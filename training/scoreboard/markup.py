@@ -57,7 +57,7 @@ def _fill(element: Element, content: Iterable[Content]) -> None:
             _fill(element, each)
 
 
-def format_number(value: float, unit: str = "") -> str:
+def format_value(value: float, unit: str = "") -> str:
     """Three digits, or so; a rate in per cent, without the sign."""
     if unit == "%":
         return f"{100.0 * value:.{0 if value in (0.0, 1.0) else 1}f}"
@@ -70,7 +70,7 @@ def format_number(value: float, unit: str = "") -> str:
 
 def format_interval(ends: Interval | None, unit: str = "") -> str:
     """The ends of an interval; empty where there is none."""
-    return "" if ends is None else NONE.join(format_number(end, unit) for end in ends)
+    return "" if ends is None else NONE.join(format_value(end, unit) for end in ends)
 
 
 def format_duration(seconds: float) -> str:

@@ -25,7 +25,7 @@ from swarm_envs.training.scoreboard.charts import Palette, color_class, palette,
 from swarm_envs.training.scoreboard.markup import (
     Content,
     format_duration,
-    format_number,
+    format_value,
     html,
     tag,
 )
@@ -94,7 +94,7 @@ def _summary(board: Board) -> str:
     episodes = sum(cell.episodes for cell in flown)
     return (
         f"{len(board.agents)} agents on {len(board.tasks)} tasks: {len(flown)} pairs flown, "
-        f"{format_number(episodes)} episodes. On each task all fly the "
+        f"{format_value(episodes)} episodes. On each task all fly the "
         "same frozen seeds, slow agents the first of them."
     )
 
@@ -148,8 +148,8 @@ def _leaderboards(board: Board, colors: Palette) -> list[Element]:
 
 def _place(place: int, agent: AgentInfo, standing: Standing, part: str, colors: Palette) -> Element:
     low, high = standing.interval or (standing.value, standing.value)
-    text = format_number(standing.value, "%")
-    ends = f"{format_number(low, '%')} to {format_number(high, '%')} %"
+    text = format_value(standing.value, "%")
+    ends = f"{format_value(low, '%')} to {format_value(high, '%')} %"
     said = f"{text} %, 95 % interval {ends}"
     whisker = tag("i", style=f"left:{100 * low:.2f}%;width:{100 * (high - low):.2f}%")
     dot = tag("b", style=f"left:{100 * standing.value:.2f}%")

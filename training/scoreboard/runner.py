@@ -1,6 +1,6 @@
 """The benchmark: every agent on every task, resumed where it was cut off.
 
-`run_benchmark` flies what is missing and writes `manifest.json`, `episodes.parquet`,
+`fly_benchmark` flies what is missing and writes `manifest.json`, `episodes.parquet`,
 `timing.parquet` and `scores.json` into a folder. But for times, the results follow from the config
 alone, however often the run was killed and whoever flew: `episodes.parquet` is the same to the
 byte.
@@ -155,7 +155,7 @@ class BenchmarkPlan:
         }
 
 
-def run_benchmark(
+def fly_benchmark(
     plan: BenchmarkPlan, out: Path, scale: ScaleOptions, form: TableForm = "parquet"
 ) -> dict[str, Any]:
     """Fly what is missing, and write everything; give what `scores.json` holds.
@@ -305,5 +305,5 @@ def _times(cells: Sequence[Evaluation]) -> list[EpisodeRow]:
     ]
 
 
-Plan, run = BenchmarkPlan, run_benchmark
+Plan, run = BenchmarkPlan, fly_benchmark
 """Their names in 0.1.0."""

@@ -8,7 +8,7 @@ from itertools import groupby
 from xml.etree.ElementTree import Element
 
 from swarm_envs.training.scoreboard.board import AgentInfo, Board, CellResult, Metric, TaskInfo
-from swarm_envs.training.scoreboard.markup import NONE, format_interval, format_number, tag
+from swarm_envs.training.scoreboard.markup import NONE, format_interval, format_value, tag
 
 PRIVILEGED = "sees the true state"
 """What the mark beside an agent means."""
@@ -128,7 +128,7 @@ class Tables:
         given = cell.values.get(metric.name)
         if given is None or given.value is None:
             return [NONE]
-        text, ends = format_number(given.value, metric.unit), given.interval
+        text, ends = format_value(given.value, metric.unit), given.interval
         return [text, " ", tag("small", format_interval(ends, metric.unit))] if ends else [text]
 
     def _data(self, cell: CellResult, metric: Metric) -> dict[str, float | str | None]:

@@ -17,7 +17,7 @@ from swarm_envs.training.scoreboard.charts import palette
 from swarm_envs.training.scoreboard.markup import (
     format_interval,
     format_micros,
-    format_number,
+    format_value,
     html,
     tag,
 )
@@ -216,9 +216,9 @@ def test_names_in_a_chart_are_told_from_each_other(folder, seed):
 
 def test_numbers_as_people_read_them():
     given = {0.0: "0", 0.03124: "0.0312", 1.5: "1.5", 12.345: "12.3", 12345.6: "12\u202f346"}
-    assert {value: format_number(value) for value in given} == given
-    assert [format_number(v, "%") for v in (0.0, 0.123, 0.88, 1.0)] == ["0", "12.3", "88.0", "100"]
-    assert format_number(-0.5) == "-0.5"
+    assert {value: format_value(value) for value in given} == given
+    assert [format_value(v, "%") for v in (0.0, 0.123, 0.88, 1.0)] == ["0", "12.3", "88.0", "100"]
+    assert format_value(-0.5) == "-0.5"
     assert format_interval((0.25, 0.75), "%") == "25.0–75.0"
     assert format_interval(None) == ""
     assert [format_micros(t) for t in (12.0, 3400.0, 2.5e6)] == ["12 µs", "3.4 ms", "2.5 s"]
