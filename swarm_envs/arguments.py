@@ -227,7 +227,7 @@ def _guarded(
 def _check(owner: str, name: str, value: object, kind: Kind) -> None:
     if kind.fits(value):
         return
-    label = name.replace("_", "-") if owner == "--" else name
+    label = name.replace("_", "-") if owner.startswith("--") else name
     if isinstance(value, str) and kind.names:
         message = unknown_name(label, value, kind.names)
     else:

@@ -214,7 +214,6 @@ def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
 
 
 def _learn(config: RllibConfig, algorithm: Any) -> Policy:
-    """Updates until the steps are done; the last policy."""
     steps = 0
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc="train") as bar:
         while steps < config.steps:
@@ -235,7 +234,6 @@ def _ready(config: RllibConfig) -> dict[str, Any]:
 
 
 def _main() -> None:
-    """Read the options from the command line, train, and say what came out."""
     import tyro
 
     config = tyro.cli(RllibConfig, prog="python -m swarm_envs.training.rllib_ppo")

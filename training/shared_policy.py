@@ -233,7 +233,6 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         return {name: value for name, value in vars(self).items() if name != "_shape"}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take what a pickle holds, and make the rest anew."""
         self.__dict__.update(state)
         self._make_shape()
 
@@ -306,7 +305,6 @@ def _blueprints(task: Any, options: dict[str, Any]) -> tuple[Blueprint, ...]:
 
 
 def _check_alike(cores: Sequence[SwarmCore]) -> None:
-    """Refuse teams that one policy cannot fly."""
     first = cores[0]
     for k, core in enumerate(cores):
         if (core.form, core.mode) != (first.form, first.mode):
@@ -324,7 +322,6 @@ def _row(batch: Any, k: int) -> Any:
 
 
 def _equal(first: dict[str, Any], second: dict[str, Any]) -> bool:
-    """Whether two reset options say the same."""
     return first.keys() == second.keys() and all(
         np.array_equal(value, second[name]) for name, value in first.items()
     )

@@ -155,7 +155,6 @@ def _plan(options: BenchmarkOptions) -> BenchmarkPlan:
 
 
 def _standings(content: dict[str, Any]) -> str:
-    """The agents' scores in a few columns, and who failed."""
     from swarm_envs.training.scoreboard.standings import NOTE, align_columns, standings
 
     lines = [*align_columns(standings(content)), NOTE]

@@ -210,7 +210,6 @@ def run_sweep(options: SweepOptions) -> int:
 
 
 def _names(options: SweepOptions) -> list[tuple[str, int]]:
-    """Variant and seed of every run."""
     return [(variant, seed) for variant in options.compare for seed in options.seeds]
 
 
@@ -228,7 +227,6 @@ def _arguments(options: SweepOptions, variant: str, seed: int) -> list[str]:
 def _train(
     options: SweepOptions, runs: dict[tuple[str, int], list[str]]
 ) -> dict[tuple[str, int], dict[str, Any]]:
-    """What came of every run: its result, or an error."""
     marker = options.out.absolute() / MARKER
     given = {name: value for name, value in asdict(options).items() if name not in _NOT_RESULT}
     about: dict[str, Any] = {"marker": str(marker), "digest": write_marker(marker, given)}

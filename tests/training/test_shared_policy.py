@@ -247,7 +247,6 @@ def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
         (lambda: SharedPolicyVecEnv("swap_v1"), ValueError, "task 'swap_v1'; .* 'swap_v0'"),
         (lambda: quick(render_mode="rgb_array"), ValueError, "render_mode is 'rgb_array', but env"),
         (lambda: quick(features="goals"), ValueError, "unknown features 'goals'"),
-        (lambda: SharedPolicyVecEnv("swap_v0", num_envs=0), ValueError, "num_envs is 0, but must"),
     ],
 )
 def test_bad_options(make, error, message):

@@ -8,7 +8,6 @@ from swarm_envs.training.belief.feedforward import FeedforwardConfig, fit_feedfo
 
 
 def _main() -> None:
-    """Make the model and print how well it does."""
     config = tyro.cli(FeedforwardConfig, description="Fit the compensated controller's belief.")
     report = fit_feedforward(config)
     errors = report.fit.findings.errors

@@ -323,7 +323,6 @@ sideways beyond {own_speed:g} m/s, or {pair_speed:g} m/s relative to a neighbour
 
 
 def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits: InputRange) -> str:
-    """The card, in Markdown, of a network with these limits of inputs."""
     noise = collection.noise
     given = {
         **vars(collection),

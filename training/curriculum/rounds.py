@@ -172,7 +172,6 @@ def _pairs(flight: CollectedFlight) -> list[tuple[FloatArray, FloatArray, float]
 
 
 def _round_folder(config: CurriculumConfig, number: int) -> Path:
-    """Folder of a round, counted from 1."""
     return config.out / f"round_{number}"
 
 

@@ -82,7 +82,6 @@ def run_curriculum(config: CurriculumConfig) -> CurriculumReport:
 
 
 def _fly_rounds(config: CurriculumConfig) -> list[CurriculumRound]:
-    """Fly every round, each as close as the one before allows."""
     flights: list[CollectedFlight] = []
     reports: list[CurriculumRound] = []
     clearance = config.first_clearance_m
@@ -100,7 +99,6 @@ def _fly_rounds(config: CurriculumConfig) -> list[CurriculumRound]:
 
 
 def _evaluate_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
-    """Evaluate the models of all rounds on unseen swaps, or read what was found."""
     path = config.out / UNSEEN
     if path.exists():
         return [Unseen(**entry) for entry in json.loads(path.read_text())]
@@ -112,7 +110,6 @@ def _evaluate_all(config: CurriculumConfig, truth: InteractionModel) -> list[Uns
 
 
 def _rule(config: CurriculumConfig) -> str:
-    """The rule by which a round's clearance follows, in words."""
     first, least = (100 * v for v in (config.first_clearance_m, config.least_clearance_m))
     return (
         "the first round, and the first with more drones than flew before, plans a clearance of "

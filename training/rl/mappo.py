@@ -138,7 +138,6 @@ class MappoLearner(Learner):
 
     @torch.no_grad()
     def _collect(self) -> Rollout:
-        """Fly for one rollout, and say of every decision how good it turned out to be."""
         discount = self.config.discount
         assert discount is not None  # the recipe has one
         steps = [self._step() for _ in range(self.config.rollout)]
@@ -188,7 +187,6 @@ class MappoLearner(Learner):
         return torch.cat([observations, *others], dim=-1)
 
     def _learn(self, rollout: Rollout, rate: float) -> tuple[float, float]:
-        """Update on a rollout; return the mean divergence from what flew it, and value loss."""
         networks, losses = self.networks, []
         networks.note_returns(rollout.returns)
         self.adam.param_groups[0]["lr"] = rate
@@ -250,7 +248,6 @@ class MappoLearner(Learner):
 
 
 def _mlp(widths: tuple[int, ...], last_gain: float) -> nn.Sequential:
-    """Layers with tanh between them; weights orthogonal, biases 0."""
     layers: list[nn.Module] = []
     gains = [float(np.sqrt(2.0))] * (len(widths) - 2) + [last_gain]
     for (before, after), gain in zip(pairwise(widths), gains, strict=True):

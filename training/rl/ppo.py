@@ -89,7 +89,6 @@ class PpoLearner(Sb3Learner):
         }
 
     def _begin_second_stage(self) -> None:
-        """Explore more again, with a fresh Adam."""
         policy = self.model.policy
         with torch.no_grad():
             policy.log_std.clamp_(min=float(np.log(max(self.config.second_deviation, 1e-6))))
@@ -263,7 +262,6 @@ def actor_networks(policy: ActorCriticPolicy) -> dict[str, Network]:
 
 
 def _tanh_layers(width: int, hidden: Sequence[int]) -> nn.Sequential:
-    """Linear layers from so many numbers, with tanh after each."""
     parts: list[nn.Module] = []
     for into, out in pairwise((width, *hidden)):
         parts += [nn.Linear(into, out), nn.Tanh()]

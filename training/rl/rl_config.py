@@ -4,44 +4,51 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, is_dataclass
-from operator import attrgetter
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from swarm_envs.errors import check_integer
+from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, typed
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
+Share = Annotated[float, Range(0.0, 1.0)]
+"""A number from 0 to 1."""
+Rate = Annotated[float, Range(1e-7, 1.0)]
+"""A small positive number."""
 
+
+@partial(typed, owner="--sac.")
 @dataclass(frozen=True)
 class SacConfig:
     """Of `--algo sac`: how often it learns from what it remembers."""
 
-    rollout: int = 8
+    rollout: Count = 8
     """decisions of each drone between two rounds of gradient steps"""
-    gradient_steps: int = 32
+    gradient_steps: Count = 32
     """of a round; each takes a batch from all that is remembered"""
-    batch_size: int = 1024
+    batch_size: Count = 1024
     """decisions per gradient step"""
-    learning_rate: float = 1e-3
+    learning_rate: Rate = 1e-3
     """of Adam at the start, for actor, critics and temperature; it falls linearly"""
-    last_rate: float = 0.1
+    last_rate: Rate = 0.1
     """what is left of it at the end, as a share"""
-    lookahead: int = 5
+    lookahead: Count = 5
     """rewards that are counted before the critic estimates what follows (n-step returns)"""
-    learning_starts: int = 8192
+    learning_starts: Annotated[int, Range(0)] = 8192
     """decisions of single drones, drawn at random, before the first gradient step"""
-    buffer_size: int = 300_000
+    buffer_size: Count = 300_000
     """decisions that are remembered, the latest; checkpoints hold them, 0.6 kB each"""
-    smoothing: float = 0.02
+    smoothing: Rate = 0.02
     """tau: share by which target critics follow the critics at each gradient step"""
-    temperature: float = 0.002
+    temperature: Rate = 0.002
     """weight of entropy beside reward at the start; it is learned. Far above what a decision's
     reward is, drones are paid for trembling"""
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class RlConfig:
     """Train one policy for all drones by reinforcement learning.
@@ -60,93 +67,93 @@ class RlConfig:
     algo: Literal["ppo", "mappo", "sac"] = "ppo"
     """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
     that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
-    drones: int | tuple[int, ...] = 4
+    drones: Count | tuple[Count, ...] = 4
     """number of drones; of several numbers, such as `4 8`, each has an equal share of the
     environments; the policy will fly in teams from the smallest to the largest"""
     fewest: int | None = None
     """smallest team in which the policy will fly; that of its training if not given"""
     team: tuple[str, ...] = ()
     """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
-    steps: int = 3_000_000
+    steps: Count = 3_000_000
     """decisions of single drones, rounded up to whole rollouts"""
-    seed: int = 0
+    seed: Seed = 0
     """of first weights, episodes and exploration; the same seed gives the same policy"""
     json: Path | None = None
     """write the report to this file too"""
 
-    environments: int = 128
+    environments: Count = 128
     """teams that fly at once, of all sizes together"""
-    threads: int = 2
+    threads: Count = 2
     """of the environments; their number changes nothing of what is learned"""
-    rollout: int = 32
+    rollout: Count = 32
     """decisions of each drone between two updates of the policy"""
-    batch_size: int = 2048
+    batch_size: Count = 2048
     """decisions per gradient step"""
-    passes: int = 5
+    passes: Count = 5
     """over the decisions of a rollout"""
-    learning_rate: float = 1e-3
+    learning_rate: Rate = 1e-3
     """of Adam at the start; it falls linearly"""
-    last_rate: float = 0.02
+    last_rate: Share = 0.02
     """what is left of it at the end, as a share"""
-    discount: float | None = None
+    discount: Share | None = None
     """gamma: what a reward is worth one decision later; the recipe's if not given"""
-    gae_lambda: float = 0.95
+    gae_lambda: Share = 0.95
     """lambda of generalised advantage estimation"""
-    clip: float = 0.2
+    clip: Annotated[float, Range(1e-3, 1.0)] = 0.2
     """how far a decision's probability may move per update, as a ratio"""
-    entropy: float = 0.003
+    entropy: Share = 0.003
     """weight of the policy's entropy in the loss: keeps it exploring"""
-    hidden: tuple[int, ...] = (64, 64)
+    hidden: tuple[Count, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
     encoder: Literal["mlp", "deep-set"] = "mlp"
     """how neighbours are encoded: `mlp`, one after another, nearest first; `deep-set`, each
     through a small network of its type of vehicle, then pooled"""
     pooling: Literal["mean", "max", "sum"] = "mean"
     """of a deep set"""
-    set_hidden: tuple[int, ...] = (32, 32)
+    set_hidden: tuple[Count, ...] = (32, 32)
     """widths of the network that a deep set gives each neighbour to"""
     per_type: bool = False
     """a policy of its own for each type of vehicle in the team"""
-    deviation: float | None = None
+    deviation: Annotated[float, Range(1e-3, 10.0)] | None = None
     """standard deviation of actions at the start; the same in every state, and learned; the
     recipe's if not given"""
-    second_stage: float = 0.25
+    second_stage: Annotated[float, Range(0.0, 0.9)] = 0.25
     """share of the steps that are trained anew from what the others gave: with a fresh Adam, and
     more exploration again; 0 for one stage"""
-    second_rate: float = 7e-4
+    second_rate: Rate = 7e-4
     """of Adam at the start of the second stage"""
-    second_deviation: float = 0.3
+    second_deviation: Annotated[float, Range(0.0, 10.0)] = 0.3
     """least standard deviation of actions at its start"""
 
-    horizon_s: float | None = None
+    horizon_s: Annotated[float, Range(0.2, 1000.0, unit="s")] | None = None
     """the clock of training, s; the recipe's if not given: shorter than the task's, since failures
     come early; the time-out is bootstrapped"""
     action: Literal["acceleration", "velocity", "ctbr", "rotors"] = "acceleration"
     """what the policy's numbers mean: set-points' `acceleration` or `velocity`, collective thrust
     and body rates (`ctbr`), or each of the `rotors`; it will fly with this one alone"""
-    decision_rate: int = 10
+    decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 10
     """decisions per second, in training and in flight"""
-    force_rate: int = 48
+    force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """evaluations of the air's force per second in training"""
-    num_neighbors: int = 3
+    num_neighbors: Count = 3
     """K, how many neighbours a drone observes"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     hard_starts: bool = True
     """with the layout `random`: crowded starts and circles among the episodes"""
-    proximity: tuple[float, float] = (4.0, 2.0)
+    proximity: tuple[Annotated[float, NOT_NEGATIVE], Annotated[float, NOT_NEGATIVE]] = (4.0, 2.0)
     """cost of being near another drone, from the first quarter to the last of the first stage; too
     much for too long, and drones hover beside their goals"""
-    crash: float = 1.0
+    crash: Annotated[float, Range(0.0, 1e6)] = 1.0
     """cost of a collision, which also ends the episode"""
-    reward_scale: float = 1.0
+    reward_scale: Annotated[float, Range(1e-6, 1e6)] = 1.0
     """all rewards times this"""
 
-    checkpoint_rollouts: int = 20
+    checkpoint_rollouts: Count = 20
     """rollouts between checkpoints"""
-    judge_every: int = 3
+    judge_every: Count = 3
     """checkpoints between evaluations; the last is always evaluated"""
-    judge_episodes: int = 256
+    judge_episodes: Count = 256
     """episodes of an evaluation, on each layout, on seeds that are the same in every run and never
     trained on; the policy that does best on them is kept"""
     tensorboard: bool = True
@@ -157,39 +164,19 @@ class RlConfig:
     """of `--algo sac`, in place of those above that it has not: batches, rates, stages"""
 
     def __post_init__(self) -> None:
-        """Refuse numbers with which nothing could be trained.
+        """Refuse options that do not fit each other.
 
         Raises:
             ValueError: naming the option, the value and the rule.
         """
         self._check_teams()
-        for name in _COUNTS:
-            check_integer(_option(name), attrgetter(name)(self), 1)
-        check_integer("--sac.learning-starts", self.sac.learning_starts, 0)
-        for name, (low, high) in _RANGES.items():
-            value = attrgetter(name)(self)
-            if value is not None and not low <= value <= high:
-                raise ValueError(
-                    f"{_option(name)} is {value}, but must be from {low:g} to {high:g}"
-                )
-        if PHYSICS_RATE % self.decision_rate or PHYSICS_RATE % self.force_rate:
-            raise ValueError(
-                f"--decision-rate is {self.decision_rate} and --force-rate {self.force_rate}, but "
-                f"both must be {PHYSICS_RATE} over an integer"
-            )
         for name in ("hidden", "set_hidden"):
-            widths = getattr(self, name)
-            if not widths or min(widths) < 1:
-                raise ValueError(f"{_option(name)} is {widths}, but must be one or more widths")
-        if min(self.proximity) < 0:
-            raise ValueError(f"--proximity is {self.proximity}, but costs are not negative")
+            if not getattr(self, name):
+                raise ValueError(f"{_option(name)} is (), but must be one or more widths")
         self._check_belongs()
         self._check_sizes()
 
     def _check_teams(self) -> None:
-        check_integer("--seed", self.seed, 0)
-        for count in self.team_sizes:
-            check_integer("--drones", count, 1)
         named = [str(team) for team in self.teams]
         if not named or len(set(named)) < len(named):
             raise ValueError(
@@ -202,7 +189,6 @@ class RlConfig:
             )
 
     def _check_belongs(self) -> None:
-        """Refuse options of another algorithm or encoder than the run's."""
         for name, value in _changed(self):
             if not self.uses(name):
                 nested = [(f"{name}.{n}", v) for n, v in _changed(value)]
@@ -215,7 +201,6 @@ class RlConfig:
                 raise ValueError(f"{_option(name)} was given, but only --encoder deep-set has sets")
 
     def _check_sizes(self) -> None:
-        """Refuse environments and batches that do not divide among the teams and the rollout."""
         teams, size = len(self.team_sizes), self.rollout_steps
         if self.environments % teams:
             raise ValueError(
@@ -301,7 +286,6 @@ class RlConfig:
 
 
 def _option(name: str) -> str:
-    """An option as the command line has it."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -324,25 +308,3 @@ _FOREIGN = {
     "sac": (*_ON_POLICY, *_NETWORKS),
 }
 """Options that an algorithm has not."""
-_COUNTS = (
-    *("steps", "environments", "threads", "rollout", "batch_size", "passes", "num_neighbors"),
-    *("decision_rate", "force_rate", "checkpoint_rollouts", "judge_every", "judge_episodes"),
-    *("sac.rollout", "sac.gradient_steps", "sac.batch_size", "sac.lookahead", "sac.buffer_size"),
-)
-_RANGES = {
-    "learning_rate": (1e-7, 1.0),
-    "last_rate": (0.0, 1.0),
-    "discount": (0.0, 1.0),
-    "gae_lambda": (0.0, 1.0),
-    "clip": (1e-3, 1.0),
-    "entropy": (0.0, 1.0),
-    "deviation": (1e-3, 10.0),
-    "second_stage": (0.0, 0.9),
-    "second_rate": (1e-7, 1.0),
-    "second_deviation": (0.0, 10.0),
-    "horizon_s": (0.2, 1000.0),
-    "crash": (0.0, 1e6),
-    "reward_scale": (1e-6, 1e6),
-    **{f"sac.{name}": (1e-7, 1.0) for name in ("learning_rate", "last_rate")},
-    **{f"sac.{name}": (1e-7, 1.0) for name in ("smoothing", "temperature")},
-}

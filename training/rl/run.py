@@ -77,7 +77,6 @@ def train_policy(config: RlConfig, task: str) -> dict[str, Any]:
 
 
 def _begin(config: RlConfig, task: str, learner: Learner) -> _Progress:
-    """A new run, or one that goes on from its checkpoint, and says so."""
     options, path = result_options(config, task), config.out / CHECKPOINT
     if not path.is_file():
         return _Progress(options, 0, [], [], None, 0.0, 0.0)
@@ -88,7 +87,6 @@ def _begin(config: RlConfig, task: str, learner: Learner) -> _Progress:
 
 
 def _train_segments(config: RlConfig, task: str, learner: Learner, progress: _Progress) -> None:
-    """Train what is left, with a checkpoint after each segment."""
     wanted = config.tensorboard and importlib.util.find_spec("tensorboard") is not None
     segments = config.segments()
     bar = tqdm(
@@ -126,7 +124,6 @@ def _train_segments(config: RlConfig, task: str, learner: Learner, progress: _Pr
 
 
 def _evaluate(config: RlConfig, task: str, learner: Learner, progress: _Progress) -> None:
-    """Evaluate the policy, and keep it if none before was better."""
     recipe, steps = RECIPES[task], progress.rollouts * config.rollout_steps
     about = {"config": progress.config, "steps": steps, "version": __version__}
     policy = Policy(policy_note(learner, task), learner.actor(), about)
@@ -217,7 +214,6 @@ def _differing_runs(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
 
 
 def _save_checkpoint(path: Path, learner: Learner, progress: _Progress) -> None:
-    """Write all that a run needs to go on as safetensors, whole or not at all: no pickle."""
     metadata = {"progress": json.dumps(vars(progress), allow_nan=False)}
     write_safetensors(path, learner.tensors(), metadata)
 

@@ -131,7 +131,6 @@ def _cut(buffer: ReplayBuffer) -> None:
 
 
 def _buffer_tensors(buffer: ReplayBuffer) -> dict[str, Tensor]:
-    """The filled part of a replay buffer, and where it writes next."""
     filled = buffer.buffer_size if buffer.full else buffer.pos
     tensors = {
         _MEMORY + name: torch.from_numpy(getattr(buffer, name)[:filled]) for name in _BUFFER_FIELDS
@@ -140,7 +139,6 @@ def _buffer_tensors(buffer: ReplayBuffer) -> dict[str, Tensor]:
 
 
 def _fill_buffer(buffer: ReplayBuffer, tensors: Mapping[str, Tensor]) -> None:
-    """Fill a fresh replay buffer with what `_buffer_tensors` gave."""
     for name in _BUFFER_FIELDS:
         held = tensors[_MEMORY + name].numpy()
         getattr(buffer, name)[: len(held)] = held
@@ -239,7 +237,6 @@ class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types her
         return targets
 
     def _update_critic(self, observations: Tensor, actions: Tensor, targets: Tensor) -> Tensor:
-        """Move the critics towards the targets, and the target critics after them."""
         expected = self.critic(observations, actions)
         loss = functional.mse_loss(expected, targets.expand_as(expected))
         _descend(self.critic.optimizer, loss, self.critic)

@@ -146,7 +146,6 @@ def evaluate_distributed(
 
 
 def _jobs(spec: EvaluationSpec, label: str, workers: int) -> list[Job]:
-    """Chunks of a spec's missing seeds."""
     files = {
         name: send(Path(value))
         for name, value in spec.setting.items()
@@ -286,5 +285,4 @@ def receive(sent: SentFile) -> Path:
 
 @functools.cache
 def _folder() -> tempfile.TemporaryDirectory[str]:
-    """Of this process; removed when it ends in good order."""
     return tempfile.TemporaryDirectory(prefix="swarm-envs-")

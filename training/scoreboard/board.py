@@ -234,7 +234,6 @@ def _board(content: object) -> Board:
 
 
 def _read(kind: Any, value: Any, where: str) -> Any:
-    """A value of the file as what the annotation of a field asks for."""
     origin, inner = get_origin(kind), get_args(kind)
     if kind is Any:
         return value
@@ -296,7 +295,6 @@ def _read_list(inner: Sequence[Any], value: Any, where: str) -> tuple[Any, ...]:
 
 
 def _check_names(board: Board) -> None:
-    """Refuse names that stand twice, and those of what the file does not list."""
     tasks = [task.id for task in board.tasks]
     agents = [agent.name for agent in board.agents]
     metrics = [metric.name for metric in board.metrics]

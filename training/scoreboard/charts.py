@@ -256,7 +256,6 @@ def _draw_point(chart: _Chart, point: ComputePoint) -> None:
 
 
 def _name_points(chart: _Chart, points: Sequence[ComputePoint]) -> None:
-    """Names beside the marks that have a colour, where there is room for one."""
     taken = [box for point in points for box in _boxes(chart, point)]
     inside = chart.axes.bbox
     for point in points:

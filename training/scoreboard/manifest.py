@@ -49,7 +49,6 @@ class Manifest:
         self._began, self._cpu = time.monotonic(), _cpu_s()
 
     def _of_before(self) -> list[dict[str, Any]]:
-        """The runs that are noted, if they are of the same config."""
         try:
             found = json.loads(self._path.read_text(encoding="utf-8"))
             config, runs = dict(found["config"]), list(found["runs"])

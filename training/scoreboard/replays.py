@@ -129,7 +129,6 @@ def _jobs(folder: Path, board: Board) -> list[Job]:
 
 
 def _is_there(page: Path, seed: int) -> bool:
-    """Whether a page is there, and of the episode that was chosen."""
     return page.is_file() and f", seed {seed};" in page.read_text(encoding="utf-8")
 
 

@@ -89,7 +89,6 @@ def _asset(name: str) -> str:
 
 
 def _summary(board: Board) -> str:
-    """What the page is about, in a line."""
     flown = [cell for cell in board.cells if cell.status == "flown"]
     episodes = sum(cell.episodes for cell in flown)
     return (
@@ -100,7 +99,6 @@ def _summary(board: Board) -> str:
 
 
 def _facts(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """When, where and with what it was run."""
     started = str(manifest.get("started") or "")
     if started:
         yield "Started", started[:16].replace("T", " ") + " UTC"
@@ -125,7 +123,6 @@ def _facts(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _leaderboards(board: Board, colors: Palette) -> list[Element]:
-    """A card for each family: its agents, the best first, with their intervals."""
     agents = {agent.name: agent for agent in board.agents}
     cards = []
     for family in board.families:
@@ -222,8 +219,6 @@ def _profiles(board: Board, colors: Palette) -> list[Element]:
 
 
 def _compute(board: Board, colors: Palette) -> list[Element]:
-    """A chart for each family, and behind a fold one for each task."""
-
     def figure(name: str, points: Sequence[charts.ComputePoint], what: str) -> list[Element]:
         if not points:
             return []
@@ -241,7 +236,6 @@ def _compute(board: Board, colors: Palette) -> list[Element]:
 
 
 def _reproduce(board: Board) -> list[Element]:
-    """How to get the same numbers again."""
     manifest = board.manifest
     command = str(manifest.get("command") or "swarm-envs benchmark --out scoreboard")
     config = json.dumps(manifest.get("config", {}), indent=1, ensure_ascii=False)
@@ -267,7 +261,6 @@ def _reproduce(board: Board) -> list[Element]:
 
 
 def _glossary(board: Board) -> list[Element]:
-    """What each metric, task and agent is."""
     metrics, tasks = [], []
     for metric in board.metrics:
         words = filter(None, (metric.unit, _BETTER[metric.better], metric.name))
@@ -296,7 +289,6 @@ def _defined(name: str, content: Content) -> Element:
 
 
 def _as_text(options: Mapping[str, Any]) -> str:
-    """Options in a line."""
     return ", ".join(
         f"{name} {value if isinstance(value, str) else json.dumps(value)}"
         for name, value in options.items()

@@ -120,7 +120,6 @@ def choose_agents(patterns: Sequence[str]) -> list[str]:
 
 
 def _may_be_loaded(name: str) -> bool:
-    """Whether a name is that of a file, or of one that ships."""
     inner = name.removesuffix(FILTER)
     return inner in SHIPPED or ":" in inner or Path(inner).exists()
 

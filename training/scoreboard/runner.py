@@ -195,7 +195,6 @@ def fly_benchmark(
 
 
 def _enter(name: str) -> LoadedAgent:
-    """Make an agent, or say why it cannot be made."""
     try:
         agent = load(name)
         return LoadedAgent(name, agent, source_digest(agent))
@@ -204,7 +203,6 @@ def _enter(name: str) -> LoadedAgent:
 
 
 def _prepare(task: ScoredTask, loaded: LoadedAgent, seeds: Sequence[int], out: Path) -> Evaluation:
-    """An agent on a task, with the episodes that were flown before."""
     agent, cell = loaded.agent, Evaluation(task, loaded, seeds)
     if agent is None:
         return cell
@@ -265,7 +263,6 @@ def _fly(cells: Sequence[Evaluation], scale: ScaleOptions) -> None:
 
 
 def _rows(cells: Sequence[Evaluation]) -> list[list[EpisodeRow]]:
-    """The rows of each cell's episodes, in order."""
     fastest: dict[str, Mapping[int, float]] = {}
     for cell in cells:
         task = cell.task

@@ -240,7 +240,6 @@ def align_columns(rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table in Markdown."""
     head, *others = (f"| {' | '.join(row)} |" for row in rows)
     lines = [head, "|" + "---|" * len(rows[0]), *others]
     return [line.replace("*", "\\*") for line in lines]

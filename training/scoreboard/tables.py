@@ -124,7 +124,6 @@ class Tables:
         )
 
     def _number(self, cell: CellResult, metric: Metric) -> list[Element | str]:
-        """A value as text, with its interval."""
         given = cell.values.get(metric.name)
         if given is None or given.value is None:
             return [NONE]
@@ -141,7 +140,6 @@ class Tables:
         }
 
     def _replay(self, cell: CellResult) -> Element | None:
-        """A link to a cell's replay, if it is there."""
         if cell.replay is None or not self._linked(cell.replay.file):
             return None
         said = f"Replay: {self._label(cell)}"
@@ -162,12 +160,10 @@ def short_label(task: TaskInfo) -> str:
 
 
 def _sortable(text: str, **attributes: str) -> Element:
-    """A column's head; a script makes its text a button."""
     return tag("th", tag("span", text), scope="col", data_sort=True, **attributes)
 
 
 def _head(agent: AgentInfo, scope: str | None = "row") -> Element:
-    """An agent's name at the head of its row."""
     mark = tag("abbr", "◆", title=PRIVILEGED) if agent.privileged else None
     return tag("th", tag("span", agent.label), mark, scope=scope, title=agent.help or None)
 

@@ -146,19 +146,10 @@ def test_another_version_is_refused():
     assert "install the same version" in answer(request.replace('"version": "', '"version": "9'))
 
 
-@pytest.mark.parametrize(("options", "kind"), [({}, Serial), ({"workers": 2}, LocalWorkers)])
-def test_options_open_what_they_say(options, kind):
-    with ScaleOptions(**options).open() as workers:
-        assert isinstance(workers, kind)
-        assert workers.size == options.get("workers", 1)
-
-
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ({"workers": 0}, "--workers is 0"),
         ({"workers": 2, "ray": "auto"}, "--workers is 2"),
-        ({"ray": "here"}, "--ray is 'here'"),
         ({"ray": "http://here:80"}, "must be 'auto', 'local', or host:port"),
     ],
 )

@@ -92,9 +92,7 @@ def test_what_is_no_setting_is_refused(setting, why):
     ("arguments", "why"),
     [
         (["--set", "hiden=3"], "hiden"),
-        (["--set", "batch_size=1000"], "--batch-size is 1000"),
         (["--set", "task=rink"], "ring"),
-        (["--seeds", "1", "1"], "each once"),
         (["--compare", "hidden=3", "hidden,3"], "each once"),
     ],
 )

@@ -11,17 +11,6 @@ from swarm_envs.training.scoreboard.manifest import FILE, Manifest, OtherBenchma
 CONFIG = {"seed": 1, "episodes": None, "agents": {"hover": "a1", "detour": "b2"}, "quick": False}
 
 
-def test_differences_are_named_one_by_one():
-    new = {"seed": 2, "agents": {"hover": "a1", "detour": "c3", "random": "d4"}, "quick": False}
-    assert list(differences(CONFIG, new)) == [
-        "seed was 1, and is 2",
-        "episodes is only in the folder",
-        "agents: detour was 'b2', and is 'c3'",
-        "agents: random is only asked for now",
-    ]
-    assert not list(differences(CONFIG, json.loads(json.dumps(CONFIG))))
-
-
 def test_a_folder_of_other_options_is_refused_and_left_as_it_was(tmp_path):
     Manifest(tmp_path, CONFIG).begin(["swarm-envs", "benchmark"])
     before = (tmp_path / FILE).read_bytes()

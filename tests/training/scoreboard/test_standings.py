@@ -153,11 +153,6 @@ def test_a_profile_counts_what_is_above_each_threshold():
         assert fractions == [score] * len(THRESHOLDS)
 
 
-def test_the_same_scores_give_the_same_bytes():
-    for summary in (aggregate, performance_profile):
-        assert summary(draws(5, 30, 9)) == summary(draws(5, 30, 9))
-
-
 @pytest.mark.parametrize("scores", [[], [np.ones(3), np.ones(0)]])
 def test_nothing_to_put_together_is_refused(scores):
     with pytest.raises(ValueError, match="no score to put together"):
