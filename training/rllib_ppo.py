@@ -15,8 +15,9 @@ import sys
 import time
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from gymnasium import spaces
@@ -27,9 +28,9 @@ from swarm_envs import __version__, swap_v0
 from swarm_envs.agents.features import FEATURE_SETS, GOAL
 from swarm_envs.agents.networks import Layers, plain
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, write_policy
+from swarm_envs.arguments import Count, Range, Seed, typed
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.errors import check_integer
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 
@@ -37,19 +38,20 @@ TASK, ENVIRONMENT, SHARED = "swap_v0", "swarm-envs-swap", "all"
 """What is flown, the name under which RLlib knows it, and that of the one policy."""
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class RllibConfig:
     """Train one policy for all drones by RLlib's PPO, and write it where `evaluate` finds it."""
 
     out: Path
     """folder for policy.safetensors and report.json"""
-    drones: int = 4
+    drones: Count = 4
     """number of small drones; the policy will fly as many or fewer"""
-    steps: int = 1_000_000
+    steps: Count = 1_000_000
     """decisions of single drones, rounded up to whole batches"""
-    seed: int = 0
+    seed: Seed = 0
     """of first weights, episodes and exploration"""
-    runners: int = 0
+    runners: Annotated[int, Range(0)] = 0
     """Ray actors that fly, one processor each; 0 for this process"""
     ray: str | None = None
     """address of a cluster, or `auto`; one on this machine alone if not given"""
@@ -59,33 +61,25 @@ class RllibConfig:
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float = 3.5
     """the clock of training, s"""
-    num_neighbors: int = 3
+    num_neighbors: Annotated[int, Range(0)] = 3
     """K, how many neighbours a drone observes"""
-    hidden: tuple[int, ...] = (64, 64)
+    hidden: tuple[Count, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
-    batch: int = 4096
+    batch: Count = 4096
     """decisions of teams between two updates"""
-    minibatch: int = 2048
+    minibatch: Count = 2048
     """decisions of drones per gradient step"""
-    passes: int = 5
+    passes: Count = 5
     """over the decisions of a batch"""
     learning_rate: float = 5e-4
     """of Adam"""
-    judge_episodes: int = 256
+    judge_episodes: Count = 256
     """in which the policy is evaluated at the end, on each layout"""
 
     def __post_init__(self) -> None:
-        """Refuse numbers with which nothing could be trained.
-
-        Raises:
-            ValueError: naming the option, the value and the rule.
-        """
-        least = {"drones": 1, "steps": 1, "seed": 0, "runners": 0, "num_neighbors": 0}
-        least |= {"batch": 1, "minibatch": 1, "passes": 1, "judge_episodes": 1}
-        for name, value in least.items():
-            check_integer(f"--{name.replace('_', '-')}", getattr(self, name), value)
-        if not self.hidden or min(self.hidden) < 1:
-            raise ValueError(f"--hidden is {self.hidden}, but must be one or more widths")
+        """Refuse networks without a hidden layer."""
+        if not self.hidden:
+            raise ValueError("--hidden is (), but must be one or more widths")
 
     def note(self) -> PolicyNote:
         """What the policy is trained for."""

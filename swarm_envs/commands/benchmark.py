@@ -6,17 +6,15 @@ import importlib.util
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from swarm_envs.commands.checks import Misuse, check_file, check_folder
-from swarm_envs.errors import check_integer
+from swarm_envs.arguments import Count, Seed
+from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.tasks import SEED
 
-if TYPE_CHECKING:
-    from swarm_envs.training.scoreboard.runner import BenchmarkPlan
 
-
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkOptions:
     """Fly every agent on every task that it supports, and report how they did.
@@ -35,11 +33,11 @@ class BenchmarkOptions:
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
     tasks: list[str] = field(default_factory=lambda: ["*"])
     """ids of tasks, such as `swap-circle-4-v1`, or patterns of them, in quotes"""
-    episodes: int | None = None
+    episodes: Count | None = None
     """of every agent on every task; by default those of the tables, more where they are cheap"""
     quick: bool = False
     """fly a sixteenth of the episodes, to see that all works"""
-    seed: int = SEED
+    seed: Seed = SEED
     """the episodes' seeds are drawn from it; with another, scores compare with nobody else's"""
     replays: bool = True
     """record for each cell an episode that can be looked at, one click from the report"""
@@ -52,11 +50,8 @@ class BenchmarkOptions:
 
     def __post_init__(self) -> None:
         """Refuse numbers with which nothing can be flown."""
-        check_integer("--seed", self.seed, 0)
-        if self.episodes is not None:
-            check_integer("--episodes", self.episodes, 1)
-            if self.quick:
-                raise ValueError("--quick and --episodes both say how many are flown; give one")
+        if self.episodes is not None and self.quick:
+            raise ValueError("--quick and --episodes both say how many are flown; give one")
         if (self.out is None) == (self.report is None):
             raise ValueError("give either --out DIR, to fly, or --report DIR, to report anew")
 
@@ -87,10 +82,22 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
     from swarm_envs.files import claimed, write_json
     from swarm_envs.training.scoreboard.board import FILE
     from swarm_envs.training.scoreboard.manifest import OtherBenchmark
-    from swarm_envs.training.scoreboard.runner import fly_benchmark
+    from swarm_envs.training.scoreboard.roster import choose_agents
+    from swarm_envs.training.scoreboard.runner import BenchmarkPlan, fly_benchmark
+    from swarm_envs.training.scoreboard.tasks import choose_tasks
 
     check_folder("--out", out)
-    plan = _plan(options)
+    try:
+        tasks, agents = choose_tasks(options.tasks), choose_agents(options.agents)
+    except ValueError as error:
+        raise Misuse(str(error)) from error
+    plan = BenchmarkPlan(
+        tasks=tasks,
+        agents=agents,
+        seed=options.seed,
+        episodes=options.episodes,
+        quick=options.quick,
+    )
     with claimed(out):
         try:
             content = fly_benchmark(plan, out, options.scale, options.table)
@@ -135,23 +142,6 @@ def _tell(problems: list[str], *written: Path | None) -> None:
         print(f"no replay: {problem}")
     for path in filter(None, written):
         print(f"wrote {path}")
-
-
-def _plan(options: BenchmarkOptions) -> BenchmarkPlan:
-    from swarm_envs.training.scoreboard import roster, tasks
-    from swarm_envs.training.scoreboard.runner import BenchmarkPlan
-
-    try:
-        chosen, agents = tasks.choose_tasks(options.tasks), roster.choose_agents(options.agents)
-    except ValueError as error:
-        raise Misuse(str(error)) from error
-    return BenchmarkPlan(
-        tasks=chosen,
-        agents=agents,
-        seed=options.seed,
-        episodes=options.episodes,
-        quick=options.quick,
-    )
 
 
 def _standings(content: dict[str, Any]) -> str:

@@ -19,9 +19,9 @@ from tqdm import tqdm
 from swarm_envs import __version__
 from swarm_envs.agents.evaluation import bootstrap_interval, frozen_seeds, interquartile_mean
 from swarm_envs.agents.policy import FILE, read_policy
+from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands import train
-from swarm_envs.commands.checks import Misuse, check_file, check_folder
-from swarm_envs.errors import check_integer
+from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.scale_out.jobs import Job, Outcome
@@ -34,6 +34,7 @@ _OURS = ("out", "json", "seed", "progress")
 """Options of `train` that the sweep itself gives."""
 
 
+@command_options
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions:
     """Train with several seeds, with or without variants of the options, and compare.
@@ -45,16 +46,16 @@ class SweepOptions:
 
     out: Path
     """folder of all runs, and of sweep.json; on storage that all machines of a cluster share"""
-    seeds: list[int] = field(default_factory=lambda: [0, 1, 2, 3, 4])
+    seeds: list[Seed] = field(default_factory=lambda: [0, 1, 2, 3, 4])
     """of the runs, one each"""
     set: list[str] = field(default_factory=list)
     """options of `train` for every run, NAME=VALUE, such as `drones=4 hidden=128,128`"""
     compare: list[str] = field(default_factory=lambda: [""])
     """variants, each in quotes: more such options, such as `"hidden=64,64" "hidden=128,128
     entropy=0.01"`"""
-    episodes: int = 1024
+    episodes: Count = 1024
     """in which each policy is judged, on each layout"""
-    report_seed: int = 7
+    report_seed: Seed = 7
     """the episodes' seeds are drawn from it, as by `evaluate --seed`"""
     json: Path | None = None
     """write the report to this file too"""
@@ -62,19 +63,11 @@ class SweepOptions:
     """who shares the runs"""
 
     def __post_init__(self) -> None:
-        """Refuse what makes no sweep.
-
-        Raises:
-            ValueError: naming the option, the value and the rule.
-        """
-        check_integer("--episodes", self.episodes, 1)
-        check_integer("--report-seed", self.report_seed, 0)
+        """Refuse runs that would be flown twice."""
         folders = [_folder(variant) for variant in self.compare]
         for name, given in (("--seeds", self.seeds), ("--compare", folders)):
             if not given or len(dict.fromkeys(given)) < len(given):
                 raise ValueError(f"{name} is {given}; name one or more, each once")
-        for seed in self.seeds:
-            check_integer("--seeds", seed, 0)
 
 
 def train_arguments(settings: Sequence[str]) -> list[str]:
@@ -289,6 +282,8 @@ def over_seeds(runs: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def _table(report: dict[str, Any]) -> str:
     """A line a variant: interquartile means and intervals over its runs."""
+    from swarm_envs.training.scoreboard.standings import align_columns
+
     names = list(dict.fromkeys(name for v in report["variants"] for name in v["measured"]))
     rows = [["options", "runs", *(name.replace("_", " ") for name in names), "CPU, min"]]
     failed = []
@@ -302,9 +297,7 @@ def _table(report: dict[str, Any]) -> str:
             for entry in variant["runs"]
             if "error" in entry
         ]
-    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)) for row in rows]
-    return "\n" + "\n".join([*(line.rstrip() for line in lines), *failed])
+    return "\n" + "\n".join([*align_columns(rows), *failed])
 
 
 def _cell(name: str, measure: dict[str, Any] | None) -> str:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import tyro
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_integer
+from swarm_envs.arguments import Count, Range, Seed, typed_options
 from swarm_envs.training.collection.collect import CollectionConfig
 from swarm_envs.training.collection.flight import CalibrationErrors
 from swarm_envs.training.collection.log import Label, SensorNoise
@@ -76,7 +74,7 @@ _QUICK: Mapping[str, Any] = {
 """What the small version is run with."""
 
 
-@typed
+@typed_options
 @dataclass(frozen=True, kw_only=True)
 class CurriculumConfig:
     """Learn the interaction force in rounds, each closer together with what the last one learned.
@@ -89,27 +87,27 @@ class CurriculumConfig:
 
     out: Path
     """folder for the rounds, the model, the report and the picture"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of every flight and fit"""
     interactions: str = "learned"
     """force model of the environment: `learned`, `wake`, or a path of weights"""
     first_clearance_m: float = 0.25
     """least vertical clearance of two spheres in swaps of the first round, and of the first with
     more drones: nothing is known then, m"""
-    least_clearance_m: float = 0.015
+    least_clearance_m: Annotated[float, Range(0.005, 0.2, unit="m")] = 0.015
     """no round plans a smaller clearance, m"""
-    margin: float = 1.5
+    margin: Annotated[float, Range(1.0, 10.0)] = 1.5
     """a round plans at least this many times the error of the vertical gap that is to be expected
     from the round before"""
-    flights: int = 4
+    flights: Annotated[int, Range(2)] = 4
     """flights of each team and motion in a round"""
-    duration_s: float = 12.0
+    duration_s: Annotated[float, Range(3.0, 600.0, unit="s")] = 12.0
     """length of a flight, s"""
-    steps: int = 1200
+    steps: Count = 1200
     """optimiser steps of the fits between rounds"""
-    last_steps: int = 4000
+    last_steps: Count = 4000
     """optimiser steps of the last fit"""
-    episodes: int = 20
+    episodes: Count = 20
     """unseen swaps of each team on which the models are evaluated"""
     stages: tyro.conf.Suppress[tuple[Stage, ...]] = STAGES
     """who flies in each round"""
@@ -130,14 +128,11 @@ class CurriculumConfig:
     """show progress bars"""
 
     def __post_init__(self) -> None:
-        """Check every number.
+        """Check what the annotations cannot say.
 
         Raises:
             ValueError: a number is impossible; the message names it.
         """
-        for name, least in (("seed", 0), ("flights", 2), ("episodes", 1), ("steps", 1)):
-            check_integer(name, getattr(self, name), least)
-        check_integer("last_steps", self.last_steps, 1)
         if self.interactions == "none":
             raise ValueError("interactions is 'none': there is no force to learn; name another")
         given = [
@@ -147,15 +142,11 @@ class CurriculumConfig:
             raise ValueError(
                 f"quick sets {', '.join(given)} itself, so leave them out, or leave out quick"
             )
-        for name, low, high in (
-            ("least_clearance_m", 0.005, 0.2),
-            ("first_clearance_m", self.least_clearance_m, 0.5),
-            ("margin", 1.0, 10.0),
-            ("duration_s", 3.0, 600.0),
-        ):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and low <= value <= high):
-                raise ValueError(f"{name} is {value}, but must be from {low} to {high}")
+        if not self.least_clearance_m <= self.first_clearance_m <= 0.5:
+            raise ValueError(
+                f"first_clearance_m is {self.first_clearance_m}, but must be from "
+                f"{self.least_clearance_m} to 0.5"
+            )
 
     def sized(self) -> CurriculumConfig:
         """Return the configuration that is run: itself, or its small version if `quick`."""

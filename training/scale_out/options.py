@@ -6,8 +6,10 @@ import re
 import socket
 from concurrent.futures import Future
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
+from swarm_envs.arguments import Count, typed
 from swarm_envs.errors import check_integer
 from swarm_envs.training.scale_out.jobs import RETRIES, LocalWorkers, Serial, WorkerPool, answer
 
@@ -20,11 +22,12 @@ _AHEAD = 2
 """Jobs handed to Ray for each of its processors: while one is done the next is on its way."""
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class ScaleOptions:
     """Who shares the work; the results are the same."""
 
-    workers: int = 1
+    workers: Count = 1
     """processes of this machine; 1 for this one alone"""
     ray: str | None = None
     """a Ray cluster does it: `auto` for the one that runs here, `local` for one on this machine
@@ -36,7 +39,6 @@ class ScaleOptions:
         Raises:
             ValueError: naming the option, the value and the rule.
         """
-        check_integer("--workers", self.workers, 1)
         if self.ray is not None:
             check_address(self.ray)
         if self.ray is not None and self.workers > 1 and self.ray != LOCAL:

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from swarm_envs.training.scoreboard.manifest import FILE, Manifest, OtherBenchmark, differences
+from swarm_envs.training.scoreboard.manifest import FILE, Manifest, OtherBenchmark
 
 CONFIG = {"seed": 1, "episodes": None, "agents": {"hover": "a1", "detour": "b2"}, "quick": False}
 
