@@ -45,6 +45,9 @@ class Learner(ABC):
         ValueError: an option has an impossible value.
     """
 
+    prefix = "policy."
+    """What names of the network's tensors begin with."""
+
     def __init__(self, config: RlConfig, task: str) -> None:
         torch.set_num_threads(1)  # matrices are small: more threads wait for each other
         self.config = config = with_recipe(config, task)
@@ -81,16 +84,37 @@ class Learner(ABC):
         """The networks whose output is the mean action, as `Policy` takes them."""
 
     @abstractmethod
-    def tensors(self) -> dict[str, Tensor]:
-        """All that the next segments depend on, by names of the algorithm's own."""
+    def network(self) -> nn.Module:
+        """All that is trained, as one module."""
 
     @abstractmethod
+    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        """Those that train it, by what names of their tensors begin with."""
+
+    def tensors(self) -> dict[str, Tensor]:
+        """All that the next segments depend on, by names of the algorithm's own."""
+        weights = self.network().state_dict()
+        tensors = {self.prefix + name: tensor for name, tensor in weights.items()}
+        for prefix, optimiser in self.optimisers().items():
+            for place, entries in optimiser.state_dict()["state"].items():
+                for name, value in entries.items():
+                    tensors[f"{prefix}{place}.{name}"] = torch.as_tensor(value).clone()
+        return tensors
+
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """Stand where another learner of the same options gave these tensors.
 
         Raises:
             KeyError, RuntimeError, ValueError: they are of networks of another kind.
         """
+        self.network().load_state_dict(_without_prefix(tensors, self.prefix))
+        for prefix, optimiser in self.optimisers().items():
+            state: dict[int, dict[str, Tensor]] = {}
+            for name, tensor in _without_prefix(tensors, prefix).items():
+                place, _, entry = name.partition(".")
+                state.setdefault(int(place), {})[entry] = tensor
+            groups = optimiser.state_dict()["param_groups"]
+            optimiser.load_state_dict({"state": state, "param_groups": groups})
 
     def start_counting(self) -> None:
         """Begin to count ends of episodes anew."""
@@ -135,6 +159,11 @@ class Sb3Learner(Learner):
         )
         self.rollouts = segment.stop
         return {"step": float(model.num_timesteps), **self.rates()}
+
+    def network(self) -> nn.Module:
+        """The policy of Stable-Baselines3."""
+        policy: nn.Module = self.model.policy
+        return policy
 
     def begin_rollout(self, steps: int) -> None:
         """Set what depends on how many steps were flown."""
@@ -206,36 +235,6 @@ def layers_of(network: nn.Module) -> Layers:
     )
 
 
-def optimiser_tensors(optimiser: torch.optim.Optimizer, prefix: str) -> dict[str, Tensor]:
-    """The state of an optimiser: `<prefix><parameter's place>.<entry>`."""
-    return {
-        f"{prefix}{place}.{name}": torch.as_tensor(value).clone()
-        for place, entries in optimiser.state_dict()["state"].items()
-        for name, value in entries.items()
-    }
-
-
-def load_optimiser(
-    optimiser: torch.optim.Optimizer, tensors: Mapping[str, Tensor], prefix: str
-) -> None:
-    """Give an optimiser what `optimiser_tensors` took of another.
-
-    Raises:
-        RuntimeError, ValueError: that one had other parameters.
-    """
-    state: dict[int, dict[str, Tensor]] = {}
-    for name, tensor in without_prefix(tensors, prefix).items():
-        place, _, entry = name.partition(".")
-        state.setdefault(int(place), {})[entry] = tensor
-    groups = optimiser.state_dict()["param_groups"]
-    optimiser.load_state_dict({"state": state, "param_groups": groups})
-
-
-def with_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """The tensors by names that begin so."""
-    return {prefix + name: tensor for name, tensor in tensors.items()}
-
-
-def without_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
+def _without_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:
     """Those whose names begin so, by what follows."""
     return {n.removeprefix(prefix): t for n, t in tensors.items() if n.startswith(prefix)}

@@ -9,7 +9,7 @@ decisions in a batch, few passes.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,19 +18,9 @@ import torch
 from torch import Tensor, nn
 
 from swarm_envs.agents.networks import Network, plain
-from swarm_envs.training.rl.learner import (
-    Entry,
-    Learner,
-    Watch,
-    layers_of,
-    load_optimiser,
-    optimiser_tensors,
-    with_prefix,
-    without_prefix,
-)
+from swarm_envs.training.rl.learner import Entry, Learner, Watch, layers_of
 from swarm_envs.training.rl.rl_config import RlConfig
 
-_NETWORKS, _OPTIMISER = "networks.", "optimiser."
 _LARGEST_GRADIENT = 0.5
 _HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
 
@@ -99,6 +89,8 @@ class Rollout(NamedTuple):
 
 class MappoLearner(Learner):
     """A policy in training by MAPPO; what its methods are for, see `Learner`."""
+
+    prefix = "networks."
 
     def __init__(self, config: RlConfig, task: str) -> None:
         super().__init__(config, task)
@@ -227,15 +219,13 @@ class MappoLearner(Learner):
         """The network whose output is the mean action."""
         return plain(layers_of(self.networks.actor))
 
-    def tensors(self) -> dict[str, Tensor]:
-        """Weights, the spread of returns, and Adam's averages."""
-        tensors = with_prefix(self.networks.state_dict(), _NETWORKS)
-        return tensors | optimiser_tensors(self.adam, _OPTIMISER)
+    def network(self) -> nn.Module:
+        """Actor, critic, and the spread of returns."""
+        return self.networks
 
-    def load(self, tensors: Mapping[str, Tensor]) -> None:
-        """Take what `tensors` gave."""
-        self.networks.load_state_dict(without_prefix(tensors, _NETWORKS))
-        load_optimiser(self.adam, tensors, _OPTIMISER)
+    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        """Adam."""
+        return {"optimiser.": self.adam}
 
     def _adam(self, rate: float) -> None:
         self.adam = torch.optim.Adam(self.networks.parameters(), lr=rate, eps=1e-5)

@@ -9,7 +9,7 @@ linear layer then has weights and a bias for each.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -22,19 +22,8 @@ from torch import Tensor, nn
 
 from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.agents.networks import ANY, Network
-from swarm_envs.training.rl.learner import (
-    Entry,
-    Sb3Learner,
-    Watch,
-    layers_of,
-    load_optimiser,
-    optimiser_tensors,
-    with_prefix,
-    without_prefix,
-)
+from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch, layers_of
 from swarm_envs.training.rl.rl_config import RlConfig
-
-_POLICY, _OPTIMISER = "policy.", "optimiser."
 
 
 class PpoLearner(Sb3Learner):
@@ -101,17 +90,9 @@ class PpoLearner(Sb3Learner):
         """The networks whose output is the mean action."""
         return actor_networks(self.model.policy)
 
-    def tensors(self) -> dict[str, Tensor]:
-        """Weights and Adam's averages."""
-        policy = self.model.policy
-        tensors = with_prefix(policy.state_dict(), _POLICY)
-        return tensors | optimiser_tensors(policy.optimizer, _OPTIMISER)
-
-    def load(self, tensors: Mapping[str, Tensor]) -> None:
-        """Take weights and Adam's averages."""
-        policy = self.model.policy
-        policy.load_state_dict(without_prefix(tensors, _POLICY))
-        load_optimiser(policy.optimizer, tensors, _OPTIMISER)
+    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        """Adam."""
+        return {"optimiser.": self.model.policy.optimizer}
 
 
 @dataclass(frozen=True)

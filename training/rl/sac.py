@@ -27,22 +27,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from swarm_envs.agents.networks import Network, plain
-from swarm_envs.training.rl.learner import (
-    Entry,
-    Sb3Learner,
-    Watch,
-    layers_of,
-    load_optimiser,
-    optimiser_tensors,
-    with_prefix,
-    without_prefix,
-)
+from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch, layers_of
 from swarm_envs.training.rl.rl_config import RlConfig
 
 ACTOR_EVERY = 2
 """Gradient steps of the critics for each of the actor and of the temperature."""
 _HALF_LOG_TAU = 0.5 * math.log(2.0 * math.pi)
-_POLICY, _MEMORY, _TEMPERATURE, _PLACE = "policy.", "memory.", "log_temperature", "memory_place"
+_MEMORY, _TEMPERATURE, _PLACE = "memory.", "log_temperature", "memory_place"
 _BUFFER_FIELDS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -97,25 +88,21 @@ class SacLearner(Sb3Learner):
 
     def tensors(self) -> dict[str, Tensor]:
         """Weights, Adam's averages, the temperature; and while it learns, the replay buffer."""
-        tensors = with_prefix(self.model.policy.state_dict(), _POLICY)
-        tensors[_TEMPERATURE] = self.model.log_ent_coef.detach()
-        for name, optimiser in self._optimisers().items():
-            tensors |= optimiser_tensors(optimiser, name)
+        tensors = {**super().tensors(), _TEMPERATURE: self.model.log_ent_coef.detach()}
         if self.rollouts < self.config.rollouts:
             tensors |= _buffer_tensors(self.model.replay_buffer)
         return tensors
 
     def load(self, tensors: Mapping[str, Tensor]) -> None:
         """Take what `tensors` gave."""
-        self.model.policy.load_state_dict(without_prefix(tensors, _POLICY))
+        super().load(tensors)
         with torch.no_grad():
             self.model.log_ent_coef.copy_(tensors[_TEMPERATURE])
-        for name, optimiser in self._optimisers().items():
-            load_optimiser(optimiser, tensors, name)
         if _PLACE in tensors:
             _fill_buffer(self.model.replay_buffer, tensors)
 
-    def _optimisers(self) -> dict[str, torch.optim.Optimizer]:
+    def optimisers(self) -> dict[str, torch.optim.Optimizer]:
+        """Of the actor, the critics and the temperature."""
         model = self.model
         return {
             "actor_optimiser.": model.actor.optimizer,
