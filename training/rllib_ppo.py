@@ -208,23 +208,19 @@ def train_with_rllib(config: RllibConfig) -> dict[str, Any]:
 
 
 def _learn(config: RllibConfig, algorithm: Any) -> Policy:
-    steps = 0
+    steps, options = 0, {**asdict(config), "out": str(config.out), "trainer": "rllib-ppo"}
     with tqdm(total=config.steps, unit="step", unit_scale=True, desc="train") as bar:
         while steps < config.steps:
             flown = algorithm.train()["env_runners"]
             steps = config.drones * int(flown["num_env_steps_sampled_lifetime"])
             bar.set_postfix_str(f"return {flown['episode_return_mean']:.2f}", refresh=False)
             bar.update(steps - bar.n)
-            about = {"config": _ready(config), "steps": steps, "version": __version__}
+            about = {"config": options, "steps": steps, "version": __version__}
             networks = plain(actor(algorithm.get_module(SHARED), 3))
             policy = Policy(config.note(), networks, about)
             write_policy(config.out / FILE, policy)
     algorithm.stop()
     return policy
-
-
-def _ready(config: RllibConfig) -> dict[str, Any]:
-    return {**asdict(config), "out": str(config.out), "trainer": "rllib-ppo"}
 
 
 def _main() -> None:

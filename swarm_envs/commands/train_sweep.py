@@ -24,7 +24,7 @@ from swarm_envs.commands import train
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.rl_config import RlConfig
-from swarm_envs.training.scale_out.jobs import Job, Outcome
+from swarm_envs.training.scale_out.jobs import Job
 from swarm_envs.training.scale_out.options import ScaleOptions
 
 REPORT, MARKER, SCORES = "sweep.json", "options.json", "scores.json"
@@ -235,20 +235,15 @@ def _train(
         tqdm(total=len(jobs), unit="run", desc="sweep", disable=options.scale.alone) as bar,
     ):
         for outcome in workers.run(deque(jobs)):
-            found[labels[outcome.job.label]] = _result_of(outcome)
+            failed = outcome.error is not None
+            result = {"error": outcome.error} if failed else outcome.result
+            found[labels[outcome.job.label]] = result
+            sys.stderr.write(outcome.trace)
             bar.update()
     return {name: found[name] for name in runs}
 
 
 _NOT_RESULT = ("out", "json", "scale")
-
-
-def _result_of(outcome: Outcome) -> dict[str, Any]:
-    if outcome.error is None:
-        result: dict[str, Any] = outcome.result
-        return result
-    sys.stderr.write(outcome.trace)
-    return {"error": outcome.error}
 
 
 def _report(options: SweepOptions, found: dict[tuple[str, int], dict[str, Any]]) -> dict[str, Any]:

@@ -128,11 +128,7 @@ class CurriculumConfig:
     """show progress bars"""
 
     def __post_init__(self) -> None:
-        """Check what the annotations cannot say.
-
-        Raises:
-            ValueError: a number is impossible; the message names it.
-        """
+        """Check what the annotations cannot say."""
         if self.interactions == "none":
             raise ValueError("interactions is 'none': there is no force to learn; name another")
         given = [

@@ -164,11 +164,7 @@ class RlConfig:
     """of `--algo sac`, in place of those above that it has not: batches, rates, stages"""
 
     def __post_init__(self) -> None:
-        """Refuse options that do not fit each other.
-
-        Raises:
-            ValueError: naming the option, the value and the rule.
-        """
+        """Refuse options that do not fit each other."""
         self._check_teams()
         for name in ("hidden", "set_hidden"):
             if not getattr(self, name):

@@ -34,11 +34,7 @@ class ScaleOptions:
     alone (of --workers processors, if more than 1), or its address, such as 10.0.0.1:6379"""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be.
-
-        Raises:
-            ValueError: naming the option, the value and the rule.
-        """
+        """Check what the annotations cannot say."""
         if self.ray is not None:
             check_address(self.ray)
         if self.ray is not None and self.workers > 1 and self.ray != LOCAL:

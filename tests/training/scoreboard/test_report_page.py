@@ -47,16 +47,13 @@ def open_page(browser, folder):
     """Opens the page in a window, and holds at the end that nothing went wrong in it."""
     opened = []
 
-    def visit(size, scheme="light", scripts=True):
-        context = browser.new_context(
-            viewport=size, color_scheme=scheme, java_script_enabled=scripts
-        )
+    def visit(size, scheme="light"):
+        context = browser.new_context(viewport=size, color_scheme=scheme)
         page = context.new_page()
         page.set_default_timeout(60_000)
         opened.append((context, complaints(page), requests(page)))
         page.goto((folder / "report.html").as_uri())
-        if scripts:
-            page.wait_for_selector("body[data-ready=yes]")
+        page.wait_for_selector("body[data-ready=yes]")
         return page
 
     yield visit
@@ -173,14 +170,6 @@ def test_it_fits_and_can_be_read(open_page, size, scheme):
     assert (ink > 200 and paper < 60) if scheme == "dark" else (ink < 60 and paper > 200)
     assert page.evaluate("window.bitten") is None
     assert page.locator("#matrix th", has_text=EVIL).count() == 1
-
-
-def test_without_scripts_it_is_a_table_with_links(open_page):
-    page = open_page(TELEPHONE, scripts=False)
-    assert page.locator("#matrix tbody tr").count() == 16
-    assert not page.locator("#controls").is_visible()
-    assert page.locator("#matrix a.play").count() > 180
-    assert page.locator("#leaderboards li").count() > 40
 
 
 def test_every_replay_is_there_and_one_plays(browser, folder, content, tmp_path):
