@@ -80,7 +80,7 @@ EXEMPT = {
     "write_pieces": "takes Pieces, which are checked",
     "report": "a job of `benchmark`; the command's options are checked",
     "write": "likewise",
-    "run_benchmark": "likewise",
+    "fly_benchmark": "likewise",
     "choose_tasks": "likewise",
     "evaluate": "a generator of many flights; the command's options are checked",
     "episodes_of": "takes a name and a task of the benchmark's tables",
