@@ -12,8 +12,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from swarm_envs.arguments import WrongKind, typed
 from swarm_envs.state import FloatArray
@@ -96,15 +94,6 @@ def test_text_that_is_none_of_those_that_may_be_is_told_the_nearest():
 def test_arguments_by_place_are_looked_at_too():
     with pytest.raises(WrongKind, match="share is 'x'"):
         job(1, "x")  # type: ignore[arg-type]
-
-
-@given(st.one_of(st.integers(), st.floats(), st.text(), st.booleans(), st.none(), st.binary()))
-def test_only_integers_are_integers(value):
-    if type(value) is int:
-        assert job(count=value)["count"] == value
-    else:
-        with pytest.raises(WrongKind, match="count is"):
-            job(count=value)
 
 
 @typed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 
@@ -49,24 +48,6 @@ def test_help_explains_every_option(call, capsys):
     assert "--out" in text
 
 
-def test_reproduce_knows_its_papers(capsys):
-    assert main(["reproduce", "--help"]) == 0
-    shown = capsys.readouterr().out
-    assert all(paper in shown for paper in PAPERS)
-    assert main(["reproduce"]) == 2
-    assert main(["reproduce", "neural-swarm3", "--figure", "5"]) == 2
-    assert "did you mean 'neural-swarm2'" in capsys.readouterr().err
-
-
-def test_export_knows_its_kinds(capsys):
-    assert main(["export", "--help"]) == 0
-    shown = capsys.readouterr().out
-    assert all(f"\n  {kind} " in shown for kind in KINDS)
-    assert main(["export"]) == 2
-    assert main(["export", "polcy"]) == 2
-    assert "did you mean 'policy'" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -105,14 +86,6 @@ def run_without_torch(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
 
 
-@pytest.mark.parametrize("name", ["fit", "collect", "curriculum"])
-def test_help_does_not_need_torch(name):
-    done = run_without_torch(name, "--help")
-    assert done.returncode == 0, done.stderr
-    assert "--seed" in done.stdout
-    assert "--out" in done.stdout
-
-
 def test_a_fit_without_torch_says_how_to_get_it(tmp_path):
     done = run_without_torch("fit", "--data", "rows.npz", "--out", str(tmp_path / "out"))
     assert done.returncode == 1
@@ -121,45 +94,8 @@ def test_a_fit_without_torch_says_how_to_get_it(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("command", "said"),
-    [
-        ("demo --out FILE", "--out is"),
-        ("demo --out FILE/inside", "--out is"),
-        ("demo --out OUT --json FILE/copy.json", "--json is"),
-        ("demo --out OUT --json FOLDER", "--json is"),
-        ("collect --out FILE", "--out is"),
-        ("fit --data rows.npz --out FILE", "--out is"),
-    ],
-)
-def test_what_cannot_be_written_is_refused_before_any_flight(command, said, capsys, tmp_path):
-    (tmp_path / "FILE").write_text("mine", encoding="utf-8")
-    (tmp_path / "FOLDER").mkdir()
-    names = ("FILE", "FOLDER", "OUT")
-    words = [str(tmp_path / w) if w.startswith(names) else w for w in command.split()]
-    assert main(words) == 2
-    error = capsys.readouterr().err
-    assert f"swarm-envs {words[0]}: error: {said}" in error
-    assert (tmp_path / "FILE").read_text(encoding="utf-8") == "mine"
-    assert not (tmp_path / "OUT").exists()
-    assert not list((tmp_path / "FOLDER").iterdir())
-
-
 def test_what_fails_later_is_a_failure(capsys, tmp_path):
     pytest.importorskip("torch")
     data, out = tmp_path / "rows.npz", tmp_path / "out"
     assert main(["fit", "--data", str(data), "--out", str(out)]) == 1
     assert "swarm-envs fit: error:" in capsys.readouterr().err
-
-
-def test_the_demo_prints_its_table_and_writes_its_numbers_twice(capsys, tmp_path):
-    out, copy = tmp_path / "out", tmp_path / "copy.json"
-    arguments = ["demo", "--out", str(out), "--swaps", "1", "--no-video", "--json", str(copy)]
-    assert main(arguments) == 0
-    said = capsys.readouterr()
-    assert "L2S" in said.out
-    assert str(out / "summary.json") in said.out
-    assert "flights: 100%" in said.err
-    summary = json.loads(copy.read_text())
-    assert summary == json.loads((out / "summary.json").read_text())
-    assert summary["swaps"] == 1

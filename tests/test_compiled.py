@@ -139,16 +139,11 @@ def test_an_edit_to_a_file_that_a_kernel_comes_from_recompiles(
     assert not any(file.exists() for file in outer)  # the stale ones do not pile up
 
 
-def test_an_edit_to_a_file_that_no_kernel_comes_from_recompiles_nothing(package: Path) -> None:
-    run(package)
-    (package / "unused.py").write_text("FIELDS = 4\n", encoding="utf-8")
-    assert run(package) == ("8 8 1", "")
-
-
-def test_a_touched_file_recompiles_nothing(package: Path) -> None:
+def test_edits_elsewhere_and_touched_files_recompile_nothing(package: Path) -> None:
     run(package)
     for name in FILES:
         os.utime(package / name, (1, 1))
+    (package / "unused.py").write_text("FIELDS = 4\n", encoding="utf-8")
     assert run(package) == ("8 8 1", "")
 
 
@@ -316,15 +311,3 @@ def test_an_equation_becomes_part_of_the_loop_that_calls_it() -> None:
     code = "".join(inspected.inspect_asm().values())
     if "vsqrtsd" in code:  # this processor works on lanes, and so does the loop
         assert "vsqrtpd" in code
-
-
-def test_a_part_takes_the_freedoms_of_arithmetic_that_it_is_given() -> None:
-    @part(fastmath={"contract"})
-    def fused(a: float, b: float, c: float) -> float:
-        return a * b + c
-
-    @kernel
-    def combine(a: float, b: float, c: float) -> float:
-        return fused(a, b, c)
-
-    assert combine(2.0, 3.0, 4.0) == 10.0

@@ -13,7 +13,6 @@ import pytest
 
 from swarm_envs.baselines.neural_swarm import demo as module
 from swarm_envs.baselines.neural_swarm.demo import SCENARIOS, VIDEO_FPS, format_table, run_demo
-from swarm_envs.interactions import load
 from swarm_envs.physics import bullet_available
 
 SIDES = ("without", "compensated")
@@ -103,13 +102,3 @@ def test_without_pybullet_the_twin_flies_the_same_and_the_summary_says_so(
             for s in (demo[1], summary)
         )
         assert same == pytest.approx(first, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("options", "why"),
-    [({"seed": -1}, "seed is -1"), ({"swaps": 0}, r"swaps is 0.*\[1, 1000\]")],
-)
-def test_impossible_options_are_refused_before_anything_is_written(tmp_path, options, why):
-    with pytest.raises(ValueError, match=why):
-        run_demo(tmp_path / "out", belief=load("none"), **options)
-    assert not list(tmp_path.iterdir())

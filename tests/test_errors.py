@@ -10,10 +10,6 @@ from swarm_envs.errors import check_array, check_name, unknown_name
 ACTIONS = ("rotors", "setpoint", "acceleration")
 
 
-def test_a_valid_name_is_returned():
-    assert check_name("action", "rotors", ACTIONS) == "rotors"
-
-
 @pytest.mark.parametrize(
     ("name", "nearest"),
     [("rotor", "rotors"), ("Acceleration", "acceleration"), ("set_point", "setpoint")],
@@ -37,12 +33,6 @@ def test_a_name_like_no_other_gets_the_list_alone():
 def test_what_is_no_string_is_refused(name):
     with pytest.raises(ValueError, match="unknown action"):
         check_name("action", name, ACTIONS)
-
-
-def test_an_array_comes_back_as_float64():
-    array = check_array("position", [[1, 2, 3]], (1, 3))
-    assert array.dtype == np.float64
-    np.testing.assert_array_equal(array, [[1.0, 2.0, 3.0]])
 
 
 def test_a_wrong_shape_names_both_shapes_and_the_rule():

@@ -172,14 +172,6 @@ def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
     assert "AttributeError" in grade(f"{work}:Fine", data)["error"]
 
 
-def test_the_force_model_starter_is_graded_by_the_command(tmp_path, capsys):
-    data = tmp_path / "rows.npz"
-    save_rows(data, rows_of(400))
-    name = f"{STARTERS / 'force_model.py'}:MyModel"
-    assert main(["grade", "--assignment", "force-model", "--data", str(data), "--work", name]) == 0
-    assert "100.0  1" in capsys.readouterr().out
-
-
 @pytest.mark.parametrize(
     ("assignment", "name", "least"),
     [("controller", "controller.py:MyController", 1.0), ("swap", "swap.py:MyAgent", 5.0)],

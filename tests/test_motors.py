@@ -163,6 +163,9 @@ def test_charge_counts_the_current(vehicle):
     for steps in (30, 720):
         charges = discharge(vehicle, thrust, steps, seconds / steps, model)[:, 0]
         assert charges[-1] == pytest.approx(expected, rel=1e-12)
+    empty = discharge(vehicle, thrust, 50, 200.0, model)
+    assert (np.diff(empty[:, 0]) <= 0).all()
+    np.testing.assert_array_equal(empty[-1], (0.0, 0.0))  # and turns no rotor
 
 
 def test_a_crazyflie_hovers_for_about_seven_minutes():
@@ -184,24 +187,10 @@ def test_thrust_falls_with_charge_and_hover_stays_possible():
         assert limit_g(vehicle, 0.02, weight_g) > weight_g
 
 
-def test_an_empty_battery_turns_no_rotor_and_stays_empty():
-    thrust = SMALL.mass * 9.80665
-    rows = discharge(SMALL, thrust, 5, 200.0)
-    assert (np.diff(rows[:, 0]) <= 0).all()
-    np.testing.assert_array_equal(rows[-1], (0.0, 0.0))
-
-
 @each_vehicle
 def test_the_limit_is_never_above_the_vehicles_own(vehicle):
     own = 0.5 * vehicle.max_thrust
     assert limit_rotors(1.0, own, *battery_of(vehicle, max_thrust=own)) == own / 4
-
-
-def test_each_drone_has_its_own_row():
-    team = (SMALL, LARGE)
-    for vehicle, together in zip(team, batteries(team), strict=True):
-        alone = battery_of(vehicle)
-        assert drain(0.7, 0.3, *together, 0.1) == drain(0.7, 0.3, *alone, 0.1)
 
 
 @pytest.mark.parametrize(

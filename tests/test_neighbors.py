@@ -70,15 +70,6 @@ def test_pairs_are_all_with_a_weight_and_neighbours_ascend(position: Array) -> N
         assert (np.diff(pairs[1, pairs[0] == i]) > 0).all()
 
 
-def test_pairs_of_several_environments_stay_apart() -> None:
-    one, other = cloud(0, MANY, 2.0, False), cloud(1, MANY, 2.0, False)
-    pairs, weight = pairs_of(np.concatenate([one, other]), MANY)
-    first, first_weight = pairs_of(one, MANY)
-    second, second_weight = pairs_of(other, MANY)
-    np.testing.assert_array_equal(pairs, np.concatenate([first, second + MANY], axis=1))
-    np.testing.assert_array_equal(weight, np.concatenate([first_weight, second_weight]))
-
-
 @given(swarms, st.integers(0, 6))
 def test_nearest_are_those_of_a_full_sort(position: Array, wanted: int) -> None:
     n = len(position)

@@ -16,7 +16,15 @@ from hypothesis import strategies as st
 
 from docs.extensions.option_tables import expand
 from swarm_envs import formation_v0, ring_v0, swap_v0
+from swarm_envs.agents.safety import Safety
 from swarm_envs.arguments import Option, options_of
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import GilbertElliott, Jam, LossModel
+from swarm_envs.baselines.mlr_dmpc.swarm import UnitOutage
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig
+from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds
+from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
+from swarm_envs.baselines.rth3d.flight.smooth import SmoothingConfig
 from swarm_envs.commands.evaluate import EvaluateOptions
 from swarm_envs.commands.export import ForceOptions, PolicyOptions
 from swarm_envs.commands.fly import FlyOptions
@@ -30,6 +38,13 @@ from swarm_envs.tasks.formation import FormationTask
 from swarm_envs.tasks.obstacles import Column
 from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
 from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
+from swarm_envs.training.belief.feedforward import FeedforwardConfig
+from swarm_envs.training.collection import CollectionConfig
+from swarm_envs.training.collection.flight import CalibrationErrors
+from swarm_envs.training.collection.log import SensorNoise
+from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
+from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}
@@ -46,7 +61,20 @@ SETTINGS: dict[type, dict[str, Any]] = {
     ring_v0.RingOptions: {},
     formation_v0.FormationOptions: {},
 }
-"""Classes of settings, and what they must be given."""
+"""Classes of settings whose annotations hold every range, and what they must be given."""
+OTHERS: dict[type, dict[str, Any]] = {
+    **{kind: {} for kind in (Safety, PlanningBounds, RefinementOptions, SearchConfig)},
+    SmoothingConfig: {"distance": 0.3, "box": ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))},
+    **{kind: {} for kind in (MlrDmpcConfig, LossModel)},
+    GilbertElliott: {"turns_bad": 0.1, "turns_good": 0.5},
+    Jam: {"first_round": 1, "last_round": 2},
+    UnitOutage: {"unit": 0, "first_round": 1},
+    **{kind: {} for kind in (CalibrationErrors, SensorNoise, LogOptions, CollectionConfig)},
+    CurriculumConfig: {"out": Path("curriculum")},
+    FeedforwardConfig: {"out": Path("belief")},
+    FitConfig: {"out": Path("fit"), "data": Path("data")},
+}
+"""Classes of settings that check some ranges themselves."""
 NUMBERS = st.one_of(st.floats(), st.integers(-5, 10**9), st.sampled_from([math.nan, math.inf]))
 ANYTHING = st.one_of(
     *(NUMBERS, st.booleans(), st.none(), st.text(max_size=5), st.binary(max_size=5)),
@@ -54,18 +82,31 @@ ANYTHING = st.one_of(
 )
 
 
-@pytest.mark.parametrize("settings", SETTINGS)
+@pytest.mark.parametrize("settings", [*SETTINGS, *OTHERS])
 @given(data=st.data(), value=ANYTHING)
-def test_what_an_annotation_excludes_is_refused_by_name(settings, data, value):
+def test_bad_values_are_refused_by_name(settings, data, value):
     option = data.draw(st.sampled_from(list(options_of(settings).values())))
+    given = {**SETTINGS, **OTHERS}[settings] | {option.name: value}
     if option.kind.fits(value):
         return
     with pytest.raises(ValueError) as error:  # a TypeError too, where the type is wrong
-        settings(**{**SETTINGS[settings], option.name: value})
+        settings(**given)
     told = str(error.value)
     assert option.name in told and f"{value!r:.80}" in told
     assert isinstance(error.value, TypeError) == (not option.kind.has_type(value))
     assert option.kind.words in told or all(repr(name) in told for name in option.kind.names)
+
+
+@pytest.mark.parametrize("settings", OTHERS)
+def test_classes_that_check_ranges_themselves_refuse_by_name(settings):
+    for name in options_of(settings):
+        for value in (math.nan, math.inf, -math.inf, -1, 0, 0.5, 1e300, 10**30, ""):
+            try:
+                settings(**{**OTHERS[settings], name: value})
+            except ValueError as error:
+                told = str(error)
+                words = (name, name.rstrip("s"), name.replace("_", " "), f"{value!r:.20}")
+                assert any(word in told for word in words)
 
 
 def test_every_option_says_what_it_is_and_allows_its_default():

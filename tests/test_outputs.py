@@ -9,8 +9,11 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.files import LOCK, claimed, write_json
 
+COMMANDS = ["plan --json", "fly --json", "evaluate --json", "demo --json"]
+NO_FOLDERS = ["collect --out", "fit --data rows.npz --out", "demo --out"]
 
-@pytest.mark.parametrize("command", ["plan", "fly", "evaluate"])
+
+@pytest.mark.parametrize("command", COMMANDS)
 @pytest.mark.parametrize(
     ("path", "said"),
     [
@@ -26,12 +29,20 @@ def test_refused_before_the_work(command, path, said, tmp_path, monkeypatch, cap
     (tmp_path / "file").touch()
     (tmp_path / "folder.json").mkdir()
     try:
-        assert main([command, "--json", path]) == 2
+        assert main([*command.split(), path]) == 2
     except SystemExit as end:
         assert end.code == 2
     shown = capsys.readouterr()
     assert said in shown.err and f"--json is {path!r}" in shown.err
     assert not shown.out
+
+
+@pytest.mark.parametrize("command", NO_FOLDERS)
+def test_a_file_in_place_of_a_folder_is_refused_and_kept(command, tmp_path, capsys):
+    (tmp_path / "file").write_text("mine", encoding="utf-8")
+    assert main([*command.split(), str(tmp_path / "file")]) == 2
+    assert "error: --out is" in capsys.readouterr().err
+    assert (tmp_path / "file").read_text(encoding="utf-8") == "mine"
 
 
 @pytest.mark.parametrize(

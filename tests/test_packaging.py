@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -13,19 +12,13 @@ from pathlib import Path
 
 import pytest
 
+from tests.packaging.rows import EVERY_OPTIONAL
+from tests.packaging.steps import INSIDE
+
 ROOT = Path(__file__).parent.parent
 SOURCES = ("swarm_envs", "agents", "baselines", "training")
 FILES = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE")
 STRAYS = ("tests/test_stray.py", "demo/summary.json", "swarm_envs/notes.txt", "agents/log.csv")
-
-IMPORT_ALL = """
-import importlib, importlib.util, sys
-for name in sys.argv[1:]:
-    importlib.import_module(name)
-for bare in ("agents", "baselines", "training"):
-    assert importlib.util.find_spec(bare) is None, bare
-print(sys.modules["swarm_envs"].__file__)
-"""
 
 MAKE_BY_NAME = """
 import sys, gymnasium, pettingzoo
@@ -91,18 +84,6 @@ def checkout_files() -> set[str]:
     return found
 
 
-def modules() -> list[str]:
-    """Names of all modules, without those that would run a command or need what is missing."""
-    paths = [Path(name) for name in checkout_files() if name.endswith(".py")]
-    names = [".".join(p.with_suffix("").parts).removesuffix(".__init__") for p in paths]
-    skipped = ["__main__"]
-    if not importlib.util.find_spec("torch"):
-        skipped += ["swarm_envs.training.", "networks"]
-    if not importlib.util.find_spec("stable_baselines3"):
-        skipped += ["shared_policy"]
-    return sorted(n for n in names if not any(s in n for s in skipped))
-
-
 def test_the_wheel_holds_every_source_and_every_weight(wheel):
     expected = checkout_files()
     assert {"swarm_envs/agents/__init__.py", "swarm_envs/training/__init__.py"} <= expected
@@ -135,7 +116,8 @@ def test_every_module_imports_from_an_installed_wheel(wheel, tmp_path):
     site = tmp_path / "site"
     install = ("-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", site)
     run(*install, wheel, cwd=tmp_path)
-    output = run("-c", IMPORT_ALL, *modules(), cwd=tmp_path, PYTHONPATH=str(site))
-    assert Path(output.splitlines()[-1]).is_relative_to(site)
+    script = INSIDE / "every_module.py"  # which finds no `agents` and the like beside the package
+    output = run(script, *sorted(EVERY_OPTIONAL), cwd=tmp_path, PYTHONPATH=str(site))
+    assert f"modules of {site}" in output
     assert (site / "bin" / "swarm-envs").is_file()
     run("-c", MAKE_BY_NAME, cwd=tmp_path, PYTHONPATH=str(site))

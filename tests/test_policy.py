@@ -27,10 +27,7 @@ from swarm_envs.agents.policy import (
     read_policy,
     write_policy,
 )
-from swarm_envs.agents.protocol import fly_batch
-from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.observation import observation_layout
-from swarm_envs.envs.options import batch_of
 from swarm_envs.envs.parallel import SwarmParallelEnv
 
 NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2, fewest=2)
@@ -96,12 +93,6 @@ def test_features_are_what_is_said_of_them(neighbors, drones):
             np.testing.assert_allclose(seen[12:15], cut, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", FEATURE_SETS)
-def test_features_need_rows_of_their_width(name):
-    with pytest.raises(ValueError, match="rows have 80 numbers, but those with num_neighbors=3"):
-        FEATURE_SETS[name].make(np.zeros((2, 80), np.float32), 3)
-
-
 def test_a_file_gives_back_what_was_written(tmp_path):
     written = policy()
     write_policy(tmp_path / FILE, written)
@@ -112,21 +103,6 @@ def test_a_file_gives_back_what_was_written(tmp_path):
         assert agent.policy.digest == written.digest
         assert agent.policy.provenance == {"seed": 0}
     assert policy(seed=1).digest != written.digest
-
-
-def test_one_team_and_many_fly_the_same():
-    agent = PolicyAgent(policy())
-    options = {"num_drones": 3, "physics": "batch", "horizon_s": 1.0, **agent.requires}
-    found = batch_of("swap_v0", **options)
-    core = SwarmCore(found.task, found.config, 3)
-    many = fly_batch(core, agent.act_batch, range(5))
-    env = swap_v0.parallel_env(**options)
-    ones = [fly_episode(env, agent, seed) for seed in range(5)]
-    assert [m["length_s"] for m in many] == [m["length_s"] for m in ones]
-    separations = [[m["minimum_separation_m"] for m in flown] for flown in (many, ones)]
-    assert separations[0] == pytest.approx(separations[1], abs=1e-6)  # sums of float32 may differ
-    core.close()
-    env.close()
 
 
 def test_actions_stay_within_their_bounds():
@@ -274,13 +250,6 @@ def formation(agent: Agent, layout: str, **options) -> SwarmParallelEnv:
     return formation_v0.parallel_env(**given)
 
 
-def test_places_that_were_matched_are_always_reached():
-    agent = load("formation-ppo")
-    env = formation(agent, "cube")
-    assert successes(env, agent, SEEDS[:32]) == 1.0
-    env.close()
-
-
 def test_drawn_places_are_reached_far_more_often_than_straight_ahead():
     rates = []
     for name in ("formation-ppo", "straight-line"):
@@ -290,26 +259,6 @@ def test_drawn_places_are_reached_far_more_often_than_straight_ahead():
         env.close()
     assert rates[0] > 0.6
     assert rates[0] > rates[1] + 0.25
-
-
-def test_who_hovers_below_others_is_held_up_against_their_downwash():
-    """The set-point hangs above a drone of the lower layer, where the uncompensated one sinks."""
-    agent = load("formation-ppo")
-    env = formation(agent, "cube", end_on_success=False, horizon_s=8.0)
-    fly_episode(env, agent, seed=0)
-    position, goal = env.view.state.position, env.view.goals
-    lower = goal[:, 2] < goal[:, 2].mean()
-    assert lower.sum() == 4
-    assert np.abs(position - goal).max() < 0.1
-    lift = (env.view.setpoint.position - position)[:, 2]
-    assert lift[lower].min() > 0.15 > np.abs(lift[~lower]).max()
-    env.close()
-    tracking = load("tracking")
-    env = formation(tracking, "cube", end_on_success=False, horizon_s=8.0)
-    fly_episode(env, tracking, seed=0)
-    sunk = (env.view.goals - env.view.state.position)[lower, 2]
-    assert sunk.min() > 0.1
-    env.close()
 
 
 def test_heights_on_rings_are_kept_better_than_without_compensation():

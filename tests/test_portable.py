@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from tests.helpers.imports import ROOT, SOURCES, parsed
+from tests.helpers.imports import ROOT
 
 ELSEWHERE = """
 import os, sys
@@ -53,57 +52,3 @@ def test_without_what_only_linux_has(script: str, tmp_path: Path) -> None:
     command = [sys.executable, "-c", ELSEWHERE + script, str(tmp_path)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-RARE = {"fork", "forkpty", "sched_getaffinity", "sched_setaffinity", "killpg", "getuid", "wait4"}
-"""What `os` has on some systems alone."""
-RARE_MODULES = {"fcntl", "resource", "pwd", "grp", "termios", "pty", "msvcrt", "winreg"}
-
-
-def asked_for(tree: ast.Module) -> set[str]:
-    """Names of `os` that a source makes sure of by `hasattr`."""
-    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call))
-    sure = (c for c in calls if ast.unparse(c.func) == "hasattr" and ast.unparse(c.args[0]) == "os")
-    return {str(ast.literal_eval(call.args[1])) for call in sure}
-
-
-def unsure(tree: ast.Module) -> set[str]:
-    """What a source takes without asking whether this system has it."""
-    guarded = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Try)
-        and any("ImportError" in ast.unparse(h.type) for h in node.handlers if h.type)
-        for inner in ast.walk(node)
-    }
-    found = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute) and ast.unparse(node.value) == "os":
-            found |= {node.attr} & RARE - asked_for(tree)
-        elif isinstance(node, ast.Import | ast.ImportFrom) and id(node) not in guarded:
-            names = {alias.name for alias in node.names}
-            found |= (names | {getattr(node, "module", None) or ""}) & RARE_MODULES
-            if getattr(node, "module", None) == "os":
-                found |= names & RARE
-    return found
-
-
-def test_nothing_is_taken_unasked_that_some_systems_lack() -> None:
-    found = {name: unsure(parsed(name)) for name in SOURCES}
-    assert not {name: taken for name, taken in found.items() if taken}
-
-
-@pytest.mark.parametrize(
-    ("source", "found"),
-    [
-        ("import os\nos.fork()", {"fork"}),
-        ("from os import sched_getaffinity", {"sched_getaffinity"}),
-        ("import os\nif hasattr(os, 'fork'):\n    os.fork()", set()),
-        ("import fcntl", {"fcntl"}),
-        ("def f():\n    from resource import getrusage", {"resource"}),
-        ("try:\n    import fcntl\nexcept ImportError:\n    fcntl = None", set()),
-        ("from importlib import resources\nimport os\nos.cpu_count()", set()),
-    ],
-)
-def test_the_finder_of_what_some_systems_lack(source: str, found: set[str]) -> None:
-    assert unsure(ast.parse(source)) == found

@@ -83,15 +83,6 @@ def test_names_cannot_break_out_of_the_page(crash):
     assert json.loads(text[1])["moving"] is False
 
 
-def test_a_page_of_sixteen_drones_for_eight_seconds_is_small(tmp_path):
-    pytest.importorskip("plotly")
-    env = swap_v0.parallel_env(num_drones=16, physics="batch")
-    write_replay(tmp_path / "a.html", record_episode(env, load("hover"), seed=0))
-    env.close()
-    assert (tmp_path / "a.html").stat().st_size < 6 * MEGABYTE
-    assert [file.name for file in tmp_path.iterdir()] == ["a.html"]
-
-
 def test_pages_that_share_plotly_are_small_and_load_nothing_else(crash, tmp_path):
     pytest.importorskip("plotly")
     share_script(tmp_path)
@@ -200,9 +191,6 @@ def test_the_page_plays_in_a_browser(browser, crash, tmp_path):
     middle = left + (size["width"] - left - right) / 2
     page.mouse.click(size["x"] + middle, size["y"] + 60)
     assert abs(page.evaluate(FRAME) - last / 2) <= 1.0
-    cursor = page.locator("#height .cursor").bounding_box()
-    assert abs(cursor["x"] - size["x"] - middle) < 12
-
     page.locator("#events button").first.click()
     assert page.evaluate(FRAME) == min(event.frame for event in happened)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from swarm_envs.tables import (
     BLOCK_TYPE,
@@ -15,15 +14,11 @@ from swarm_envs.tables import (
     LANES,
     RESET_COLUMNS,
     RESET_VALUES,
-    SETTINGS,
     VEHICLE_END,
     World,
-    aligned,
     clear_environments,
     new_world,
 )
-
-TABLES = {"DRONE": DRONE, "ENVIRONMENT": ENVIRONMENT, "SETTINGS": SETTINGS}
 
 
 def filled() -> World:
@@ -34,15 +29,6 @@ def filled() -> World:
     for name in world.environments.dtype.names or ():
         world.environments[name] = rng.integers(1, 9, world.environments[name].shape)
     return world
-
-
-@pytest.mark.parametrize("name", TABLES)
-def test_every_quantity_is_declared_once_and_says_what_it_is(name):
-    table = TABLES[name]
-    assert len({field.name for field in table}) == len(table)
-    for field in table:
-        assert field.name.isidentifier()
-        assert field.meaning.endswith(".") and "\n" not in field.meaning
 
 
 def test_drones_are_rows_of_float64():
@@ -93,12 +79,3 @@ def test_a_reset_sets_what_says_so_and_leaves_the_rest():
             np.testing.assert_array_equal(records[field.name][0], old[field.name][0])
             wanted = old[field.name][1] if field.reset is None else field.reset
             assert (records[field.name][1] == wanted).all(), field.name
-
-
-@pytest.mark.parametrize("count", [1, 7])
-def test_aligned_memory_begins_at_a_cache_line(count):
-    for _ in range(5):
-        memory = aligned(count, BLOCK_TYPE)
-        assert memory.shape == (count,) and memory.dtype == BLOCK_TYPE
-        assert memory.ctypes.data % 64 == 0
-        assert not memory.view(np.uint8).any()

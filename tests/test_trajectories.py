@@ -36,14 +36,6 @@ def test_each_derivative_is_the_slope_of_the_one_before(motion: Motion) -> None:
 
 
 @motions
-def test_the_integral_of_the_velocity_is_the_way(motion: Motion) -> None:
-    t = np.linspace(0.0, DURATION, 6001)
-    at = motion(t)
-    way = np.trapezoid(at.velocity, t, axis=0)
-    np.testing.assert_allclose(way, at.position[-1] - at.position[0], rtol=0, atol=1e-6)
-
-
-@motions
 def test_jerk_is_continuous(motion: Motion) -> None:
     t = np.linspace(-0.5, DURATION + 0.5, 40001)
     jerk = motion(t).jerk

@@ -27,14 +27,11 @@ from swarm_envs.viewing import video as films
 from swarm_envs.viewing.camera import Camera, Lens, aim
 from swarm_envs.viewing.comparison import (
     COMPENSATED_COLOR,
-    HEIGHT,
-    WIDTH,
     WITHOUT_COLOR,
     Comparison,
-    SideBySide,
     plot_comparisons,
 )
-from swarm_envs.viewing.overlay import Overlay, arena_edges, draw_behind, visible_parts
+from swarm_envs.viewing.overlay import Overlay, draw_behind
 from swarm_envs.viewing.record import FlightRecord, Solid
 from swarm_envs.viewing.style import drone_colors, type_color
 from swarm_envs.viewing.video import VideoError, write_video, write_video_or_gif
@@ -229,18 +226,6 @@ def test_plots_show_both_sides_and_flights_that_ended_early(tmp_path):
         plot_comparisons(Path("a.png"), [], "Headline")
 
 
-@needs_bullet
-def test_two_flights_beside_each_other():
-    with SideBySide("LS", (drop(0.17), drop(0.01)), duration_s=0.5) as film:
-        assert film.count(4) == len(list(film.frames(4))) == 3
-        start, middle = film.frame(0.0), film.frame(0.5)
-    assert start.shape == (HEIGHT, WIDTH, 3)
-    scene = np.s_[150:500]
-    left, right = np.s_[:, 4 : WIDTH // 2 - 4], np.s_[:, WIDTH // 2 + 4 : WIDTH - 4]
-    np.testing.assert_array_equal(start[scene][left], start[scene][right])
-    assert (middle[scene][left] != middle[scene][right]).any(axis=2).sum() > 500
-
-
 WHITE = np.full((100, 200, 3), 255, dtype=np.uint8)
 
 
@@ -284,16 +269,6 @@ def test_arrows_point_and_weak_ones_are_left_out():
     left, right, top, bottom = inked(arrows=arrows)
     np.testing.assert_allclose([top, bottom], [50, 80], atol=1.5)
     assert (left + right) / 2 == pytest.approx(100, abs=1.0)
-
-
-def test_edges_of_a_box_and_what_of_them_lies_before_the_camera():
-    edges = arena_edges(np.array([[-2.0, -2.0, 0.0], [2.0, 2.0, 2.5]]))
-    lengths = np.linalg.norm(edges[:, 1] - edges[:, 0], axis=1)
-    np.testing.assert_allclose(sorted(lengths), [2.5] * 4 + [4.0] * 8)
-    lens = looking_along_y()
-    (part,) = visible_parts(lens, np.array([[2.0, -2.0, 0.0], [2.0, 2.0, 0.0]]))
-    np.testing.assert_allclose(part, [[2.0, -0.95, 0.0], [2.0, 2.0, 0.0]])
-    assert not list(visible_parts(lens, np.array([[2.0, -2.0, 0.0], [2.0, -1.5, 0.0]])))
 
 
 def test_colours_tell_types_and_drones_apart():

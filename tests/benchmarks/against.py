@@ -21,15 +21,14 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from swarm_envs.physics import bullet_available
 from tests.benchmarks.peers import RATES, batch_peer_row
-from tests.benchmarks.rows import Job, Row, run, spread
+from tests.benchmarks.rows import Row, run, spread
 
 ROOT = Path(__file__).parent.parent.parent
 BUILD = ROOT / "build" / "against"
@@ -180,87 +179,62 @@ def in_turn(trees: Sequence[Tree], job: Measured, repetitions: int) -> Pair | st
     return found
 
 
-def compared(row: Row, found: Callable[[], Pair | str], fast: bool) -> list[Job]:
+def compared(row: Row, pair: Pair | str, fast: bool) -> Iterator[Row]:
     """Three rows: the other tree's, this one's, and how many times as fast this one is.
 
     Args:
         row: what they share.
-        found: measures when it is first called.
+        pair: what was measured, or why nothing was.
         fast: whether large numbers are good.
     """
-
-    def side(k: int) -> Row:
-        pair = found()
-        head = row | {"what": f"{row['what']}, {('old', 'new')[k]}"}
-        return head | ({"value": None, "note": pair} if isinstance(pair, str) else spread(pair[k]))
-
-    def ratio() -> Row:
-        pair = found()
-        head = row | {"what": f"{row['what']}, new over old", "unit": "times as fast"}
-        if isinstance(pair, str):
-            return head | {"value": None, "note": "not measured"}
+    names = [f"{row['what']}, {which}" for which in ("old", "new", "new over old")]
+    units = [row["unit"], row["unit"], "times as fast"]
+    notes = [{"value": None, "note": pair}] * 2 + [{"value": None, "note": "not measured"}]
+    if not isinstance(pair, str):
         over = [b / a if fast else a / b for a, b in zip(*pair, strict=True)]
-        return head | spread(over)
+        notes = [spread(values) for values in (*pair, over)]
+    for name, unit, found in zip(names, units, notes, strict=True):
+        yield row | {"what": name, "unit": unit} | found
 
-    return [partial(side, 0), partial(side, 1), ratio]
 
-
-def staying_jobs(trees: Sequence[Tree], repetitions: int) -> Iterator[Job]:
+def staying_rows(trees: Sequence[Tree], repetitions: int) -> Iterator[Row]:
     """Rows of what is measured in processes that stay."""
     for job in measured():
-
-        @cache
-        def found(job: Measured = job) -> Pair | str:
-            pair = in_turn(trees, job, repetitions)
-            if isinstance(pair, str):
-                return pair
+        pair = in_turn(trees, job, repetitions)
+        if not isinstance(pair, str):
             one, two = ([job.work / s if job.work else 1e3 * s for s in side] for side in pair)
-            return one, two
+            pair = one, two
+        yield from compared(job.row, pair, fast=bool(job.work))
 
-        yield from compared(job.row, found, fast=bool(job.work))
 
-
-def first_jobs(trees: Sequence[Tree], repetitions: int) -> Iterator[Job]:
-    """Rows of the first steps of fresh processes."""
+def first_rows(trees: Sequence[Tree], repetitions: int) -> Iterator[Row]:
+    """Rows of the first steps of fresh processes, stage by stage and all together."""
     stages = {"bullet": "Bullet", "batch": "then the batch engine", "alone": "then BatchPhysics"}
-    if not bullet_available():
-        del stages["bullet"]
-
-    @cache
-    def runs() -> tuple[list[dict[str, float]], list[dict[str, float]]] | str:
-        found: tuple[list[dict[str, float]], list[dict[str, float]]] = ([], [])
-        try:
-            for k in range(repetitions):
-                for side in (0, 1) if k % 2 == 0 else (1, 0):
-                    found[side].append(trees[side].first_steps())
-        except RuntimeError as error:
-            return str(error)
-        return found
-
-    def seconds(names: Sequence[str]) -> Pair | str:
-        both = runs()
-        if isinstance(both, str):
-            return both
-        one, two = ([sum(stage[name] for name in names) for stage in side] for side in both)
-        return one, two
-
-    for name, what in stages.items():
-        row = {"what": f"first step, {what}", "unit": "CPU s"}
-        yield from compared(row, partial(seconds, [name]), fast=False)
-    row = {"what": "first steps, all of them", "unit": "CPU s"}
-    yield from compared(row, partial(seconds, [*stages]), fast=False)
+    found: tuple[list[dict[str, float]], list[dict[str, float]]] = ([], [])
+    why = ""
+    try:
+        for k in range(repetitions):
+            for side in (0, 1) if k % 2 == 0 else (1, 0):
+                found[side].append(trees[side].first_steps())
+    except RuntimeError as error:
+        why = str(error)
+    names = [name for name in stages if name != "bullet" or bullet_available()]
+    for parts in (*([name] for name in names), names):
+        what = f"first step, {stages[parts[0]]}" if len(parts) == 1 else "first steps, all of them"
+        one, two = ([sum(run[name] for name in parts) for run in side] for side in found)
+        yield from compared({"what": what, "unit": "CPU s"}, why or (one, two), fast=False)
 
 
-def jobs(options: argparse.Namespace) -> Iterator[Job]:
+def rows(options: argparse.Namespace) -> Iterator[Row]:
     """Everything that is measured, in the order of the table."""
     other = options.old or checked_out(options.ref)
     trees = [Tree(other, BUILD / f"kernels-{other.name}"), Tree(options.new, BUILD / "kernels-new")]
-    yield from staying_jobs(trees, options.repetitions)
+    yield from staying_rows(trees, options.repetitions)
     if options.first_steps:
-        yield from first_jobs(trees, options.first_steps)
+        yield from first_rows(trees, options.first_steps)
     if options.peers:
         for rates in RATES:
-            yield partial(batch_peer_row, options.peers, rates, *BATCH, options.repetitions)
+            yield batch_peer_row(options.peers, rates, *BATCH, options.repetitions)
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -272,10 +246,5 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peers", help="interpreter that has crazyflow, measured beside")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
-    run(__doc__, jobs, arguments, configure=configure)
-
-
 if __name__ == "__main__":
-    main()
+    run(__doc__, rows, configure=configure)

@@ -6,7 +6,7 @@
 An agent-step is one drone flying one decision: 48 a second, on physics at 240 Hz, with `learned`
 forces as often as `force_rate` says; its time is the CPU's, one thread, but for the rows of
 threads, which are wall time. `random` starts from the random layout, after 2 s of hovering;
-`packed` has every drone inside one interaction volume. Pairs are ordered and counted per drone.
+`packed` has every drone inside one interaction volume.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
+import time
 from collections.abc import Iterator, Sequence
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,8 @@ import numpy as np
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.options import batch_of
 from swarm_envs.interactions import load
-from swarm_envs.interactions.forces import active_pairs
 from tests.benchmarks.peers import RATES, batch_peer_row
-from tests.benchmarks.rows import Job, Row, cpu_seconds, number, run, spread, wall_seconds
+from tests.benchmarks.rows import Row, cpu_seconds, number, run, spread
 from tests.benchmarks.throughput import HOVER_DECISIONS, packed
 
 BATCH = (1024, 4)
@@ -52,23 +52,16 @@ def make_core(envs: int, drones: int, start: str = "random", **options: object) 
     return core
 
 
-def pairs_per_drone(core: SwarmCore) -> float:
-    """Mean number of drones inside a drone's interaction volume."""
-    window = core.physics.interactions.field.window
-    found = sum(active_pairs(window, position) for position in core.physics.state.position)
-    return found / (core.num_envs * core.num_drones)
-
-
 def rates_of(cores: Sequence[SwarmCore], repetitions: int, wall: bool = False) -> list[list[float]]:
     """Agent-steps per second of each batch, taken in turn so that noise meets all of them."""
-    seconds = wall_seconds if wall else cpu_seconds
+    clock = time.perf_counter if wall else time.thread_time
     found: list[list[float]] = [[] for _ in cores]
     for _ in range(repetitions):
         for core, rates in zip(cores, found, strict=True):
             agents = core.num_envs * core.num_drones
             still = np.zeros((core.num_envs, core.num_drones, 3), dtype=np.float32)
             steps = max(4, 40_000 // agents)
-            rates.append(agents / seconds(partial(core.step, still), steps))
+            rates.append(agents / cpu_seconds(partial(core.step, still), steps, clock))
     if not all(core.running.all() for core in cores):
         raise RuntimeError("a benchmark's drones did not stay in the air")
     return found
@@ -92,24 +85,12 @@ def thread_row(force_rate: int, repetitions: int) -> Row:
     return row | spread([b / a for a, b in zip(one, two, strict=True)]) | {"unit": "times"}
 
 
-Sizes = tuple[tuple[int, int], ...]
-"""Environments, and drones in each."""
-
-
-@cache
-def scale_rows(sizes: Sizes, repetitions: int) -> dict[tuple[int, int], Row]:
-    """CPU time of one decision of each of these batches, ms, measured in turn."""
+def scale_rows(sizes: Sequence[tuple[int, int]], repetitions: int) -> Iterator[Row]:
+    """CPU time of one decision of batches of (environments, drones), ms, measured in turn."""
     cores = [make_core(envs, drones, threads=1) for envs, drones in sizes]
-    rows = {}
-    for size, core, rates in zip(sizes, cores, rates_of(cores, repetitions), strict=True):
-        times = [1e3 * size[0] * size[1] / rate for rate in rates]
-        rows[size] = _row("one decision", core) | spread(times) | {"unit": "ms"}
-    return rows
-
-
-def scale_row(size: tuple[int, int], sizes: Sizes, repetitions: int) -> Row:
-    """The row of one of these sizes, all of which are measured with the first that is asked for."""
-    return scale_rows(sizes, repetitions)[size]
+    for (envs, drones), core, rates in zip(sizes, cores, rates_of(cores, repetitions), strict=True):
+        times = [1e3 * envs * drones / rate for rate in rates]
+        yield _row("one decision", core) | spread(times) | {"unit": "ms"}
 
 
 def _row(what: str, core: SwarmCore) -> Row:
@@ -117,7 +98,6 @@ def _row(what: str, core: SwarmCore) -> Row:
         "what": what,
         "environments": core.num_envs,
         "drones": core.num_drones,
-        "pairs": pairs_per_drone(core),
         "force_rate": core.config.force_rate,
         "unit": "agent-steps/s",
     }
@@ -142,22 +122,20 @@ def memory_row() -> Row:
     return row | {"value": kilobytes / 1024}
 
 
-def jobs(options: argparse.Namespace) -> Iterator[Job]:
+def measure(options: argparse.Namespace) -> Iterator[Row]:
     """Everything that is measured, in the order of the table."""
     repetitions = options.repetitions
     for start in ("random", "packed"):
         for force_rate in (240, 48):
             for precision in ("float64", "float32"):
-                yield partial(batch_row, start, force_rate, precision, repetitions)
+                yield batch_row(start, force_rate, precision, repetitions)
     for force_rate in (240, 48):
-        yield partial(thread_row, force_rate, repetitions)
+        yield thread_row(force_rate, repetitions)
     for rates in RATES:
-        yield partial(batch_peer_row, options.peers, rates, *BATCH, repetitions)
-    many, large = tuple((e, BATCH[1]) for e in ENVIRONMENTS), tuple((1, n) for n in DRONES)
-    for sizes in (many, large):
-        for size in sizes:
-            yield partial(scale_row, size, sizes, repetitions)
-    yield memory_row
+        yield batch_peer_row(options.peers, rates, *BATCH, repetitions)
+    yield from scale_rows([(envs, BATCH[1]) for envs in ENVIRONMENTS], repetitions)
+    yield from scale_rows([(1, drones) for drones in DRONES], repetitions)
+    yield memory_row()
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
@@ -190,12 +168,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plot", type=Path, help="draw how cost grows, as PNG")
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure, print, and draw if asked to."""
-    options, rows = run(__doc__, jobs, arguments, repetitions=5, configure=configure)
-    if options.plot is not None:
-        draw(rows, options.plot)
-
-
 if __name__ == "__main__":
-    main()
+    OPTIONS, ROWS = run(__doc__, measure, repetitions=5, configure=configure)
+    if OPTIONS.plot is not None:
+        draw(ROWS, OPTIONS.plot)

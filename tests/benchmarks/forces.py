@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import resources
 from itertools import pairwise
@@ -23,9 +23,9 @@ import numpy.typing as npt
 
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import ForceField
-from swarm_envs.interactions.forces import active_pairs, all_forces
+from swarm_envs.interactions.forces import all_forces
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
-from tests.benchmarks.rows import Job, Row, cpu_seconds, run, spread
+from tests.benchmarks.rows import Row, cpu_seconds, run, spread
 
 Array = npt.NDArray[Any]
 
@@ -131,7 +131,6 @@ def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions:
         return row | {"value": None, "note": "not installed"}
     position, velocity = states(num_envs, num_drones)
     team, model = team_of(num_drones), load("learned").with_precision(dtype)
-    pairs = sum(active_pairs(model.field.window, p) for p in position) / position[..., 0].size
     calls: dict[str, Callable[[], Callable[[], Any]]] = {
         "kernel": lambda: kernel_forces(model, position, velocity, team),
         "forces": lambda: partial(model.forces, position, velocity, team),
@@ -142,22 +141,17 @@ def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions:
     call()
     times = max(1, int(LEAST_SECONDS / max(cpu_seconds(call, 1), 1e-6)))
     found = [1e6 * cpu_seconds(call, times) for _ in range(repetitions)]
-    return row | {"pairs": pairs} | spread(found)
+    return row | spread(found)
 
 
-def jobs(options: argparse.Namespace) -> Iterator[Job]:
+def rows(options: argparse.Namespace) -> Iterator[Row]:
     """Everything that is measured, in the order of the table."""
     ways = [("kernel", "float64"), ("kernel", "float32"), ("forces", "float64")]
     ways += [("numpy", "float64"), ("torch", "float64"), ("torch", "float32")]
     for envs, drones in SIZES:
         for way, dtype in ways:
-            yield partial(force_row, way, dtype, envs, drones, options.repetitions)
-
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Measure and print."""
-    run(__doc__, jobs, arguments, repetitions=15)
+            yield force_row(way, dtype, envs, drones, options.repetitions)
 
 
 if __name__ == "__main__":
-    main()
+    run(__doc__, rows, repetitions=15)

@@ -1,8 +1,7 @@
-"""How long MLR-DMPC takes for a trajectory, and its swarms to arrive, without message loss.
+"""How long MLR-DMPC takes for a trajectory, without message loss.
 
     python -m tests.benchmarks.mlr_dmpc [--drones 4 8 16 32 64 128 256] [--plans 400]
         [--picture scale.png] [--json FILE]
-    python -m tests.benchmarks.mlr_dmpc --flights [--seeds 5]
 
 A trajectory's time holds the building of its rows, the solver and the check. Boxes grow with the
 swarm: side 4 (N / 16)^(1/2) m. Times are CPU times of one thread.
@@ -12,16 +11,15 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from tests.helpers.mlr_rounds import Rounds, circle, scattered
+from swarm_envs.files import write_json
+from tests.benchmarks.rows import Row, sentence
+from tests.helpers.mlr_rounds import Rounds, scattered
 
-Row = dict[str, Any]
 SIZES = (4, 8, 16, 32, 64, 128, 256)
 
 
@@ -56,28 +54,6 @@ def plan_row(n: int, plans: int, solver: str) -> Row:
     }
 
 
-def formation_row(units: int, seed: int) -> Row:
-    """The sequence of formations of Fig. 3, each begun when all have arrived at the last."""
-    shapes = [formation(name) for name in SEQUENCE]
-    swarm, times = Rounds(shapes[0], shapes[0], units, MlrDmpcConfig(), seed), []
-    for shape in shapes[1:]:
-        swarm.targets = shape
-        times.append(swarm.run(60.0))
-    return {"what": "formations", "units": units, "seed": seed, "s": sum(times)}
-
-
-def circle_row(units: int, seed: int) -> Row:
-    """Sixteen drones change places on a circle."""
-    swarm = Rounds(*circle(16), units, MlrDmpcConfig(), seed)
-    return {"what": "circle", "units": units, "seed": seed, "s": swarm.run(60.0)}
-
-
-def text(row: Row) -> str:
-    """A row as one line."""
-    parts = (f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items())
-    return ", ".join(parts)
-
-
 def draw(path: Path, rows: list[Row]) -> None:
     """Draw times and neighbours in reach by the size of the swarm."""
     from matplotlib.figure import Figure
@@ -100,30 +76,16 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--drones", type=int, nargs="+", default=SIZES, help="sizes of swarms")
     parser.add_argument("--plans", type=int, default=400, help="trajectories of each size")
     parser.add_argument("--solver", default="daqp", help="daqp, quadprog or osqp")
-    parser.add_argument("--flights", action="store_true", help="circle and formations instead")
-    parser.add_argument("--seeds", type=int, default=5, help="flights of each kind (default 5)")
     parser.add_argument("--picture", type=Path, help="also draw the times there")
     parser.add_argument("--json", type=Path, help="also write the rows there")
     options = parser.parse_args(arguments)
-    rows: list[Row] = []
-    if options.flights:
-        jobs = [
-            (f, m, s)
-            for f in (circle_row, formation_row)
-            for m in (3, 2, 1)
-            for s in range(options.seeds)
-        ]
-        for flight, units, seed in tqdm(jobs, unit="flight"):
-            rows.append(flight(units, seed))
-    else:
-        for n in tqdm(options.drones, unit="swarm"):
-            rows.append(plan_row(n, options.plans, options.solver))
-    print("\n".join(map(text, rows)))
+    rows = []
+    for n in tqdm(options.drones, unit="swarm"):
+        rows.append(plan_row(n, options.plans, options.solver))
+        tqdm.write(sentence(rows[-1]))
     if options.picture is not None:
         draw(options.picture, rows)
     if options.json is not None:
-        from swarm_envs.files import write_json
-
         write_json(options.json, rows)
 
 

@@ -21,6 +21,7 @@ from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import PlanAgent, SwarmPlan, plan_swarm
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, plot_plan, straight_lines
 from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord, refine
+from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
 
@@ -140,8 +141,6 @@ def main(arguments: list[str] | None = None) -> None:
     if options.picture is not None:
         draw(options.picture)
     if options.json is not None:
-        from swarm_envs.files import write_json
-
         write_json(options.json, rows)
 
 

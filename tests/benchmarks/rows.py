@@ -15,23 +15,18 @@ from tqdm import tqdm
 from swarm_envs.files import write_json
 
 Row = dict[str, Any]
-Job = Callable[[], Row]
+HEADS = {"environments": "envs", "drones": "drones", "force_rate": "force rate"}
+"""Columns of counts, by the name of a row's entry; those that no row fills are left out."""
 
 
-def cpu_seconds(call: Callable[[], object], times: int) -> float:
-    """CPU time of one call in this thread, s: the mean over a run of them."""
-    begin = time.thread_time()
+def cpu_seconds(
+    call: Callable[[], object], times: int, clock: Callable[[], float] = time.thread_time
+) -> float:
+    """Time of one call, of this thread's CPU unless the clock is another, s: a run's mean."""
+    begin = clock()
     for _ in range(times):
         call()
-    return (time.thread_time() - begin) / times
-
-
-def wall_seconds(call: Callable[[], object], times: int) -> float:
-    """Wall time of one call, s: the mean over a run of them."""
-    begin = time.perf_counter()
-    for _ in range(times):
-        call()
-    return (time.perf_counter() - begin) / times
+    return (clock() - begin) / times
 
 
 def spread(values: Sequence[float]) -> Row:
@@ -39,38 +34,39 @@ def spread(values: Sequence[float]) -> Row:
     return {"value": statistics.median(values), "low": min(values), "high": max(values)}
 
 
-def number(value: float | None, digits: int = 1) -> str:
+def number(value: float | None, digits: int = 2) -> str:
     """A cell of the table."""
     if value is None:
         return ""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.{digits}f}"
 
 
+def aligned(lines: Sequence[Sequence[str]]) -> str:
+    """Cells as text in columns."""
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
+
+
 def table(rows: Sequence[Row]) -> str:
-    """The rows as aligned text; columns that no row fills are left out."""
-    heads = {"environments": "envs", "drones": "drones", "pairs": "pairs a drone"}
-    heads |= {"force_rate": "force rate"}
-    used = {key: head for key, head in heads.items() if any(row.get(key) for row in rows)}
-    cells = [("", *used.values(), "median", "min - max", "unit")]
+    """The rows as text: what was measured, counts, median, range and unit."""
+    used = [key for key in HEADS if any(row.get(key) for row in rows)]
+    lines = [["", *(HEADS[key] for key in used), "median", "min - max", "unit"]]
     for row in rows:
-        counts = [number(row.get(key), 2 if key == "pairs" else 0) for key in used]
-        median = row.get("note") or number(row["value"], 2)
-        low_high = f"{number(row['low'], 2)} - {number(row['high'], 2)}" if "low" in row else ""
-        cells.append((row["what"], *counts, median, low_high, row["unit"]))
-    widths = [max(len(line[k]) for line in cells) for k in range(len(cells[0]))]
-    ends = (0, len(widths) - 1)
-    return "\n".join(
-        "  ".join(
-            cell.ljust(width) if k in ends else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in cells
-    )
+        counts = [number(row.get(key), 0) for key in used]
+        ends = f"{number(row['low'])} - {number(row['high'])}" if "low" in row else ""
+        median = row.get("note") or number(row["value"])
+        lines.append([row["what"], *counts, median, ends, row["unit"]])
+    return aligned(lines)
+
+
+def sentence(row: Row) -> str:
+    """A row of another kind as one line: every entry with its name."""
+    return ", ".join(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in row.items())
 
 
 def run(
     description: str | None,
-    jobs: Callable[[argparse.Namespace], Iterable[Job]],
+    measure: Callable[[argparse.Namespace], Iterable[Row]],
     arguments: Sequence[str] | None = None,
     repetitions: int = 7,
     configure: Callable[[argparse.ArgumentParser], None] = lambda parser: None,
@@ -79,7 +75,7 @@ def run(
 
     Args:
         description: the script's docstring.
-        jobs: everything that is measured, in the order of the table, given the options.
+        measure: gives the rows in the order of the table, from the options.
         arguments: of the command line.
         repetitions: of each measurement, by default.
         configure: adds options of the script's own.
@@ -94,7 +90,7 @@ def run(
     options = parser.parse_args(arguments)
     if options.repetitions < 1:
         parser.error(f"--repetitions is {options.repetitions}, but must be at least 1")
-    rows = [job() for job in tqdm(list(jobs(options)), unit="row")]
+    rows = list(tqdm(measure(options), unit="row"))
     print(table(rows))
     if options.json is not None:
         machine = {"python": platform.python_version(), "processor": platform.machine()}

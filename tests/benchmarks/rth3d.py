@@ -4,7 +4,7 @@
     python -m tests.benchmarks.rth3d --compile
 
 Every row is planned in a process of its own, after a small plan that loads the kernels. Times are
-CPU times, memory is the process's peak. A number that misses its aim is marked with "!".
+CPU times, memory is the process's peak.
 """
 
 from __future__ import annotations
@@ -18,83 +18,54 @@ import tempfile
 import time
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
 from itertools import pairwise
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from tqdm import tqdm
 
 from swarm_envs.baselines.rth3d import METHODS, make_instance, plan
 from swarm_envs.files import write_json
+from tests.benchmarks.rows import Row, aligned
 
-Row = dict[str, Any]
-MOST_MEMORY_MB = 1000.0
-COMPACTION_S = 3.0
-COMPILATION_S = 20.0
+SINGLE = ("rings",)
+"""Families that draw nothing at random: one seed is enough."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """An instance, a method, and what is expected: ratios and CPU time are at most so much."""
+class Case(NamedTuple):
+    """An instance and a method."""
 
     group: str
     family: str
     shape: tuple[int, int, int]
-    method: str
-    ratio: float | None = None
-    seconds: float | None = None
-    before: float | None = None
-    """Of the ratio before compaction."""
+    method: str = "auto"
     robots: int | None = None
-    only_seed: bool = False
-    """The family draws nothing at random."""
+    """None: as many as the family puts there."""
 
-    @property
-    def name(self) -> str:
-        """What the table calls it."""
-        return f"{self.family} {'x'.join(map(str, self.shape))}"
+
+def _half(m: int) -> tuple[int, int, int]:
+    return (2 * m, 2 * m, m)
 
 
 LARGE = (144, 72, 36)
 CASES = (
-    Case("large", "uniform", LARGE, "rth3d", before=1.70),
-    Case("large", "uniform", LARGE, "rth3d-lba", 1.30, 20.0, before=1.50),
-    Case("large", "uniform", LARGE, "auto", 1.05, 60.0),
-    Case("large", "quasi-random", LARGE, "rth3d-lba", 1.30, 20.0, before=1.50),
-    Case("medium", "uniform", (120, 60, 30), "auto", 1.03, 25.0),
-    Case("small", "uniform", (72, 36, 18), "auto", 1.03, 3.0),
-    *(
-        Case("rings", "rings", (2 * m, 2 * m, m), "rth3d-lba", most, only_seed=True)
-        for m, most in ((6, None), (12, None), (18, None), (24, 1.15), (36, 1.15))
-    ),
-    Case("rings", "rings", (48, 48, 24), "auto", 1.15, only_seed=True),
-    Case("blocks", "blocks", (27, 27, 27), "auto", 1.10),
-    Case("blocks", "blocks", (36, 36, 36), "auto", 1.10),
-    *(
-        Case("blocks", "small-blocks", (2 * m, 2 * m, m), "auto", most)
-        for m, most in ((12, None), (24, 1.10), (36, 1.10))
-    ),
-    Case("mirror", "mirror", (48, 24, 12), "auto"),
-    Case("mirror", "mirror", (96, 48, 24), "auto", 1.25),
-    Case("mirror", "mirror", LARGE, "auto", 1.25, 60.0),
-    Case("buildings", "buildings", LARGE, "rth3d-lba", 1.30),
-    Case("buildings", "buildings", LARGE, "auto", 1.10),
-    *(Case("few", "uniform", (120, 60, 6), "auto", 1.02, robots=n) for n in (144, 720, 4800)),
+    *(Case("large", "uniform", LARGE, method) for method in ("rth3d", "rth3d-lba", "auto")),
+    Case("large", "quasi-random", LARGE, "rth3d-lba"),
+    Case("medium", "uniform", (120, 60, 30)),
+    Case("small", "uniform", (72, 36, 18)),
+    *(Case("rings", "rings", _half(m), "rth3d-lba") for m in (6, 12, 18, 24, 36)),
+    Case("rings", "rings", _half(24)),
+    *(Case("blocks", "blocks", (m, m, m)) for m in (27, 36)),
+    *(Case("blocks", "small-blocks", _half(m)) for m in (12, 24, 36)),
+    *(Case("mirror", "mirror", (4 * m, 2 * m, m)) for m in (12, 24, 36)),
+    *(Case("buildings", "buildings", LARGE, method) for method in ("rth3d-lba", "auto")),
+    *(Case("few", "uniform", (120, 60, 6), robots=n) for n in (144, 720, 4800)),
 )
 
 
-class Job(NamedTuple):
-    """A case and a seed."""
-
-    case: Case
-    seed: int
-
-
-def measure(job: Job) -> Row:
+def measure(case: Case, seed: int) -> Row:
     """Plan, and say how good, how long and how large; in a fresh process, as memory is its peak."""
-    case, seed = job
     small = make_instance(case.family, (9, 9, 9))
     plan(small.starts, small.goals, small.shape, small.obstacles, case.method)
     instance = make_instance(case.family, case.shape, case.robots, seed)
@@ -115,7 +86,7 @@ def measure(job: Job) -> Row:
         spent[phase] = spent.get(phase, 0.0) + until - since
     before = found.before_compaction
     return {
-        "instance": case.name,
+        "instance": f"{case.family} {'x'.join(map(str, case.shape))}",
         "robots": len(found.starts),
         "method": case.method,
         "seed": seed,
@@ -150,19 +121,13 @@ def compile_row(method: str) -> Row:
     return {"method": method, "first": times[0], "cached": times[1]}
 
 
-def _cell(value: float | None, form: str, most: float | None = None) -> str:
-    if value is None:
-        return ""
-    return f"{value:{form}}" + ("!" if most is not None and value > most else "")
-
-
 HEADS = (
     *("instance", "robots", "method", "seed", "makespan", "before", "ratio"),
     *("s", "compaction, s", "MB", "by"),
 )
 
 
-def cells(case: Case, row: Row) -> tuple[str, ...]:
+def cells(row: Row) -> tuple[str, ...]:
     """A row of the table."""
     return (
         row["instance"],
@@ -170,25 +135,13 @@ def cells(case: Case, row: Row) -> tuple[str, ...]:
         row["method"],
         str(row["seed"]),
         str(row["makespan"]),
-        _cell(row["before"], ".3f", case.before),
-        _cell(row["ratio"], ".3f", case.ratio),
-        _cell(row["seconds"], ".1f", case.seconds),
-        _cell(row["compaction"] or None, ".2f", COMPACTION_S),
-        _cell(row["memory"], ".0f", MOST_MEMORY_MB),
+        f"{row['before']:.3f}" if row["before"] else "",
+        f"{row['ratio']:.3f}",
+        f"{row['seconds']:.1f}",
+        f"{row['compaction']:.2f}" if row["compaction"] else "",
+        f"{row['memory']:.0f}",
         row["winner"],
     )
-
-
-def text(lines: Sequence[tuple[str, ...]]) -> str:
-    """Aligned columns."""
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, line, widths)).rstrip() for line in lines)
-
-
-def jobs_of(groups: Sequence[str], seeds: Sequence[int]) -> list[Job]:
-    """The cases of some groups, for each seed that changes them."""
-    chosen = [case for case in CASES if case.group in groups]
-    return [Job(c, s) for c in chosen for s in (seeds[:1] if c.only_seed else seeds)]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -203,27 +156,30 @@ def main(arguments: Sequence[str] | None = None) -> None:
     rows: list[Row] = []
     if options.compile:
         rows = [compile_row(method) for method in tqdm(METHODS, unit="method")]
-        lines: list[tuple[str, ...]] = [("method", "first call, s", "cached, s")]
-        for row in rows:
-            first = _cell(row["first"], ".1f", COMPILATION_S)
-            lines.append((row["method"], first, f"{row['cached']:.2f}"))
-        print(text(lines))
+        lines = [("method", "first call, s", "cached, s")]
+        lines += [(r["method"], f"{r['first']:.1f}", f"{r['cached']:.2f}") for r in rows]
+        print(aligned(lines))
     else:
-        rows = _measure_all(jobs_of(options.only, options.seeds))
+        chosen = [case for case in CASES if case.group in options.only]
+        rows = _measure_all(chosen, options.seeds)
     if options.json is not None:
         write_json(options.json, rows)
 
 
-def _measure_all(jobs: Sequence[Job]) -> list[Row]:
+def _measure_all(cases: Sequence[Case], seeds: Sequence[int]) -> list[Row]:
+    """Rows of each case and each seed that changes it, shown as they come."""
+    jobs = [
+        (case, seed) for case in cases for seed in (seeds[:1] if case.family in SINGLE else seeds)
+    ]
     rows: list[Row] = []
     lines: list[tuple[str, ...]] = [HEADS]
     with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
-        results = pool.map(measure, jobs)
-        for job in tqdm(jobs, unit="plan"):
+        results = pool.map(measure, *zip(*jobs, strict=True))
+        for _ in tqdm(jobs, unit="plan"):
             rows.append(next(results))
-            lines.append(cells(job.case, rows[-1]))
+            lines.append(cells(rows[-1]))
             tqdm.write("  ".join(lines[-1]), file=sys.stderr)
-    print(text(lines))
+    print(aligned(lines))
     return rows
 
 

@@ -23,18 +23,8 @@ def interpreter(path: Path, script: str) -> str:
 
 def test_measuring_needs_no_package_but_the_peer():
     """Without site-packages there is neither ours nor anything that we require."""
-    bare = [
-        sys.executable,
-        "-I",
-        "-S",
-        peers.__file__,
-        peers.BATCH_PEER,
-        "48",
-        "240",
-        "1",
-        "4",
-        "1",
-    ]
+    words = f"-I -S {peers.__file__} {peers.BATCH_PEER} 48 240 1 4 1"
+    bare = [sys.executable, *words.split()]
     output = subprocess.check_output(bare, text=True, stderr=subprocess.DEVNULL)
     assert json.loads(output.splitlines()[-1]) == {"note": "not installed"}
 

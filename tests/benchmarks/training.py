@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Callable, Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ import torch
 from swarm_envs.training.rl.ppo import PpoLearner
 from swarm_envs.training.rl.recipes import with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
-from tests.benchmarks.rows import Job, Row, run, spread
+from tests.benchmarks.rows import Row, run, spread
 
 KINDS: dict[str, dict[str, Any]] = {
     "four drones": {},
@@ -94,22 +93,13 @@ def measure(options: dict[str, Any], repetitions: int, rollouts: int = ROLLOUTS)
     return [{**row, "environments": config.environments, "drones": drones} for row in rows]
 
 
-def jobs(options: argparse.Namespace) -> Iterator[Job]:
+def rows(options: argparse.Namespace) -> Iterator[Row]:
     """Every row of every kind; one training gives all rows of a kind."""
     torch.set_num_threads(1)
     for name, given in KINDS.items():
-        measured: list[Row] = []
-
-        def fetch(
-            k: int, name: str = name, given: dict[str, Any] = given, rows: list[Row] = measured
-        ) -> Row:
-            if not rows:
-                rows += measure(given, options.repetitions)
-            return {**rows[k], "what": f"{rows[k]['what']}, {name}"}
-
-        for k in range(len(PARTS) + 1):
-            yield partial(fetch, k)
+        for row in measure(given, options.repetitions):
+            yield row | {"what": f"{row['what']}, {name}"}
 
 
 if __name__ == "__main__":
-    run(__doc__, jobs, repetitions=5)
+    run(__doc__, rows, repetitions=5)

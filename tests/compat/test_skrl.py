@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 
 from swarm_envs import swap_v0
-from swarm_envs.envs.joint import make_joint
-from swarm_envs.envs.vector import make_vector
 
 pytest.importorskip("skrl", reason="run by `make test-compat`")
 
@@ -43,30 +41,4 @@ def test_a_parallel_environment(monkeypatch):
             assert reward[agent].item() == np.float32(rewards[agent])
             assert terminated[agent].item() == ended[agent]
             assert truncated[agent].item() == cut[agent]
-    env.close()
-
-
-@pytest.mark.parametrize("num_envs", [None, 4])
-def test_gymnasium_environments(num_envs, monkeypatch):
-    """The joint one, or four of them in the batch, into the next episode."""
-    monkeypatch.setattr(config.torch, "key", 3)
-    pair = [
-        make_joint("swap_v0", **OPTIONS)
-        if num_envs is None
-        else make_vector("swap_v0", num_envs, **OPTIONS)
-        for _ in range(2)
-    ]
-    env, ours = wrap_env(pair[0], wrapper="gymnasium"), pair[1]
-    assert env.num_envs == (num_envs or 1)
-    seen, _ = env.reset()
-    rows, _ = ours.reset(seed=3)
-    rng = np.random.default_rng(0)
-    for _ in range(24 if num_envs is None else 40):
-        assert np.array_equal(seen.numpy(), np.atleast_2d(rows))
-        actions = rng.uniform(-0.3, 0.3, ours.action_space.shape).astype(np.float32)
-        rows, rewards, ended, cut, _ = ours.step(actions)
-        seen, reward, terminated, truncated, _ = env.step(torch.as_tensor(np.atleast_2d(actions)))
-        assert np.array_equal(reward.numpy().reshape(-1), np.float32(np.atleast_1d(rewards)))
-        assert np.array_equal(terminated.numpy().reshape(-1), np.atleast_1d(ended))
-        assert np.array_equal(truncated.numpy().reshape(-1), np.atleast_1d(cut))
     env.close()

@@ -2,7 +2,6 @@
 
     python -m tests.helpers.frozen                      compare with the file, and say what differs
     python -m tests.helpers.frozen --write              freeze what they give now
-    python -m tests.helpers.frozen --arrays FOLDER      keep the arrays of each flight there
 
 A rewrite that promises the same flights shows it here. The bytes are promised for one machine: the
 file also holds a fingerprint of the arithmetic that froze it, and where that differs, some plain
@@ -46,8 +45,6 @@ from swarm_envs.vehicles import parse_team
 
 FILE = Path(__file__).parent.parent / "envs" / "frozen.json"
 """What the flights gave when they were frozen."""
-PARTS = ("states", "observations", "rewards", "contacts", "metrics")
-"""What is hashed apart from each other, so that a difference says where it is."""
 
 Array = npt.NDArray[np.float64]
 
@@ -110,24 +107,15 @@ class Log:
 Draw = Callable[[np.random.Generator, Any, tuple[int, int, int]], Array]
 
 
+def _uniform(scale: float, offset: float = 0.0, limit: float = math.inf) -> Draw:
+    def draw(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
+        return np.clip(offset + scale * rng.uniform(-1.0, 1.0, shape), -limit, limit)
+
+    return draw
+
+
 def _gentle(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
     return rng.uniform(-0.4, 0.4, shape)
-
-
-def _wild(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
-    return rng.uniform(-1.0, 1.0, shape)
-
-
-def _by_rates(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
-    return 0.05 * rng.uniform(-1.0, 1.0, shape)
-
-
-def _by_rotors(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
-    return 0.05 + 0.02 * rng.uniform(-1.0, 1.0, shape)
-
-
-def _falling(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
-    return np.clip(-0.3 + 0.5 * rng.uniform(-1.0, 1.0, shape), -1.0, 1.0)
 
 
 def _tumbling(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
@@ -144,16 +132,10 @@ def _near(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> A
     return actions
 
 
-def _to_the_middle(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
-    actions = np.zeros(shape)
-    actions[..., :3] = [0.0, 0.0, 1.0] + 0.02 * rng.standard_normal((*shape[:2], 3))
-    return actions
-
-
-def _to(place: Array) -> Draw:
+def _to(place: Sequence[float] | Array, spread: float = 0.005) -> Draw:
     def draw(rng: np.random.Generator, core: Any, shape: tuple[int, int, int]) -> Array:
         actions = np.zeros(shape)
-        actions[..., :3] = place + 0.005 * rng.standard_normal((*shape[:2], 3))
+        actions[..., :3] = np.asarray(place) + spread * rng.standard_normal((*shape[:2], 3))
         return actions
 
     return draw
@@ -383,202 +365,107 @@ class ForcesAlone:
 
 
 def _flights() -> dict[str, Any]:
-    """Every flight by its name."""
+    """Every flight by its name: batches, single environments, Bullet, then parts alone."""
     start = np.array([[-0.5, 0.0, 1.0], [0.5, 0.1, 1.1], [0.0, 0.6, 0.9]])
     near = start + np.array([0.12, 0.0, 0.05])
-    belief = ControllerConfig(feedforward=load("wake"))
-    everything = {
-        "team": "LSS*",
-        "randomization": EVERYTHING,
-        "battery": BatteryModel(),
-        "controller": belief,
-        "force_rate": 80,
-        "horizon_s": 0.5,
-    }
-    standing = (Box((-0.2, -0.2, 0.0), (0.2, 0.2, 0.6)), Column((0.6, 0.6), 0.1, 2.0))
-    mission = {"shapes": ("plane", "sphere", "plane"), "shape_s": 0.4, "travel_s": 0.2}
+    wake = ControllerConfig(feedforward=load("wake"))
+    everything = {"randomization": EVERYTHING, "battery": BatteryModel(), "controller": wake}
+    everything |= {"team": "LSS*", "force_rate": 80, "horizon_s": 0.5}
+    box, column = Box((-0.2, -0.2, 0.0), (0.2, 0.2, 0.6)), Column((0.6, 0.6), 0.1, 2.0)
+    standing = {"obstacles": (box, column)}
+    four = {"team": "SSSS"}
+    mixed = {"team": "LSS*"}
+    short = {"force_rate": 48, "horizon_s": 0.3}
+    calm = {"interactions": "none"}
+    rotors = {"action": "rotors"}
+    setpoint = {"action": "setpoint"}
+    mission = {"num_drones": 4, "shapes": ("plane", "sphere", "plane"), "shape_s": 0.4}
+    mission |= {"travel_s": 0.2, **setpoint}
     stack = {"team": "L2S", "layout": "stacked"}
-    meeting = {"team": "LSS*", "action": "setpoint", "decision_rate": 24}
-    crowd: dict[str, Any] = {"num_drones": 26, "force_rate": 48}
+    pairs = {"interactions": pairwise_model()}
+    meeting = mixed | setpoint | {"decision_rate": 24}
+    walls = four | {"decision_rate": 24}
+    many = {"num_drones": 26, "force_rate": 48}
+    rates, falling = _uniform(0.05), _uniform(0.5, -0.3, limit=1.0)
+    two = {"threads": 2}
+
+    def batch(options: dict[str, Any], draw: Draw = _gentle, **given: Any) -> Flight:
+        return Flight(**{"envs": 5, "options": options, "draw": draw, **given})
+
+    def bullet(options: dict[str, Any], draw: Draw = _gentle, **given: Any) -> Flight:
+        return Flight(engine="bullet", options=options, draw=draw, **given)
+
+    three: dict[str, Any] = {"seeds": (1, 2, 3), "decisions": 40}
+    reached: dict[str, Any] = {
+        "draw": _to(near),
+        "placed": ({"start": start, "goal": near},),
+        "decisions": 50,
+    }
+    met: dict[str, Any] = {"draw": _to([0.0, 0.0, 1.0], 0.02), "decisions": 60, "resets_every": 2}
+    teams: tuple[dict[str, Any], ...] = (
+        {"team": "SSL", "start": start},
+        {"start": start, "goal": near},
+        {},
+    )
+    circle = mixed | {"layout": "circle", "action": "velocity", "interactions": "wake"}
+    single = load("learned").with_precision("float32")
+    ctbr = four | calm | {"action": "ctbr", "decision_rate": 240}
     return {
-        # Batches on the compiled engine.
-        "swaps by acceleration": Flight(
-            envs=5, options={"team": "SSSS", "threads": 1}, seeds=(1, 2, 3), decisions=40
+        "swaps by acceleration": batch(four | {"threads": 1}, **three),
+        "swaps by acceleration, two threads": batch(four | two, **three),
+        "33 swaps": batch(short | {"threads": 1}, envs=33),
+        "33 swaps, two threads": batch(short | two, envs=33),
+        "circles by velocity": batch(circle | {"force_rate": 48}, _uniform(1.0)),
+        "stacks by acceleration": batch(stack, decisions=40),
+        "stacks, float32, forces 48 a second": batch(
+            stack | {"interactions": single, "force_rate": 48}
         ),
-        "swaps by acceleration, two threads": Flight(
-            envs=5, options={"team": "SSSS", "threads": 2}, seeds=(1, 2, 3), decisions=40
+        "rings by body rates": batch(ctbr, rates, task="ring_v0", decisions=60),
+        "rings by rotors, into the floor": batch(
+            four | calm | rotors, falling, task="ring_v0", decisions=60, resets_every=3
         ),
-        "33 swaps": Flight(envs=33, options={"threads": 1, "force_rate": 48, "horizon_s": 0.3}),
-        "33 swaps, two threads": Flight(
-            envs=33, options={"threads": 2, "force_rate": 48, "horizon_s": 0.3}
+        "formations by set-points": batch(mission, _near, task="formation_v0", decisions=50),
+        "26 drones": batch(many, envs=1, decisions=20),
+        "26 drones each, two threads": batch(many | two | {"interactions": "wake"}, decisions=20),
+        "pairwise forces": batch(stack | pairs | {"team": "LSS*S"}),
+        "everything drawn": batch(everything, **three),
+        "everything drawn, two threads": batch(everything | two, **three),
+        "obstacles in the way": batch(meeting | standing, _to([0.0, 0.0, 0.5]), decisions=50),
+        "teams, starts and goals of a reset": batch(
+            mixed | {"horizon_s": 0.25, "force_rate": 240}, placed=teams, decisions=50
         ),
-        "circles by velocity": Flight(
-            envs=5,
-            options={
-                **{"team": "LSS*", "layout": "circle", "action": "velocity"},
-                **{"interactions": "wake", "force_rate": 48},
-            },
-            draw=_wild,
+        "successes": batch(meeting, **reached, resets_every=2),
+        "collisions": batch(meeting | {"controller": wake}, **met, placed=({"start": start}, {})),
+        "into the walls": batch(walls, _to_a_wall, decisions=50),
+        "tumbling": batch(
+            mixed | rotors | {"num_neighbors": 1}, _tumbling, decisions=60, resets_every=5
         ),
-        "stacks by acceleration": Flight(envs=5, options=stack, decisions=40),
-        "stacks, float32, forces 48 a second": Flight(
-            envs=5,
-            options={
-                **stack,
-                "interactions": load("learned").with_precision("float32"),
-                "force_rate": 48,
-            },
-        ),
-        "rings by body rates": Flight(
-            "ring_v0",
-            envs=5,
-            options={
-                **{"team": "SSSS", "action": "ctbr", "interactions": "none"},
-                "decision_rate": 240,
-            },
-            draw=_by_rates,
-            decisions=60,
-        ),
-        "rings by rotors, into the floor": Flight(
-            "ring_v0",
-            envs=5,
-            options={"team": "SSSS", "action": "rotors", "interactions": "none"},
-            draw=_falling,
-            decisions=60,
-            resets_every=3,
-        ),
-        "formations by set-points": Flight(
-            "formation_v0",
-            envs=5,
-            options={"num_drones": 4, "action": "setpoint", **mission},
-            draw=_near,
-            decisions=50,
-        ),
-        "26 drones": Flight(envs=1, options=crowd, decisions=20),
-        "26 drones each, two threads": Flight(
-            envs=5, options={**crowd, "interactions": "wake", "threads": 2}, decisions=20
-        ),
-        "pairwise forces": Flight(
-            envs=5, options={**stack, "team": "LSS*S", "interactions": pairwise_model()}
-        ),
-        "everything drawn": Flight(envs=5, options=everything, seeds=(1, 2, 3), decisions=40),
-        "everything drawn, two threads": Flight(
-            envs=5, options={**everything, "threads": 2}, seeds=(1, 2, 3), decisions=40
-        ),
-        "obstacles in the way": Flight(
-            envs=5,
-            options={**meeting, "obstacles": standing},
-            draw=_to(np.array([0.0, 0.0, 0.5])),
-            decisions=50,
-        ),
-        "teams, starts and goals of a reset": Flight(
-            envs=5,
-            options={"team": "LSS*", "horizon_s": 0.25, "force_rate": 240},
-            placed=({"team": "SSL", "start": start}, {"start": start, "goal": near}, {}),
-            decisions=50,
-        ),
-        "successes": Flight(
-            envs=5,
-            options=meeting,
-            placed=({"start": start, "goal": near},),
-            draw=_to(near),
-            decisions=50,
-            resets_every=2,
-        ),
-        "collisions": Flight(
-            envs=5,
-            options={**meeting, "controller": belief},
-            placed=({"start": start}, {}),
-            draw=_to_the_middle,
-            decisions=60,
-            resets_every=2,
-        ),
-        "into the walls": Flight(
-            envs=5,
-            options={"team": "SSSS", "decision_rate": 24},
-            draw=_to_a_wall,
-            decisions=50,
-        ),
-        "tumbling": Flight(
-            envs=5,
-            options={"team": "LSS*", "action": "rotors", "num_neighbors": 1},
-            draw=_tumbling,
-            decisions=60,
-            resets_every=5,
-        ),
-        # One environment behind PettingZoo's interface, on the compiled engine.
         "a swap goes on": Flight(options=everything, decisions=60),
         "a swap goes on from a snapshot": Flight(options=everything, decisions=60, returns_at=20),
-        # Bullet.
-        "Bullet by acceleration": Flight(engine="bullet", options={"team": "SSSS"}),
-        "Bullet by velocity": Flight(
-            "ring_v0",
-            "bullet",
-            {"team": "SSSS", "action": "velocity", "force_rate": 48},
+        "Bullet by acceleration": bullet(four),
+        "Bullet by velocity": bullet(
+            four | {"action": "velocity", "force_rate": 48}, task="ring_v0"
         ),
-        "Bullet by body rates": Flight(
-            engine="bullet", options={**stack, "action": "ctbr"}, draw=_by_rates
+        "Bullet by body rates": bullet(stack | {"action": "ctbr"}, rates),
+        "Bullet by rotors": bullet(mixed | rotors | {"interactions": "wake"}, _uniform(0.02, 0.05)),
+        "Bullet by set-points": bullet(mission | {"horizon_s": 0.4}, _near, task="formation_v0"),
+        "Bullet, pairwise forces": bullet(stack | pairs, seeds=(1,)),
+        "Bullet, 26 drones": bullet(many, seeds=(1,), decisions=20),
+        "Bullet, successes": bullet(meeting, **reached),
+        "Bullet, collisions": bullet(
+            meeting, **met, envs=3, placed=({"start": start}, {}, {"team": "SSL"})
         ),
-        "Bullet by rotors": Flight(
-            engine="bullet",
-            options={"team": "LSS*", "action": "rotors", "interactions": "wake"},
-            draw=_by_rotors,
-        ),
-        "Bullet by set-points": Flight(
-            "formation_v0",
-            "bullet",
-            {"num_drones": 4, "action": "setpoint", "horizon_s": 0.4, **mission},
-            _near,
-        ),
-        "Bullet, pairwise forces": Flight(
-            engine="bullet", options={**stack, "interactions": pairwise_model()}, seeds=(1,)
-        ),
-        "Bullet, 26 drones": Flight(engine="bullet", options=crowd, seeds=(1,), decisions=20),
-        "Bullet, successes": Flight(
-            engine="bullet",
-            options=meeting,
-            placed=({"start": start, "goal": near},),
-            draw=_to(near),
-            decisions=50,
-        ),
-        "Bullet, collisions": Flight(
-            engine="bullet",
-            envs=3,
-            options=meeting,
-            placed=({"start": start}, {}, {"team": "SSL"}),
-            draw=_to_the_middle,
-            decisions=60,
-            resets_every=2,
-        ),
-        "Bullet, into the walls": Flight(
-            engine="bullet",
-            options={"team": "SSSS", "decision_rate": 24},
-            draw=_to_a_wall,
-            decisions=50,
-        ),
-        "Bullet, tumbling": Flight(
-            engine="bullet",
-            options={"team": "LSS*", "action": "rotors"},
-            draw=_tumbling,
-            decisions=40,
-        ),
-        "Bullet, everything drawn": Flight(
-            engine="bullet",
-            envs=3,
-            options={**everything, "obstacles": standing},
-            decisions=40,
-        ),
-        "Bullet goes on": Flight(engine="bullet", options=everything, decisions=40),
-        "Bullet goes on from a snapshot": Flight(
-            engine="bullet", options=everything, decisions=40, returns_at=15
-        ),
-        # Parts alone.
+        "Bullet, into the walls": bullet(walls, _to_a_wall, decisions=50),
+        "Bullet, tumbling": bullet(mixed | rotors, _tumbling, decisions=40),
+        "Bullet, everything drawn": bullet(everything | standing, envs=3, decisions=40),
+        "Bullet goes on": bullet(everything, decisions=40),
+        "Bullet goes on from a snapshot": bullet(everything, decisions=40, returns_at=15),
         "BatchPhysics, 1 x 2": PhysicsAlone("batch", "LS", 1),
         "BatchPhysics, 7 x 5": PhysicsAlone("batch", "LSS*SL", 7),
         "BulletPhysics, 1 x 2": PhysicsAlone("bullet", "LS", 1),
         "BulletPhysics, 2 x 5": PhysicsAlone("bullet", "LSS*SL", 2, seeds=(1,)),
         "tracking": TrackingAlone(ControllerConfig()),
-        "tracking with compensation": TrackingAlone(belief, seeds=(1,)),
+        "tracking with compensation": TrackingAlone(wake, seeds=(1,)),
         "forces, learned": ForcesAlone(lambda: load("learned")),
         "forces, learned, float32": ForcesAlone(lambda: load("learned").with_precision("float32")),
         "forces, wake": ForcesAlone(lambda: load("wake")),
@@ -684,25 +571,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Fly everything, then write the file or compare with it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--write", action="store_true", help="freeze what the flights give now")
-    parser.add_argument("--file", type=Path, default=FILE, help="in place of the one of the tests")
-    parser.add_argument("--arrays", type=Path, help="folder that receives the arrays")
     parser.add_argument("--only", help="fly only what has this in its name")
     options = parser.parse_args(arguments)
-    if options.arrays:
-        options.arrays.mkdir(parents=True, exist_ok=True)
     jobs = [job for job in JOBS if can_fly(job[0]) and (options.only or "") in job[0]]
     found: dict[str, Any] = {}
     for name, seed in tqdm(jobs, unit="flight"):
-        flown = FLIGHTS[name].fly(seed)
-        found[f"{name}, seed {seed}"] = frozen(flown)
-        if options.arrays:
-            np.savez(options.arrays / f"{name}, seed {seed}.npz", **flown.arrays)
+        found[f"{name}, seed {seed}"] = frozen(FLIGHTS[name].fly(seed))
     if options.write:
         kept = {"fingerprint": fingerprint(), "flights": found}
-        options.file.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
-        print(f"froze {len(found)} flights in {options.file}")
+        FILE.write_text(json.dumps(kept, indent=1) + "\n", encoding="utf-8")
+        print(f"froze {len(found)} flights in {FILE}")
         return 0
-    kept = json.loads(options.file.read_text(encoding="utf-8"))
+    kept = read()
     same = fingerprint() == kept["fingerprint"]
     wrong = {name: differences(now, kept["flights"][name], same) for name, now in found.items()}
     for name, parts in wrong.items():

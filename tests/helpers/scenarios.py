@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from importlib.util import find_spec
-from typing import Any
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -19,87 +19,33 @@ from swarm_envs.agents.features import goal_features
 from swarm_envs.baselines import mlr_dmpc, rth3d
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
-from swarm_envs.control.config import ControllerConfig
-from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import load
-from swarm_envs.motors import BatteryModel
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.obstacles import Box, Column
 from swarm_envs.training.collection.motion import Potential, push_apart
 from swarm_envs.vehicles import parse_team
+from tests.helpers.frozen import FLIGHTS, can_fly
 
 Arrays = dict[str, FloatArray]
 
 
-def fly(task: str, decisions: int = 4, physics: str = "batch", **options: Any) -> Arrays:
-    """A short flight with actions drawn from a seed, and what becomes of it."""
-    env = swarm_envs.make(task, physics=physics, **options)
-    observations, _ = env.reset(seed=1)
-    rng, rows, rewards = np.random.default_rng(2), [], []
-    for _ in range(decisions):
-        actions = {}
-        for name in observations:
-            width = env.action_space(name).shape[0]
-            actions[name] = rng.uniform(-0.5, 0.5, width).astype(np.float32)
-        observations, reward, *_ = env.step(actions)
-        rows.append([np.ravel(observations[name]) for name in observations])
-        rewards.append([reward[name] for name in reward])
-    state = env.core.physics.state
-    found = {name: getattr(state, name).copy() for name in state._fields}
-    values = env.core.metrics().values()
-    found["metrics"] = np.array([x for x in values if isinstance(x, int | float)], np.float64)
-    env.close()
-    return {**found, "observations": np.array(rows), "rewards": np.array(rewards)}
+FLOWN = {
+    "everything drawn": {"envs": 1, "decisions": 3},
+    "obstacles in the way": {"envs": 1, "decisions": 3},
+    "stacks by acceleration": {"envs": 1, "decisions": 2},
+    "rings by rotors, into the floor": {"envs": 1, "decisions": 3},
+    "formations by set-points": {"envs": 1, "decisions": 3},
+    "rings by body rates": {"envs": 1, "decisions": 4},
+    "circles by velocity": {"envs": 1, "decisions": 3},
+    "26 drones": {"decisions": 1},
+    "Bullet goes on": {"decisions": 2},
+}
+"""Frozen flights of all kinds, cut short."""
 
 
-def swap_of_a_mixed_team() -> Arrays:
-    """Wakes, batteries, gusts, noise, obstacles."""
-    return fly(
-        "swap_v0",
-        team="SLS*",
-        interactions="wake",
-        battery=BatteryModel(),
-        randomization=Randomization(
-            mass=(0.9, 1.1), gust_acceleration=0.5, position_noise_m=0.01, attitude_noise_rad=0.01
-        ),
-        obstacles=(Box((-0.2, -0.2, 0.0), (0.2, 0.2, 0.6)), Column((0.6, 0.6), 0.1, 2.0)),
-    )
-
-
-def swap_of_a_stack() -> Arrays:
-    """One above the other, in the learned force."""
-    return fly("swap_v0", 2, team="LS", layout="stacked", force_rate=48)
-
-
-def ring() -> Arrays:
-    """Reference orbits, velocities as actions."""
-    return fly("ring_v0", interactions="none", action="velocity")
-
-
-def formation() -> Arrays:
-    """Collective thrust and body rates as actions; goals change on the way."""
-    mission: dict[str, Any] = {
-        "shapes": ("plane", "sphere", "plane"),
-        "shape_s": 0.06,
-        "travel_s": 0.03,
-    }
-    return fly("formation_v0", num_drones=4, interactions="none", action="ctbr", **mission)
-
-
-def rotors() -> Arrays:
-    """Thrusts as actions."""
-    return fly("swap_v0", num_drones=2, interactions="none", action="rotors", decision_rate=240)
-
-
-def bullet() -> Arrays:
-    """Bullet moves what was decided in our kernels; the controller compensates the wake."""
-    belief = ControllerConfig(feedforward=load("wake"))
-    return fly("swap_v0", 2, "bullet", num_drones=2, interactions="wake", controller=belief)
-
-
-def crowded_flight() -> Arrays:
-    """Neighbours and contacts of more drones than are compared each with each."""
-    return fly("swap_v0", 1, num_drones=26, interactions="none")
+def fly(name: str) -> Arrays:
+    """The first decisions of a frozen flight."""
+    flown = replace(FLIGHTS[name], **FLOWN[name]).fly(1)
+    return {**flown.arrays, "numbers": np.array(flown.numbers)}
 
 
 def crowd() -> Arrays:
@@ -172,12 +118,8 @@ def repulsion() -> Arrays:
 
 
 SCENARIOS: dict[str, Callable[[], Arrays]] = {
-    job.__name__: job
-    for job in (
-        *(swap_of_a_mixed_team, swap_of_a_stack, ring, formation, rotors, crowded_flight),
-        *([bullet] if find_spec("pybullet") else []),  # there are no wheels after Python 3.11
-        *(crowd, filtered, grid_plans, tree_search, rounds, repulsion),
-    )
+    **{name: partial(fly, name) for name in FLOWN if can_fly(name)},
+    **{f.__name__: f for f in (crowd, filtered, grid_plans, tree_search, rounds, repulsion)},
 }
 """Every job by its name."""
 

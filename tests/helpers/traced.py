@@ -1,7 +1,6 @@
 """What a reader crosses to follow one step: the package's files and functions that it calls.
 
     python -m tests.helpers.traced          a table, in the order in which they are first called
-    python -m tests.helpers.traced --json   the same for programs
 
 One `env.step` of four drones on Bullet is traced, the second of an episode. Kernels are called as
 the Python that they are written in: `NUMBA_DISABLE_JIT` is read when numba is imported, so the
@@ -11,7 +10,6 @@ they stand.
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import subprocess
@@ -77,15 +75,5 @@ def table(found: Mapping[str, Sequence[str]]) -> str:
     return "\n".join([*lines, f"{len(found)} files, {functions} functions"])
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Trace, and print what was crossed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print JSON in place of the table")
-    parser.add_argument("--trace", action="store_true", help="trace in this very process, as JSON")
-    options = parser.parse_args(arguments)
-    found = trace() if options.trace else crossed()
-    print(json.dumps(found) if options.json or options.trace else table(found))
-
-
 if __name__ == "__main__":
-    main()
+    print(json.dumps(trace()) if "--trace" in sys.argv else table(crossed()))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,18 +25,16 @@ from tests.mutation.targets import GROUPS, Group
 
 Row = dict[str, Any]
 Key = tuple[Any, ...]
-Note = Callable[[Row], None]
 
 
-def judge(group: Group, size: int, seed: int, killed: dict[Key, Row], note: Note) -> None:
-    """Run the group's tests on a sample of its mutants.
+def judged(group: Group, size: int, seed: int, killed: Mapping[Key, Row]) -> Iterator[Row]:
+    """Run the group's tests on a sample of its mutants; what became of each.
 
     Args:
         group: whose mutants.
         size: of the sample; 0 for all.
         seed: of the sample.
         killed: rows of an earlier run, which need no other.
-        note: told what became of each mutant.
 
     Raises:
         RuntimeError: the tests fail on the files as they are.
@@ -46,15 +44,14 @@ def judge(group: Group, size: int, seed: int, killed: dict[Key, Row], note: Note
     for mutant, source in tqdm(chosen, desc=group.name, unit="mutant", total=size or None):
         row: Row = {**asdict(mutant), "difference": mutant.difference(source)}
         if _key(row) in killed:
-            note(killed[_key(row)])
+            yield killed[_key(row)]
             continue
         tests = group.modules[mutant.path]
         if tests not in limits:
             limits[tests] = 5 + int(4 * warm_up(tests))
-        verdict = run_tests(tests, limits[tests], (mutant.path, source))
-        status = "survived" if verdict.status == "passed" else verdict.status
-        cpu_s = round(verdict.cpu_s, 2)
-        note({**row, "group": group.name, "verdict": status, "cpu_s": cpu_s})
+        ended = run_tests(tests, limits[tests], (mutant.path, source))
+        verdict = "survived" if ended.status == "passed" else ended.status
+        yield row | {"group": group.name, "verdict": verdict, "cpu_s": round(ended.cpu_s, 2)}
 
 
 def _key(row: Row) -> Key:
@@ -71,30 +68,24 @@ def _killed_before(out: Path | None) -> dict[Key, Row]:
 
 def table(rows: list[Row]) -> str:
     """Kills by group and file, as a table of Markdown."""
-    lines = [
-        "| group | file | mutants | drawn | killed | by time | % |",
-        "|---|---|--:|--:|--:|--:|--:|",
-    ]
+    lines = ["| group | file | mutants | drawn | killed | by time | % |"]
+    lines += ["|---|---|--:|--:|--:|--:|--:|"]
     for name in dict.fromkeys(row["group"] for row in rows):
         of_group = [row for row in rows if row["group"] == name]
         for path in dict.fromkeys(row["path"] for row in of_group):
             drawn = [row for row in of_group if row["path"] == path]
-            lines.append(_line(name, f"`{path}`", len(mutants(path)), drawn))
-        lines.append(_line(f"**{name}**", "", _count(name), of_group))
+            lines.append(_line(name, f"`{path}`", [path], drawn))
+        paths = [path for group in GROUPS if group.name == name for path in group.modules]
+        lines.append(_line(f"**{name}**", "", paths, of_group))
     return "\n".join(lines)
 
 
-def _count(name: str) -> int:
-    return sum(
-        len(mutants(path)) for group in GROUPS if group.name == name for path in group.modules
-    )
-
-
-def _line(name: str, file: str, count: int, drawn: list[Row]) -> str:
-    killed = sum(row["verdict"] != "survived" for row in drawn)
-    slow = sum(row["verdict"] == "timeout" for row in drawn)
-    share = f"{100 * killed / len(drawn):.0f}"
-    return f"| {name} | {file} | {count} | {len(drawn)} | {killed} | {slow} | {share} |"
+def _line(name: str, file: str, paths: list[str], drawn: list[Row]) -> str:
+    verdicts = [row["verdict"] for row in drawn]
+    killed, slow = len(drawn) - verdicts.count("survived"), verdicts.count("timeout")
+    counts = [sum(len(mutants(path)) for path in paths), len(drawn), killed, slow]
+    cells = [name, file, *map(str, counts), f"{100 * killed / len(drawn):.0f}"]
+    return f"| {' | '.join(cells)} |"
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -110,27 +101,23 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, help="write what became of each; kills are kept")
     options = parser.parse_args(arguments)
     rows: list[Row] = []
-    killed = _killed_before(options.json)
-
-    def note(row: Row) -> None:
-        rows.append(row)
-        killed.pop(_key(row), None)
-        if options.json is not None:
-            write_json(options.json, [*rows, *killed.values()])
-
+    killed, few = _killed_before(options.json), False
     for group in GROUPS:
-        if not options.group or group.name in options.group:
-            judge(group, options.sample, options.seed, killed, note)
+        if options.group and group.name not in options.group:
+            continue
+        begin = len(rows)
+        for row in judged(group, options.sample, options.seed, dict(killed)):
+            rows.append(row)
+            killed.pop(_key(row), None)
+            if options.json is not None:
+                write_json(options.json, [*rows, *killed.values()])
+        verdicts = [row["verdict"] for row in rows[begin:]]
+        few |= verdicts.count("survived") > 0.2 * len(verdicts)
     print(table(rows))
     for row in rows:
         if row["verdict"] == "survived":
             print(f"\n{row['path']}:{row['line']} {row['operator']}\n{row['difference']}")
-    return int(not all(_passes(rows, name) for name in {row["group"] for row in rows}))
-
-
-def _passes(rows: list[Row], name: str) -> bool:
-    verdicts = [row["verdict"] for row in rows if row["group"] == name]
-    return sum(v != "survived" for v in verdicts) >= 0.8 * len(verdicts)
+    return int(few)
 
 
 if __name__ == "__main__":

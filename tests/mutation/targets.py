@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 _RIGID_BODY = ("tests/physics/test_rigid_body.py",)
 _CONTACT = (
@@ -17,8 +17,7 @@ _CHECKS = ("tests/baselines/mlr_dmpc/test_checks.py",)
 _VERIFY = ("tests/baselines/neural_swarm/planner/test_verify.py",)
 
 
-@dataclass(frozen=True)
-class Group:
+class Group(NamedTuple):
     """Files that belong together."""
 
     name: str
@@ -26,29 +25,23 @@ class Group:
     """By path of a file: arguments of pytest that run its tests."""
 
 
+_PHYSICS = {
+    "swarm_envs/physics/rigid_body.py": _RIGID_BODY,
+    "swarm_envs/physics/contact.py": _CONTACT,
+    "swarm_envs/motors.py": _MOTORS,
+}
+_TRACKERS = {
+    "swarm_envs/control/loop.py": _TRACKING,
+    "swarm_envs/control/tracking.py": _TRACKING,
+    "baselines/mlr_dmpc/information_tracker.py": _TRACKER,
+}
+_VALIDATORS = {
+    "baselines/rth3d/grid_validation.py": _PATHS,
+    "baselines/mlr_dmpc/input_checks.py": _CHECKS,
+    "baselines/neural_swarm/planner/verify.py": _VERIFY,
+}
 GROUPS = (
-    Group(
-        "physics",
-        {
-            "swarm_envs/physics/rigid_body.py": _RIGID_BODY,
-            "swarm_envs/physics/contact.py": _CONTACT,
-            "swarm_envs/motors.py": _MOTORS,
-        },
-    ),
-    Group(
-        "trackers",
-        {
-            "swarm_envs/control/loop.py": _TRACKING,
-            "swarm_envs/control/tracking.py": _TRACKING,
-            "baselines/mlr_dmpc/information_tracker.py": _TRACKER,
-        },
-    ),
-    Group(
-        "validators",
-        {
-            "baselines/rth3d/grid_validation.py": _PATHS,
-            "baselines/mlr_dmpc/input_checks.py": _CHECKS,
-            "baselines/neural_swarm/planner/verify.py": _VERIFY,
-        },
-    ),
+    Group("physics", _PHYSICS),
+    Group("trackers", _TRACKERS),
+    Group("validators", _VALIDATORS),
 )

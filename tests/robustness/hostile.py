@@ -23,13 +23,6 @@ PATIENCE_S = 60
 """A call that takes more CPU time hangs; it may have to compile first."""
 
 
-class Strange:
-    """An object that nothing expects."""
-
-    def __repr__(self) -> str:
-        return "<something strange>"
-
-
 class Hang(BaseException):
     """A call took longer than `PATIENCE_S`."""
 
@@ -43,11 +36,8 @@ def hostile_values(folder: Path) -> dict[str, Any]:
         "negative": -1,
         "zero": 0,
         "a half": 0.5,
-        "minus a half": -0.5,
         "huge": 1e300,
         "huge integer": 10**30,
-        "complex": 1j,
-        "true": True,
         "none": None,
         "empty text": "",
         "text": "no such thing",
@@ -55,25 +45,15 @@ def hostile_values(folder: Path) -> dict[str, Any]:
         "null byte": "a\0b",
         "surrogate": "\udcff",
         "long text": "x" * 5000,
-        "bytes": b"bytes",
-        "empty tuple": (),
         "empty list": [],
         "empty mapping": {},
-        "wrong mapping": {"no such thing": 1},
-        "list of text": ["a", "b"],
-        "list of none": [None],
         "ragged": [[1.0], [1.0, 2.0]],
         "nan array": np.full((2, 3), np.nan),
         "inf pair": (float("inf"), 1.0),
         "reversed pair": (2.0, 1.0),
         "wrong shape": np.zeros((1, 2, 3, 4, 5)),
         "no rows": np.zeros((0, 3)),
-        "text array": np.array([["a", "b", "c"]] * 2),
-        "object array": np.array([Strange(), None, 3], dtype=object),
-        "boolean array": np.array([True, False]),
         "huge array": np.full((2, 3), 1e300),
-        "strange object": Strange(),
-        "a class": Strange,
         **hostile_paths(folder),
     }
 
@@ -143,8 +123,6 @@ def _fault(error: Exception, words: tuple[str, ...], value: Any) -> str | None:
     place = traceback.extract_tb(error.__traceback__)[-1]
     said = f"{type(error).__name__}: {text[:120]!r} at {os.path.relpath(place.filename, ROOT)}"
     said += f":{place.lineno}"
-    if f"{Strange.__name__}() takes no arguments" in text:
-        return None  # where functions are taken, one raises what it raises
     if not isinstance(error, REFUSALS):
         return said
     ours = place.filename.startswith(str(ROOT)) and "/tests/" not in place.filename

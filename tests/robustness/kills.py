@@ -8,6 +8,7 @@ nothing may lie about.
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import json
@@ -19,14 +20,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import tyro
 from tqdm import tqdm
 
 from swarm_envs.cli import main as command_line
@@ -96,18 +96,6 @@ COMMANDS: Mapping[str, Run] = {
     "reproduce": run("reproduce", "rth3d", "--figure", "5", "--runs", "2", "--largest", "2000"),
 }
 """Commands to kill, as small as they can be. To add one is a line."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class KillOptions:
-    """Kill commands at random moments, and see whether anything is lost."""
-
-    command: list[str]
-    """one or more of the commands, or `all`"""
-    times: int = 10
-    """how often each is killed"""
-    seed: int = 0
-    """of the moments"""
 
 
 def begun(job: Run, out: Path) -> BaseProcess:
@@ -221,7 +209,11 @@ def differences(one: Path, two: Path) -> list[str]:
 
 def main() -> int:
     """Kill what was asked for, and print what became of it."""
-    options = tyro.cli(KillOptions)
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--command", nargs="+", required=True, help=f"all, {', '.join(COMMANDS)}")
+    parser.add_argument("--times", type=int, default=10, help="how often each is killed")
+    parser.add_argument("--seed", type=int, default=0, help="of the moments")
+    options = parser.parse_args()
     tqdm.monitor_interval = 0  # its thread may hold a lock at the moment of a fork
     names = list(COMMANDS) if options.command == ["all"] else options.command
     worst = 0

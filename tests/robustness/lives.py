@@ -49,10 +49,6 @@ AGENTS = {
 """Who flies an episode through PettingZoo between the lives, in turn."""
 
 
-QUANTITIES = ("length_s", "power_w", "separation_m", "collided")
-"""What is kept of an episode: its length, mean power, least separation, and whether drones met."""
-
-
 class Life(NamedTuple):
     """What a life found."""
 
@@ -62,8 +58,6 @@ class Life(NamedTuple):
     """Decisions of environments at which it was measured."""
     episodes: int
     """How many ended."""
-    sums: np.ndarray
-    """(2, 4) sums of their quantities, and of their squares: a list of all would itself grow."""
 
 
 def actions(core: SwarmCore, rng: np.random.Generator, before: np.ndarray | None) -> np.ndarray:
@@ -107,7 +101,7 @@ def live(
 def _fly(core: SwarmCore, twin: SwarmCore, rng: np.random.Generator, steps: int) -> Life:
     shared, given, drift, compared = twin.num_envs, None, 0.0, 0
     _begin(core, twin, np.ones(core.num_envs, dtype=np.bool_), rng)
-    flights: list[list[float]] = []
+    episodes = 0
     for _ in range(steps):
         given = actions(core, rng, given)
         result, other = core.step(given), twin.step(given[:shared])
@@ -121,11 +115,13 @@ def _fly(core: SwarmCore, twin: SwarmCore, rng: np.random.Generator, steps: int)
             drift, compared = max(drift, float(gap.max(initial=0.0))), compared + len(gap)
         if drift < 1e-9:  # else the drift is reported, and ends may well differ
             assert (ended[:shared] == (other.terminated | other.truncated)).all(), "ends differ"
-        flights += map(_ending, core.metrics_of(np.flatnonzero(ended).tolist()))
+        for metrics in core.metrics_of(np.flatnonzero(ended).tolist()):
+            numbers = [v for v in metrics.values() if isinstance(v, int | float)]
+            assert np.isfinite(numbers).all(), f"a metric is not finite: {metrics}"
+            episodes += 1
         if ended.any():
             _begin(core, twin, ended, rng)
-    kept = np.array(flights).reshape(-1, len(QUANTITIES))
-    return Life(drift, compared // 2, len(kept), np.array([kept.sum(0), (kept**2).sum(0)]))
+    return Life(drift, compared // 2, episodes)
 
 
 def _begin(core: SwarmCore, twin: SwarmCore, where: np.ndarray, rng: np.random.Generator) -> None:
@@ -133,13 +129,6 @@ def _begin(core: SwarmCore, twin: SwarmCore, where: np.ndarray, rng: np.random.G
     core.reset(seeds, where)
     if where[: twin.num_envs].any():
         twin.reset(seeds[: twin.num_envs], where[: twin.num_envs])
-
-
-def _ending(metrics: dict[str, Any]) -> list[float]:
-    numbers = [v for v in metrics.values() if isinstance(v, int | float)]
-    assert np.isfinite(numbers).all(), f"a metric is not finite: {metrics}"
-    length, met = metrics["length_s"], float(metrics["collided_drones"] > 0)
-    return [length, metrics["energy_j"] / length, metrics["minimum_separation_m"], met]
 
 
 def fly_agent(task: str, name: str, physics: str, seed: int) -> None:

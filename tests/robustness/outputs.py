@@ -63,8 +63,15 @@ class Ended(NamedTuple):
     """Lines of its standard error that are no progress."""
 
 
+def nothing(*_: object) -> None:
+    """Prepare nothing."""
+
+
 def run(
-    name: str, folder: Path, prepare: Callable[[], object], after: Callable[[int], object]
+    name: str,
+    folder: Path,
+    prepare: Callable[[], object] = nothing,
+    after: Callable[[int], object] = nothing,
 ) -> Ended:
     """Run a command in a process of its own, which has everything loaded already."""
     words, file = COMMANDS[name]
@@ -127,17 +134,13 @@ def disk(folder: Path, kib: int) -> Iterator[Path]:
         subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
-def nothing(*_: object) -> None:
-    """Prepare nothing."""
-
-
 def full(name: str, folder: Path) -> Ended:
     """The disk is full before anything can be written."""
     with disk(folder / "disk", 64) as small:
         before = note(name, small)
         with suppress(OSError):
             (small / "ballast").write_bytes(b"x" * 2**20)
-        found = run(name, small, nothing, nothing)
+        found = run(name, small)
         check_kept(before)
     return refused(found, "No space left|cannot be written")
 
@@ -147,7 +150,7 @@ def read_only(name: str, folder: Path) -> Ended:
     with disk(folder / "disk", 4096) as small:
         before = note(name, small)
         subprocess.run(["mount", "-o", "remount,ro", str(small)], check=True)
-        found = run(name, small, nothing, nothing)
+        found = run(name, small)
         check_kept(before)
     return refused(found, "Read-only")
 
@@ -173,20 +176,20 @@ def reader_gone(name: str, folder: Path) -> Ended:
     """Who read what it prints is gone, as with `| head`."""
     read, write = os.pipe()
     os.close(read)
-    found = run(name, folder, lambda: os.dup2(write, 1), nothing)
+    found = run(name, folder, lambda: os.dup2(write, 1))
     os.close(write)
     return refused(found, "Broken pipe")
 
 
 def print_full(name: str, folder: Path) -> Ended:
     """What it prints goes to a full disk."""
-    found = run(name, folder, lambda: os.dup2(os.open("/dev/full", os.O_WRONLY), 1), nothing)
+    found = run(name, folder, lambda: os.dup2(os.open("/dev/full", os.O_WRONLY), 1))
     return refused(found, "No space left")
 
 
 def strange_name(name: str, folder: Path) -> Ended:
     """Spaces, letters of all kinds and a line break in the path."""
-    found = run(name, folder / "a b\n Ω\U0001f681'\"; $HOME %s", nothing, nothing)
+    found = run(name, folder / "a b\n Ω\U0001f681'\"; $HOME %s")
     assert found.code == 0, found
     return found
 
@@ -200,7 +203,7 @@ def bare_environment(name: str, folder: Path) -> Ended:
         os.environ.update(given)
         tempfile.tempdir = None
 
-    found = run(name, folder / "out", prepare, nothing)
+    found = run(name, folder / "out", prepare)
     assert found.code == 0, found
     return found
 
@@ -211,7 +214,7 @@ def taken(name: str, folder: Path) -> Ended:
         return Ended(0, [])  # a file is replaced whole, by whoever comes last
     with (folder / ".lock").open("a+") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        found = run(name, folder, nothing, nothing)
+        found = run(name, folder)
     return refused(found, "writes into")
 
 

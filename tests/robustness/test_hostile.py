@@ -1,15 +1,15 @@
-"""Every function and class of the public face, with every hostile value in every parameter."""
+"""Functions of the public face, with every hostile value in every parameter."""
 
 from __future__ import annotations
 
 import resource
+from pathlib import Path
 
 import pytest
 
 from tests.robustness import surface
 from tests.robustness.hostile import hostile_values, judge
 
-SETTINGS = surface.settings()
 LIMIT_BYTES = 16 * 2**30
 
 
@@ -22,10 +22,10 @@ def values(tmp_path_factory):
     resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-def faults(call: surface.Call, values: dict[str, object], parameters=None) -> list[str]:
+def faults(call: surface.Call, values: dict[str, object]) -> list[str]:
     """What a function does with bad arguments that it should not, one at a time."""
     found = []
-    for name in parameters or call.valid:
+    for name in call.valid:
         words = (name, name.rstrip("s"), name.replace("_", " "))
         for kind, value in values.items():
             fault = judge(lambda: call.function(**{**call.valid, name: value}), words, value)  # noqa: B023
@@ -34,45 +34,21 @@ def faults(call: surface.Call, values: dict[str, object], parameters=None) -> li
     return found
 
 
-def test_every_public_name_is_called_or_says_why_not():
-    called = {*SETTINGS, *surface.GIVEN, *surface.OWN}
-    silent = {n for n in surface.public() if not surface.RESULTS.search(n)} - called
-    assert silent <= set(surface.EXEMPT), f"neither called nor exempt: {silent}"
-    assert set(surface.EXEMPT) <= set(surface.public()) - called, "exempt for nothing"
-
-
-@pytest.mark.parametrize("name", SETTINGS)
-def test_settings_refuse_by_name(name, values):
-    assert not faults(SETTINGS[name], values)
-
-
-QUICK: tuple[str, ...] = (
+QUICK = {
     "parse_team",
     "rest_to_rest",
     "error_ball",
     "max_density",
     "building_columns",
     "agents.load",
-)
-QUICK += (
-    "env.reset options",
-    "TrackingAgent",
-    "SafetyFilter",
-    "read_trajectory",
-    "read_table",
-    "read_rows",
-)
+}
+QUICK |= {"env.reset options", "TrackingAgent", "SafetyFilter"}
+QUICK |= {"read_trajectory", "read_table", "read_rows"}
+NAMES = [
+    pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in surface.calls(Path())
+]
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", NAMES)
 def test_functions_refuse_by_name(name, values, tmp_path):
-    assert not faults(surface.calls(tmp_path)[name], values)
-
-
-OTHERS = [name for name in (*surface.GIVEN, *surface.OWN) if name not in QUICK]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", OTHERS)
-def test_all_other_functions_refuse_by_name(name, values, tmp_path):
     assert not faults(surface.calls(tmp_path)[name], values)

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from swarm_envs.physics import bullet_available
@@ -29,19 +28,11 @@ def test_the_engines_fly_the_same_whatever_is_drawn():
     assert life.compared > 30 and life.drift < soak.DRIFT_M
 
 
-def test_growth_and_change_are_found():
+def test_growth_is_found():
     flat = [(k / 60, 100.0) for k in range(30)]
     leaky = [(k / 60, 100.0 + k) for k in range(30)]
     assert soak.growth(flat)["growth_mib"] == pytest.approx(0.0, abs=1e-9)
     assert soak.growth(leaky)["growth_mib"] == pytest.approx(19.0)
-    rng = np.random.default_rng(0)
-
-    def lives(means: list[float]) -> list[tuple[int, np.ndarray]]:
-        drawn = [rng.normal(mean, 1.0, (50, 4)) for mean in means]
-        return [(50, np.array([x.sum(0), (x**2).sum(0)])) for x in drawn]
-
-    assert min(soak.trend({"a": lives([0.0] * 8)}).values()) > soak.LEAST_P
-    assert max(soak.trend({"a": lives([0.0] * 4 + [1.0] * 4)}).values()) < soak.LEAST_P
 
 
 def test_folders_that_differ_are_told_apart(tmp_path):

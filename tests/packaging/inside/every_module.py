@@ -9,6 +9,7 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
+from pathlib import Path
 
 import swarm_envs
 
@@ -34,7 +35,9 @@ def missing(name: str) -> str | None:
 found = pkgutil.walk_packages(swarm_envs.__path__, "swarm_envs.", onerror=lambda name: None)
 names = ["swarm_envs", *(module.name for module in found)]
 needs = {name: missing(name) for name in names if name != "swarm_envs.__main__"}
-if "site-packages" in swarm_envs.__file__:  # a checkout has these folders, and they refuse
+if not (
+    Path(swarm_envs.__file__).parents[1] / "pyproject.toml"
+).exists():  # a checkout has these folders, and they refuse
     for bare in ("agents", "baselines", "training"):
         assert importlib.util.find_spec(bare) is None, f"{bare} is installed by its bare name"
 print(f"{len(needs)} modules of {swarm_envs.__file__}")

@@ -1,0 +1,126 @@
+"""Benchmarks measure what they say; how fast is never tested."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import swarm_envs
+from swarm_envs.interactions import load
+from swarm_envs.vehicles import GRAM_FORCE, SMALL
+from tests.benchmarks import against, batched, forces, throughput
+from tests.benchmarks.rows import run, spread, table
+
+
+def test_table_and_json(tmp_path, capsys):
+    row = {"what": "a thing", "unit": "per s", "drones": 4} | spread([12345.6, 1.0, 2e4])
+    path = tmp_path / "speed.json"
+    run("About.", lambda options: [row], ["--json", str(path), "--repetitions", "1"])
+    printed = capsys.readouterr().out
+    assert "12,346" in printed and "1.00 - 20,000" in printed and "envs" not in printed
+    assert json.loads(path.read_text())["rows"] == [row]
+    with pytest.raises(SystemExit):
+        run("About.", lambda options: [], ["--repetitions", "0"])
+    assert "must be at least 1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("n", throughput.LAYERS)
+def test_packed_swarms_fit_one_interaction_volume(n):
+    position = throughput.packed(n)
+    offset = np.abs(position[:, None] - position[None])
+    assert position.shape == (n, 3)
+    assert (offset.max(axis=(0, 1)) < [0.35, 0.35, 1.1]).all()
+    assert (np.linalg.norm(offset, axis=2) + 9.0 * np.eye(n)).min() > 2 * SMALL.radius
+
+
+def test_one_environment_and_many_fly(monkeypatch):
+    monkeypatch.setattr(batched, "BATCH", (3, 4))
+    rows = [
+        throughput.environment_row("batch", 4, "packed", 48, 2),
+        batched.batch_row("packed", 48, "float32", 2),
+        batched.thread_row(48, 2),
+    ]
+    for row in rows:
+        assert row["force_rate"] == 48
+        assert 0.0 < row["low"] <= row["value"] <= row["high"]
+
+
+def test_growth_is_drawn_from_its_rows(tmp_path):
+    many, large = [(1, 4), (2, 4)], [(1, 5), (1, 6)]
+    rows = [row for sizes in (many, large) for row in batched.scale_rows(sizes, 1)]
+    assert [(row["environments"], row["drones"]) for row in rows] == [*many, *large]
+    batched.draw(rows, tmp_path / "speed.png")
+    assert (tmp_path / "speed.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
+def test_memory_is_that_of_a_whole_process(monkeypatch):
+    monkeypatch.setattr(batched, "MEMORY", (2, 4))
+    assert 50.0 < batched.memory_row()["value"] < 1024.0
+
+
+def test_all_ways_compute_the_same_forces():
+    position, velocity = forces.states(3, 4)
+    model, team = load("learned"), forces.team_of(4)
+    expected = model.forces(position, velocity, team)
+    plain = forces.numpy_forces(model, position, velocity, team)
+    np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-9 * GRAM_FORCE)
+    kernel = forces.kernel_forces(model, position, velocity, team)()
+    np.testing.assert_array_equal(kernel, expected)
+    pytest.importorskip("torch")
+    trained = forces.torch_forces("float64", position, velocity, team)().numpy() * GRAM_FORCE
+    np.testing.assert_allclose(trained, expected[..., 2], rtol=0, atol=1e-9 * GRAM_FORCE)
+
+
+def test_what_is_not_installed_is_said_in_its_row(monkeypatch):
+    row = forces.force_row("kernel", "float32", 2, 4, 2)
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert "not installed" in table([row, forces.force_row("torch", "float64", 2, 4, 1)])
+
+
+@pytest.fixture
+def trees(monkeypatch):
+    """This tree twice, each in a process of its own."""
+    monkeypatch.setattr(against, "LEAST_SECONDS", 0.001)
+    both = [against.Tree(Path(swarm_envs.__file__).parent.parent) for _ in range(2)]
+    yield both
+    for tree in both:
+        tree.close()
+
+
+def test_two_trees_are_measured_in_turn_and_one_that_fails_is_shown(trees):
+    row = {"what": "it", "unit": "agent-steps/s"}
+    options = {"engine": "batch", "drones": 2}
+    pair = against.in_turn(trees, against.Measured(row, "environment", options, 2), 3)
+    assert isinstance(pair, tuple)
+    assert [len(side) for side in pair] == [3, 3] and min(*pair[0], *pair[1]) > 0.0
+    bad = against.Measured(row, "environment", options | {"drones": 0}, 2)
+    error = against.in_turn(trees, bad, 1)
+    assert isinstance(error, str) and "num_drones" in error
+    assert error in table([*against.compared(row, error, fast=True)])
+
+
+@pytest.mark.parametrize(("fast", "expected"), [(True, 2.0), (False, 0.5)])
+def test_more_agent_steps_are_faster_and_more_seconds_slower(fast, expected):
+    pair = ([1.0, 2.0], [2.0, 4.0])
+    old, new, ratio = against.compared({"what": "it", "unit": "ms"}, pair, fast)
+    assert [old["what"], new["what"]] == ["it, old", "it, new"]
+    assert (old["value"], new["value"], ratio["value"]) == (1.5, 3.0, expected)
+
+
+@pytest.mark.parametrize(("threads", "unit"), [(1, "CPU s"), (2, "s")])
+def test_parts_are_shares_of_a_training(threads, unit):
+    pytest.importorskip("stable_baselines3")
+    from tests.benchmarks.training import PARTS, measure
+
+    small = {"environments": 4, "batch_size": 64, "rollout": 16, "drones": (2, 4), "hidden": (8,)}
+    small |= {"interactions": "none", "threads": threads}
+    speed, *parts = measure(small, repetitions=1, rollouts=1)
+    assert speed["value"] > 0.0 and speed["unit"] == f"agent-steps per {unit}"
+    assert [row["what"].strip() for row in parts] == list(PARTS)
+    whole, features, flown = (row["value"] for row in parts)
+    assert 0.0 < features + flown < whole < 100.0
