@@ -26,7 +26,6 @@ from swarm_envs.training.collection.log import (
     with_noise,
 )
 from swarm_envs.training.collection.motion import MotionRanges, Potential, RandomWalk, repulsion
-from swarm_envs.training.collection.table import scenario_name
 from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL, parse_team
 
 SHORT = CollectionConfig(
@@ -210,29 +209,8 @@ def test_rows_say_what_the_logs_say(collection):
     np.testing.assert_array_equal(rows.force_g[large], force[step, 1])
     alone = rows.neighbor_type[rows.scenario == rows.scenario_names.index("Ge2S")]
     assert (alone == -1).all()
-
-
-def test_scenarios_are_named_as_in_the_paper():
-    assert scenario_name("S", ["L", "S"]) == "SL2S"
-    assert scenario_name("L", []) == "Ge2L"
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: CollectionConfig(teams=("SX",)), "token 'X'"),
-        (lambda: CollectionConfig(teams=("S", "S")), "named once"),
-        (lambda: CollectionConfig(walks=-1), "walks is -1"),
-        (lambda: CollectionConfig(duration_s=float("nan")), "duration_s is nan"),
-        (lambda: MotionRanges(gap_m=(0.4, 0.2)), "gap_m"),
-        (lambda: MotionRanges(reach_m=0.0), "reach_m"),
-        (lambda: SensorNoise(velocity=-1.0), "velocity is -1.0"),
-        (lambda: interaction_rows([]), "no row"),
-    ],
-)
-def test_what_cannot_be_is_refused(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
+    with pytest.raises(ValueError, match="no row"):
+        interaction_rows([])
 
 
 def test_a_log_is_cut_before_the_first_contact():

@@ -9,7 +9,6 @@ import pytest
 
 from swarm_envs.cli import main
 from swarm_envs.training.collection import (
-    CalibrationErrors,
     CollectionConfig,
     collect,
     interaction_rows,
@@ -96,15 +95,6 @@ def test_parquet_flights_are_read_as_if_they_were_real(flights, label, tmp_path)
         np.testing.assert_allclose(a.std(axis=0), b.std(axis=0), rtol=0.15, atol=0.05)
 
 
-def test_parquet_and_npz_give_the_same_rows(flights, tmp_path):
-    flown = parquet(CONFIG, tmp_path)
-    one, two = interaction_rows(flights, "imu"), interaction_rows(flown, "imu")
-    error = np.abs(one.force_g - two.force_g)
-    # npz is single precision; Parquet cannot say commands below what psi1 gives.
-    assert np.quantile(error, 0.9) < 1e-3 and error.mean() < 0.05
-    np.testing.assert_array_equal(one.vehicle, two.vehicle)
-
-
 @pytest.mark.parametrize("form", ["npz", "parquet"])
 def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(form, tmp_path, monkeypatch):
     pytest.importorskip("pyarrow")
@@ -176,26 +166,3 @@ def test_a_collection_of_no_flight_is_refused_with_exit_code_2(words, tmp_path, 
     assert end.value.code == 2
     assert "no flight" in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("words", ["--log-rate 90", "--label truth", "--format csv", "--walks -1"])
-def test_bad_options_are_refused_with_exit_code_2(words, tmp_path, capsys):
-    with pytest.raises(SystemExit) as end:
-        main(["collect", "--out", str(tmp_path / "out"), *words.split()])
-    assert end.value.code == 2
-    assert words.split()[1] in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_what_is_wrong_with_a_vehicle_is_found_from_its_parquet_flights(tmp_path):
-    """Offsets by hand: the type's weight less what the commands would carry."""
-    errors = CalibrationErrors(mass=0.05, thrust=0.04)
-    config = dataclasses.replace(CONFIG, teams=("S", "L"), errors=errors, duration_s=10.0, seed=5)
-    parquet(config, tmp_path)
-    _, report = read_logs(tmp_path, LogOptions(guard_s=0.0))
-    for name, vehicle in (("S1", SMALL), ("L1", LARGE)):
-        drawn = errors.draw((vehicle,), config.seed, [np.random.default_rng(0)])
-        mass, thrust = drawn.mass_factor[0, 0], drawn.thrust_factor[0, 0]
-        expected = 1e3 * vehicle.mass * (1.0 - mass / thrust)
-        assert abs(expected) > 0.5
-        assert report.vehicles[name].offset_g == pytest.approx(expected, abs=0.35)

@@ -24,7 +24,7 @@ from swarm_envs.training.force_model.force_fit_config import (
     TrainConfig,
     with_mode_defaults,
 )
-from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, swarm_batch
+from swarm_envs.training.force_model.network import DeepSet, swarm_batch
 from swarm_envs.training.force_model.optimisers import hold_spectral_norms
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.force_model.train import predict, to_batch, train
@@ -165,47 +165,6 @@ def test_zero_matrix_cannot_be_normalised_exactly():
     with pytest.raises(ValueError, match="shape \\(2, 3\\) is zero"):
         hold_spectral_norms([torch.zeros(2, 3)], 1.0, "exact")
     hold_spectral_norms([torch.zeros(2, 3)], 1.0, "clip")
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("steps", 0),
-        ("epochs", 1.0),
-        ("learning_rate", float("nan")),
-        ("average_share", -1.0),
-        ("early_validation", 0.6),
-        ("max_spectral_norm", 0.0),
-        ("slope_limit", -1.0),
-        ("slope_weight", float("inf")),
-        ("slope_inputs", 0),
-        ("position_jitter_m", -0.1),
-        ("velocity_jitter", float("nan")),
-        ("balance", -1.0),
-        ("seed", -1),
-        ("teachers", -1),
-        ("teacher_epochs", 0.0),
-        ("label_share", 1.5),
-    ],
-)
-def test_bad_numbers_are_refused(name, value):
-    with pytest.raises(ValueError, match=rf"{name} (is )?{value}"):
-        dataclasses.replace(PLAIN, **{name: value})
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("anchor_height_m", 0.0), ("anchor_height_m", float("nan")), ("lipschitz_samples", -1)],
-)
-def test_bad_numbers_of_a_fit_are_refused(name, value, tmp_path):
-    with pytest.raises(ValueError, match=f"{name} is {value}"):
-        FitConfig(data=tmp_path, out=tmp_path, **{name: value})
-
-
-def test_an_anchor_on_the_ground_is_none():
-    """Compiled models take 0 for no anchor, so torch must not take it for one."""
-    with pytest.raises(ValueError, match=r"anchor_height_m is 0\.0, but must be above 0"):
-        DeepSetSpec(("S",), anchor_height_m=0.0)
 
 
 def test_each_mode_has_its_own_length_unless_it_is_given():

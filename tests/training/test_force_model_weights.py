@@ -86,18 +86,6 @@ def test_lone_drone_feels_nothing_aloft_and_a_cushion_near_the_ground(shipped):
         assert float(force[0]) == pytest.approx(cushion[0], abs=cushion[1])
 
 
-def test_force_fades_to_zero_at_the_edge(shipped):
-    for axis, edge in ((0, 0.35), (2, 1.1)):
-        for sign in (-1, 1):
-            position = torch.full((2000, 2, 3), 0.0, dtype=torch.float64)
-            position[:, :, 2] = 1.5
-            position[:, 1, axis] += sign * torch.linspace(edge - 0.1, edge + 0.01, 2000)
-            for pair in ("SS", "SL", "LS", "LL"):
-                force = shipped.force_g(position, torch.zeros_like(position), pair)[:, 0].detach()
-                assert abs(float(force[-1])) == 0
-                assert force.diff().abs().max() < 0.05
-
-
 def test_lipschitz_constant_of_the_shipped_weights(shipped, report):
     bound = lipschitz_bound(shipped)
     for neighbors in (1, 2):

@@ -19,8 +19,6 @@ from swarm_envs.training.force_model.network import (
     build,
     layers,
 )
-from swarm_envs.training.force_model.train import TrainConfig, train
-from swarm_envs.training.interaction_rows import InteractionRows
 from tests.helpers.tiny_fits import RANGE
 
 KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise")
@@ -93,26 +91,3 @@ def test_no_finite_range_or_a_hard_edge_has_no_bound() -> None:
     assert math.isinf(lipschitz_bound(build(spec)).position_g_per_m)
     spec = dataclasses.replace(spec, window=None, input_range=RANGE)
     assert math.isinf(lipschitz_bound(build(spec)).input_g_per_unit)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_trained_networks_keep_to_the_bound(kind: NetworkKind) -> None:
-    rng, count = np.random.default_rng(0), 3000
-    neighbor = rng.uniform(-1.0, 1.0, (count, 2, 6)) * [0.3, 0.3, 0.9, 0.5, 0.5, 0.5]
-    force = np.zeros((count, 3))
-    wake = 12.0 * np.exp(-np.sum(neighbor[..., :2] ** 2, axis=-1) / 0.01)
-    force[:, 2] = -(wake * (neighbor[..., 2] > 0.0)).sum(axis=1)
-    rows = InteractionRows(
-        types=("S", "L"), ego_type=rng.integers(0, 2, count),
-        position=rng.uniform(0.1, 1.5, (count, 3)), velocity=np.zeros((count, 3)),
-        neighbor=neighbor,
-        neighbor_type=rng.integers(0, 2, (count, 2)), force_g=force,
-        flight=np.zeros(count, dtype=np.int64), step=np.arange(count),
-        vehicle=np.zeros(count, dtype=np.int64), scenario=np.zeros(count, dtype=np.int64),
-        validation=np.arange(count) // 100 % 5 == 0, scenario_names=("all",),
-    )  # fmt: skip
-    spec = DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, 0.6, kind=kind)
-    config = TrainConfig(steps=300, batch_size=256, learning_rate=1e-2, slope_limit=None)
-    run = train(rows, spec, config, progress=False)
-    assert run.history[-1]["validation"] < 0.8 * float(np.mean(force[:, 2] ** 2))
-    holds(run.network.double())

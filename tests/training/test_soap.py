@@ -28,18 +28,6 @@ def moved(matrix_gradients: list[torch.Tensor]) -> torch.Tensor:
     return weights.matrices()[0] - after_first
 
 
-def test_turned_gradients_turn_the_move() -> None:
-    rng = np.random.default_rng(0)
-    gradients = [torch.from_numpy(rng.normal(size=(5, 5))).float() for _ in range(8)]
-    turn_left, turn_right = (
-        torch.from_numpy(np.linalg.qr(rng.normal(size=(5, 5)))[0]).float() for _ in range(2)
-    )
-    plain = moved(gradients)
-    turned = moved([turn_left @ g @ turn_right for g in gradients])
-    assert plain.norm() > RATE
-    assert torch.allclose(turn_left @ plain @ turn_right, turned, atol=1e-3 * float(plain.norm()))
-
-
 def test_biases_get_plain_adam() -> None:
     network = nn.Linear(3, 4)
     weights = FlatWeights(network)

@@ -10,7 +10,7 @@ import torch
 
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
-from swarm_envs.training.force_model.export import load_network, save_network
+from swarm_envs.training.force_model.export import save_network
 from swarm_envs.training.force_model.network import (
     OUTER_FADE,
     DeepSetSpec,
@@ -155,16 +155,6 @@ def test_a_pairwise_sum_is_what_the_module_says() -> None:
     expected += float(made.drag[0, 2]) * 0.3 / GRAM_FORCE
     found = torch_force_g(made, position, velocity, "SL")[0, 0]
     assert found == pytest.approx(expected, abs=1e-12)
-
-
-def test_the_file_gives_back_the_same_network(network: ForceNetwork, tmp_path: Path) -> None:
-    path = tmp_path / "a.safetensors"
-    save_network(path, network)
-    again = load_network(path)
-    assert type(again) is type(network) and again.spec == network.spec
-    position, velocity = swarm(13, 10, 3)
-    force = torch_force_g(network, position, velocity, "SLS")
-    assert np.array_equal(torch_force_g(again, position, velocity, "SLS"), force)
 
 
 @pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])

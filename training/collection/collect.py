@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_name
+from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.training.collection.flight import PILOTS, CalibrationErrors, fly_motion
+from swarm_envs.training.collection.flight import CalibrationErrors, fly_motion
 from swarm_envs.training.collection.log import (
-    LOG_RATE,
     FlightLog,
     Label,
     SensorNoise,
@@ -33,14 +30,15 @@ from swarm_envs.training.collection.table import CollectedFlight, scenario_count
 from swarm_envs.training.provenance import differing, json_ready
 from swarm_envs.vehicles import parse_team
 
-RATES = (100, LOG_RATE)
-"""Log entries per second that can be had."""
-
 KINDS = ("walk", "low-walk", "swap", "low-swap")
 """Motions: random walks and stacked swaps, aloft and near the ground."""
 
 
-@typed
+Flights = Annotated[int, Range(0)]
+"""How many flights of a kind; 0 for none."""
+
+
+@typed_options
 @dataclass(frozen=True)
 class CollectionConfig:
     """A collection of flights. The same configuration gives the same logs, to the last bit."""
@@ -48,13 +46,13 @@ class CollectionConfig:
     teams: tuple[str, ...] = ("S", "L", "SS", "SL", "LL", "SSS", "SSL", "SLL", "LLL")
     """who flies together; each drone is in turn the one that feels the force, so that `SL` gives
     the scenarios L2S and S2L"""
-    walks: int = 5
+    walks: Flights = 5
     """flights per team that walk at random aloft"""
-    low_walks: int = 5
+    low_walks: Flights = 5
     """flights per team that walk at random near the ground"""
-    swaps: int = 5
+    swaps: Flights = 5
     """flights per team of two or more that swap places aloft, crossing every few seconds"""
-    low_swaps: int = 5
+    low_swaps: Flights = 5
     """flights per team of two or more that swap places near the ground"""
     duration_s: float = 20.0
     """length of a flight, s; a flight ends earlier at its first contact"""
@@ -79,7 +77,7 @@ class CollectionConfig:
     """what sensors add to the logged state; the pilot flies with the true one"""
     errors: CalibrationErrors = CalibrationErrors()
     """by how much vehicles differ from their type; none by default"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of every flight; each has its own generator, so that none depends on another"""
 
     def __post_init__(self) -> None:
@@ -87,16 +85,8 @@ class CollectionConfig:
             parse_team(team)
         if len(set(self.teams)) < len(self.teams):
             raise ValueError(f"teams are {self.teams}, but each may be named once: they name files")
-        for name in ("walks", "low_walks", "swaps", "low_swaps", "seed"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"{name} is {getattr(self, name)}, but must not be negative")
         if not (math.isfinite(self.duration_s) and self.duration_s >= 1.0):
             raise ValueError(f"duration_s is {self.duration_s}, but must be at least 1 s")
-        if self.log_rate not in RATES:
-            raise ValueError(f"log_rate is {self.log_rate}, but must be 100 or {LOG_RATE}")
-        check_name("pilot", self.pilot, PILOTS)
-        check_name("label", self.label, ("differentiated", "imu"))
-        check_name("format", self.format, ("npz", "parquet"))
         if not self.batches():
             raise ValueError(
                 f"teams {self.teams} and the counts walks {self.walks}, low_walks "
@@ -113,10 +103,6 @@ class CollectionConfig:
             for kind, count in counts.items()
             if count and (len(parse_team(team)) > 1 or kind.endswith("walk"))
         ]
-
-    def as_dict(self) -> dict[str, object]:
-        """The configuration as JSON holds it."""
-        return dataclasses.asdict(self)
 
 
 @dataclass(frozen=True)
@@ -169,7 +155,7 @@ def collect(
     model = load(config.interactions) if environment is None else environment
     compensated = None if config.feedforward is None else load(config.feedforward)
     origin: dict[str, object] = {
-        "config": json_ready(config.as_dict()),
+        "config": json_ready(config),
         "interactions_sha256": model.fingerprint,
         "feedforward_sha256": None if compensated is None else compensated.fingerprint,
     }

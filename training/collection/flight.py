@@ -7,12 +7,12 @@ every flight the same. So what is wrong with it can be found from all its flight
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, fields
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import Range, typed_options
 from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.errors import check_name
@@ -25,7 +25,7 @@ from swarm_envs.training.collection.motion import TeamMotion
 from swarm_envs.vehicles import GRAVITY, VEHICLES, Team
 
 _PER_TYPE = 100
-_LARGEST_ERROR = 0.2
+_ERROR = Range(0.0, 0.2)
 
 
 class Vehicles(NamedTuple):
@@ -37,31 +37,22 @@ class Vehicles(NamedTuple):
     """(E, N) thrust of a rotor over what was commanded."""
 
 
-@typed
+@typed_options
 @dataclass(frozen=True)
 class CalibrationErrors:
-    """By how much vehicles differ from their type: relative standard deviations.
+    """By how much vehicles differ from their type: relative standard deviations, 0.03 for 3 %.
 
     The label takes mass and thrust of the type, so each vehicle gets a constant force in its
     labels, which `swarm-envs fit --offsets estimated` finds and takes out. Real flights show one or
     two grams, that is 3 to 6 % on a small drone.
     """
 
-    mass: float = 0.0
+    mass: Annotated[float, _ERROR] = 0.0
     """of a vehicle's mass, the same in all its flights"""
-    thrust: float = 0.0
+    thrust: Annotated[float, _ERROR] = 0.0
     """of a vehicle's thrust, the same in all its flights"""
-    thrust_per_flight: float = 0.0
+    thrust_per_flight: Annotated[float, _ERROR] = 0.0
     """of a vehicle's thrust, drawn anew for every flight, as batteries and propellers change"""
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not 0.0 <= value <= _LARGEST_ERROR:
-                raise ValueError(
-                    f"{entry.name} is {value}, but must be from 0 to {_LARGEST_ERROR}: a share, so "
-                    "0.03 is 3 %"
-                )
 
     def draw(self, team: Team, seed: int, rngs: list[np.random.Generator]) -> Vehicles:
         """Draw what the drones of E flights really are.

@@ -13,14 +13,14 @@ is as logged, the mass m is the type's. A log is all that these functions are gi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.signal import lfilter
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import NOT_NEGATIVE, typed, typed_options
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
@@ -90,7 +90,7 @@ def rotate_to_body(quaternion: FloatArray, vector: FloatArray) -> FloatArray:
     return rotate(quaternion * [-1.0, -1.0, -1.0, 1.0], vector)
 
 
-@typed
+@typed_options
 @dataclass(frozen=True)
 class SensorNoise:
     """White noise on every log entry, and biases; standard deviations per component.
@@ -98,29 +98,23 @@ class SensorNoise:
     White noise is drawn for each entry, a bias once for each vehicle and flight.
     """
 
-    position_m: float = 2e-4
+    position_m: Annotated[float, NOT_NEGATIVE] = 2e-4
     """of a motion-capture system, m: makers and users state tenths of a millimetre for markers in
     a room of some metres"""
-    velocity: float = 0.01
+    velocity: Annotated[float, NOT_NEGATIVE] = 0.01
     """of the state estimator, m/s: positions of 0.2 mm at 100 Hz, filtered over a few samples"""
-    attitude_rad: float = 3e-3
+    attitude_rad: Annotated[float, NOT_NEGATIVE] = 3e-3
     """of the state estimator, rad: 0.2 degrees"""
-    accelerometer: float = 0.2
+    accelerometer: Annotated[float, NOT_NEGATIVE] = 0.2
     """of the accelerometer, m/s^2: vibration of the rotors, not the chip, whose 0.175 mg per root
     of Hz (BMI088) make 0.02 m/s^2 over 100 Hz; 0.2 m/s^2 are 0.7 g of force on a small drone,
     about what is left over when models are fitted to measured flights"""
-    accelerometer_bias: float = 0.05
+    accelerometer_bias: Annotated[float, NOT_NEGATIVE] = 0.05
     """constant error of the accelerometer, m/s^2: 5 mg, what is left of the chip's 20 mg once the
     firmware has zeroed it before take-off"""
-    attitude_bias_rad: float = 0.0
+    attitude_bias_rad: Annotated[float, NOT_NEGATIVE] = 0.0
     """constant error of the attitude, rad: markers glued askew. It leans the thrust, 0.03 g of
     sideways force on a small drone per milliradian"""
-
-    def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(f"{entry.name} is {value}, but must be finite and not negative")
 
 
 NO_NOISE = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)

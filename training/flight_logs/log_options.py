@@ -5,83 +5,57 @@ Whole blocks are held out, since neighbouring rows are near copies.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_S,
+    Count,
+    Range,
+    Seed,
+    typed_options,
+)
 from swarm_envs.state import BoolArray, FloatArray
 
 
-@typed
+@typed_options
 @dataclass(frozen=True)
 class LogOptions:
     """How logs of flights become rows, and which rows of tables are held out."""
 
-    rate_hz: float = 100.0
+    rate_hz: Annotated[float, POSITIVE] = 100.0
     """rate of the common clock of a flight's drones; the slowest drone's own rate where less; of
     tables of rows, their steps per second"""
-    keep_every: int = 3
+    keep_every: Count = 3
     """every so many entries of the clock one row: neighbouring entries are near copies"""
-    max_gap_s: float = 0.05
+    max_gap_s: Annotated[float, POSITIVE_S] = 0.05
     """longer pauses of a log (and of three of its steps) are gaps, and not filled"""
-    smoothing_s: float = 0.1
+    smoothing_s: Annotated[float, NOT_NEGATIVE] = 0.1
     """width of the Hann window over labels from differentiated velocity; logged accelerations are
     taken as they are, as in the paper"""
-    block_s: float = 5.0
+    block_s: Annotated[float, POSITIVE_S] = 5.0
     """length of the blocks of time of which some are held out, all drones of a flight together"""
-    validation_share: float = 0.2
+    validation_share: Annotated[float, Range(0.0, 0.5, above=True)] = 0.2
     """share of the blocks that is held out"""
-    guard_s: float = 0.5
+    guard_s: Annotated[float, NOT_NEGATIVE] = 0.5
     """training rows so near in time to a held-out block of their flight are left out"""
-    split_seed: int = 0
+    split_seed: Seed = 0
     """held-out blocks are drawn from it"""
     resplit: bool = False
     """draw the held-out blocks of row tables too, though they come with marks; tables without
     marks get drawn blocks in any case"""
     check_units: bool = True
     """refuse row tables whose sizes look like other units"""
-    min_scenario_rows: int = 100
+    min_scenario_rows: Annotated[int, Range(0)] = 100
     """scenarios with fewer training rows are left out"""
-
-    min_quiet_rows: int = 30
+    min_quiet_rows: Annotated[int, Range(0)] = 30
     """vehicles with fewer training rows aloft, slow and away from wakes are left out, since their
     calibration offset is unknown; 0 keeps all"""
-
-    def __post_init__(self) -> None:
-        positive, rest = ("rate_hz", "max_gap_s", "block_s"), ("smoothing_s", "guard_s")
-        counts = ("split_seed", "min_scenario_rows", "min_quiet_rows")
-        check_fields(self, positive, "finite and above 0", is_positive)
-        check_fields(self, (*rest, *counts), "finite and not negative", is_not_negative)
-        check_fields(self, ("keep_every",), "at least 1", lambda value: value >= 1)
-        share = ("validation_share",)
-        check_fields(self, share, "above 0 and at most 0.5", lambda value: 0.0 < value <= 0.5)
-
-
-def check_fields(
-    options: object, names: Sequence[str], rule: str, holds: Callable[[float], bool]
-) -> None:
-    """Check fields of a dataclass that are not None.
-
-    Raises:
-        ValueError: naming the first field that breaks the rule, and its value.
-    """
-    for name in names:
-        value = getattr(options, name)
-        if value is not None and not holds(value):
-            raise ValueError(f"{name} is {value}, but must be {rule}")
-
-
-def is_positive(value: float) -> bool:
-    """Whether a number is finite and above 0."""
-    return math.isfinite(value) and value > 0.0
-
-
-def is_not_negative(value: float) -> bool:
-    """Whether a number is finite and at least 0."""
-    return math.isfinite(value) and value >= 0.0
 
 
 def held_out_blocks(lengths: Sequence[int], share: float, seed: int) -> list[BoolArray]:

@@ -5,47 +5,53 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
-from swarm_envs.arguments import typed
-from swarm_envs.errors import check_integer
-from swarm_envs.training.flight_logs.log_options import (
-    LogOptions,
-    check_fields,
-    is_not_negative,
-    is_positive,
+from swarm_envs.arguments import (
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_M,
+    Count,
+    Range,
+    Seed,
+    typed_options,
 )
+from swarm_envs.training.flight_logs.log_options import LogOptions
+
+Share = Annotated[float, Range(0.0, 1.0)]
+"""From nothing, 0, to all of it, 1."""
 
 
+@typed_options
 @dataclass(frozen=True)
 class TrainConfig:
     """How the network is trained."""
 
-    steps: int | None = None
+    steps: Count | None = None
     """optimiser steps; None counts by `epochs`"""
-    epochs: float | None = None
+    epochs: Annotated[float, POSITIVE] | None = None
     """passes over the training rows; if `steps` is not given either, the mode's own length"""
-    batch_size: int = 1024
+    batch_size: Count = 1024
     """rows per step; every row comes once in each pass, in random order"""
-    learning_rate: float = 3e-3
+    learning_rate: Annotated[float, POSITIVE] = 3e-3
     """the optimiser's rate at the start"""
     optimiser: Literal["adam", "soap"] | None = None
     """`soap` is Adam in the eigenbasis of the gradients' covariance, which needs a quarter of the
     passes; None: the mode's own"""
-    teachers: int | None = None
+    teachers: Annotated[int, Range(0)] | None = None
     """networks of the same size that are trained first, from other seeds; the result then learns
     the mean of their answers, each turned and mirrored in all eight ways; 0 for labels alone;
     None: the mode's own"""
-    teacher_epochs: float = 16.0
+    teacher_epochs: Annotated[float, POSITIVE] = 16.0
     """passes over the training rows of each teacher"""
-    label_share: float = 0.0
+    label_share: Share = 0.0
     """share of the measured label in what a network with teachers learns, the rest being theirs"""
     schedule: Literal["cosine", "constant"] | None = None
     """how the rate goes on: a cosine to zero at the last step, or as it is; None: the mode's own"""
-    average_share: float | None = None
+    average_share: Share | None = None
     """the result is a running average of the weights over about this share of the run; 0 takes the
     weights of the last step; None: the mode's own"""
-    early_validation: float = 0.0
+    early_validation: Annotated[float, Range(0.0, 0.5)] = 0.0
     """share of the training rows held out, to choose among the checkpoints the weights with the
     least error there; 0 takes those of the end"""
     early_held: Literal["pieces", "flights"] = "pieces"
@@ -53,56 +59,37 @@ class TrainConfig:
     spectral: Literal["clip", "exact", "none"] = "clip"
     """what holds after each step for every weight matrix: `clip`, its spectral norm is at most
     `max_spectral_norm`; `exact`, it is exactly this (eq. 12); `none`, nothing"""
-    max_spectral_norm: float = 3.0
+    max_spectral_norm: Annotated[float, POSITIVE] = 3.0
     """that norm; the paper's gamma is its fourth power; a pairwise sum, whose one network stands
     for phi and rho, takes its square"""
-    slope_limit: float | None = 250.0
+    slope_limit: Annotated[float, NOT_NEGATIVE] | None = 250.0
     """slope, g per m (or m/s), above which random inputs are penalised; None for no penalty"""
-    slope_weight: float = 0.01
+    slope_weight: Annotated[float, NOT_NEGATIVE] = 0.01
     """weight of that penalty, (g per m)^2, beside the mean squared error, g^2"""
-    slope_inputs: int = 256
+    slope_inputs: Count = 256
     """random inputs per step on which the slope is looked at"""
-    position_jitter_m: float = 0.02
+    position_jitter_m: Annotated[float, NOT_NEGATIVE] = 0.02
     """standard deviation of noise on neighbours' relative positions: rounds off the sharp tips
     that layers of ReLU make on the axis of a wake, where there are few rows"""
-    velocity_jitter: float = 0.08
+    velocity_jitter: Annotated[float, NOT_NEGATIVE] = 0.08
     """the same for relative velocities, m/s"""
-    balance: float = 1.0
+    balance: Annotated[float, NOT_NEGATIVE] = 1.0
     """how far squared errors are weighed by the inverse mean square label of the drone's type: 0
     not at all, 1 fully, so that weak forces on small drones count as much as those on large"""
     symmetry: Literal["square", "circle", "none"] = "square"
     """turn and mirror each row at random: by the eight symmetries of the square in x and y, or by
     any angle"""
-    checkpoint_every: int = 500
+    checkpoint_every: Count = 500
     """steps between checkpoints and validation errors"""
-    seed: int = 0
+    seed: Seed = 0
     """seed of the first weights and of every draw; the same seed gives the same weights"""
 
     def __post_init__(self) -> None:
-        check_integer("seed", self.seed, 0)
-        check_fields(self, _NOT_NEGATIVE, "finite and not negative", is_not_negative)
-        check_fields(self, _COUNTS, "at least 1", lambda value: value >= 1)
         if self.steps is not None and self.epochs is not None:
             raise ValueError(
                 f"steps is {self.steps} and epochs {self.epochs}, but a run has one length; give "
                 "one of them"
             )
-        check_fields(self, ("teachers",), "0 or more", lambda value: value >= 0)
-        check_fields(self, _POSITIVE, "finite and above 0", is_positive)
-        for name, most, rule in _SHARES:
-            value = getattr(self, name)
-            if value is not None and not 0.0 <= value <= most:
-                raise ValueError(f"{name} is {value}, but must be {rule}")
-
-
-_NOT_NEGATIVE = ("slope_limit", "slope_weight", "position_jitter_m", "velocity_jitter", "balance")
-_COUNTS = ("steps", "batch_size", "checkpoint_every", "slope_inputs")
-_POSITIVE = ("epochs", "learning_rate", "max_spectral_norm", "teacher_epochs")
-_SHARES = (
-    ("average_share", 1.0, "from 0 (no average) to 1"),
-    ("label_share", 1.0, "from 0 (teachers alone) to 1"),
-    ("early_validation", 0.5, "a share from 0 (none) to 0.5"),
-)
 
 
 Mode = Literal["anchored", "measured"]
@@ -160,7 +147,7 @@ def _check_measured(config: TrainConfig) -> None:
             )
 
 
-@typed
+@typed_options
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(TrainConfig):
     """What to fit, from which rows, and where to put the result."""
@@ -179,17 +166,17 @@ class FitConfig(TrainConfig):
     `measured`: the paper's form on the labels as they are, every neighbour seen"""
     offsets: Literal["estimated", "none"] = "estimated"
     """calibration offsets of an anchored fit; `none` if the labels are exact"""
-    anchor_height_m: float = 0.6
+    anchor_height_m: Annotated[float, POSITIVE_M] = 0.6
     """height from which a lone drone feels exactly nothing, in an anchored fit"""
-    hidden: int = 20
+    hidden: Count = 20
     """H, length of the hidden state between phi and rho"""
-    layers: int = 4
+    layers: Annotated[int, Range(2)] = 4
     """L, layers of every phi and rho"""
     relative_velocity: bool = True
     """let the network see velocities; without, it sees positions alone"""
     torque: bool = False
     """let the deep set give the torque too, from rows that carry it"""
-    lipschitz_samples: int = 1_000_000
+    lipschitz_samples: Annotated[int, Range(0)] = 1_000_000
     """random pairs on which the Lipschitz constant is measured; 0 leaves it out"""
     progress: bool = True
     """show a progress bar"""
@@ -204,5 +191,3 @@ class FitConfig(TrainConfig):
         super().__post_init__()
         if self.torque and self.model != "deep-set":
             raise ValueError(f"--model {self.model} gives no torque; only a deep-set does")
-        check_integer("lipschitz_samples", self.lipschitz_samples, 0)
-        check_fields(self, ("anchor_height_m",), "finite and above 0", is_positive)

@@ -24,12 +24,12 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import POSITIVE_M, Count, Range, typed
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
 from swarm_envs.vehicles import GRAM_FORCE
 
@@ -83,11 +83,11 @@ class DeepSetSpec:
     """Smooth fade of pairs; None cuts off hard at the edges of the interaction volume."""
     input_range: InputRange | None = None
     """Clamp of the inputs; None leaves them."""
-    anchor_height_m: float | None = 0.6
+    anchor_height_m: Annotated[float, POSITIVE_M] | None = 0.6
     """At and above this height a lone drone feels exactly zero; None for the paper's form."""
-    hidden: int = 20
+    hidden: Count = 20
     """H, the number of outputs of every phi and inputs of every rho (Sec. VII-C)."""
-    layers: int = 4
+    layers: Annotated[int, Range(2)] = 4
     """L, the number of layers of every phi and rho; 40-wide ones come or go (Sec. VII-C)."""
     kind: NetworkKind = "deep-set"
     """Which function of the neighbours it is."""
@@ -98,15 +98,6 @@ class DeepSetSpec:
         _check_types(self.types)
         if self.torque and self.kind != "deep-set":
             raise ValueError(f"a {self.kind} network gives no torque; only a deep set does")
-        if self.hidden < 1:
-            raise ValueError(f"hidden is {self.hidden}, but must be at least 1")
-        if self.layers < 2:
-            raise ValueError(f"layers is {self.layers}, but must be at least 2")
-        if self.anchor_height_m is not None and not self.anchor_height_m > 0.0:
-            raise ValueError(
-                f"anchor_height_m is {self.anchor_height_m}, but must be above 0; give None for no "
-                "anchor"
-            )
 
     @property
     def phi_widths(self) -> tuple[int, ...]:

@@ -84,17 +84,3 @@ def test_the_guard_keeps_training_away_from_held_out_blocks():
     training = time[~held_out & ~guarded]
     assert np.abs(training[:, None] - time[held_out][None]).min() >= 0.5
     assert len(training) == pytest.approx(900, abs=3)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"rate_hz": 0.0}, "rate_hz is 0.0, but must be finite and above 0"),
-        ({"guard_s": -1.0}, "guard_s is -1.0"),
-        ({"keep_every": 0}, "keep_every is 0"),
-        ({"validation_share": 0.8}, "validation_share is 0.8"),
-    ],
-)
-def test_impossible_options_are_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        LogOptions(**options)

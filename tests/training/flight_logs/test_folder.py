@@ -14,7 +14,6 @@ from swarm_envs.training.flight_logs import (
     LogOptions,
     LogReport,
     read_logs,
-    read_table,
     write_table,
 )
 from swarm_envs.training.flight_logs.log_report import Calibration
@@ -115,14 +114,6 @@ def test_sound_files_without_rows_are_counted(
     write_table(tmp_path / "b.csv", low)
     said = read_logs(tmp_path, OPTIONS)[1].lines()
     assert said[0].startswith("2 of 2 flights are sound, 1 of them gives no row: ")
-
-
-def test_blank_lines_are_skipped(table: FlightTable, tmp_path: Path) -> None:
-    write_table(tmp_path / "a.csv", table)
-    header, *lines = (tmp_path / "a.csv").read_text().splitlines()
-    (tmp_path / "b.csv").write_text("\n".join(["", header, "", " ", *lines[:9], "", *lines[9:]]))
-    read = read_table(tmp_path / "b.csv").columns()
-    assert all(np.array_equal(values, read[name]) for name, values in table.columns().items())
 
 
 def test_damaged_files_are_refused_alone(

@@ -12,7 +12,7 @@ from swarm_envs.training.flight_logs import LogOptions, read_logs, write_table
 from swarm_envs.training.flight_logs.clock import ClockedFlight, interaction_force_g
 from swarm_envs.training.flight_table import from_columns
 from swarm_envs.training.interaction_rows.calibration import estimate_offsets
-from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL
+from swarm_envs.vehicles import GRAM_FORCE, SMALL
 
 EXACT = LogOptions(smoothing_s=0.0, keep_every=1, min_scenario_rows=1, min_quiet_rows=0)
 
@@ -76,15 +76,6 @@ def test_planted_mass_is_recovered_from_lone_flight(flown, as_table, tmp_path):
         assert vehicle.quiet_rows > 100
     said = f"cf-S: calibration offset {report.vehicles['cf-S'].offset_g:+.2f} g"
     assert any(said in line for line in report.lines())
-
-
-@pytest.mark.parametrize("vehicle", [SMALL, LARGE])
-def test_planted_thrust_error_is_recovered_from_lone_flight(vehicle, flown, as_table, tmp_path):
-    team, gain = vehicle.token, 1.05
-    write_table(tmp_path / "a.csv", as_table(flown(team), team, thrust_gain=gain))
-    _, report = read_logs(tmp_path / "a.csv", LogOptions())
-    planted = vehicle.mass * 1000.0 * (1.0 - 1.0 / gain)
-    assert report.vehicles["cf0"].offset_g == pytest.approx(planted, abs=0.15)
 
 
 def test_drones_on_clocks_and_signs_of_their_own_give_the_same(flown, as_table, tmp_path):

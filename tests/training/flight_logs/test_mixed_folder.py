@@ -129,23 +129,6 @@ def test_every_refusal_is_said_with_its_reason(folder: Path) -> None:
     assert "refused bad-cut.npz: " in said
 
 
-def test_a_log_with_gaps_is_used_without_them(sound: FlightTable, tmp_path: Path) -> None:
-    gap = (sound.time > 103.0) & (sound.time < 104.0)
-    kept = {
-        entry.name: getattr(sound, entry.name)[~gap]
-        for entry in dataclasses.fields(sound)
-        if isinstance(getattr(sound, entry.name), np.ndarray)
-    }
-    write_table(tmp_path / "gap.csv", dataclasses.replace(sound, **kept))
-    found, report = read_data(tmp_path, OPTIONS)
-    assert report.files[0].gap_seconds == pytest.approx(1.0, abs=0.05)
-    gone = f"gap.csv: {report.files[0].gap_seconds:.2f} s in gaps are left out"
-    assert gone in report.lines()
-    whole = tmp_path / "whole"
-    write_table(whole / "flight.csv", sound)
-    assert 0.6 * len(read_data(whole, OPTIONS)[0]) < len(found) < len(read_data(whole, OPTIONS)[0])
-
-
 def test_too_few_rows_of_a_scenario_are_said(folder: Path) -> None:
     with pytest.raises(ValueError, match=r"no row is left of 2 files .*training rows, but must"):
         read_data(folder, dataclasses.replace(OPTIONS, min_scenario_rows=100_000))
