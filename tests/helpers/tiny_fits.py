@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from swarm_envs.training.force_model.force_fit_config import TrainConfig
@@ -25,6 +27,25 @@ RANGE = InputRange(
 """Limits of the inputs as narrow as those of a measured fit."""
 
 
+def make_rows(count: int, **arrays: Any) -> InteractionRows:
+    """Rows of one small drone of one flight that hovers; `arrays` are given in their place."""
+    zeros, alike = np.zeros((count, 3)), np.zeros(count, dtype=np.int64)
+    usual = {
+        "types": ("S", "L"),
+        "ego_type": alike,
+        "position": np.tile([0.0, 0.0, 1.0], (count, 1)),
+        "velocity": zeros,
+        "force_g": zeros,
+        "flight": alike,
+        "step": np.arange(count),
+        "vehicle": alike + 50,
+        "scenario": alike,
+        "validation": np.arange(count) // 100 % 5 == 0,
+        "scenario_names": ("pairs",),
+    }
+    return InteractionRows(**usual | arrays)
+
+
 def rows_of(
     count: int = 1200, flights: int = 2, noise: float = 0.0, seed: int = 0
 ) -> InteractionRows:
@@ -35,8 +56,8 @@ def rows_of(
     force = np.zeros((count, 3))
     force[:, 2] = -8.0 * np.maximum(neighbor[:, 0, 2], 0.0) + noise * rng.normal(size=count)
     step = 3 * (np.arange(count) // flights)
-    return InteractionRows(
-        types=("S", "L"),
+    return make_rows(
+        count,
         ego_type=kind[0],
         position=rng.uniform(0.5, 1.0, (count, 3)),
         velocity=rng.uniform(-0.3, 0.3, (count, 3)),

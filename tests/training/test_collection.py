@@ -6,7 +6,6 @@ import json
 import numpy as np
 import pytest
 
-from swarm_envs.interactions import load
 from swarm_envs.training.collection import (
     CollectionConfig,
     FlightLog,
@@ -26,7 +25,7 @@ from swarm_envs.training.collection.log import (
     with_noise,
 )
 from swarm_envs.training.collection.motion import MotionRanges, Potential, RandomWalk, repulsion
-from swarm_envs.vehicles import GRAM_FORCE, LARGE, SMALL, parse_team
+from swarm_envs.vehicles import LARGE, SMALL, parse_team
 
 SHORT = CollectionConfig(
     teams=("S", "SL"), walks=2, low_walks=1, swaps=1, low_swaps=0, duration_s=3.0
@@ -38,19 +37,6 @@ def noiseless(team, kind, duration_s, motion=SHORT.motion, count=1):
     batch = FlightBatch(team, kind, count)
     rngs = [flight_generator(config, name) for name in batch.names]
     return fly_motion(parse_team(team), make_motion(config, batch, rngs), "learned", duration_s)
-
-
-@pytest.mark.parametrize(
-    ("team", "kind"), [("SL", "walk"), ("SSL", "low-walk"), ("SL", "low-swap"), ("L", "low-walk")]
-)
-def test_labels_are_the_force_that_acted(team, kind):
-    (log,) = noiseless(team, kind, 6.0)
-    acted = load("learned").forces(log.position, log.velocity, team) / GRAM_FORCE
-    assert np.abs(acted[..., 2]).max() > 1.5  # there is something to find
-    error = interaction_force(log, parse_team(team), smoothing_s=0.0) - acted
-    known = np.all(np.isfinite(error), axis=(1, 2))
-    assert known.sum() == known.size - 4
-    assert np.sqrt(np.mean(error[known] ** 2, axis=(0, 1))).max() < 0.3
 
 
 def test_noisy_labels_are_unbiased_and_smoothing_calms_them():

@@ -26,6 +26,7 @@ from swarm_envs.training.force_model.train import (
     train_taught,
 )
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from tests.helpers.tiny_fits import make_rows
 
 SPEC = DeepSetSpec(("S",), EVERYWHERE, None, None)
 TAUGHT = TrainConfig(
@@ -50,20 +51,16 @@ def rows_of(count: int = 1000, noise: float = 0.0) -> InteractionRows:
     neighbor = rng.uniform(-0.4, 0.4, (count, 1, 6))
     force = np.zeros((count, 3))
     force[:, 2] = -8.0 * np.maximum(neighbor[:, 0, 2], 0.0) + noise * rng.normal(size=count)
-    return InteractionRows(
+    return make_rows(
+        count,
         types=("S",),
-        ego_type=np.zeros(count, dtype=np.int64),
         position=rng.uniform(0.5, 1.0, (count, 3)),
         velocity=rng.uniform(-0.3, 0.3, (count, 3)),
         neighbor=neighbor,
         neighbor_type=np.zeros((count, 1), dtype=np.int64),
         force_g=force,
-        flight=np.zeros(count, dtype=np.int64),
         step=3 * np.arange(count),
-        vehicle=np.full(count, 50),
-        scenario=np.zeros(count, dtype=np.int64),
         validation=np.arange(count) // 100 % 5 == 4,
-        scenario_names=("S2S",),
     )
 
 

@@ -1,7 +1,8 @@
-"""What a fit leaves behind: it is not overwritten by another, and says what it cannot know."""
+"""What a fit leaves behind: not overwritten by another, honest about types it does not know."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,10 @@ from swarm_envs.training.flight_logs.log_report import Calibration
 from swarm_envs.training.force_model.evaluate import Errors, worth
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.pipeline import WEIGHTS, fit
-from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.training.provenance import differing
+from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG
+from tests.helpers.tiny_fits import make_rows
 
 
 def planted_rows(count, seed=0):
@@ -24,20 +27,16 @@ def planted_rows(count, seed=0):
     lateral = np.sum(neighbor[:, 0, :2] ** 2, axis=1)
     force = np.zeros((count, 3))
     force[:, 2] = -6.0 * np.exp(-lateral / 0.01) * (neighbor[:, 0, 2] > 0)
-    return InteractionRows(
-        types=("S", "L"),
+    return make_rows(
+        count,
         ego_type=rng.integers(0, 2, count),
         position=rng.uniform(0.5, 1.5, (count, 3)),
         velocity=rng.uniform(-0.3, 0.3, (count, 3)),
         neighbor=neighbor,
         neighbor_type=rng.integers(0, 2, (count, 1)),
         force_g=force,
-        flight=np.zeros(count, dtype=np.int64),
         step=np.arange(count) * 3,
-        vehicle=np.full(count, 50),
-        scenario=np.zeros(count, dtype=np.int64),
         validation=np.arange(count) // 50 % 5 == 0,
-        scenario_names=("pair",),
     )
 
 
@@ -119,3 +118,90 @@ def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
     said = "calibration offsets are not subtracted: labels are fitted as measured"
     assert said in replace(report, logs=logs).lines()
     assert said not in replace(report, logs=logs, offset_rule="median").lines()
+
+
+STRONG = replace(SMALL_STRONG, interaction_type="S*")
+HUGE = replace(LARGE, interaction_type="XL")
+QUICK = {"steps": 20, "learning_rate": 1e-2, "batch_size": 128}
+
+
+def rows_of_types(types, count=1500):
+    """Rows in which a neighbour pushes down by 2 g times one plus its type's index, if above."""
+    rng = np.random.default_rng(0)
+    ego, kind = rng.integers(len(types), size=(2, count))
+    neighbor = rng.uniform(-1.0, 1.0, (count, 1, 6)) * [0.1, 0.1, 0.6, 0.3, 0.3, 0.3]
+    force = np.zeros((count, 3))
+    force[:, 2] = np.where(neighbor[:, 0, 2] > 0.0, -2.0 * (1 + kind), 0.0)
+    return make_rows(
+        count,
+        types=types,
+        ego_type=ego,
+        position=rng.uniform(0.4, 1.2, (count, 3)),
+        velocity=rng.uniform(-0.2, 0.2, (count, 3)),
+        neighbor=neighbor,
+        neighbor_type=kind[:, None],
+        force_g=force,
+        vehicle=50 + ego,
+    )
+
+
+@pytest.mark.parametrize("model", ["deep-set", "pairwise"])
+def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
+    rows = rows_of_types(("S", "S*", "XL"))
+    report = fit(config_of(rows, tmp_path, model=model, **QUICK | {"steps": 250}))
+    assert report.notes == []
+    assert report.findings.errors.overall < 0.6 * report.findings.errors.zero
+    found = load(str(tmp_path / "out" / WEIGHTS[model]))
+    assert found.types == ("S", "S*", "XL")
+    position = [[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]]
+    force = [
+        found.forces(position, np.zeros((1, 2, 3)), (STRONG, upper))[0, 0, 2]
+        for upper in (SMALL, HUGE)
+    ]
+    assert force[1] < force[0] < 0.0
+    with pytest.raises(ValueError, match="unknown interaction type 'L'"):
+        found.forces(position, np.zeros((1, 2, 3)), "SL")
+
+
+@pytest.mark.parametrize("model", ["deep-set", "pairwise"])
+def test_a_type_that_is_never_a_neighbour_feels_but_does_not_push(model, tmp_path):
+    rows = rows_of_types(("S", "L"))
+    report = fit(
+        config_of(rows.select(rows.neighbor_type[:, 0] == 0), tmp_path, model=model, **QUICK)
+    )
+    notes = [note for note in report.notes if "explains nothing" not in note]
+    assert notes and all("'L' is a neighbour" in note for note in notes)
+    assert report.notes[0] in "\n".join(report.lines())
+    found = load(str(tmp_path / "out" / WEIGHTS[model]))
+    assert found.notes["notes"] == notes
+    position = np.array([[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]])
+    still = np.zeros((1, 2, 3))
+    assert found.forces(position, still, "LL")[0, 0, 2] == 0.0
+    assert found.forces(position, still, "LS")[0, 0, 2] != 0.0
+
+
+def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):
+    report = fit(config_of(rows_of_types(("S", "L")), tmp_path, model="wake", **QUICK))
+    path = tmp_path / "out" / "wake.json"
+    found = load(path)
+    assert found.types == ("S", "L")
+    errors = report.findings.errors
+    assert errors.overall < 0.5 * errors.zero
+    position = [[[0.0, 0.0, 0.8], [0.02, 0.0, 1.1]]]
+    force = found.forces(position, np.zeros((1, 2, 3)), "SL")[0, 0, 2]
+    assert force / 0.00980665 == pytest.approx(-4.0, abs=0.8)
+    content = json.loads(path.read_text())
+    for change, reason in (
+        ({"format": "wake-0"}, "its format is another"),
+        ({"advection_velocity": "relative"}, "only 'neighbor'"),
+        ({"pair": {}}, "'S>S'"),
+        ({"combine_q": "two"}, "could not convert"),
+    ):
+        path.write_text(json.dumps(content | change))
+        with pytest.raises(ValueError, match=f"damaged or not a 'wake-1' file .*{reason}"):
+            load(path)
+    path.write_text("{")
+    with pytest.raises(ValueError, match="fit it again by `swarm-envs fit --model wake`"):
+        load(path)
+    with pytest.raises(FileNotFoundError, match="does not exist"):
+        load(tmp_path / "no.json")

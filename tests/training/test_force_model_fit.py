@@ -26,13 +26,14 @@ from swarm_envs.training.force_model.wake_fit import (
     wake_rows,
     write_wake,
 )
-from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.training.interaction_rows.calibration import (
     estimate_offsets,
     quiet_rows,
     subtract_offsets,
 )
 from swarm_envs.vehicles import GRAM_FORCE
+from tests.helpers.tiny_fits import make_rows
 
 TRUTH = WakeParameters(
     amplitude_g=np.array([[15.0, 12.0], [20.0, 25.0]]),
@@ -63,16 +64,14 @@ def planted_rows(count, seed=0):
     position[:, 2] = np.where(
         rng.random(count) < 0.4, rng.uniform(0.07, 0.3, count), rng.uniform(0.3, 1.5, count)
     )
-    rows = InteractionRows(
-        types=("S", "L"),
+    rows = make_rows(
+        count,
         ego_type=(vehicle > 100).astype(np.int64),
         position=position,
         velocity=rng.uniform(-0.4, 0.4, (count, 3)),
         neighbor=neighbor,
         neighbor_type=kind,
-        force_g=np.zeros((count, 3)),
         flight=rng.integers(0, 3, count),
-        step=np.arange(count),
         vehicle=vehicle,
         scenario=(kind >= 0).sum(axis=1),
         validation=np.arange(count) // 50 % 5 == 0,
@@ -177,15 +176,9 @@ def test_slope_penalty_lowers_the_steepest_slope():
 
 def test_seed_decides_the_weights():
     rows = planted_rows(500)
-    short = dataclasses.replace(SMALL, steps=5)
-    first, again, other = (
-        next(
-            train(
-                rows, SPEC, dataclasses.replace(short, seed=s), progress=False
-            ).network.parameters()
-        )
-        for s in (3, 3, 4)
-    )
+    configs = [dataclasses.replace(SMALL, steps=5, seed=seed) for seed in (3, 3, 4)]
+    runs = [train(rows, SPEC, config, progress=False) for config in configs]
+    first, again, other = (next(run.network.parameters()) for run in runs)
     assert torch.equal(first, again)
     assert not torch.equal(first, other)
 

@@ -15,7 +15,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.examples import changed_label, transform, turn
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.fit_data import Wanted, read_data
+from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import (
     OUTER_FADE,
@@ -27,7 +27,7 @@ from swarm_envs.training.force_model.network import (
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
-from tests.helpers.tiny_fits import RANGE
+from tests.helpers.tiny_fits import RANGE, make_rows
 
 
 def planted_torque(offset: FloatArray) -> FloatArray:
@@ -43,20 +43,14 @@ def planted_rows(count: int) -> InteractionRows:
     torque = planted_torque(neighbor[:, 0, :3])
     force = np.zeros((count, 3))
     force[:, 2] = -8.0 * np.exp(-np.sum(neighbor[:, 0, :2] ** 2, axis=1) / 0.02)
-    return InteractionRows(
+    return make_rows(
+        count,
         types=("S",),
-        ego_type=np.zeros(count, dtype=np.int64),
         position=rng.uniform(0.7, 1.0, (count, 3)),
-        velocity=np.zeros((count, 3)),
         neighbor=neighbor,
         neighbor_type=np.zeros((count, 1), dtype=np.int64),
         force_g=force,
-        flight=np.zeros(count, dtype=np.int64),
-        step=np.arange(count),
-        vehicle=np.full(count, 50),
-        scenario=np.zeros(count, dtype=np.int64),
         validation=np.arange(count) // 200 % 5 == 0,
-        scenario_names=("S2S",),
         torque=torque,
     )
 
@@ -146,14 +140,13 @@ def test_tables_without_torque_are_refused_where_it_is_wanted(tmp_path: Path) ->
     elsewhere = rows.position + np.array([0.5, 0.0, 0.0])  # the same rows would be a copy
     bare = dataclasses.replace(rows, torque=None, position=elsewhere)
     save_rows(tmp_path / "without.npz", bare)
-    wanted = Wanted(offsets=False, torque=True)
-    found, report = read_data(tmp_path, LogOptions(), wanted=wanted)
+    found, report = read_data(tmp_path, LogOptions(), offsets=False, torque=True)
     assert found.torque is not None and len(found) == 1000
     assert report.files[1].refused is not None
     assert "no torque; add an array `torque` (R, 3), N m" in report.files[1].refused
     with pytest.raises(ValueError, match=r"^without\.npz: a torque head is wanted, but the table"):
-        read_data(tmp_path / "without.npz", LogOptions(), wanted=wanted)
-    both, _ = read_data(tmp_path, LogOptions(), wanted=Wanted(offsets=False))
+        read_data(tmp_path / "without.npz", LogOptions(), offsets=False, torque=True)
+    both, _ = read_data(tmp_path, LogOptions(), offsets=False)
     assert both.torque is None and len(both) == 2000
 
 

@@ -115,27 +115,21 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
     for index in range(len(mean)):
         training = (rows.scenario == index) & ~held_out
         mean[index] = label[training].mean() if training.any() else 0.0
-    residuals = {
-        "model": (predicted_g - label)[held_out] ** 2,
-        "zero": label[held_out] ** 2,
-        "mean": (mean[rows.scenario] - label)[held_out] ** 2,
-    }
-    by_scenario: dict[str, dict[str, float]] = {}
-    for kind, squared in residuals.items():
-        by_scenario[kind] = {
-            name: float(squared[rows.scenario[held_out] == index].mean())
+    residuals = [
+        (predicted_g - label)[held_out] ** 2,
+        label[held_out] ** 2,
+        (mean[rows.scenario] - label)[held_out] ** 2,
+    ]
+    scenario = rows.scenario[held_out]
+    by_scenario = [
+        {
+            name: float(squared[scenario == index].mean())
             for index, name in enumerate(rows.scenario_names)
-            if (rows.scenario[held_out] == index).any()
+            if (scenario == index).any()
         }
-    overall = {kind: float(squared.mean()) for kind, squared in residuals.items()}
-    return Errors(
-        overall["model"],
-        overall["zero"],
-        overall["mean"],
-        by_scenario["model"],
-        by_scenario["zero"],
-        by_scenario["mean"],
-    )
+        for squared in residuals
+    ]
+    return Errors(*(float(squared.mean()) for squared in residuals), *by_scenario)
 
 
 def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:

@@ -42,45 +42,46 @@ from swarm_envs.training.interaction_rows.row_tables import (
 from swarm_envs.training.provenance import file_sha256
 
 
-class Wanted(NamedTuple):
-    """What a fit needs of its rows."""
-
-    offsets: bool = True
-    """Calibration offsets: vehicles without quiet rows are left out."""
-    torque: bool = False
-    """Torque labels: tables without them are refused."""
-
-
 class _Part(NamedTuple):
     file: FileReport
     rows: InteractionRows
 
 
 def read_data(
-    path: Path, options: LogOptions, progress: bool = False, wanted: Wanted | None = None
+    path: Path,
+    options: LogOptions,
+    progress: bool = False,
+    offsets: bool = True,
+    torque: bool = False,
 ) -> tuple[InteractionRows, LogReport]:
     """Read tables of rows (`.npz`), flight logs (`.csv`, `.parquet`), or a folder of both.
 
     What is sound is joined; the report says of every file what became of it. A folder that
     `swarm-envs collect` wrote is read as that.
 
+    Args:
+        path: the file or folder.
+        options: how logs become rows.
+        progress: show a progress bar.
+        offsets: leave vehicles out whose calibration offset is unknown for want of quiet rows.
+        torque: refuse tables without torque labels.
+
     Raises:
         FileNotFoundError: there is nothing to read.
         ImportError: a log is Parquet, and pyarrow is not installed.
         ValueError: no file is sound, or what is left is no row; the message says why.
     """
-    wanted = wanted or Wanted()
-    if not wanted.offsets:
+    if not offsets:
         options = dataclasses.replace(options, min_quiet_rows=0)
     there = Found([], [path], []) if (path / MANIFEST).is_file() else find_data(path)
     tables, logs = there.tables, there.logs
     if not tables:
-        if wanted.torque:
+        if torque:
             raise ValueError(_no_torque(path.name, "a flight log"))
         return read_logs(path, options, progress)
-    parts, refused = _read_tables(tables, options, wanted)
+    parts, refused = _read_tables(tables, options, torque)
     refused += there.twice
-    if logs and not wanted.torque:
+    if logs and not torque:
         found = _read_logs(logs, options, progress)
         parts, refused = [*found[0], *parts], [*found[1], *refused]
     elif logs:
@@ -94,14 +95,14 @@ def read_data(
 
 
 def _read_tables(
-    files: Sequence[Path], options: LogOptions, wanted: Wanted
+    files: Sequence[Path], options: LogOptions, torque: bool
 ) -> tuple[list[_Part], list[FileReport]]:
     parts, refused, known = [], [], dict[str, str]()
     for file in files:
         try:
             rows = read_rows(file)
             check_row_table(rows, options.check_units)
-            if wanted.torque and rows.torque is None:
+            if torque and rows.torque is None:
                 raise ValueError(_no_torque(file.name, "the table"))
             refuse_copy(known, table_key(rows), file.name)
         except ValueError as error:

@@ -6,25 +6,23 @@ import dataclasses
 import json
 import time
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import torch
 
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.flight_logs.log_report import LogReport
 from swarm_envs.training.force_model.evaluate import (
     Findings,
     FitReport,
-    TorqueErrors,
     examine,
     predict_rows,
     torque_errors,
     worth,
 )
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.fit_data import Wanted, data_sha256, read_data
+from swarm_envs.training.force_model.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
 from swarm_envs.training.force_model.labels import (
     Treated,
@@ -48,17 +46,14 @@ from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
 from swarm_envs.training.provenance import differing, json_ready, scalar_writer
 
-_NO_RESULT = ("data", "out", "progress", "json", "tensorboard")
-"""Options that change nothing of the result; what the data is, its digest says."""
+_ASIDE = ("progress", "json", "tensorboard")
+"""Options that change nothing of the result."""
+_Fitted = tuple[Findings, dict[str, Any]]
+"""What was measured on a model, and the other fields of its report."""
 
 
 def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
     """Check that a report, if there is one, is of the same fit, which may then run again.
-
-    Args:
-        path: of the report.
-        config: of this fit, settled.
-        data_sha256: of its data.
 
     Raises:
         ValueError: the report is of other data or options, or it cannot be read.
@@ -74,7 +69,9 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
         ) from error
     config_now = json.loads(json.dumps(json_ready(config)))
     wanted = {**config_now, "data_sha256": data_sha256}
-    kept = [{k: v for k, v in c.items() if k not in _NO_RESULT} for c in (made, wanted)]
+    kept = [
+        {k: v for k, v in c.items() if k not in ("data", "out", *_ASIDE)} for c in (made, wanted)
+    ]
     differences = differing(*kept)
     if differences:
         raise ValueError(
@@ -89,21 +86,10 @@ WEIGHTS = {
     "wake": "wake.json",
 }
 """File of the fitted model, by kind; `swarm_envs.interactions.load` reads it."""
-_ASIDE = ("progress", "json", "tensorboard")  # options that change nothing of the result
 REPORTS = {"deep-set": "learned.json", "pairwise": "pairwise.json", "wake": "wake-fit.json"}
 """File of the report, by kind."""
 CHECKPOINT = "checkpoint.safetensors"
 """File that a killed training continues from."""
-
-
-class _Fitted(NamedTuple):
-    """What a fit of any kind has to tell."""
-
-    findings: Findings
-    history: list[dict[str, float]]
-    chosen: str
-    notes: list[str]
-    torque: TorqueErrors | None = None
 
 
 @typed
@@ -120,8 +106,8 @@ def fit(config: FitConfig) -> FitReport:
     """
     began = time.perf_counter()
     given, config = config, with_mode_defaults(config, config.mode)
-    wanted = Wanted(offsets=is_calibrated(config), torque=config.torque)
-    rows, logs = read_data(config.data, config.logs, config.progress, wanted)
+    calibrated = is_calibrated(config)
+    rows, logs = read_data(config.data, config.logs, config.progress, calibrated, config.torque)
     check_rows(rows)
     treated = treat(rows, config)
     words, digest = fit_command(given), data_sha256(config.data)
@@ -132,9 +118,20 @@ def fit(config: FitConfig) -> FitReport:
         "mode": config.mode,
         "seed": config.seed,
     }
-    fitted = (_wake if config.model == "wake" else _network)(treated, config, provenance)
-    seconds = round(time.perf_counter() - began, 1)
-    report = _report(config, (words, digest), treated, logs, fitted, seconds)
+    findings, found = (_wake if config.model == "wake" else _network)(treated, config, provenance)
+    report = FitReport(
+        model=config.model,
+        command=words,
+        config=json_ready(config),
+        data_sha256=digest,
+        offset_rule=RULE if calibrated else "none",
+        vehicle_offsets_g={str(vehicle): g for vehicle, g in treated.offsets.vehicle.items()},
+        drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
+        findings=findings,
+        wall_time_s=round(time.perf_counter() - began, 1),
+        logs=logs,
+        **found | {"notes": [*found["notes"], *worth(findings.errors)]},
+    )
     for path in (config.out / REPORTS[config.model], config.json):
         if path is not None:
             write_json(path, json_ready(report))
@@ -143,33 +140,6 @@ def fit(config: FitConfig) -> FitReport:
         teacher_checkpoint(checkpoint, number).unlink(missing_ok=True)
     checkpoint.unlink(missing_ok=True)
     return report
-
-
-def _report(
-    config: FitConfig,
-    origin: tuple[str, str],
-    treated: Treated,
-    logs: LogReport,
-    fitted: _Fitted,
-    seconds: float,
-) -> FitReport:
-    rows, (words, digest) = treated.rows, origin
-    return FitReport(
-        model=config.model,
-        command=words,
-        config=json_ready(config),
-        data_sha256=digest,
-        offset_rule=RULE if is_calibrated(config) else "none",
-        vehicle_offsets_g={str(vehicle): g for vehicle, g in treated.offsets.vehicle.items()},
-        drag={name: treated.drag[index].tolist() for index, name in enumerate(rows.types)},
-        findings=fitted.findings,
-        history=fitted.history,
-        chosen=fitted.chosen,
-        wall_time_s=seconds,
-        logs=logs,
-        notes=[*fitted.notes, *worth(fitted.findings.errors)],
-        torque_errors=fitted.torque,
-    )
 
 
 def _network(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
@@ -193,15 +163,15 @@ def _network(treated: Treated, config: FitConfig, provenance: dict[str, object])
     torque = None
     if isinstance(network, DeepSet) and config.torque:
         torque = torque_errors(network, treated.rows)
-    return _Fitted(findings, run.history, run.chosen, notes, torque)
+    found = {"history": run.history, "chosen": run.chosen, "notes": notes, "torque_errors": torque}
+    return findings, found
 
 
 def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
     path = config.out / WEIGHTS["wake"]
     function, predicted, notes = fit_wake_model(path, treated, config, provenance)
-    return _Fitted(
-        examine(function, predicted, treated, 0, config.seed), [], "least squares", notes
-    )
+    findings = examine(function, predicted, treated, 0, config.seed)
+    return findings, {"history": [], "chosen": "least squares", "notes": notes}
 
 
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:

@@ -14,7 +14,7 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import FlightTable, LogOptions, read_logs, write_table
-from swarm_envs.training.force_model.fit_data import Wanted, read_data
+from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE
@@ -35,22 +35,8 @@ def nan_in_velocity(table: FlightTable) -> FlightTable:
     return dataclasses.replace(table, velocity=velocity)
 
 
-def time_backwards(table: FlightTable) -> FlightTable:
-    time = table.time.copy()
-    time[40:42] -= 1.0
-    return dataclasses.replace(table, time=time)
-
-
 BAD_LOGS: dict[str, tuple[Edit, str]] = {
     "nan": (nan_in_velocity, "column 'vy' is nan in line 7"),
-    "backwards": (time_backwards, "must increase; sort its lines"),
-    "millimetres": (lambda t: changed(position=1000 * t.position)(t), "give m and m/s, both in"),
-    "no-gravity": (
-        lambda t: changed(acceleration=np.asarray(t.acceleration) / 9.80665)(t),
-        "looks like multiples of g",
-    ),
-    "degrees": (lambda t: changed(quaternion=20.0 * t.quaternion)(t), "looks like degrees"),
-    "newtons": (lambda t: changed(pwm=0.0 * t.pwm + 0.08)(t), "looks like thrust in newtons"),
     "unknown-type": (lambda t: changed(type=np.full(len(t), "M"))(t), "unknown vehicle type 'M'"),
 }
 
@@ -72,7 +58,7 @@ def rows(sound: FlightTable, tmp_path_factory: pytest.TempPathFactory) -> Intera
 
 @pytest.fixture
 def folder(sound: FlightTable, rows: InteractionRows, tmp_path: Path) -> Path:
-    """A sound log and a sound table, seven bad logs, two bad tables, and what is neither."""
+    """A sound log and a sound table, two bad logs, two bad tables, and what is neither."""
     data = tmp_path / "data"
     write_table(data / "a-log.csv", sound)
     save_rows(data / "table.npz", rows)
@@ -106,7 +92,7 @@ def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
     options = dataclasses.replace(OPTIONS, min_quiet_rows=10_000)
     with pytest.raises(ValueError, match="vehicle not calibrated"):
         read_data(tmp_path, options)
-    found, report = read_data(tmp_path, options, wanted=Wanted(offsets=False))
+    found, report = read_data(tmp_path, options, offsets=False)
     assert len(found) == report.rows > 100
     assert {vehicle.refused for vehicle in report.vehicles.values()} == {None}
 
@@ -114,7 +100,7 @@ def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
 def test_logs_alone_give_no_torque(sound: FlightTable, tmp_path: Path) -> None:
     write_table(tmp_path / "flight.csv", sound)
     with pytest.raises(ValueError, match="a flight log carries no torque"):
-        read_data(tmp_path, OPTIONS, wanted=Wanted(torque=True))
+        read_data(tmp_path, OPTIONS, torque=True)
 
 
 def test_every_refusal_is_said_with_its_reason(folder: Path) -> None:
@@ -138,7 +124,7 @@ def test_only_bad_files_end_the_fit_with_every_reason(folder: Path) -> None:
     (folder / "a-log.csv").unlink()
     (folder / "table.npz").unlink()
     with pytest.raises(
-        ValueError, match=r"none of 7 logs and 2 tables in .* is sound: bad-"
+        ValueError, match=r"none of 2 logs and 2 tables in .* is sound: bad-"
     ) as end:
         read_data(folder, OPTIONS)
     for _, message in BAD_LOGS.values():
@@ -154,13 +140,13 @@ def test_the_command_fits_every_model_and_reports_alike(
     command = ["fit", "--data", str(folder), "--out", str(out), "--json", str(copy), *logs, *QUICK]
     assert main([*command, "--model", model]) == 0
     said = capsys.readouterr().out
-    assert "2 of 11 files are sound" in said and "refused bad-nan.csv: column 'vy'" in said
+    assert "2 of 6 files are sound" in said and "refused bad-nan.csv: column 'vy'" in said
     assert f"{model}: validation MSE" in said
     report = json.loads(copy.read_text())
     assert report == json.loads((out / REPORTS[model]).read_text())
     assert report["model"] == model
     assert set(report["findings"]) >= {"errors", "errors_raw", "lipschitz_bound", "axis_bins"}
-    assert len(report["logs"]["files"]) == 11
+    assert len(report["logs"]["files"]) == 6
     assert report["logs"]["not_read"] == ["notes.txt"]
     assert (report["findings"]["lipschitz_bound"] is None) == (model == "wake")
     found = load(str(out / WEIGHTS[model]))

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.force_model.fit_data import Wanted, read_data
+from swarm_envs.training.force_model.evaluate import mean_squared_errors
+from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.interaction_rows.row_tables import join_rows
 from swarm_envs.vehicles import GRAM_FORCE
@@ -104,24 +105,20 @@ def test_a_bad_table_alone_is_an_error_that_names_value_rule_and_fix(
 def test_bad_tables_among_sound_ones_are_refused_and_the_rest_is_used(tmp_path: Path) -> None:
     save_rows(tmp_path / "a.npz", some_rows(seed=1))
     save_rows(tmp_path / "b.npz", some_rows(seed=2))
-    for k, (edit, _) in enumerate(BAD):
-        path = tmp_path / f"bad{k:02}.npz"
-        np.savez(path, allow_pickle=False, **edit(arrays_of(some_rows(), path)))
+    path = tmp_path / "bad.npz"
+    np.savez(path, allow_pickle=False, **BAD[0][0](arrays_of(some_rows(), path)))
     (tmp_path / "cut.npz").write_bytes((tmp_path / "a.npz").read_bytes()[:1000])
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
     rows, report = read_data(tmp_path, OPTIONS)
     assert len(rows) == report.rows == 2400
     assert np.unique(rows.flight).size == 4
     said = "\n".join(report.lines())
-    assert f"2 of {len(BAD) + 4} files are sound: 2400 rows, " in said
-    assert sum(file.refused is not None for file in report.files) == len(BAD) + 2
-    assert "refused cut.npz: " in said and "refused other.npz: " in said
-    for k, (_, message) in enumerate(BAD):
-        file = next(f for f in report.files if f.file == f"bad{k:02}.npz")
-        assert f"refused bad{k:02}.npz: {file.refused}" in said, message
+    assert "2 of 5 files are sound: 2400 rows, " in said
+    assert "refused bad.npz: force_g is nan" in said and "refused cut.npz: " in said
+    assert "refused other.npz: " in said and "neither 'interaction-rows-1'" in said
     for name in ("a.npz", "b.npz"):
         (tmp_path / name).unlink()
-    with pytest.raises(ValueError, match=rf"none of {len(BAD) + 2} tables in .* is sound: bad00"):
+    with pytest.raises(ValueError, match=r"none of 3 tables in .* is sound: bad\.npz"):
         read_data(tmp_path, OPTIONS)
 
 
@@ -158,7 +155,7 @@ def test_a_vehicle_without_quiet_rows_is_left_out_where_offsets_are_wanted(tmp_p
     assert any(
         line.startswith("S 50: calibration offset unknown, so its 600") for line in report.lines()
     )
-    every, _ = read_data(tmp_path, OPTIONS, wanted=Wanted(offsets=False))
+    every, _ = read_data(tmp_path, OPTIONS, offsets=False)
     assert len(every) == 1200
 
 
@@ -264,3 +261,25 @@ def test_the_published_format_names_its_types_by_scenario(tmp_path: Path) -> Non
     np.savez(path, **edited("x", lambda x: x[:, :12])(published(("Ge2S", "L2L"))))
     with pytest.raises(ValueError, match=r"x has shape \(900, 12\) and fa"):
         read_rows(path)
+
+
+def test_rows_survive_their_file(tmp_path: Path) -> None:
+    rows = some_rows(100)
+    save_rows(tmp_path / "rows.npz", rows)
+    again = read_rows(tmp_path / "rows.npz")
+    for entry in dataclasses.fields(rows):
+        assert np.array_equal(getattr(again, entry.name), getattr(rows, entry.name)), entry.name
+    with pytest.raises(FileNotFoundError, match="no file of interaction rows"):
+        read_rows(tmp_path / "none.npz")
+
+
+def test_errors_stand_beside_trivial_predictors() -> None:
+    rows = some_rows(1000)
+    label, held_out = rows.force_g[:, 2], rows.validation
+    perfect = mean_squared_errors(label, rows)
+    assert perfect.overall == 0
+    assert perfect.zero == pytest.approx(np.mean(label[held_out] ** 2))
+    none = mean_squared_errors(np.zeros(1000), rows)
+    assert none.overall == none.zero
+    assert none.scenario == none.scenario_zero
+    assert 0 < none.scenario_mean < none.zero
