@@ -6,6 +6,7 @@ import dataclasses
 import math
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,14 +18,14 @@ from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import DeepSetSpec
 
 FOLDER = Path("folder")
-SETTINGS = {
+SETTINGS: dict[type, dict[str, Any]] = {
     FitConfig: {"data": FOLDER, "out": FOLDER},
     DeepSetSpec: {"types": ("S",)},
     **{kind: {} for kind in (LogOptions, MotionRanges, SensorNoise, CalibrationErrors)},
     CollectionConfig: {},
 }
 """Classes of options, and what they must be given."""
-BAD = {
+BAD: dict[type, dict[str, Any]] = {
     FitConfig: {"average_share": 1.5, "early_validation": 0.6, "label_share": 1.5, "layers": 1},
     DeepSetSpec: {"anchor_height_m": 0.0, "hidden": 0, "layers": 1},
     LogOptions: {"rate_hz": 0.0, "keep_every": 0, "validation_share": 0.8},

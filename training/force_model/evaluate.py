@@ -129,7 +129,8 @@ def mean_squared_errors(predicted_g: FloatArray, rows: InteractionRows) -> Error
         }
         for squared in residuals
     ]
-    return Errors(*(float(squared.mean()) for squared in residuals), *by_scenario)
+    model, zero, mean_error = (float(squared.mean()) for squared in residuals)
+    return Errors(model, zero, mean_error, *by_scenario)
 
 
 def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
