@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
 from swarm_envs.training.reproduce.papers import load_paper
 from swarm_envs.training.reproduce.reproduce_all import ReproduceAllOptions, StudyOutcome
 from swarm_envs.training.reproduce.study import Report, Study, StudyOptions, run_study
@@ -24,11 +24,11 @@ CLAIMS = (
         "7",
         0.5,
         about(7.0, 0.3),
-        (Reason("calmer <air> & better models", Range(0.0, 7.0)),),
+        (Reason("calmer <air> & better models", Between(0.0, 7.0)),),
         spread=(0.4, 0.6),
         spread_is="quartiles",
     ),
-    Claim("robots", "12", 3.0, Range(12.0, 12.0)),
+    Claim("robots", "12", 3.0, Between(12.0, 12.0)),
     Claim("least distance, m", "-", 0.25),
 )
 """One claim of each agreement."""

@@ -13,7 +13,7 @@ import tyro
 from swarm_envs.cli import main
 from swarm_envs.training.collection.__main__ import CollectOptions
 from swarm_envs.training.reproduce import dmpc_figures
-from swarm_envs.training.reproduce.claims import Claim, Range, Reason, about, format_number
+from swarm_envs.training.reproduce.claims import Between, Claim, Reason, about, format_quantity
 from swarm_envs.training.reproduce.papers import PAPERS, Paper, load_paper, numbered_studies
 from swarm_envs.training.reproduce.reproduce_all import (
     RECORD,
@@ -87,7 +87,7 @@ def test_rows_are_collected_where_none_are_given(tmp_path):
 
 
 def test_a_reason_explains_in_its_direction_alone():
-    reason = Reason("calmer air", Range(0.0, 7.0))
+    reason = Reason("calmer air", Between(0.0, 7.0))
     claims = [
         Claim("error", "7", ours, about(7.0, 0.1), (reason,)) for ours in (7.5, 0.5, 15.0, math.nan)
     ]
@@ -99,9 +99,9 @@ def test_a_reason_explains_in_its_direction_alone():
 
 
 def test_ranges_and_numbers_read_well():
-    said = [str(Range(5.0)), str(Range(most=1.0)), str(Range(12, 12)), str(about(-10.0, 0.2))]
+    said = [str(Between(5.0)), str(Between(most=1.0)), str(Between(12, 12)), str(about(-10.0, 0.2))]
     assert said == ["at least 5", "at most 1", "12", "-12 to -8"]
-    assert [format_number(x) for x in (0.12345, 12.0, 124416, 1234.5)] == [
+    assert [format_quantity(x) for x in (0.12345, 12.0, 124416, 1234.5)] == [
         "0.123",
         "12",
         "124416",

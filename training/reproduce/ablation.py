@@ -24,7 +24,7 @@ from swarm_envs.training.force_model.force_fit_config import (
     with_mode_defaults,
 )
 from swarm_envs.training.provenance import json_ready
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
 from swarm_envs.training.reproduce.study import Cells, Report, Study
 from swarm_envs.viewing.style import GREY, INK, picture
 
@@ -384,10 +384,10 @@ def _level(name: str, row: Mapping[str, Any], extent: Extent) -> Claim:
     error, deviation = row["ours_g2"], row["ours_deviation_g2"]
     other = Reason(
         "other rows: collected in simulation, with its forces, sensors and calibration",
-        Range(0.1, 40.0),
+        Between(0.1, 40.0),
     )
     splits = Reason(
-        "the splits differ: 20 s pieces of a scenario there, 5 s blocks here", Range(5, 9)
+        "the splits differ: 20 s pieces of a scenario there, 5 s blocks here", Between(5, 9)
     )
     return Claim(
         f"{name}: validation error, g²",
@@ -401,15 +401,16 @@ def _level(name: str, row: Mapping[str, Any], extent: Extent) -> Claim:
 
 
 def _reasons(name: str, extent: Extent) -> tuple[Reason, ...]:
-    short = Reason("--quick fits 400 steps of one seed: far from the end", Range(0.7, 1.6))
+    short = Reason("--quick fits 400 steps of one seed: far from the end", Between(0.7, 1.6))
     flat = Reason(
-        "with this recipe width and depth matter less; the paper's L = 5 overfits", Range(0.9, 1.15)
+        "with this recipe width and depth matter less; the paper's L = 5 overfits",
+        Between(0.9, 1.15),
     )
-    air = Reason("how much the simulated force depends on velocity is its own", Range(0.95, 3.0))
+    air = Reason("how much the simulated force depends on velocity is its own", Between(0.95, 3.0))
     bare = Reason(
         "simulated rows leave little but the network's own error, a tenth of the paper's, so what "
         "a smaller one cannot form weighs more; on measured rows they differ by 2 % at most",
-        Range(0.95, 2.0),
+        Between(0.95, 2.0),
     )
     known: tuple[Reason, ...]
     if name == "no-relative-velocity":

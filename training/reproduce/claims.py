@@ -20,7 +20,7 @@ class Extent(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Range:
+class Between:
     """Numbers from the least to the most, both included."""
 
     least: float = -math.inf
@@ -43,15 +43,15 @@ class Range:
         return f"{self.least:.4g} to {self.most:.4g}"
 
 
-def exactly(value: float) -> Range:
+def exactly(value: float) -> Between:
     """One number alone."""
-    return Range(value, value)
+    return Between(value, value)
 
 
-def about(value: float, share: float) -> Range:
+def about(value: float, share: float) -> Between:
     """Numbers within a share of a value: `about(10, 0.2)` is 8 to 12."""
     margin = abs(value) * share
-    return Range(value - margin, value + margin)
+    return Between(value - margin, value + margin)
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Reason:
 
     text: str
     """A sentence."""
-    explains: Range
+    explains: Between
     """Numbers of ours that it explains."""
 
 
@@ -78,7 +78,7 @@ class Claim:
     """What the paper says, as it says it; "-" if nothing."""
     ours: float
     """What we measured."""
-    agrees: Range | None = None
+    agrees: Between | None = None
     """Numbers that count as the paper's; None where the paper gives nothing to compare."""
     reasons: tuple[Reason, ...] = ()
     """Why ours may differ."""
@@ -128,7 +128,7 @@ class Claim:
         }
 
 
-def format_number(value: float) -> str:
+def format_quantity(value: float) -> str:
     """A number with as many digits as a reader wants: `0.123`, `12.3`, `124416`."""
     if not math.isfinite(value):
         return "none"

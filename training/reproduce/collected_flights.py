@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from swarm_envs.files import claimed
 from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
 from swarm_envs.training.collection.collect import CollectionConfig
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, exactly
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, exactly
 from swarm_envs.training.reproduce.study import Study
 
 
@@ -47,9 +47,9 @@ def collect_rows(wanted: _Collection) -> str:
 
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:
     flown = numbers["scenarios"]
-    fewer = Reason("--quick flies eight flights of 20 s a team", Range(1.0))
+    fewer = Reason("--quick flies eight flights of 20 s a team", Between(1.0))
     thinner = Reason(
-        "rows are logged less often here, and only while a neighbour is near", Range(1e3)
+        "rows are logged less often here, and only while a neighbour is near", Between(1e3)
     )
     given = len(flown) - len(numbers["missing"])
     shortest = min(scenario["drone_seconds"] for scenario in flown.values())
@@ -57,13 +57,17 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
     return [
         Claim("scenarios that were flown and gave rows", "12", given, exactly(12.0)),
         Claim(
-            "flight of the scenario with the least, s", "around 1000", shortest, Range(800.0), known
+            "flight of the scenario with the least, s",
+            "around 1000",
+            shortest,
+            Between(800.0),
+            known,
         ),
         Claim(
             "rows of measured force, all scenarios",
             "1.4 million",
             numbers["rows"],
-            Range(0.7e6),
+            Between(0.7e6),
             (thinner,),
         ),
     ]

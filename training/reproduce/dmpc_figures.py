@@ -15,7 +15,7 @@ from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
 from swarm_envs.training.reproduce import dmpc_flights
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about, exactly
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about, exactly
 from swarm_envs.training.reproduce.dmpc_flights import (
     CRASH_M,
     ReferenceFlight,
@@ -223,7 +223,7 @@ def _formation_claims(numbers: Any, extent: Extent) -> list[Claim]:
                 f"{name}: least scaled distance of two places, m",
                 f"at least {_APART_M:g}",
                 entry["least_scaled_distance_m"],
-                Range(_APART_M),
+                Between(_APART_M),
             )
             for name, entry in places.items()
         ),
@@ -245,7 +245,7 @@ def _time_claim(name: str, cell: Cell) -> Claim:
         f"({THEIRS[name]:g})",
         _total(cell),
         about(THEIRS[name], 0.2),
-        (Reason(faster, Range(20.0)),),
+        (Reason(faster, Between(20.0)),),
         spread=(min(totals), max(totals)) if several else None,
         spread_is="least and largest" if several else "",
     )
@@ -255,13 +255,13 @@ def _distance_claim(where: str, *cells: Cell) -> Claim:
     sampled = Reason(
         "distances are kept at samples, 0.1 s apart; between them a little is lost, as in the "
         "paper",
-        Range(0.24, _APART_M),
+        Between(0.24, _APART_M),
     )
     return Claim(
         f"{where}: least scaled distance of two references, m",
         f"at least {_APART_M:g}",
         min(least for cell in cells for least in cell["least_scaled_distance_m"]),
-        Range(_APART_M - 1e-3),
+        Between(_APART_M - 1e-3),
         (sampled,),
     )
 
@@ -276,7 +276,7 @@ def _unit_claims(numbers: Any, extent: Extent) -> list[Claim]:
             "time that the second unit saves over what the third saves",
             "the most significant improvement is from one to two",
             (one - two) / (two - three) if two != three else float("inf"),
-            Range(1.0),
+            Between(1.0),
         ),
         _distance_claim("all", *cells.values()),
     ]
@@ -297,14 +297,14 @@ def _trigger_claims(numbers: Any, extent: Extent) -> list[Claim]:
             "changes of formation in which RR is slowest, of 4",
             "3",
             int((rr > np.maximum(dt, ht)).sum()),
-            Range(3.0, 4.0),
+            Between(3.0, 4.0),
         ),
         Claim(
             "time with DT over time with HT",
             "generally similar",
             _total(cells["DT"]) / _total(cells["HT"]),
-            Range(0.8, 1.25),
-            (Reason(faster, Range(0.7, 0.9)),),
+            Between(0.8, 1.25),
+            (Reason(faster, Between(0.7, 0.9)),),
         ),
         _distance_claim("all", *cells.values()),
     ]
@@ -329,8 +329,8 @@ def _jam_claims(numbers: Any, extent: Extent) -> list[Claim]:
             "without recovery: least scaled distance of two references, m",
             f"two collide (below {CRASH_M:g})",
             min(none["least_scaled_distance_m"]),
-            Range(0.0, CRASH_M),
-            (Reason(references, Range(CRASH_M, 0.2)),),
+            Between(0.0, CRASH_M),
+            (Reason(references, Between(CRASH_M, 0.2)),),
         ),
         *(
             Claim(
@@ -346,7 +346,7 @@ def _jam_claims(numbers: Any, extent: Extent) -> list[Claim]:
             f"({jam:g})",
             _total(ours),
             about(jam, 0.2),
-            (Reason(forgotten, Range(10.0, jam)),),
+            (Reason(forgotten, Between(10.0, jam)),),
         ),
     ]
 

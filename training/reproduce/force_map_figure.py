@@ -17,7 +17,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.training.force_model.explained import generalisation
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
 from swarm_envs.training.reproduce.force_bins import (
     bin_errors,
     plot_calibration,
@@ -340,7 +340,7 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
             (
                 Reason(
                     spare.format(reading["published_weights_g"]),
-                    Range(*sorted((0.0, reading["paper_g"]))),
+                    Between(*sorted((0.0, reading["paper_g"]))),
                 ),
             ),
         )

@@ -23,7 +23,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.ring import RingTask
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.collection.flight import vehicle_names
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason, about, exactly
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about, exactly
 from swarm_envs.training.reproduce.paired_flight_plots import plot_rings, plot_swaps
 from swarm_envs.training.reproduce.paired_flights import (
     PLAIN_SWAPS,
@@ -376,18 +376,18 @@ _QUIETER_AIR = (
 )
 _OWN_RINGS = Reason(
     "the paper publishes no radii, speeds or phases of its rings; ours are our choice",
-    Range(3.0, 25.0),
+    Between(3.0, 25.0),
 )
 _OWN_AIR = Reason(
     "the force that blows here is a model, one of two, and not the air of their hall",
-    Range(8.5, 34.0),
+    Between(8.5, 34.0),
 )
 
 
 def _compensation(where: str, case: Mapping[str, Any], without: Reason) -> Iterator[Claim]:
     """Errors without and with compensation, and their ratio."""
     before, after = case["paper_cm"]
-    known = Reason(_QUIETER_AIR, Range(0.0, after))
+    known = Reason(_QUIETER_AIR, Between(0.0, after))
     for side, key, paper, reason in (
         ("without", "without", before, without),
         ("with", "compensated", after, known),
@@ -406,7 +406,7 @@ def _compensation(where: str, case: Mapping[str, Any], without: Reason) -> Itera
         f"{before / after:.2g}",
         1.0 / case["ratio"],
         about(before / after, _ERROR),
-        (Reason(_QUIETER_AIR, Range(before / after)),),
+        (Reason(_QUIETER_AIR, Between(before / after)),),
     )
 
 
@@ -420,7 +420,7 @@ def _ring_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
             f"{where}: share of the force's variance predicted",
             "accurate" if five else "relatively less accurate",
             case["explained"],
-            Range(0.9 if five else 0.5),
+            Between(0.9 if five else 0.5),
         )
 
 
@@ -442,7 +442,7 @@ def _swap_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
             f"{where}: share of cases that improve with p < {SIGNIFICANT:g}",
             "most",
             len(sure) / len(cases),
-            Range(0.5, 1.0),
+            Between(0.5, 1.0),
         )
 
 

@@ -16,7 +16,7 @@ from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
 from swarm_envs.training.reproduce.planned_swaps import (
     PLANNERS,
     Track,
@@ -213,46 +213,46 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
     optimum = Reason(
         "a plan is a local optimum: some seeds pass a small robot 0.6 m beneath, at much the same "
         "cost",
-        Range(0.0, 0.5),
+        Between(0.0, 0.5),
     )
-    shorter = Reason("our starts and goals are not theirs, which are not published", Range(1.0))
+    shorter = Reason("our starts and goals are not theirs, which are not published", Between(1.0))
     return [
         Claim(
             "aware plan: force on a small robot, g",
             "very small, bound 5",
             worst("aware", "S"),
-            Range(0.0, 5.0),
+            Between(0.0, 5.0),
         ),
         Claim(
             "aware plan: force on the large robot, g",
             "within the bound of 10",
             worst("aware", "L"),
-            Range(0.0, 10.0),
+            Between(0.0, 10.0),
         ),
         Claim(
             "aware plan: worst tracking error, cm",
             "not significant",
             worst("aware", "SL", "error_cm"),
-            Range(0.0, 2.0),
+            Between(0.0, 2.0),
         ),
         Claim(
             "unaware plan: force on a small robot, g",
             "beyond the bound of 5",
             worst("unaware", "S"),
-            Range(5.0),
+            Between(5.0),
         ),
         Claim(
             "unaware plan: worst tracking error, cm",
             "significant",
             worst("unaware", "SL", "error_cm"),
-            Range(5.0),
+            Between(5.0),
             (shorter,),
         ),
         Claim(
             "share of aware plans that send the large robot below",
             "1 of 1",
             orders.get("L below S", 0) / sum(orders.values()),
-            Range(0.51, 1.0),
+            Between(0.51, 1.0),
             (optimum,),
         ),
     ]

@@ -12,7 +12,7 @@ import numpy as np
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import default_engine, format_columns
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
 from swarm_envs.training.reproduce.planned_swaps import (
     ATTEMPTS,
     PLANNED_SHARE,
@@ -272,7 +272,7 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
     unaware, aware = ([r for r in rows if r["planner"] == planner] for planner in PLANNERS)
     own = {row["scenario"]: row for row in unaware}
     drawn = Reason(
-        "the swaps are drawn anew; those of the paper are not published", Range(1.2, 3.0)
+        "the swaps are drawn anew; those of the paper are not published", Between(1.2, 3.0)
     )
     small = own["SL"]["worst_force_S_g"]
     return [
@@ -281,7 +281,7 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
                 f"{team}, unaware: worst force over its bound",
                 "nearly double",
                 own[team]["worst_over_bound"],
-                Range(1.6, 2.4),
+                Between(1.6, 2.4),
                 (drawn,),
             )
             for team in ("SL", "SSL", "LL")
@@ -291,20 +291,20 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
             "SL, unaware: worst force on the small robot, g",
             "greater than 10",
             small,
-            Range(10.0),
+            Between(10.0),
             (drawn,) if small > 6.0 else (),
         ),
         Claim(
             "unaware: worst tracking error of all scenarios, cm",
             "over 10",
             max(row["worst_error_cm"] for row in unaware),
-            Range(10.0),
+            Between(10.0),
         ),
         Claim(
             "aware: worst force over its bound, all scenarios",
             "at most 1",
             max(row["worst_over_bound"] for row in aware),
-            Range(0.0, 1.0),
+            Between(0.0, 1.0),
         ),
         Claim(
             "aware: worst tracking error of all scenarios, cm",

@@ -9,7 +9,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarm_envs.training.reproduce.claims import Agreement, Claim, format_number
+from swarm_envs.training.reproduce.claims import Agreement, Claim, format_quantity
 from swarm_envs.training.reproduce.papers import PAPERS
 
 if TYPE_CHECKING:
@@ -176,9 +176,9 @@ def _html_cell(name: str, text: str, claim: Claim) -> str:
 
 def _cells(claim: Claim) -> tuple[str, str, str, str, str]:
     """A claim as text: quantity, the paper's, ours with its spread, tolerance, what it comes to."""
-    ours = format_number(claim.ours)
+    ours = format_quantity(claim.ours)
     if claim.spread is not None:
-        low, high = map(format_number, claim.spread)
+        low, high = map(format_quantity, claim.spread)
         ours += f" ({low} to {high}, {claim.spread_is})"
     said = _SAID[claim.agreement] + (f": {claim.reason.text}" if claim.reason else "")
     return claim.quantity, claim.paper, ours, str(claim.agrees or ""), said

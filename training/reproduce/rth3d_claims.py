@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from swarm_envs.training.reproduce.claims import Claim, Extent, Range, Reason
+from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
 from swarm_envs.training.reproduce.rth3d_settings import GUARANTEED
 
 
@@ -20,7 +20,7 @@ def _points(numbers: Any, series: str, method: str) -> list[dict[str, Any]]:
 def _ratio_claim(
     point: Mapping[str, Any],
     paper: str = "-",
-    agrees: Range | None = None,
+    agrees: Between | None = None,
     reasons: tuple[Reason, ...] = (),
     column: str = "ratio_before_compaction",
 ) -> Claim:
@@ -48,14 +48,14 @@ def _falls_claim(numbers: Any, series: str, method: str) -> Claim:
         f"{series}, `{method}`: ratio on the largest grid over the smallest",
         "decreases with size",
         curve[-1][column] / curve[0][column],
-        Range(0.0, 1.0),
+        Between(0.0, 1.0),
     )
 
 
 def _small_grids(extent: Extent, above: float) -> tuple[Reason, ...]:
     """Why ratios may lie above a value that only small grids have."""
     said = "ratios fall as grids grow, and --quick leaves the large ones out"
-    return (Reason(said, Range(above, 2.3)),) if extent.quick else ()
+    return (Reason(said, Between(above, 2.3)),) if extent.quick else ()
 
 
 def slab_claims(numbers: Any, extent: Extent) -> list[Claim]:
@@ -63,15 +63,15 @@ def slab_claims(numbers: Any, extent: Extent) -> list[Claim]:
     shorter = Reason(
         "balancing takes the fewest steps possible here, instead of the least distance, and the "
         "matchings of rth3d-lba are made for their heights",
-        Range(1.0, 1.7),
+        Between(1.0, 1.7),
     )
-    fewer = Reason("--quick leaves the large grids out", Range(1.0))
+    fewer = Reason("--quick leaves the large grids out", Between(1.0))
     return [
         *(
             _ratio_claim(
                 _points(numbers, "uniform", method)[-1],
                 f"about {value:g}",
-                Range(value - 0.1, value + 0.05),
+                Between(value - 0.1, value + 0.05),
                 (*_small_grids(extent, value), shorter),
             )
             for method, value in zip(GUARANTEED, (1.7, 1.5), strict=True)
@@ -81,7 +81,7 @@ def slab_claims(numbers: Any, extent: Extent) -> list[Claim]:
             "robots on the largest grid",
             "over 120,000",
             _points(numbers, "uniform", "rth3d-lba")[-1]["robots"],
-            Range(120_000),
+            Between(120_000),
             (fewer,) if extent.quick else (),
         ),
         _auto_claim(numbers, "uniform"),
@@ -93,15 +93,17 @@ def flat_claims(numbers: Any, extent: Extent) -> list[Claim]:
     below = Reason(
         "shifts of bounded matchings are shorter than the sides, so that it passes below what the "
         "theory guarantees",
-        Range(1.0, 1.5),
+        Between(1.0, 1.5),
     )
-    above = Reason("it has not come down to its asymptote on the grids that we ran", Range(1.5, 2))
+    above = Reason(
+        "it has not come down to its asymptote on the grids that we ran", Between(1.5, 2)
+    )
     return [
         *(
             _ratio_claim(
                 _points(numbers, "uniform", method)[-1],
                 "asymptotically 1.5",
-                Range(1.4, 1.6),
+                Between(1.4, 1.6),
                 (*_small_grids(extent, 1.5), below, above),
             )
             for method in GUARANTEED
@@ -125,7 +127,7 @@ def density_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
     cheaper = Reason(
         "nothing is written of virtual robots and they are not compacted, so that few robots cost "
         "less than many",
-        Range(2.0, 20.0),
+        Between(2.0, 20.0),
     )
     for method in GUARANTEED:
         # The authors' sweep begins with 4,800 robots.
@@ -135,7 +137,7 @@ def density_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
             f"`{method}`: time for {last['robots']:,} robots over {first['robots']:,}",
             "little impact",
             last["cpu_s"] / first["cpu_s"],
-            Range(0.5, 2.0),
+            Between(0.5, 2.0),
             (cheaper,),
         )
         yield Claim(
@@ -143,19 +145,19 @@ def density_claims(numbers: Any, extent: Extent) -> Iterator[Claim]:
             "compaction",
             "better with density",
             last[column] / first[column],
-            Range(0.0, 1.0),
+            Between(0.0, 1.0),
         )
 
 
 def pattern_claims(numbers: Any, extent: Extent) -> list[Claim]:
     """Fig. 9: rings approach 1."""
     rings, method = "rings, 2m x 2m x m", "rth3d-lba"
-    early = Reason("ratios fall as grids grow, and --quick ends early", Range(1.0, 1.35))
+    early = Reason("ratios fall as grids grow, and --quick ends early", Between(1.0, 1.35))
     blocks = ("27 blocks, m x m x m", "3 x 3 x 3 blocks, 2m x 2m x m")
     last = _points(numbers, rings, method)[-1]
     known = (early,) if extent.quick else ()
     return [
-        _ratio_claim(last, "approaches 1", Range(1.0, 1.15), known),
+        _ratio_claim(last, "approaches 1", Between(1.0, 1.15), known),
         _falls_claim(numbers, rings, method),
         *(_ratio_claim(_points(numbers, series, method)[-1]) for series in blocks),
         _auto_claim(numbers, blocks[0]),
