@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.cli import main
 from swarm_envs.training.reproduce import dmpc_figures, dmpc_flights
 from swarm_envs.training.reproduce.dmpc_flights import SwarmSetup, fly_references
-
-COMMAND = ["reproduce", "dmpc-swarm"]
+from tests.helpers.papers import run_quietly
 
 
 def test_formations_fit_the_box_and_keep_their_distance():
@@ -24,18 +20,13 @@ def test_formations_fit_the_box_and_keep_their_distance():
         assert scaled_distances(places, config).min() > config.distance_m
 
 
-def test_figure_4_shows_that_recovery_keeps_drones_apart(tmp_path, capsys, monkeypatch):
+def test_figure_4_shows_that_recovery_keeps_drones_apart(tmp_path, monkeypatch):
     monkeypatch.setattr(dmpc_flights, "DRONES", 10)
-    out = tmp_path / "figures"
-    command = [*COMMAND, "--figure", "4", "--seeds", "1", "--out", str(out), "--no-replay"]
-    assert main(command) == 0
-    found = json.loads((out / "figure_4.json").read_text())["cells"]
+    asked = {"figure": "4", "seeds": 1, "replay": False, "out": tmp_path}
+    found = run_quietly("dmpc-swarm", **asked)[0]["cells"]
     for name in ("jam, ours", "jam, paper's"):
         assert found[name]["arrived"] == 1
         assert found[name]["least_scaled_distance_m"][0] > 0.24
-    shown = capsys.readouterr().out
-    assert all(name in shown for name in found)
-    assert {path.suffix for path in out.glob("[!.]*")} == {".json", ".csv", ".png"}
 
 
 def test_a_flight_is_a_sequence_of_arrivals():
@@ -54,23 +45,6 @@ def test_replay_pages_are_written(tmp_path, monkeypatch):
     pytest.importorskip("plotly")
     monkeypatch.setattr(dmpc_flights, "DRONES", 4)
     monkeypatch.setattr(dmpc_figures, "MODES", {"ours": True})
-    assert main([*COMMAND, "--figure", "4", "--seeds", "1", "--out", str(tmp_path)]) == 0
+    run_quietly("dmpc-swarm", figure="4", seeds=1, out=tmp_path)
     (page,) = tmp_path.glob("*.html")
     assert "mlr-dmpc" in page.read_text()
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ([], "give one of"),
-        (["--figure", "4", "--study", "loss"], "give one of"),
-        (["--figure", "4", "--seeds", "0"], "must be"),
-        (["--figure", "5"], "invalid choice"),
-    ],
-)
-def test_bad_options_are_refused(options, said, capsys):
-    with pytest.raises(SystemExit) as end:
-        main([*COMMAND, *options])
-    assert end.value.code == 2
-    shown = capsys.readouterr()
-    assert said.split()[0] in (shown.err + shown.out)

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from swarm_envs.baselines.rth3d import PlanNotFound, make_instance, plan
-from swarm_envs.cli import main
 from swarm_envs.training.reproduce import rth3d_runs
 from swarm_envs.training.reproduce.rth3d_figures import check_curves
 from swarm_envs.training.reproduce.rth3d_runs import fit_power_law, gather_runs, growth
 from swarm_envs.training.reproduce.rth3d_settings import FIGURES, GridSetting, slabs
 
-COMMAND = ["reproduce", "rth3d"]
-TINY = ["--runs", "2", "--largest", "2000"]
-
 
 def settings_of(figure: str) -> set[GridSetting]:
     return {setting for curve in FIGURES[figure].series.values() for setting in curve}
-
-
-def test_a_power_law_is_found_again():
-    size = np.array([200.0, 900.0, 5000.0, 40000.0])
-    law = fit_power_law(size, 3e-6 * size**1.6)
-    assert law.exponent == pytest.approx(1.6, abs=1e-12)
-    assert law.error == pytest.approx(0.0, abs=1e-7)
 
 
 def test_the_standard_error_is_that_of_least_squares():
@@ -37,20 +25,6 @@ def test_the_standard_error_is_that_of_least_squares():
     law = fit_power_law(size, time)
     line, covariance = np.polyfit(np.log(size), np.log(time), 1, cov=True)
     assert (law.exponent, law.error) == pytest.approx((line[0], np.sqrt(covariance[0, 0])))
-
-
-@pytest.mark.parametrize(
-    ("x", "y"),
-    [
-        ([1.0, 2.0], [1.0, 2.0]),
-        ([1.0, 2.0, 3.0], [1.0, 2.0]),
-        ([1.0, 2.0, 3.0], [1.0, 0.0, 2.0]),
-        ([2.0, 2.0, 2.0], [1.0, 2.0, 3.0]),
-    ],
-)
-def test_values_without_a_line_are_refused(x, y):
-    with pytest.raises(ValueError, match="must be"):
-        fit_power_law(x, y)
 
 
 def test_settings_are_those_of_the_paper_and_its_scripts():
@@ -119,31 +93,3 @@ def test_claims_can_fail():
     # paper's ratio, ours, the bound, falling ratios, order of the time
     assert held(2.0, 1, 31) == [False, False, False, False, False]
     assert held(1.5, -3, 30) == [False, True, True, True, True]
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ([], "figure"),
-        (["--figure", "4"], "invalid choice"),
-        (["--figure", "5", "--methods", "rth4d"], "rth3d-lba"),
-        (["--figure", "5", "--methods", "auto", "auto"], "each method once"),
-        (["--figure", "5", "--runs", "0"], "must be"),
-        (["--figure", "5", "--budget", "0"], "must be"),
-        (["--figure", "5", "--seed", "-1"], "must be"),
-        (["--figure", "8", "--largest", "43199"], "below every grid"),
-    ],
-)
-def test_bad_options_are_refused(options, said, tmp_path, capsys):
-    with pytest.raises(SystemExit) as end:
-        main([*COMMAND, *options, "--out", str(tmp_path)])
-    assert end.value.code == 2
-    shown = capsys.readouterr()
-    assert said.split()[0] in (shown.err + shown.out)
-    assert not list(tmp_path.iterdir())
-
-
-def test_numbers_of_another_figure_are_not_mixed_in(tmp_path, capsys):
-    (tmp_path / "figure_5.json").write_text(json.dumps({"settings": {"figure": "6"}, "cells": {}}))
-    assert main([*COMMAND, "--figure", "5", *TINY, "--out", str(tmp_path)]) == 1
-    assert "other figure" in capsys.readouterr().err

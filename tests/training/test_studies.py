@@ -9,13 +9,14 @@ from typing import Any
 
 import pytest
 
+from swarm_envs.cli import main
 from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.training.reproduce import dmpc_flights, limits_study
 from swarm_envs.training.reproduce.claims import Extent
 from swarm_envs.training.reproduce.limits_study import Sweep
 from swarm_envs.training.reproduce.papers import PAPERS, load_paper
 from swarm_envs.training.reproduce.reproduce_all import asking
-from swarm_envs.training.reproduce.study import run_study
+from swarm_envs.training.reproduce.study import run_cells, run_study
 from tests.helpers.tiny_fits import rows_of
 
 TINY: dict[str, dict[str, Any]] = {
@@ -110,3 +111,63 @@ def test_a_study_is_killed_goes_on_and_names_its_claims(key, tmp_path, few):
     if study.numbered and key != "rth3d/figure-8":
         claims = list(study.claims(json.loads(numbers.read_text()), Extent(quick=True)))
         assert claims and len({claim.quantity for claim in claims}) == len(claims)
+
+
+REFUSED = {
+    "neural-swarm2": [
+        ("", "give one of --figure 1, --figure 5"),
+        ("--figure 5 --table 3", "give one of --figure 1, --figure 5"),
+        ("--figure 2", "2"),
+        ("--figure 5 --seed -1", "--seed is -1"),
+        ("--figure 5 --belief x", "but for --figure 1 or --figure 8 or --figure 9"),
+        ("--figure 6 --scenarios SS", "--scenarios has no meaning for --figure 6"),
+        ("--figure 7 --scenarios S", "a swap takes two"),
+        ("--figure 7 --truth none", "no belief ships"),
+        ("--figure 8 --cases S2M", "case 'S2M'"),
+        ("--figure 8 --episodes 0", "--episodes is 0"),
+        ("--figure 8 --episodes 5000", "at most 1000"),
+        ("--figure 8 --radius-m -1", "radius_m"),
+        ("--figure 8 --belief x.safetensors", "name its force model by --truth"),
+        ("--figure 8 --truth wake --belief no.safetensors", "no.safetensors"),
+        ("--figure 8 --truth none", "no belief ships"),
+        ("--table 3", "--data PATH"),
+        ("--table 3 --data x.npz --cells H=11", "did you mean 'H=10'"),
+    ],
+    "dmpc-swarm": [
+        ("--figure 4 --study loss", "give one of"),
+        ("--figure 4 --seeds 0", "--seeds is 0"),
+    ],
+    "rth3d": [
+        ("--figure 5 --methods rth4d", "rth3d-lba"),
+        ("--figure 5 --methods auto auto", "each method once"),
+        ("--figure 5 --budget 0", "--budget is 0"),
+        ("--figure 8 --largest 43199", "below every grid"),
+    ],
+}
+"""Options of each paper that cannot be, and what is said of them."""
+
+
+@pytest.mark.parametrize(
+    ("paper", "words", "said"),
+    [(paper, *case) for paper, cases in REFUSED.items() for case in cases],
+)
+def test_options_that_cannot_be_are_refused(paper, words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    try:
+        code = main(["reproduce", paper, *words.split(), "--out", str(tmp_path / "out")])
+    except SystemExit as end:
+        code = int(end.code or 0)
+    assert code in (1, 2) and not (tmp_path / "out").exists()
+    shown = capsys.readouterr()
+    assert said in shown.err + shown.out
+
+
+def test_cells_of_other_settings_and_damaged_ones_are_refused(tmp_path):
+    path = tmp_path / "cells.json"
+    found = run_cells({"a": lambda: {"value": 1}}, path, {"seed": 0}, progress=False)
+    assert found == {"a": {"value": 1}}
+    with pytest.raises(ValueError, match="made with other seed"):
+        run_cells({}, path, {"seed": 1}, progress=False)
+    path.write_text("{")
+    with pytest.raises(ValueError, match="is damaged"):
+        run_cells({}, path, {"seed": 0}, progress=False)
