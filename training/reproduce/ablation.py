@@ -396,7 +396,7 @@ def _level(name: str, row: Mapping[str, Any], extent: Extent) -> Claim:
         about(row["paper_g2"], 0.05),
         (other, splits) if extent.collected else (splits,),
         spread=(error - deviation, error + deviation) if deviation else None,
-        spread_is="standard deviation" if deviation else "",
+        spread_is="standard deviation",
     )
 
 

@@ -85,7 +85,7 @@ class Claim:
     spread: tuple[float, float] | None = None
     """From where to where ours scatters."""
     spread_is: str = ""
-    """What of: `quartiles`, `least and largest`, `standard deviation`."""
+    """What of: `quartiles`, `least and largest`, `standard deviation`; nothing without spread."""
 
     def __post_init__(self) -> None:
         """Refuse a spread that nobody can read.
@@ -93,7 +93,9 @@ class Claim:
         Raises:
             ValueError: a spread without a name, or turned round.
         """
-        if self.spread is not None and (not self.spread_is or self.spread[0] > self.spread[1]):
+        if self.spread is None:
+            object.__setattr__(self, "spread_is", "")
+        elif not self.spread_is or self.spread[0] > self.spread[1]:
             raise ValueError(
                 f"{self.quantity!r}: the spread {self.spread} must rise and say what it is"
             )

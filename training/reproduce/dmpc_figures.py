@@ -11,6 +11,7 @@ from typing import Any, ClassVar, Literal
 
 import numpy as np
 
+from swarm_envs.arguments import Count, typed
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
@@ -42,6 +43,7 @@ _Fly = Callable[[SwarmSetup], ReferenceFlight]
 _APART_M = 0.25  # scaled distance that references keep
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class DmpcSwarmOptions(StudyOptions):
     """Remake a figure of DMPC-Swarm, the public simulation's times beside ours.
@@ -54,13 +56,12 @@ class DmpcSwarmOptions(StudyOptions):
     """
 
     paper: ClassVar[str] = _PAPER
-    counts: ClassVar[tuple[str, ...]] = ("seeds",)
 
     figure: Literal["3a", "3b", "3c", "4"] | None = None
     """number of the figure"""
     study: Literal["loss"] | None = None
     """the sweep of losses"""
-    seeds: int = 3
+    seeds: Count = 3
     """how many, each a run of every cell"""
     replay: bool = True
     """write a replay page of each cell's first run; needs plotly"""
@@ -247,7 +248,7 @@ def _time_claim(name: str, cell: Cell) -> Claim:
         about(THEIRS[name], 0.2),
         (Reason(faster, Between(20.0)),),
         spread=(min(totals), max(totals)) if several else None,
-        spread_is="least and largest" if several else "",
+        spread_is="least and largest",
     )
 
 

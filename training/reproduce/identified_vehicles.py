@@ -207,7 +207,7 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
             spread=(entry["ours"] - entry["error"], entry["ours"] + entry["error"])
             if entry["error"]
             else None,
-            spread_is="standard error" if entry["error"] else "",
+            spread_is="standard error",
         )
         for entry in numbers["rows"]
     ]

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
+from swarm_envs.arguments import NOT_NEGATIVE, typed
 from swarm_envs.baselines.neural_swarm.flights import FlightTest
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.tracking import TrackingController
@@ -26,10 +27,12 @@ from swarm_envs.state import BoolArray, FloatArray, Setpoint, SwarmState
 from swarm_envs.tasks.motion import reference_of
 from swarm_envs.vehicles import GRAM_FORCE
 
+_Size = Annotated[float, NOT_NEGATIVE]
 _NOISE_HZ = 5.0
 """The noise of the belief lies below this frequency, Hz: as errors of a model do in flight."""
 
 
+@typed
 @dataclass(frozen=True)
 class Imperfection:
     """What is spoiled; by default nothing.
@@ -38,25 +41,16 @@ class Imperfection:
         ValueError: a number is negative or not finite.
     """
 
-    scale: float = 1.0
+    scale: _Size = 1.0
     """Factor of the believed force."""
-    noise_g: float = 0.0
+    noise_g: _Size = 0.0
     """Root mean square of noise below 5 Hz on its vertical part, gram-force, each drone's own."""
-    delay_s: float = 0.0
+    delay_s: _Size = 0.0
     """How late the believed force comes, s; rounded to steps of 1/240 s."""
-    position_noise_m: float = 0.0
+    position_noise_m: _Size = 0.0
     """Standard deviation of measured positions, each component, white from step to step, m."""
-    velocity_noise: float = 0.0
+    velocity_noise: _Size = 0.0
     """Standard deviation of measured velocities, the same, m/s."""
-
-    def __post_init__(self) -> None:
-        """Refuse what is no size."""
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not 0.0 <= value < np.inf:
-                raise ValueError(
-                    f"Imperfection.{entry.name} is {value!r}, but must be finite and not negative"
-                )
 
 
 NOTHING = Imperfection()

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
+from swarm_envs.arguments import Count, Seed, typed
 from swarm_envs.training.reproduce.ablation import ABLATIONS, TABLE_3
 from swarm_envs.training.reproduce.ball_study import BALL
 from swarm_envs.training.reproduce.collected_flights import TABLE_2
@@ -23,6 +25,7 @@ from swarm_envs.training.reproduce.study import StudyOptions, drawing
 _PAPER = "neural-swarm2"  # as `swarm-envs reproduce` names the paper
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class NeuralSwarmOptions(StudyOptions):
     """Remake a figure or a table of Neural-Swarm2, with the paper's values beside ours.
@@ -38,7 +41,6 @@ class NeuralSwarmOptions(StudyOptions):
     """
 
     paper: ClassVar[str] = _PAPER
-    counts: ClassVar[tuple[str, ...]] = ("seeds", "steps", "episodes", "trials")
 
     figure: Literal[1, 5, 6, 7, 8, 9] | None = None
     """number of the figure"""
@@ -46,7 +48,7 @@ class NeuralSwarmOptions(StudyOptions):
     """number of the table"""
     study: Literal["lag", "ball", "limits"] | None = None
     """lag compensation on and off; the ball of Theorem 5; the limits of compensation"""
-    seed: int = 0
+    seed: Seed = 0
     """table: seed of the first run of each cell; flights: seeds are drawn from it; figure 5: of the
     swarms that `--truth` asks about"""
     truth: str | None = None
@@ -56,7 +58,7 @@ class NeuralSwarmOptions(StudyOptions):
     belief: Path | None = None
     """flights: weights that the compensating controller believes, such as those of `swarm-envs
     curriculum`; what ships for `--truth` if not given"""
-    episodes: int | None = None
+    episodes: Count | None = None
     """flights: how many of each case by each controller; 20 if not given"""
     engine: Literal["bullet", "batch"] | None = None
     """flights: who computes them; Bullet where it can be imported, if not given"""
@@ -68,7 +70,7 @@ class NeuralSwarmOptions(StudyOptions):
     """figure 8: time of a crossing"""
     scenarios: tuple[str, ...] = SCENARIOS
     """figure 7: teams that exchange positions"""
-    trials: int = TRIALS
+    trials: Count = TRIALS
     """figure 7: random swaps of each team; figure 6: seeds with which its swap is planned"""
     model: str = "learned"
     """figure 5: `learned`, `wake`, or the path of a weights file"""
@@ -76,11 +78,11 @@ class NeuralSwarmOptions(StudyOptions):
     """figure 5: CSV of measured force bins to hold the model against"""
     data: Path | None = None
     """table: rows of measured force, a file or a folder, as `swarm-envs fit` reads them"""
-    seeds: int = 3
+    seeds: Count = 3
     """table: runs of each cell"""
     cells: tuple[str, ...] = tuple(ABLATIONS)
     """table: which cells to fit"""
-    steps: int | None = None
+    steps: Count | None = None
     """table: optimiser steps of each fit; the trainer's default if not given"""
 
 

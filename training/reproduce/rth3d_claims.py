@@ -33,7 +33,7 @@ def _ratio_claim(
         agrees,
         reasons,
         spread=(point[f"{column}_least"], point[f"{column}_most"]) if several else None,
-        spread_is="least and largest" if several else "",
+        spread_is="least and largest",
     )
 
 

@@ -9,6 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
+from swarm_envs.arguments import Count, typed
 from swarm_envs.baselines.rth3d import METHODS
 from swarm_envs.errors import check_name
 from swarm_envs.files import written_whole
@@ -44,6 +45,7 @@ _PAPER = "rth3d"  # as `swarm-envs reproduce` names the paper
 _SLACK = 30  # what the makespan before compaction may be above m1 + 2 m2 + 2 m3, at most
 
 
+@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
 class Rth3dOptions(StudyOptions):
     """Remake a figure of the RTH3D paper: time and makespan over the size of the grid.
@@ -55,15 +57,14 @@ class Rth3dOptions(StudyOptions):
     """
 
     paper: ClassVar[str] = _PAPER
-    counts: ClassVar[tuple[str, ...]] = ("runs", "budget")
 
     figure: Literal["5", "6", "7", "8", "9", "11"]
     """number of the figure"""
     methods: tuple[str, ...] = ("rth3d", "rth3d-lba", "auto")
     """rth3d, rth3d-lba, auto, pibt"""
-    runs: int = 20
+    runs: Count = 20
     """of each method on each grid where grids are small"""
-    budget: int = 250_000
+    budget: Count = 250_000
     """vertices of all runs of a method on a grid together: on larger grids there are fewer runs"""
     largest: int = 500_000
     """vertices of the largest grid"""

@@ -40,11 +40,6 @@ def runs_at(setting: GridSetting, most: int, budget: int) -> int:
     return max(1, min(most, budget // setting.vertices))
 
 
-def _run_name(setting: GridSetting, method: str, seed: int) -> str:
-    """By which a run is kept."""
-    return f"{setting.name}, {method}, seed {seed}"
-
-
 @functools.cache
 def warm_up() -> None:
     """Compile, or load, every kernel, so that no run is timed with that."""
@@ -184,18 +179,8 @@ def fit_power_law(x: npt.ArrayLike, y: npt.ArrayLike) -> _PowerLaw:
     Args:
         x: (n,) above 0, at least three, not all the same.
         y: (n,) above 0.
-
-    Raises:
-        ValueError: values to which no line with an error can be fitted.
     """
     first, second = (np.asarray(v, dtype=np.float64) for v in (x, y))
-    if first.shape != second.shape or first.ndim != 1 or len(first) < _FEWEST:
-        raise ValueError(
-            f"x and y have shapes {first.shape} and {second.shape}, but must be as many values, "
-            f"at least {_FEWEST}"
-        )
-    if min(first.min(), second.min()) <= 0 or np.ptp(first) == 0:
-        raise ValueError("x and y must be above 0, and x not the same everywhere")
     away = np.log(first) - np.log(first).mean()
     height = np.log(second) - np.log(second).mean()
     spread = float(away @ away)

@@ -18,6 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from tqdm import tqdm
 
+from swarm_envs.arguments import Seed
 from swarm_envs.errors import check_name
 from swarm_envs.files import write_json, write_table
 from swarm_envs.training.reproduce.claims import Claim, Extent
@@ -117,22 +118,19 @@ class StudyOptions:
 
     paper: ClassVar[str]
     """As the command names it."""
-    counts: ClassVar[tuple[str, ...]] = ()
-    """Options that must be 1 or more if they are given."""
 
     out: Path = Path("reproduce")
     """folder for pictures, numbers, runs and pages; made if missing"""
     json: Path | None = None
     """write the numbers to this file too"""
-    seed: int = 0
+    seed: Seed = 0
     """the first of the seeds"""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be done.
 
         Raises:
-            ValueError: not exactly one study, an option that has no meaning for it, or a number
-                out of range.
+            ValueError: not exactly one study, or an option that has no meaning for it.
         """
         study = self.chosen
         for name in _foreign(self, study):
@@ -141,11 +139,6 @@ class StudyOptions:
                 f"--{name.replace('_', '-')} has no meaning for {_flag_of(study)}, but for "
                 f"{' or '.join(map(_flag_of, homes))}; leave it out"
             )
-        if self.seed < 0:
-            raise ValueError(f"--seed is {self.seed}, but must be 0 or more")
-        for name in self.counts:
-            if getattr(self, name) is not None and getattr(self, name) < 1:
-                raise ValueError(f"--{name} is {getattr(self, name)}, but must be 1 or more")
         study.check(self)
 
     @property
@@ -296,13 +289,5 @@ def _read_cells(path: Path, wanted: Mapping[str, Any]) -> dict[str, Cell]:
 
 
 def draw_seeds(seed: int, count: int) -> list[int]:
-    """Seeds of so many flights, drawn from one.
-
-    Raises:
-        ValueError: the seed is negative, or the count below one.
-    """
-    if seed < 0:
-        raise ValueError(f"seed is {seed}, but must be 0 or more")
-    if count < 1:
-        raise ValueError(f"the number of flights is {count}, but must be 1 or more")
+    """Seeds of so many flights, drawn from one."""
     return [int(s) for s in np.random.SeedSequence(seed).generate_state(count)]
