@@ -68,7 +68,7 @@ def test_commands_are_what_the_command_line_takes(study, quick, tmp_path):
         program, command, *words = shlex.split(step.command)
         assert program == "swarm-envs"
         if command == "collect":
-            wanted = step.run.args[0].options  # type: ignore[attr-defined]
+            wanted = step.run.args[0]  # type: ignore[attr-defined]
             assert read_collection(words) == wanted and wanted.config.seed == 7
             continue
         assert (command, words[0]) == ("reproduce", study.paper)

@@ -33,6 +33,7 @@ from swarm_envs.errors import check_array
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.state import FloatArray, Setpoint, hover_state
+from swarm_envs.training.reproduce.charts import Bars, draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.lag_study import TEAM, TRUTH
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
@@ -286,9 +287,7 @@ def _plot(
                      label="quadrotor, integral clamped")  # fmt: skip
         for axis, title in ((envelope, "Random errors, gains mid"), (growing, "Worst error")):
             axis.axhline(mid["ball_cm"], color=GREY, linestyle=":", label="ball, eq. (23)")
-            axis.set(xlabel="Time (s)", ylabel="Position error (cm)", title=title)
-            axis.legend(fontsize=8)
-            axis.grid(True)
+            label_axis(axis, title, "Time (s)", "Position error (cm)", legend=8)
         growing.set_ylim(0.0, 3.2 * mid["ball_cm"])
         _plot_balls(balls, rows)
 
@@ -300,18 +299,11 @@ def _plot_balls(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
         ("quadrotor_growing_cm", _QUADROTOR, "quadrotor, integral free"),
         ("clamped_growing_cm", _CLAMPED, "quadrotor, integral clamped"),
     )
-    for k, (key, color, label) in enumerate(drawn):
-        place = np.arange(len(rows)) + 0.2 * (k - 1.5)
-        height = [row[key] for row in rows]
-        axis.bar(place, height, 0.19, color=color, label=label)
-        for x, y in zip(place, height, strict=True):
-            axis.text(x, 1.04 * y, f"{y:.1f}", ha="center", va="bottom", fontsize=8, color=INK)
-    axis.set_yscale("log")
-    axis.set_ylim(1.0, 500.0)
-    axis.set_xticks(range(len(rows)), [row["gains"] for row in rows])
-    axis.set(ylabel="Largest error (cm)", title="Worst error, by gains")
+    series = [Bars([row[key] for row in rows], color, label) for key, color, label in drawn]
+    draw_numbered_bars(axis, [row["gains"] for row in rows], series)
     axis.legend(fontsize=8, ncols=2, loc="upper center")
-    axis.grid(True, axis="y")
+    axis.set_ylim(1.0, 500.0)
+    label_axis(axis, "Worst error, by gains", "", "Largest error (cm)", grid="y")
 
 
 BALL = Study(

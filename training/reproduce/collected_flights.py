@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from swarm_envs.files import claimed
 from swarm_envs.training.collection.__main__ import CollectOptions, run_collect
@@ -12,15 +12,8 @@ from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason,
 from swarm_envs.training.reproduce.study import Study
 
 
-class _Collection(NamedTuple):
-    """A run of `swarm-envs collect`."""
-
-    words: list[str]  # after `swarm-envs`
-    options: CollectOptions  # what these words say
-
-
-def collection(folder: Path, flights: int, seed: int) -> _Collection:
-    """Flights for a study: `flights` and `flights.json` in its folder.
+def collection(folder: Path, flights: int, seed: int) -> tuple[list[str], CollectOptions]:
+    """Flights for a study, `flights` and `flights.json` in its folder: words and options.
 
     Args:
         folder: of the study.
@@ -35,13 +28,13 @@ def collection(folder: Path, flights: int, seed: int) -> _Collection:
     counts: dict[str, Any] = dict.fromkeys(motions, flights)
     config = CollectionConfig(**counts, seed=seed)
     words += ["--seed", str(seed)] * bool(seed)
-    return _Collection(words, CollectOptions(out=out, json=numbers, config=config))
+    return words, CollectOptions(out=out, json=numbers, config=config)
 
 
-def collect_rows(wanted: _Collection) -> str:
+def collect_rows(options: CollectOptions) -> str:
     """Do what `swarm-envs collect` does with these options; it prints by itself."""
-    with claimed(wanted.options.out):
-        run_collect(wanted.options)
+    with claimed(options.out):
+        run_collect(options)
     return ""
 
 

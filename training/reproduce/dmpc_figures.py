@@ -15,6 +15,7 @@ from swarm_envs.arguments import Count, typed
 from swarm_envs.baselines.mlr_dmpc.formations import SEQUENCE, formation, scaled_distances
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
+from swarm_envs.baselines.neural_swarm.flights import format_columns
 from swarm_envs.training.reproduce import dmpc_flights
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about, exactly
 from swarm_envs.training.reproduce.dmpc_flights import (
@@ -155,19 +156,14 @@ def _replay_pages(
 
 def _text(cells: Mapping[str, Cell]) -> str:
     """The numbers as text, the public simulation's beside them."""
-    lines = [
-        f"{'':18}{'arrived':>9}{'median s':>10}{'theirs s':>10}{'least scaled m':>16}{'crashes':>9}"
-    ]
+    lines = [("", "arrived", "median s", "theirs s", "least scaled m", "crashes")]
     for name, cell in cells.items():
-        median, known = (
-            "-" if value is None else f"{value:.1f}"
-            for value in (median_total(cell), THEIRS.get(name))
-        )
-        lines.append(
-            f"{name:18}{cell['arrived']:>6}/{len(cell['total_s']):<2}{median:>10}{known:>10}"
-            f"{min(cell['least_scaled_distance_m']):>16.4f}{cell['crashes']:>9}"
-        )
-    return "\n".join(lines)
+        times = median_total(cell), THEIRS.get(name)
+        median, known = ("-" if value is None else f"{value:.1f}" for value in times)
+        arrived = f"{cell['arrived']}/{len(cell['total_s'])}"
+        least = f"{min(cell['least_scaled_distance_m']):.4f}"
+        lines.append((name, arrived, median, known, least, str(cell["crashes"])))
+    return "\n".join(format_columns(lines))
 
 
 def _table(cells: Mapping[str, Cell]) -> list[dict[str, object]]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.dmpc_flights import CRASH_M, ReferenceFlight
 from swarm_envs.training.reproduce.study import Cell
 from swarm_envs.viewing.style import GREY, picture
@@ -70,10 +71,8 @@ def plot_sequence(
             left.plot(flight.time, away, color=color, label=name)
             for arrival in flight.arrivals_s:
                 left.axvline(arrival, color=color, linewidth=0.7, linestyle=":")
-        left.set(xlabel="Time (s)", ylabel="Mean distance to the targets (m)")
-        left.set_title("Dotted: all have arrived")
-        left.legend()
-        left.grid(True)
+        distance = "Mean distance to the targets (m)"
+        label_axis(left, "Dotted: all have arrived", "Time (s)", distance, legend=10)
         _plot_totals(right, cells)
 
 
@@ -84,9 +83,7 @@ def _plot_totals(axis: Axes, cells: Mapping[str, Cell]) -> None:
     known = [THEIRS.get(name, 0.0) for name in cells]
     axis.bar(place + 0.2, known, 0.4, color="#C9CED4", label="public simulation")
     axis.set_xticks(place, list(cells))
-    axis.set(ylabel="Time to the last arrival (s)")
-    axis.legend(fontsize=8)
-    axis.grid(True, axis="y")
+    label_axis(axis, grid="y", legend=8, ylabel="Time to the last arrival (s)")
 
 
 def plot_jam(path: Path, flights: Mapping[str, ReferenceFlight]) -> None:

@@ -25,6 +25,7 @@ import numpy as np
 from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
+from swarm_envs.training.reproduce.charts import label_axis, write_caption
 from swarm_envs.training.reproduce.heat_maps import force_on_ego_g
 from swarm_envs.viewing.style import GREY, picture
 
@@ -227,11 +228,11 @@ def plot_calibration(path: Path, bins: Sequence[_ForceBin], model: str) -> None:
             axis.grid(True)
         axes[0].set_ylabel("Predicted (g)")
         whole = errors["all"]
-        figure.supxlabel(
+        write_caption(
+            figure,
             "Bars: spread of the rows in a bin; larger dots: more rows. Off by "
             f"{whole['root_mean_square_error_g']:.2f} g (root mean square over {whole['rows']:,} "
             "rows). Calibration offsets are subtracted.",
-            fontsize=9,
         )
 
 
@@ -271,10 +272,10 @@ def plot_force_curves(path: Path, bins: Sequence[_ForceBin], model: str) -> None
             axis = figure.add_subplot(grid[row, 4])
             _curves(axis, [b for b in bins if b.scenario == scenario], _GROUND)
             axis.set_title(f"{_NAMES[scenario[-1]]} alone over the ground")
-        figure.supxlabel(
+        write_caption(
+            figure,
             "Bars: standard deviation of the rows in a bin (shifted aside to be seen). Calibration "
             "offsets are subtracted.",
-            fontsize=9,
         )
 
 
@@ -304,22 +305,16 @@ def _curves(axis: Axes, bins: Sequence[_ForceBin], kind: str) -> None:
             ecolor=(color, 0.45),
             zorder=3,
         )
-    axis.grid(True)
-    axis.axhline(0.0, color=GREY, linewidth=0.8)
-    labels = {
+    across = {
         _GROUND: "Height (m)",
         _VERTICAL: "Neighbour above by (m)",
         _LATERAL: "Lateral distance (m)",
     }
-    axis.set_xlabel(labels[kind])
+    label_axis(axis, "", across[kind], zero=True)
     if kind != _GROUND and bins:
         title = "lateral distance" if kind == _VERTICAL else "relative speed"
-        axis.legend(
-            title=title,
-            loc="lower left" if kind == _VERTICAL else "lower right",
-            fontsize=8,
-            title_fontsize=8,
-        )
+        side: Any = "lower left" if kind == _VERTICAL else "lower right"
+        axis.legend(title=title, loc=side, fontsize=8, title_fontsize=8)
 
 
 def _without_gaps(bins: Sequence[_ForceBin]) -> list[list[_ForceBin]]:

@@ -13,10 +13,12 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
+from swarm_envs.baselines.neural_swarm.flights import format_columns
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.training.force_model.explained import generalisation
+from swarm_envs.training.reproduce.charts import label_axis, write_caption
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
 from swarm_envs.training.reproduce.force_bins import (
     bin_errors,
@@ -34,7 +36,7 @@ from swarm_envs.training.reproduce.heat_maps import (
     superposed_force_g,
 )
 from swarm_envs.training.reproduce.study import Report, Study, write_report
-from swarm_envs.viewing.style import GREY, INK, picture
+from swarm_envs.viewing.style import GREY, picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -110,11 +112,6 @@ def all_swarms(model: InteractionModel, sizes: Sequence[int] = _SIZES) -> list[_
     return swarms + [examine_formation(model, "stack", "S" + "L" * (n - 1)) for n in sizes]
 
 
-def summarise_swarms(swarms: Sequence[_Swarm]) -> list[dict[str, Any]]:
-    """Numbers of each swarm, ready for JSON."""
-    return [_numbers_of(s) for s in swarms]
-
-
 def _numbers_of(s: _Swarm) -> dict[str, Any]:
     worst = int(s.joint_g.argmin())
     return {
@@ -159,10 +156,10 @@ def plot_swarms(path: Path, swarms: Sequence[_Swarm], model: InteractionModel) -
                 if column == 0:
                     axis.set_ylabel("Height (m)")
             _growth(figure.add_subplot(grid[row, -1]), model, formation)
-        figure.supxlabel(
+        write_caption(
+            figure,
             f"The flights have at most {_MEASURED_NEIGHBOURS} neighbours: beyond, a model "
             "extrapolates how they add up. Filled: joint force; open: sum of its pairs.",
-            fontsize=9,
         )
 
 
@@ -178,9 +175,8 @@ def _profile(axis: Axes, s: _Swarm) -> None:
     )
     neighbours = int(s.neighbours.max())
     name = "Stack" if s.formation == "stack" else "Rings"
-    axis.set_title(f"{name} of {len(s.team)}: {neighbours} neighbours")
-    axis.set_xlabel("Force on each drone (g)")
-    axis.grid(True)
+    title = f"{name} of {len(s.team)}: {neighbours} neighbours"
+    label_axis(axis, title, "Force on each drone (g)")
 
 
 def _growth(axis: Axes, model: InteractionModel, formation: str) -> None:
@@ -196,23 +192,12 @@ def _growth(axis: Axes, model: InteractionModel, formation: str) -> None:
                   label=f"{name} ones, sum of pairs")  # fmt: skip
     axis.axvspan(-0.4, _MEASURED_NEIGHBOURS + 0.5, color="#E8F1E4", zorder=0)
     axis.text(0.05, 0.03, "measured", transform=axis.get_xaxis_transform(), color=GREY)
-    axis.axhline(0.0, color=GREY, linewidth=0.8)
-    axis.set(xlim=(-0.4, largest - 0.6), ylabel="Force on the lowest drone (g)")
-    axis.set_xlabel(f"Other drones in its {formation}", color=INK)
-    axis.grid(True)
-    axis.set_title(f"The lowest drone, small, under more and more others ({formation})")
+    title = f"The lowest drone, small, under more and more others ({formation})"
+    axis.set_xlim(-0.4, largest - 0.6)
+    others = f"Other drones in its {formation}"
+    label_axis(axis, title, others, "Force on the lowest drone (g)", zero=True)
     if formation == next(iter(_FORMATIONS)):
         axis.legend(fontsize=8, ncols=2, loc="upper right", bbox_to_anchor=(1.0, 0.93))
-
-
-# Pictures; the last two only with measured bins.
-_FILES = {
-    "heat_maps": "figure_5.png",
-    "superposition_gaps": "superposition_gaps.png",
-    "larger_swarms": "larger_swarms.png",
-    "calibration": "calibration.png",
-    "curves": "force_curves.png",
-}
 
 
 @typed
@@ -261,7 +246,6 @@ def _report(
     table = None if bins is None else read_bins(bins)
     true_forces = None if truth is None else load(truth)
     name = Path(forces.name).name
-    files = dict(_FILES if table else list(_FILES.items())[:3])
     with tqdm(total=3, disable=not progress, unit="step", desc="Fig. 5") as bar:
         maps = all_maps(forces, step_m)
         bar.update()
@@ -269,14 +253,19 @@ def _report(
         bar.update()
         predicted = predict_bins(forces, table) if table else []
         bar.update()
-    pictures: dict[str, Callable[[Path], None]] = {
-        "heat_maps": partial(plot_heat_maps, maps=maps, model=name),
-        "superposition_gaps": partial(plot_gaps, maps=maps, model=name),
-        "larger_swarms": partial(plot_swarms, swarms=swarms, model=forces),
-        "calibration": partial(plot_calibration, bins=predicted, model=name),
-        "curves": partial(plot_force_curves, bins=predicted, model=name),
+    pictures: dict[str, tuple[str, Callable[[Path], None]]] = {
+        "heat_maps": ("figure_5.png", partial(plot_heat_maps, maps=maps, model=name)),
+        "superposition_gaps": ("superposition_gaps.png", partial(plot_gaps, maps=maps, model=name)),
+        "larger_swarms": ("larger_swarms.png", partial(plot_swarms, swarms=swarms, model=forces)),
     }
-    summary = summarise_maps(maps, name) | {"larger_swarms": summarise_swarms(swarms)}
+    if table:
+        calibration = partial(plot_calibration, bins=predicted, model=name)
+        pictures["calibration"] = ("calibration.png", calibration)
+        curves = partial(plot_force_curves, bins=predicted, model=name)
+        pictures["curves"] = ("force_curves.png", curves)
+    summary = summarise_maps(maps, name) | {
+        "larger_swarms": [_numbers_of(swarm) for swarm in swarms]
+    }
     if table:
         summary["calibration"] = {
             "errors": bin_errors(predicted),
@@ -285,18 +274,17 @@ def _report(
     if true_forces is not None:
         explained = generalisation(forces, true_forces, seed=seed)
         summary["generalisation"] = [team._asdict() for team in explained]
-    summary["files"] = files
-    written = {file: pictures[kind] for kind, file in files.items()}
-    return Report(summary, format_summary(summary), files=written)
+    summary["files"] = {kind: file for kind, (file, _) in pictures.items()}
+    return Report(summary, format_summary(summary), files=dict(pictures.values()))
 
 
 def format_summary(summary: dict[str, Any]) -> str:
     """The paper's readings beside ours, and the largest gaps, as text."""
-    lines = [f"{'reading of Fig. 5 (g)':44}{'paper':>7}{'its weights':>13}{'ours':>8}"]
+    rows = [("reading of Fig. 5 (g)", "paper", "its weights", "ours")]
     for r in summary["readings"]:
-        lines.append(
-            f"{r['what']:44}{r['paper_g']:7.1f}{r['published_weights_g']:13.1f}{r['ours_g']:8.1f}"
-        )
+        values = (r["paper_g"], r["published_weights_g"], r["ours_g"])
+        rows.append((r["what"], *(f"{value:.1f}" for value in values)))
+    lines = format_columns(rows)
     for case in summary["cases"]:
         if case["superposition_gap"]:
             gap = case["superposition_gap"]["where_free"]

@@ -56,67 +56,37 @@ class _MapCase:
 
 
 _UP = 0.5 + _WITHOUT_GROUND_M
-_THREE = ((0.0, 0.6), (-0.1, 0.5), (0.1, 0.5))
+_PAIR = ((-0.1, 0.5), (0.1, 0.5))
+_THREE = ((0.0, 0.6), *_PAIR)
 
-MAP_CASES = (
-    _MapCase("a", "ground only", (), True, "no neighbour; ground at z = 0", ""),
-    _MapCase(
-        "b",
-        "S over the ground",
-        (_MapNeighbour("S", 0.0, 0.5),),
-        True,
-        "one small neighbour over the ground, which mitigates its downwash",
-        "its place (0, 0.5)",
-    ),
-    _MapCase(
-        "c",
-        "S aloft, hovering",
-        (_MapNeighbour("S", 0.0, _UP),),
-        False,
-        "one neighbour, hovering",
-        "small, at (0, 0.5), without ground: else (c) would be (b)",
-    ),
-    _MapCase(
-        "d",
-        "S aloft, moving at 0.8 m/s",
-        (_MapNeighbour("S", 0.0, _UP, 0.8),),
-        False,
-        "one neighbour moving at 0.8 m/s",
-        "as (c); towards +y",
-    ),
-    _MapCase(
-        "e",
-        "L and S",
-        (_MapNeighbour("L", -0.1, 0.5), _MapNeighbour("S", 0.1, 0.5)),
-        True,
-        "large at (-0.1, 0.5), small at (0.1, 0.5)",
-        "",
-    ),
-    _MapCase(
-        "f",
-        "L and L",
-        (_MapNeighbour("L", -0.1, 0.5), _MapNeighbour("L", 0.1, 0.5)),
-        True,
-        "nothing",
-        "two large ones where (e) has its two",
-    ),
-    _MapCase(
-        "g",
-        "three S",
-        tuple(_MapNeighbour("S", y, z) for y, z in _THREE),
-        True,
-        "four vehicles, three of them small neighbours, over the ground",
-        "at (0, 0.6), (-0.1, 0.5), (0.1, 0.5)",
-    ),
-    _MapCase(
-        "h",
-        "L and two S",
-        tuple(_MapNeighbour(kind, y, z) for kind, (y, z) in zip("LSS", _THREE, strict=True)),
-        True,
-        "four vehicles",
-        "as (g) with a large one at the top",
-    ),
-)
+
+def _standing(kinds: str, places: Sequence[tuple[float, float]]) -> tuple[_MapNeighbour, ...]:
+    return tuple(_MapNeighbour(kind, y, z) for kind, (y, z) in zip(kinds, places, strict=True))
+
+
+_ONE_STATED = "one small neighbour over the ground, which mitigates its downwash"
+_FOUR_STATED = "four vehicles, three of them small neighbours, over the ground"
+_PAIR_STATED = "large at (-0.1, 0.5), small at (0.1, 0.5)"
+_ALOFT_ASSUMED = "small, at (0, 0.5), without ground: else (c) would be (b)"
+_MOVING = (_MapNeighbour("S", 0.0, _UP, 0.8),)
+_ALOFT, _NEAR = _standing("S", [(0.0, _UP)]), _standing("S", [(0.0, 0.5)])
+_THREE_SMALL, _LARGE_ON_TOP = _standing("SSS", _THREE), _standing("LSS", _THREE)
+MAP_CASES = tuple(
+    _MapCase(*case)
+    for case in (
+        ("a", "ground only", (), True, "no neighbour; ground at z = 0", ""),
+        ("b", "S over the ground", _NEAR, True, _ONE_STATED, "its place (0, 0.5)"),
+        ("c", "S aloft, hovering", _ALOFT, False, "one neighbour, hovering", _ALOFT_ASSUMED),
+        ("d", "S aloft, moving at 0.8 m/s", _MOVING, False, "one neighbour moving at 0.8 m/s",
+         "as (c); towards +y"),
+        ("e", "L and S", _standing("LS", _PAIR), True, _PAIR_STATED, ""),
+        ("f", "L and L", _standing("LL", _PAIR), True, "nothing",
+         "two large ones where (e) has its two"),
+        ("g", "three S", _THREE_SMALL, True, _FOUR_STATED, "at (0, 0.6), (-0.1, 0.5), (0.1, 0.5)"),
+        ("h", "L and two S", _LARGE_ON_TOP, True, "four vehicles",
+         "as (g) with a large one at the top"),
+    )
+)  # fmt: skip
 """The panels of Fig. 5."""
 
 

@@ -107,54 +107,42 @@ def fit_polynomial(
 
 def _identify(vehicle: Vehicle, seed: int) -> list[dict[str, Any]]:
     """Every entry of Table I that can be measured, the printed one beside it."""
-    printed = PAPER[vehicle.token]
-    name, (mass, thrust) = printed.name, mass_and_thrust(vehicle)
-    rows = [
-        _row(name, "mass, g", printed.mass_g, mass, 0.0, 0.01),
-        _row(name, "largest thrust, g", printed.largest_thrust_g, thrust, 0.0, 0.01),
-        _row(name, "motor rate, 1/s", printed.motor_rate, motor_rate(vehicle), 0.0, 0.01),
-    ]
+    printed, (mass, thrust) = PAPER[vehicle.token], mass_and_thrust(vehicle)
     signal, voltage, force = _load_cell(vehicle, np.random.default_rng(seed))
     found, error = fit_polynomial(force, signal, voltage)
+    entries: list[tuple[Any, ...]] = [  # quantity, paper, ours, standard error, tolerance
+        ("mass, g", printed.mass_g, mass, 0.0, 0.01),
+        ("largest thrust, g", printed.largest_thrust_g, thrust, 0.0, 0.01),
+        ("motor rate, 1/s", printed.motor_rate, motor_rate(vehicle), 0.0, 0.01),
+    ]
     for term, paper, value, spread in zip(_TERMS, printed.psi1, found, error, strict=True):
-        rows.append(_row(name, f"psi1, factor of {term}", paper, value, spread, 0.05))
+        entries.append((f"psi1, factor of {term}", paper, value, spread, 0.05))
     hover = 1e3 * vehicle.mass / 4.0
     back, _ = fit_polynomial(signal, force, voltage)
     for volts in (3.5, 3.9):
         v = volts / 4.2
-        printed_signal = round(float(pwm_for_force(vehicle, hover, v)), 4)
+        paper = round(float(pwm_for_force(vehicle, hover, v)), 4)
         ours = float(back @ [1.0, hover, v, hover * hover, hover * v])
         what = f"psi2, motor signal of hover at {volts:g} V"
-        rows.append(_row(name, what, printed_signal, ours, 0.0, 0.03, _ROUNDED, 0.08))
-    return rows
+        entries.append((what, paper, ours, 0.0, 0.03, _ROUNDED, 0.08))
+    return [
+        {
+            "vehicle": printed.name,
+            "quantity": quantity,
+            "paper": paper,
+            "ours": round(float(ours), 4),
+            "error": round(float(spread), 4),
+            "tolerance": tolerance,
+            "reason": known[0] if known else "",
+            "explained_to": known[1] if known else 0.0,
+        }
+        for quantity, paper, ours, spread, tolerance, *known in entries
+    ]
 
 
 _ROUNDED = (
     "psi2 is printed with two digits, and was fitted by itself: it is not the inverse of psi1"
 )
-
-
-def _row(
-    vehicle: str,
-    what: str,
-    paper: float,
-    ours: float,
-    error: float,
-    tolerance: float,
-    reason: str = "",
-    explained_to: float = 0.0,
-) -> dict[str, Any]:
-    """An entry; `tolerance` and `explained_to` are shares of the paper's value."""
-    return {
-        "vehicle": vehicle,
-        "quantity": what,
-        "paper": paper,
-        "ours": round(float(ours), 4),
-        "error": round(float(error), 4),
-        "tolerance": tolerance,
-        "reason": reason,
-        "explained_to": explained_to,
-    }
 
 
 def _report(options: Any, cells: Mapping[str, Any]) -> Report:

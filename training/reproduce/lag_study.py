@@ -23,8 +23,9 @@ from swarm_envs.baselines.neural_swarm.flights import (
 )
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.interactions import load
+from swarm_envs.training.reproduce.charts import Bars, draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
-from swarm_envs.viewing.style import GREY, INK, picture
+from swarm_envs.viewing.style import picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -172,35 +173,19 @@ def _plot(
                 color, label = _LOOK[row["force"], row["lag"]]
                 time = np.arange(len(trace)) / _SAMPLES_PER_SECOND
                 over_time.plot(time, 100.0 * np.array(trace), color=color, label=label)
-        over_time.axhline(0.0, color=GREY, linewidth=0.8, zorder=0)
-        over_time.set(xlabel="Time (s)", ylabel="Height error (cm)", title="One swap, gains mid")
-        over_time.legend(fontsize=9)
-        over_time.grid(True)
+        title = "One swap, gains mid"
+        label_axis(over_time, title, "Time (s)", "Height error (cm)", legend=9, zero=True)
         _medians(medians, rows)
 
 
 def _medians(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
-    gains = list(dict.fromkeys(row["gains"] for row in rows))
-    for k, (look, (color, _)) in enumerate(_LOOK.items()):
-        own = [row for row in rows if (row["force"], row["lag"]) == look]
-        place = np.array([gains.index(row["gains"]) for row in own]) + 0.2 * (k - 1.5)
-        height = [row["median_cm"] for row in own]
-        axis.bar(place, height, 0.19, color=color)
-        for x, y in zip(place, height, strict=True):
-            axis.text(
-                x,
-                1.06 * y,
-                f"{y:.1f}" if y >= 1.0 else f"{y:.2f}",
-                ha="center",
-                va="bottom",
-                fontsize=8,
-                color=INK,
-            )
-    axis.set_yscale("log")
+    series = [
+        Bars([r["median_cm"] for r in rows if (r["force"], r["lag"]) == look], color)
+        for look, (color, _) in _LOOK.items()
+    ]
+    draw_numbered_bars(axis, list(GAINS), series)
     axis.set_ylim(0.05, 60.0)
-    axis.set_xticks(range(len(gains)), gains)
-    axis.set(ylabel="Worst height error, median (cm)", title="All swaps, by gains")
-    axis.grid(True, axis="y")
+    label_axis(axis, "All swaps, by gains", "", "Worst height error, median (cm)", grid="y")
 
 
 LAG = Study(

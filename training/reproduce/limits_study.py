@@ -28,6 +28,7 @@ from swarm_envs.baselines.neural_swarm.flights import (
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.training.reproduce.charts import label_axis, write_caption
 from swarm_envs.training.reproduce.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
 from swarm_envs.vehicles import GRAVITY, SMALL, Team, parse_team
@@ -326,11 +327,11 @@ def _plot(path: Path, sweeps: Sequence[Sweep], rows: Sequence[Mapping[str, Any]]
             _panel(axis, sweep, [row for row in rows if row["sweep"] == sweep.name])
         for axis in axes[len(sweeps) :]:
             axis.set_axis_off()
-        figure.supxlabel(
+        write_caption(
+            figure,
             "Medians. Dashed: without compensation. Solid: belief exact but for what is varied; "
             "dotted: the belief that ships. Red ring: compensation made the median worse; "
             "red cross: it made drones crash.",
-            fontsize=9,
         )
 
 
@@ -357,9 +358,7 @@ def _panel(axis: Axes, sweep: Sweep, rows: Sequence[Mapping[str, Any]]) -> None:
         shown = (0, 10, 40, 160, 640)
         axis.set_xticks(shown, [str(value) for value in shown])
         axis.minorticks_off()
-    axis.set_xlabel(sweep.label)
-    axis.legend(fontsize=8, loc="best")
-    axis.grid(True)
+    label_axis(axis, legend=8, xlabel=sweep.label)
     axis.tick_params(axis="y", colors=GREY)
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.paired_flights import PLAIN_SWAPS, FlightCase, PairedFlights
 from swarm_envs.viewing.comparison import COMPENSATED_COLOR, WITHOUT_COLOR
 from swarm_envs.viewing.style import GREY, INK, picture
@@ -154,20 +155,17 @@ def _errors(axis: Axes, entry: Mapping[str, Any], truth: str) -> None:
         axis.errorbar(places + offset, median, [median - low, high - median], fmt="none",
                       ecolor=INK, elinewidth=0.9, capsize=2.0)  # fmt: skip
     axis.set_xticks(places, [d["drone"] for d in drones], rotation=90 if len(drones) > 8 else 0)
-    axis.set_ylabel("worst height error, cm")
-    axis.set_ylim(0.0, 1.32 * axis.get_ylim()[1])
-    axis.set_title(f"Force model {truth!r}: every drone")
     axis.legend(fontsize=8, loc="upper right", ncols=2)
-    axis.grid(True, axis="y")
+    axis.set_ylim(0.0, 1.32 * axis.get_ylim()[1])
+    title = f"Force model {truth!r}: every drone"
+    label_axis(axis, title, "", "worst height error, cm", grid="y")
 
 
 def _height(axis: Axes, flown: PairedFlights, drone: int, entry: Mapping[str, Any]) -> None:
     for k, color in enumerate((WITHOUT_COLOR, COMPENSATED_COLOR)):
         axis.plot(flown.time, flown.height_error_cm[k, :, drone], color=color, linewidth=1.4)
-    axis.axhline(0.0, color=GREY, linewidth=0.8)
-    axis.set_ylabel("height error, cm")
-    axis.set_title(f"One flight, the worst drone ({entry['drones'][drone]['drone']})")
-    axis.grid(True)
+    title = f"One flight, the worst drone ({entry['drones'][drone]['drone']})"
+    label_axis(axis, zero=True, title=title, ylabel="height error, cm")
 
 
 def _force(axis: Axes, flown: PairedFlights, drone: int, entry: Mapping[str, Any]) -> None:

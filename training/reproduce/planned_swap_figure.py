@@ -16,6 +16,7 @@ from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.state import FloatArray
+from swarm_envs.training.reproduce.charts import label_axis, write_caption
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
 from swarm_envs.training.reproduce.planned_swaps import (
     PLANNERS,
@@ -30,7 +31,7 @@ from swarm_envs.training.reproduce.planned_swaps import (
 )
 from swarm_envs.training.reproduce.study import Cells, Report, Study
 from swarm_envs.vehicles import GRAM_FORCE
-from swarm_envs.viewing.style import GREY, picture
+from swarm_envs.viewing.style import picture
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -154,10 +155,10 @@ def _plot(path: Path, plans: Mapping[str, SwarmPlan], tracks: Mapping[str, Track
         above[0].set_ylabel("z (m)")
         below[0].set_ylabel("f_a,z (g)")
         below[0].legend(fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-        figure.supxlabel(
+        write_caption(
+            figure,
             "Dashed: planned, or the bounds of the forces. Solid: tracked by a PID in the air that "
             "the model knows. Discs: the robots half way. Arrows: velocity every second.",
-            fontsize=9,
         )
 
 
@@ -179,7 +180,7 @@ def _paths(axis: Axes, plan: SwarmPlan, motions: Trajectories, track: Track | No
         axis.plot(*plan.starts[i, 1:], "o", color=color, markersize=4)
         axis.plot(*plan.goals[i, 1:], "s", color=color, markersize=5, markerfacecolor="white")
     axis.set_aspect("equal")
-    axis.grid(True)
+    label_axis(axis)
 
 
 def _body(axis: Axes, place: FloatArray, radius: float, color: str) -> None:
@@ -198,8 +199,7 @@ def _forces(axis: Axes, plan: SwarmPlan, motions: Trajectories, track: Track | N
         axis.plot(time, force[:, i, 2] / GRAM_FORCE, color=color, label=name)
         for side in (-1.0, 1.0):
             axis.axhline(side * bound, color=color, linestyle="--", linewidth=0.9)
-    axis.axhline(0.0, color=GREY, linewidth=0.8)
-    axis.grid(True)
+    label_axis(axis, zero=True)
 
 
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:

@@ -12,6 +12,7 @@ import numpy as np
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import default_engine, format_columns
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
+from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
 from swarm_envs.training.reproduce.planned_swaps import (
     ATTEMPTS,
@@ -123,7 +124,11 @@ def _row(
         "trials": len(cells),
         "worst_error_cm": round(max(errors), 3),
         "median_error_cm": round(float(np.median(errors)), 3),
-        **{f"worst_force_{token}_g": _worst_force(scenario, token, found) for token in "SL"},
+        **{
+            f"worst_force_{token}_g": round(max(forces), 3) if forces else None
+            for token in "SL"
+            for forces in [_forces_on(scenario, token, found)]
+        },
         "worst_over_bound": round(max(ratios), 3),
         "trials_over_bound": sum(ratio > 1.0 for ratio in ratios),
         "least_clearance": round(min(f["clearance"] for f in found), 3),
@@ -132,11 +137,10 @@ def _row(
     }
 
 
-def _worst_force(scenario: str, token: str, found: Sequence[Mapping[str, Any]]) -> float | None:
-    """Largest force on any vehicle of a type, g; None where there is none."""
+def _forces_on(scenario: str, token: str, found: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Largest force on any vehicle of a type in each trial, g; empty where there is none."""
     own = [i for i, vehicle in enumerate(parse_team(scenario)) if vehicle.token == token]
-    forces = [f["force_g"][i] for f in found for i in own]
-    return round(max(forces), 3) if forces else None
+    return [max(f["force_g"][i] for i in own) for f in found] if own else []
 
 
 def check_scenarios(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -210,47 +214,20 @@ def plot_trials(
         axes = figure.subplots(1, 3)
         for planner in _LOOK:
             own = [cell for cell in cells if cell["planner"] == planner]
-            _errors(axes[0], scenarios, planner, own, plant)
+            found = {s: [c[plant] for c in own if c["scenario"] == s] for s in scenarios}
+            worst = {s: [max(f["error_cm"]) for f in trials] for s, trials in found.items()}
+            _dots(axes[0], worst, planner)
             for axis, token in zip(axes[1:], "SL", strict=True):
-                _forces(axis, scenarios, planner, own, plant, token)
-        axes[0].set(title="Worst tracking error", ylabel="Error (cm)")
+                forces = {s: _forces_on(s, token, trials) for s, trials in found.items()}
+                _dots(axis, {s: own for s, own in forces.items() if own}, planner)
+        label_axis(axes[0], grid="y", title="Worst tracking error", ylabel="Error (cm)")
         for axis, token in zip(axes[1:], "SL", strict=True):
             bound = FORCE_BOUNDS_G[token]
             axis.axhline(bound, color="#C0202A", linewidth=1.4)
-            axis.set_title(f"Worst force on {_SIZES[token]} ones, bound {bound:g} g")
-            axis.set_ylabel("|f_a,z| (g)")
+            title = f"Worst force on {_SIZES[token]} ones, bound {bound:g} g"
+            label_axis(axis, grid="y", title=title, ylabel="|f_a,z| (g)")
         axes[0].margins(y=0.2)
         axes[0].legend(fontsize=9, loc="upper right")
-
-
-def _errors(
-    axis: Axes,
-    scenarios: Sequence[str],
-    planner: str,
-    cells: Sequence[Mapping[str, Any]],
-    plant: str,
-) -> None:
-    values = {s: [max(c[plant]["error_cm"]) for c in cells if c["scenario"] == s]
-              for s in scenarios}  # fmt: skip
-    _dots(axis, values, planner)
-
-
-def _forces(
-    axis: Axes,
-    scenarios: Sequence[str],
-    planner: str,
-    cells: Sequence[Mapping[str, Any]],
-    plant: str,
-    token: str,
-) -> None:
-    values: dict[str, list[float]] = {}
-    for s in scenarios:
-        own = [i for i, vehicle in enumerate(parse_team(s)) if vehicle.token == token]
-        if own:
-            values[s] = [
-                max(c[plant]["force_g"][i] for i in own) for c in cells if c["scenario"] == s
-            ]
-    _dots(axis, values, planner)
 
 
 def _dots(axis: Axes, values: Mapping[str, Sequence[float]], planner: str) -> None:
@@ -263,7 +240,6 @@ def _dots(axis: Axes, values: Mapping[str, Sequence[float]], planner: str) -> No
         axis.plot(spread, own, "o", color=color, markersize=4, markeredgecolor="white",
                   markeredgewidth=0.4)  # fmt: skip
     axis.set_xticks(range(len(values)), list(values), color=INK)
-    axis.grid(True, axis="y")
 
 
 def _claims(numbers: Any, extent: Extent) -> list[Claim]:

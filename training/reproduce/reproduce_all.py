@@ -163,8 +163,8 @@ def steps_of(options: ReproduceAllOptions, study: Study) -> list[_Step]:
     if study.collects is not None:
         flights = study.collects[options.quick]
         if study.report is None or options.data is None:
-            wanted = collection(folder, flights, options.seed)
-            steps.append(_Step(_shell(wanted.words), partial(collect_rows, wanted)))
+            words, wanted = collection(folder, flights, options.seed)
+            steps.append(_Step(_shell(words), partial(collect_rows, wanted)))
         given["data"] = options.data or folder / "flights" / "rows.npz"
     if study.report is not None:
         given |= study.quick if options.quick else study.full

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from swarm_envs.arguments import Count, typed
+from swarm_envs.baselines.neural_swarm.flights import format_columns
 from swarm_envs.baselines.rth3d import METHODS
 from swarm_envs.errors import check_name
 from swarm_envs.files import written_whole
@@ -322,13 +323,13 @@ def _laws(figure: CurveFigure, curves: Curves) -> list[str]:
 
 def _text(curves: Curves, checks: Sequence[Cell]) -> str:
     """The largest setting of each curve and the checks."""
-    lines = [f"{'':32}{'grid':>12}{'robots':>9}{'method':>11}{'runs':>5}{'CPU s':>9}{'ratio':>8}"]
+    rows = [("", "grid", "robots", "method", "runs", "CPU s", "ratio")]
     for (name, method), row in curves.items():
         point = row[-1]
-        lines.append(
-            f"{name:32}{point.setting.grid:>12}{point.robots:>9,}{method:>11}{point.runs:>5}"
-            f"{point.cpu_s.mean:>9.3g}{_mean(point.ratio) or '-':>8}"
-        )
+        numbers = (f"{point.cpu_s.mean:.3g}", _mean(point.ratio) or "-")
+        where = (name, point.setting.grid, f"{point.robots:,}")
+        rows.append((*where, method, str(point.runs), *numbers))
+    lines = format_columns(rows)
     lines += [f"{'ok ' if c['holds'] else 'NO '} {c['text']}: {c['measured']}" for c in checks]
     return "\n".join(lines)
 
