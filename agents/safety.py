@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -29,7 +28,15 @@ from swarm_envs.agents.barrier import (
 from swarm_envs.agents.evaluation import source_digest
 from swarm_envs.agents.features import observation_columns
 from swarm_envs.agents.protocol import Actions, Agent, BatchAgent, Observations, check_requirements
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import (
+    FINITE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    POSITIVE_S,
+    Count,
+    Range,
+    typed,
+)
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
@@ -46,40 +53,31 @@ ACTED = 1e-3
 class Safety:
     """How much safety a filter keeps. Raises ValueError for what cannot be."""
 
-    margin_m: float = 0.12
+    margin_m: Annotated[float, NOT_NEGATIVE] = 0.12
     """Distance to keep beyond the sum of radii, m; from walls half of it."""
-    horizon_s: float = 0.7
+    horizon_s: Annotated[float, POSITIVE_S] = 0.7
     """How far ahead that distance is kept, if both fly straight on, s."""
-    response_s: float = 0.08
+    response_s: Annotated[float, NOT_NEGATIVE] = 0.08
     """Time until a drone follows its command, s: positions and velocities are predicted as
     far, one's own with the acceleration that its thrust gives it."""
-    rate: float = 8.0
+    rate: Annotated[float, POSITIVE] = 8.0
     """Share of what is left of safety that may be used up a second, 1/s; at most the rate of
     decisions. Less acts earlier, and more gently."""
-    share: float = 0.5
+    share: Annotated[float, Range(0.0, 1.0, above=True)] = 0.5
     """Of each evasion, the share that this drone makes: a half if the other has a filter too."""
-    downwash: float = 1.3
+    downwash: Annotated[float, FINITE] = 1.3
     """By how much farther drones keep below and above each other than side by side; 1 for equal."""
-    aside_m: float = 0.03
+    aside_m: Annotated[float, NOT_NEGATIVE] = 0.03
     """How far to the left a neighbour is taken to be, so that both of a pair pass on the right, m:
     two that meet head on would otherwise stop each other."""
     walls: bool = True
     """Whether walls, floor and ceiling are kept away from too."""
-    num_neighbors: int = 7
+    num_neighbors: Count = 7
     """How many neighbours are watched, if the agent does not itself observe more."""
 
     def __post_init__(self) -> None:
-        """Check every number."""
-        least = {"margin_m": 0.0, "response_s": 0.0, "aside_m": 0.0, "downwash": 1.0}
-        for name in ("margin_m", "response_s", "aside_m", "downwash", "horizon_s", "rate", "share"):
-            value, low = getattr(self, name), least.get(name)
-            rule = f"{low} or more" if low is not None else "positive"
-            if not (math.isfinite(value) and (value > 0.0 if low is None else value >= low)):
-                raise ValueError(f"Safety.{name} is {value!r}, but must be {rule} and finite")
-        if self.share > 1.0:
-            raise ValueError(f"Safety.share is {self.share!r}, but must be at most 1")
-        if self.num_neighbors < 1:
-            raise ValueError(f"Safety.num_neighbors is {self.num_neighbors}, but must be 1 or more")
+        if not self.downwash >= 1.0:
+            raise ValueError(f"Safety.downwash is {self.downwash!r}, but must be 1.0 or more")
 
     def barrier(self) -> Barrier:
         """The same as kernels take it."""

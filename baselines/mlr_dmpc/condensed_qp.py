@@ -167,8 +167,6 @@ class QpSolution(NamedTuple):
     """(m,) rows that hold with equality, to start the next program from."""
     solved: bool
     """Whether there is a minimum, to the solver's tolerance."""
-    iterations: int
-    """Steps that the solver took."""
 
 
 Solver = Callable[[FloatArray, FloatArray, FloatArray, BoolArray], QpSolution]
@@ -192,21 +190,21 @@ def _daqp(
     y, _, flag, info = _module("daqp").solve(
         _identity(len(slope)), slope, -matrix, -bound, sense=sense, primal_tol=_TOLERANCE
     )
-    return QpSolution(y, np.asarray(info["lam"]) != 0.0, flag == 1, info["iterations"])
+    return QpSolution(y, np.asarray(info["lam"]) != 0.0, flag == 1)
 
 
 def _quadprog(
     slope: FloatArray, matrix: FloatArray, bound: FloatArray, active: BoolArray
 ) -> QpSolution:
     if not len(bound):  # it wants one row at least
-        return QpSolution(-slope, active, True, 0)
+        return QpSolution(-slope, active, True)
     try:
-        y, _, _, iterations, multiplier, _ = _module("quadprog").solve_qp(
+        y, _, _, _, multiplier, _ = _module("quadprog").solve_qp(
             np.array(_identity(len(slope))), -slope, matrix.T.copy(), bound
         )
     except ValueError:  # how it says that no point satisfies every row
-        return QpSolution(np.zeros_like(slope), active, False, 0)
-    return QpSolution(y, multiplier > 0.0, True, int(iterations[0]))
+        return QpSolution(np.zeros_like(slope), active, False)
+    return QpSolution(y, multiplier > 0.0, True)
 
 
 def _osqp(
@@ -230,7 +228,7 @@ def _osqp(
     done = program.solve(raise_error=False)
     solved = done.info.status == "solved"
     y = np.asarray(done.x, dtype=np.float64) if solved else np.zeros_like(slope)
-    return QpSolution(y, active, solved, int(done.info.iter))
+    return QpSolution(y, active, solved)
 
 
 @cache

@@ -155,7 +155,6 @@ class PaperUnit:
         self.deprecated = [not known for known in self.candidates]
         self.report = UnitRound(self.unit)
         self._just_planned = NONE
-        self._selection: tuple[int, ...] = ()
 
     def step(self, inbox: Inbox[PaperMessage] | None, round_: int) -> PaperMessage | None:
         """Lines 8 to 34 of Algorithm 1: the message of a round, if the slot is not given away."""

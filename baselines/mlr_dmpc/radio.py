@@ -5,35 +5,28 @@ Jams, outages of receivers, single messages and bursts are lost by keyed draws.
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Annotated, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import Range, typed
 from swarm_envs.baselines.mlr_dmpc.messages import DroneState
-from swarm_envs.errors import check_integer
 from swarm_envs.state import BoolArray, FloatArray
 
 Who = str | tuple[str, ...]
 """`all`, `drones`, `units`, `drone 3`, `unit 0`, or several of these."""
 
+_Share = Annotated[float, Range(0.0, 1.0)]
+_Round = Annotated[int, Range(0)]
 _UINT = npt.NDArray[np.uint64]
 _MESSAGE, _OUTAGE, _TURN, _BURST = range(4)
 
 
 def _names(who: Who) -> tuple[str, ...]:
     return (who,) if isinstance(who, str) else who
-
-
-def _check_probabilities(model: object, names: tuple[str, ...]) -> None:
-    for name in names:
-        value = getattr(model, name)
-        if not (math.isfinite(value) and 0.0 <= value <= 1.0):
-            raise ValueError(f"{name} is {value!r}, but must be a share in [0, 1]")
 
 
 @typed
@@ -45,9 +38,9 @@ class Jam:
         ValueError: the rounds are not in order, or a name is unknown.
     """
 
-    first_round: int
+    first_round: _Round
     """First round that is jammed."""
-    last_round: int
+    last_round: _Round
     """Last round that is jammed."""
     senders: Who = "all"
     """Whose messages are lost."""
@@ -57,12 +50,9 @@ class Jam:
     """Whether the receivers' messages to the senders are lost as well."""
 
     def __post_init__(self) -> None:
-        for name in ("first_round", "last_round"):
-            check_integer(name, getattr(self, name), 0)
-        if not 0 <= self.first_round <= self.last_round:
+        if self.first_round > self.last_round:
             raise ValueError(
-                f"a jam from round {self.first_round} to {self.last_round}: rounds must be in "
-                "order and not negative"
+                f"a jam from round {self.first_round} to {self.last_round}: rounds must be in order"
             )
         for field in ("senders", "receivers"):
             for name in _names(getattr(self, field)):
@@ -82,15 +72,12 @@ class GilbertElliott:
         ValueError: a probability is outside [0, 1].
     """
 
-    turns_bad: float
+    turns_bad: _Share
     """Probability that a good channel is bad in the next round."""
-    turns_good: float
+    turns_good: _Share
     """Probability that a bad channel is good in the next round."""
-    loss_when_bad: float = 1.0
+    loss_when_bad: _Share = 1.0
     """Share of messages that a bad channel loses."""
-
-    def __post_init__(self) -> None:
-        _check_probabilities(self, ("turns_bad", "turns_good", "loss_when_bad"))
 
 
 @typed
@@ -102,19 +89,16 @@ class LossModel:
         ValueError: a probability is outside [0, 1].
     """
 
-    unit_loss: float = 0.0
+    unit_loss: _Share = 0.0
     """Probability that a compute unit misses a message."""
-    drone_loss: float = 0.0
+    drone_loss: _Share = 0.0
     """Probability that a drone misses a message."""
-    outage: float = 0.0
+    outage: _Share = 0.0
     """Probability that a receiver misses a whole round."""
     bursts: GilbertElliott | None = None
     """Channel of each receiver."""
     jams: tuple[Jam, ...] = ()
     """Windows in which messages are lost for certain."""
-
-    def __post_init__(self) -> None:
-        _check_probabilities(self, ("unit_loss", "drone_loss", "outage"))
 
     @classmethod
     def of(cls, loss: float | str | LossModel) -> LossModel:

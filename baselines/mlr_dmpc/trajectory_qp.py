@@ -55,7 +55,6 @@ class _WorkingSet(NamedTuple):
     matrix: FloatArray  # (m, 3 n)
     bound: FloatArray  # (m,)
     scale: FloatArray  # (m,) 0 for a row without soft variable
-    source: IntArray  # (m,) the half-space that a soft row stems from, else -1
 
 
 @kernel
@@ -69,7 +68,7 @@ def broken_rows(rows: _Rows, z: FloatArray, threshold: float, stride: int) -> _W
     picked = _pick(rows, z, threshold, stride)
     count = picked.shape[0]
     matrix, bound = np.zeros((count, 3 * free)), np.empty(count)
-    scale, source = np.zeros(count), np.full(count, -1)
+    scale = np.zeros(count)
     for m in range(count):
         kind, r, s = picked[m]
         if kind < 2:
@@ -81,12 +80,12 @@ def broken_rows(rows: _Rows, z: FloatArray, threshold: float, stride: int) -> _W
             continue
         bound[m] = rows.offsets[r, s]
         if kind == 3:
-            bound[m], scale[m], source[m] = rows.soft_offsets[r], rows.soft_scales[r], r
+            bound[m], scale[m] = rows.soft_offsets[r], rows.soft_scales[r]
         for i in range(3):
             bound[m] -= rows.normals[r, s, i] * rows.base[s, i]
             for k in range(free):
                 matrix[m, i * free + k] = rows.normals[r, s, i] * rows.by_variables[s, k]
-    return _WorkingSet(matrix, bound, scale, source)
+    return _WorkingSet(matrix, bound, scale)
 
 
 @kernel
@@ -288,8 +287,6 @@ class RowGeneration:
         """Why there is no optimum, or nothing."""
         self.solve_ms = 0.0
         """In the solver, CPU time of this thread, ms."""
-        self.iterations = self.programs = 0
-        """Steps of the solver, and programs solved."""
         self._problem, self._solver = problem, solver(solver_name)
         self._parts: list[_WorkingSet] = []
         self._active: BoolArray = np.zeros(0, dtype=bool)
@@ -302,12 +299,11 @@ class RowGeneration:
 
     def _run(self) -> None:
         self._add(self._problem.shifted, _FIRST_SLACK, _STRIDE)
-        while self.programs < _MOST_PROGRAMS:
-            self.programs += 1
+        for programs in range(1, _MOST_PROGRAMS + 1):
             if not self._solve():
                 self.failure = "the solver found no plan"
                 return
-            if not self._add(self.z, _BROKEN, _STRIDE if self.programs == 1 else 1):
+            if not self._add(self.z, _BROKEN, _STRIDE if programs == 1 else 1):
                 self.failure = ""
                 return
 
@@ -328,7 +324,7 @@ class RowGeneration:
         begin = time.thread_time()
         found = self._solver(slope, np.hstack([matrix, margins]), bound, self._active)
         self.solve_ms += 1e3 * (time.thread_time() - begin)
-        self._active, self.iterations = found.active, self.iterations + found.iterations
+        self._active = found.active
         free = len(self._problem.slope)
         self.z = np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
         return found.solved
@@ -349,10 +345,6 @@ class Planned(NamedTuple):
     """In the solver, all programs together, CPU time of this thread, ms."""
     total_ms: float
     """From call to return, CPU time of this thread, ms."""
-    iterations: int
-    """Steps of the solver, all programs together."""
-    programs: int
-    """How many were solved, each with more rows than the one before."""
     num_rows: int
     """Rows of the last program."""
     in_reach: int
@@ -395,8 +387,6 @@ def plan_trajectory(
         problem.shifted_slack,
         found.solve_ms,
         1e3 * (time.thread_time() - begin),
-        found.iterations,
-        found.programs,
         found.num_rows,
         problem.in_reach,
     )
