@@ -16,9 +16,11 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
+from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned
 from swarm_envs.files import write_json
 from tests.benchmarks.rows import Row, sentence
-from tests.helpers.mlr_rounds import Rounds, scattered
+from tests.helpers.mlr_rounds import scattered
 
 SIZES = (4, 8, 16, 32, 64, 128, 256)
 
@@ -33,24 +35,26 @@ def plan_row(n: int, plans: int, solver: str) -> Row:
     """Trajectories of n drones on their way between random places, an eighth planned at once."""
     config, rng = box_of(n), np.random.default_rng(n)
     starts, targets = scattered(n, config, rng), scattered(n, config, rng)
-    swarm = Rounds(starts, targets, max(2, n // 8), config, solver=solver)
+    units = max(2, n // 8)
+    swarm = MlrDmpcSwarm(starts, targets, config=config, compute_units=units, solver=solver)
     for _ in range(3):
-        swarm.step()  # compiles
-    swarm.planned.clear()
-    while len(swarm.planned) < plans:
-        swarm.step()
-        if swarm.arrived().all():
+        swarm.run_round()  # compiles
+    planned: list[Planned] = []
+    while len(planned) < plans:
+        planned += [unit.planned for unit in swarm.run_round().units if unit.planned]
+        away = swarm.reference(np.zeros(1))[:, 0, 0] - swarm.targets
+        if (np.linalg.norm(away, axis=1) <= config.arrival_m).all():
             swarm.targets = swarm.targets[rng.permutation(n)]
-    times = [planned.total_ms for planned in swarm.planned]
+    times = [plan.total_ms for plan in planned]
     return {
         "drones": n,
         "plans": len(times),
         "median_ms": float(np.median(times)),
         "p99_ms": float(np.quantile(times, 0.99)),
-        "solver_ms": float(np.median([planned.solve_ms for planned in swarm.planned])),
-        "rows": float(np.mean([planned.num_rows for planned in swarm.planned])),
-        "in_reach": float(np.mean([planned.in_reach for planned in swarm.planned])),
-        "rejected": sum(not planned.accepted for planned in swarm.planned),
+        "solver_ms": float(np.median([plan.solve_ms for plan in planned])),
+        "rows": float(np.mean([plan.num_rows for plan in planned])),
+        "in_reach": float(np.mean([plan.in_reach for plan in planned])),
+        "rejected": sum(not plan.accepted for plan in planned),
     }
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import obstacle_planes
-from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.trajectory import hover
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound
+from swarm_envs.baselines.mlr_dmpc.trajectory import hover, sampled_positions
 from swarm_envs.tasks.obstacles import Box, Column, obstacle_distances, obstacle_rows
-from tests.helpers.mlr_rounds import Rounds, keep_clear
+from tests.helpers.mlr_rounds import arrival_time, keep_clear
 
 CONFIG = MlrDmpcConfig()
 OBSTACLES = (
@@ -57,20 +57,17 @@ def test_a_start_inside_is_refused():
 def test_drones_fly_around_obstacles_and_each_other():
     starts = np.array([[-1.5, 0.0, 1.0], [1.5, 0.3, 1.0], [0.0, -1.5, 1.2]])
     targets = starts * [-1.0, 1.0, 1.0] + [[0.0, 0.4, 0.0], [0.0, -0.8, 0.0], [0.0, 2.6, 0.0]]
-    swarm = Rounds(
+    swarm = MlrDmpcSwarm(
         starts,
         targets,
-        2,
-        CONFIG,
-        planes_for=lambda own, k: obstacle_planes(own, k, ROWS, MARGIN, CONFIG),
+        compute_units=2,
+        obstacles=lambda own, k: obstacle_planes(own, k, ROWS, MARGIN, CONFIG),
     )
-    times = condensed(CONFIG).collision_times
 
-    def clear(now: Rounds) -> None:
-        keep_clear(now)
-        for candidates in now.candidates:
-            for trajectory in candidates:
-                away = obstacle_distances(ROWS, trajectory.positions(times))
-                assert away.min() >= MARGIN - 1e-6
+    def clear(now: MlrDmpcSwarm, report: SwarmRound) -> None:
+        keep_clear(now, report)
+        for trajectory in now.flying:
+            away = obstacle_distances(ROWS, sampled_positions(trajectory, now.round, CONFIG))
+            assert away.min() >= MARGIN - 1e-6
 
-    assert swarm.run(25.0, clear) < 25.0
+    assert arrival_time(swarm, 25.0, clear) < 25.0

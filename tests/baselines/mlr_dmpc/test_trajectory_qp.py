@@ -13,8 +13,10 @@ from hypothesis import strategies as st
 
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import Neighbors, no_neighbors
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import SOLVERS, condensed
+from swarm_envs.baselines.mlr_dmpc.formations import circle_swap
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, hover
+from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, hover, sampled_positions
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import (
     ACCEPTED,
     Program,
@@ -23,7 +25,16 @@ from swarm_envs.baselines.mlr_dmpc.trajectory_qp import (
     plan_trajectory,
     program,
 )
-from tests.helpers.mlr_rounds import Rounds, Situation, circle, keep_clear, scattered, situation
+from tests.helpers.mlr_rounds import (
+    Situation,
+    arrival_time,
+    keep_clear,
+    neighbors_of,
+    scattered,
+    settled,
+    situation,
+    situation_of,
+)
 
 CONFIG = MlrDmpcConfig()
 
@@ -34,10 +45,10 @@ def posed(case: Situation, config: MlrDmpcConfig = CONFIG) -> Program:
 
 
 def crossing() -> Situation:
-    swarm = Rounds(*circle(8, 0.8), 2, CONFIG)
+    swarm = MlrDmpcSwarm(*circle_swap(8, 0.8, 1.0), compute_units=2)
     for _ in range(9):
-        swarm.step()
-    return swarm.situation()
+        swarm.run_round()
+    return situation_of(swarm)
 
 
 CASES = [*(situation(seed, rounds, 8, CONFIG) for seed, rounds in ((0, 4), (1, 9), (2, 15)))]
@@ -133,21 +144,20 @@ def test_two_that_are_planned_at_once_keep_their_distance(seed, turn):
     """Corollary 1: each satisfies its half of one plane."""
     config = MlrDmpcConfig(turn_rad=turn)
     rng = np.random.default_rng(seed)
-    swarm = Rounds(scattered(4, config, rng, 0.26), scattered(4, config, rng), 4, config, seed)
+    starts, targets = scattered(4, config, rng, 0.26), scattered(4, config, rng)
+    swarm = MlrDmpcSwarm(starts, targets, config=config, compute_units=4, seed=seed)
     for _ in range(6):
-        free = [i for i, known in enumerate(swarm.candidates) if len(known) == 1]
-        known = swarm.known(np.array(free))
-        plans = [swarm.plan(i, 0, known).trajectory for i in free]
-        times = condensed(config).collision_times
-        at = [
-            p.positions(times + config.round_s * (swarm.round + 1 - p.identity.start_round))
-            for p in plans
-        ]
+        free, start = settled(swarm), swarm.round + 1
+        at = []
+        for i in free:
+            others, own = neighbors_of(swarm, i, free), swarm.may_fly[i][0]
+            plan = plan_trajectory(own, start, 0, others, swarm.targets[i], swarm.config)
+            at.append(sampled_positions(plan.trajectory, start, config))
         for k, one in enumerate(at):
             for other in at[:k]:
                 gap = np.linalg.norm((one - other) * config.inverse_scaling, axis=1)
                 assert gap.min() >= config.distance_m - 1e-6
-        swarm.step()
+        swarm.run_round()
 
 
 def test_what_cannot_be_solved_leaves_what_is_flown():
@@ -191,12 +201,10 @@ def test_a_drone_alone_arrives_and_stays():
 @given(seed=st.integers(0, 10**6), n=st.integers(2, 12), units=st.integers(1, 4))
 def test_swarms_stay_apart_and_what_they_fly_stays_feasible(seed, n, units):
     rng = np.random.default_rng(seed)
-    swarm = Rounds(
-        scattered(n, CONFIG, rng, 0.2501), scattered(n, CONFIG, rng), units, CONFIG, seed
-    )
+    starts, targets = scattered(n, CONFIG, rng, 0.2501), scattered(n, CONFIG, rng)
+    swarm = MlrDmpcSwarm(starts, targets, compute_units=min(units, n), seed=seed)
     for _ in range(30):
-        swarm.step()
-        keep_clear(swarm)
+        keep_clear(swarm, swarm.run_round())
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e-3, -1e-3, 0.04, -0.04])
@@ -204,22 +212,22 @@ def test_two_head_on_pass_each_other_on_the_right(offset):
     """Also if they begin a little to the left of each other."""
     side = offset / 2
     starts = np.array([[-1.2, side, 1.0], [1.2, -side, 1.0]])
-    swarm = Rounds(starts, starts * [-1.0, 1.0, 1.0], 1, CONFIG)
+    swarm = MlrDmpcSwarm(starts, starts * [-1.0, 1.0, 1.0], compute_units=1)
     aside = []
 
-    def watch(now: Rounds) -> None:
-        first, second = now.snapshot().positions
+    def watch(now: MlrDmpcSwarm, _: SwarmRound) -> None:
+        first, second = now.reference(np.zeros(1))[:, 0, 0]
         aside.append((abs(first[0] - second[0]), first[1] - second[1]))
 
-    assert swarm.run(15.0, watch) < 15.0
+    assert arrival_time(swarm, 15.0, watch) < 15.0
     assert min(aside)[1] < -0.1, "the one that flies towards +x passes at smaller y"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("units", "limit"), [(1, 30.0), (2, 20.0), (3, 18.0)])
 def test_sixteen_change_places_on_a_circle(units, limit):
-    swarm = Rounds(*circle(16), units, CONFIG)
-    assert swarm.run(limit + 1.0, keep_clear) <= limit
+    swarm = MlrDmpcSwarm(*circle_swap(16, 1.5, 1.0), compute_units=units)
+    assert arrival_time(swarm, limit + 1.0, keep_clear) <= limit
 
 
 @pytest.mark.slow
@@ -228,14 +236,13 @@ def test_none_of_200_random_swarms_ends_in_a_deadlock():
     for seed in range(200):
         rng = np.random.default_rng(seed)
         n = int(rng.integers(4, 17))
-        swarm = Rounds(scattered(n, CONFIG, rng), scattered(n, CONFIG, rng), 3, CONFIG, seed)
-        if not swarm.run(60.0) <= 60.0:
+        swarm = MlrDmpcSwarm(scattered(n, CONFIG, rng), scattered(n, CONFIG, rng), seed=seed)
+        if not arrival_time(swarm, 60.0, keep_clear) <= 60.0:
             late.append(seed)
-        keep_clear(swarm)
     assert not late
 
 
 def test_finer_sampling_is_obeyed():
     fine = replace(CONFIG, collision_sampling_s=0.05)
-    swarm = Rounds(*circle(4, 0.5), 2, fine)
-    assert swarm.run(15.0, keep_clear) < 15.0
+    swarm = MlrDmpcSwarm(*circle_swap(4, 0.5, 1.0), config=fine, compute_units=2)
+    assert arrival_time(swarm, 15.0, keep_clear) < 15.0
