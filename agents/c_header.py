@@ -34,6 +34,8 @@ from swarm_envs.envs.observation import Float32Array, observation_layout, observ
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
+__all__ = ["costs", "policy_header"]
+
 CYCLES_PER_PRODUCT, CYCLES_PER_FUNCTION, CLOCK_HZ = 6.0, 150.0, 168e6
 """Assumed of a Cortex-M4F (STM32F405) that runs from flash: load two numbers, multiply, add; and
 one tanhf, expf or sqrtf of newlib."""

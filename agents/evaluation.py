@@ -35,6 +35,22 @@ from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 
+__all__ = [
+    "COLLISIONS",
+    "CONFIDENCE",
+    "RESAMPLES",
+    "TIMED",
+    "Episode",
+    "EpisodeFile",
+    "bootstrap_interval",
+    "evaluate_agent",
+    "frozen_seeds",
+    "interquartile_mean",
+    "rate_interval",
+    "score_episodes",
+    "source_digest",
+]
+
 Episode = dict[str, Any]
 """One episode: its `seed`, its `metrics` and `act_us`, the time of every decision, microseconds;
 without entries where many episodes were flown at once."""

@@ -21,6 +21,8 @@ from swarm_envs.envs.observation import Float32Array, observation_layout, observ
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
+__all__ = ["FEATURE_SETS", "GOAL", "REFERENCE", "TYPED", "TYPES", "FeatureSizes"]
+
 GOAL = "goal-and-closest-approach-1"
 """Name of `goal_features` in files of policies."""
 TYPED = "goal-and-closest-approach-typed-1"

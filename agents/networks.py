@@ -18,6 +18,8 @@ import numpy as np
 from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.envs.observation import Float32Array
 
+__all__ = ["ANY", "Layers", "Network", "plain"]
+
 Layers = tuple[tuple[Float32Array, Float32Array], ...]
 """Weight (out, in) and bias (out,) of each layer of a network, in order; tanh between them."""
 

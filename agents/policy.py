@@ -43,6 +43,16 @@ from swarm_envs.errors import check_integer, check_name
 from swarm_envs.files import written_whole
 from swarm_envs.vehicles import VEHICLES
 
+__all__ = [
+    "CHECKPOINT",
+    "FILE",
+    "Policy",
+    "PolicyAgent",
+    "PolicyNote",
+    "read_policy",
+    "write_policy",
+]
+
 FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"

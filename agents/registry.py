@@ -16,6 +16,8 @@ from swarm_envs.agents.protocol import Agent
 from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 
+__all__ = ["FILTER", "SHIPPED", "load_agent", "load_class"]
+
 SHIPPED: Mapping[str, str] = MappingProxyType(
     {
         "hover": "swarm_envs.agents.scripted:HoverAgent",

@@ -28,6 +28,8 @@ from swarm_envs.tasks.motion import ORBITS
 from swarm_envs.tasks.obstacles import obstacle_distances, obstacle_rows
 from swarm_envs.trajectories import Reference, rest_to_rest
 
+__all__ = ["DetourAgent", "PlannedAgent"]
+
 
 class HoverAgent:
     """Stays where it starts: asks for no acceleration."""

@@ -34,6 +34,25 @@ import numpy.typing as npt
 
 from swarm_envs.errors import unknown_name
 
+__all__ = [
+    "FINITE",
+    "NOT_NEGATIVE",
+    "POSITIVE",
+    "POSITIVE_M",
+    "POSITIVE_S",
+    "Count",
+    "Divides",
+    "Interval",
+    "OneOf",
+    "Option",
+    "Range",
+    "Seed",
+    "check_value",
+    "options_of",
+    "typed",
+    "typed_options",
+]
+
 Target = TypeVar("Target", bound=Callable[..., Any])
 
 

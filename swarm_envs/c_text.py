@@ -13,6 +13,16 @@ from importlib import resources
 import numpy as np
 import numpy.typing as npt
 
+__all__ = [
+    "array_definition",
+    "array_rows",
+    "check_prefix",
+    "comment_lines",
+    "fill_templates",
+    "literal",
+    "type_enumeration",
+]
+
 _PREFIX = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,30}")
 _NUMBERS_A_LINE = 7
 

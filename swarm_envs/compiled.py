@@ -28,6 +28,8 @@ import numba
 import numpy as np
 from numba.extending import register_jitable
 
+__all__ = ["announce_compilation", "entry_point", "equation", "kernel", "part"]
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent

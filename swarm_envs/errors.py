@@ -9,6 +9,8 @@ from numbers import Integral
 import numpy as np
 import numpy.typing as npt
 
+__all__ = ["check_array", "check_integer", "check_name", "unknown_name"]
+
 
 def unknown_name(kind: str, name: object, valid: Iterable[str], where: str = "") -> str:
     """Message for a name that is not among the valid ones, with the nearest of them.

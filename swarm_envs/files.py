@@ -15,6 +15,8 @@ from pathlib import Path
 from typing import Any, TextIO
 from zlib import crc32
 
+__all__ = ["claimed", "pyarrow", "write_json", "write_table", "written_whole"]
+
 try:
     import fcntl
 except ImportError:  # Windows has none

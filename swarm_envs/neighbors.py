@@ -14,6 +14,8 @@ import numpy as np
 from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray, IntArray
 
+__all__ = ["FEW", "nearest", "nearest_sorted", "sort_along_x", "within_box"]
+
 FEW = 24
 """Up to so many drones, every pair is looked at."""
 

@@ -14,6 +14,18 @@ import numpy.typing as npt
 from swarm_envs.tables import Records
 from swarm_envs.vehicles import Team, Vehicle
 
+__all__ = [
+    "BoolArray",
+    "FloatArray",
+    "IntArray",
+    "Parameters",
+    "Setpoint",
+    "SwarmState",
+    "hover_state",
+    "parameters",
+    "state_of",
+]
+
 FloatArray = npt.NDArray[np.float64]
 """float64, of any shape."""
 IntArray = npt.NDArray[np.int64]

@@ -17,6 +17,27 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+__all__ = [
+    "BLOCK_TYPE",
+    "BODY_END",
+    "CONTACT_COLUMNS",
+    "CONTACT_VALUES",
+    "CONTROLLER_END",
+    "LANES",
+    "RESET_COLUMNS",
+    "RESET_VALUES",
+    "SETTINGS_TYPE",
+    "VEHICLE_END",
+    "Field",
+    "Record",
+    "Records",
+    "World",
+    "aligned",
+    "clear_environments",
+    "new_world",
+    "record_type",
+]
+
 Records = npt.NDArray[np.void]
 """An array of records, whose fields are read by name."""
 Record: TypeAlias = Any

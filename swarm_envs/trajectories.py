@@ -14,6 +14,8 @@ import numpy.typing as npt
 from swarm_envs.arguments import typed
 from swarm_envs.state import FloatArray
 
+__all__ = ["Reference", "ramped_line", "rest_to_rest"]
+
 
 class Reference(NamedTuple):
     """A desired motion at given times. World frame, SI units."""

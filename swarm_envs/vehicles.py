@@ -19,6 +19,18 @@ from typing import Annotated
 from swarm_envs.arguments import POSITIVE, typed
 from swarm_envs.errors import unknown_name
 
+__all__ = [
+    "GRAM_FORCE",
+    "GRAVITY",
+    "LARGE",
+    "SMALL",
+    "VEHICLES",
+    "Team",
+    "Vehicle",
+    "parse_team",
+    "team_string",
+]
+
 GRAVITY = 9.80665
 """Standard gravity, m/s^2. World z points up, so gravity is (0, 0, -GRAVITY)."""
 

@@ -21,6 +21,8 @@ from swarm_envs.arguments import typed
 from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.state import FloatArray
 
+__all__ = ["GROUPS", "SUFFIXES", "FlightTable", "read_table", "write_flight_table"]
+
 TEXT = ("drone", "type")
 """Columns that hold names."""
 GROUPS: dict[str, tuple[str, ...]] = {

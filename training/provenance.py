@@ -9,6 +9,8 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
+__all__ = ["differing", "file_sha256", "json_ready", "scalar_writer"]
+
 
 def json_ready(value: object) -> object:
     """Turn dataclasses and tuples into what JSON holds; a path keeps only its name.

@@ -22,6 +22,8 @@ from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import FloatArray
 
+__all__ = ["SharedPolicyVecEnv"]
+
 try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:

@@ -19,6 +19,8 @@ from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 
+__all__ = ["solver"]
+
 
 @dataclass(frozen=True, eq=False)
 class _Affine:

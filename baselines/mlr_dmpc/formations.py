@@ -14,6 +14,8 @@ from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.shapes import shape_points
 
+__all__ = ["SEQUENCE", "circle_swap", "formation", "scaled_distances"]
+
 SEQUENCE = ("plane", "pyramid", "cube", "sphere", "plane")
 """The formations of Fig. 3, the first of which is where the drones start."""
 _SPACING_M = {"plane": 0.8, "pyramid": 0.8, "cube": 0.9, "sphere": 0.55}

@@ -23,6 +23,8 @@ from swarm_envs.arguments import (
 )
 from swarm_envs.state import FloatArray
 
+__all__ = ["MlrDmpcConfig"]
+
 Corner = tuple[float, float, float]
 """A point, by axis: x, y, z."""
 _Factor = Annotated[float, POSITIVE]

@@ -16,6 +16,8 @@ from swarm_envs.arguments import Range, typed
 from swarm_envs.baselines.mlr_dmpc.messages import DroneState
 from swarm_envs.state import BoolArray, FloatArray
 
+__all__ = ["Jam", "LossModel"]
+
 Who = str | tuple[str, ...]
 """`all`, `drones`, `units`, `drone 3`, `unit 0`, or several of these."""
 

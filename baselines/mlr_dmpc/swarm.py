@@ -25,6 +25,8 @@ from swarm_envs.baselines.mlr_dmpc.unit_planner import Obstacles, PlanningOption
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.state import FloatArray
 
+__all__ = ["MlrDmpcSwarm"]
+
 
 @typed
 @dataclass(frozen=True, kw_only=True)

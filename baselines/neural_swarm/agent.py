@@ -36,6 +36,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
+__all__ = ["BELIEFS", "load_belief"]
+
 BELIEFS: Mapping[str, str] = {"learned": "belief", "wake": "belief_wake"}
 """Files of the shipped deep sets, by the force model of the environment they were fitted in."""
 MAX_DRONES = 6

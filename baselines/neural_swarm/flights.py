@@ -37,6 +37,21 @@ from swarm_envs.tasks.swap import StackedLayout, SwapTask
 from swarm_envs.vehicles import Team, parse_team
 from swarm_envs.viewing.record import FlightRecord
 
+__all__ = [
+    "PAPER_SWAP",
+    "FlightTest",
+    "Flights",
+    "default_engine",
+    "describe_model",
+    "describe_spread",
+    "fly",
+    "format_columns",
+    "quartiles",
+    "run_flights",
+    "swap_test",
+    "versions",
+]
+
 PAPER_SWAP = StackedLayout(radius_m=(0.5, 0.5), duration_s=(4.0, 4.0))
 """The swap of Neural-Swarm2, Fig. 8: 0.5 m in 4 s. Plane distance and direction are drawn."""
 

@@ -17,6 +17,8 @@ from swarm_envs.arguments import Seed, typed
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray
 
+__all__ = ["Coordinates", "Shape", "check_shape"]
+
 Array = npt.NDArray[Any]
 """Of a kernel's arguments, which are typed when it is compiled."""
 Coordinates = npt.NDArray[np.int32]

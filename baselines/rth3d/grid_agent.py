@@ -25,6 +25,8 @@ from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, NEAR_MISS, SPEED_LIMIT, Task
 from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
 
+__all__ = ["GridAgent"]
+
 MOST_SMOOTHED = 1000
 """More drones than this fly the unsmoothed splines."""
 _Metres = Annotated[float, POSITIVE_M]

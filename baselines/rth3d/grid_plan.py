@@ -21,6 +21,8 @@ from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 from swarm_envs.state import BoolArray
 
+__all__ = ["plot_grid_plan"]
+
 VERSION = 1
 """Of the file format; a file of another version is refused."""
 _KEPT = ("method", "winner", "seed", "bound", "before_compaction")

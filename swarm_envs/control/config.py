@@ -11,6 +11,8 @@ from swarm_envs.arguments import POSITIVE, Range, typed
 if TYPE_CHECKING:
     from swarm_envs.interactions.base import InteractionModel
 
+__all__ = ["GAINS", "MID", "ControllerConfig", "PositionGains", "gains"]
+
 STEP = 1.0 / 240.0
 """Length of one controller step, which is one physics step, s."""
 

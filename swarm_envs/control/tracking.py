@@ -19,6 +19,8 @@ from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray, Setpoint, SwarmState
 from swarm_envs.vehicles import Vehicle
 
+__all__ = ["TrackingController"]
+
 
 def mix(vehicle: Vehicle, thrust: float, torque: npt.ArrayLike) -> FloatArray:
     """Rotor thrusts (4,), N, that give a vehicle a thrust, N, and a (3,) body torque, N m.

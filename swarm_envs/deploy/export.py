@@ -29,6 +29,8 @@ from swarm_envs.viewing.style import GREY, INK, drone_colors, picture
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+__all__ = ["export_flight", "report_content", "report_lines"]
+
 REPORT = "report.json"
 """Name of the file with everything but the trajectories."""
 PICTURE = "paths.png"

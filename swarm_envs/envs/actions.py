@@ -22,6 +22,8 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Record, Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
+__all__ = ["ACCELERATION_LAG", "ACTIONS"]
+
 ACCELERATION_LAG = 0.1
 """Time constant with which a set-point's acceleration approaches what is asked for, s."""
 

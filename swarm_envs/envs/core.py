@@ -37,6 +37,8 @@ from swarm_envs.tasks.base import Placement, Task, place
 from swarm_envs.tasks.rewards import check_reward_weights, weigh
 from swarm_envs.vehicles import Team
 
+__all__ = ["SwarmCore"]
+
 
 class StepResult(NamedTuple):
     """What a step gives, for E environments of N drones."""

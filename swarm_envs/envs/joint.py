@@ -20,6 +20,8 @@ from swarm_envs.errors import check_integer
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
 
+__all__ = ["split_teams"]
+
 
 class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
     """What both interfaces do with the parallel environment beneath them."""

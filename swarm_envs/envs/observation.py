@@ -25,6 +25,8 @@ from swarm_envs.tables import Record, Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
+__all__ = ["Float32Array", "observation_layout", "observation_space", "observation_width", "shaper"]
+
 Float32Array = npt.NDArray[np.float32]
 """An array of observed numbers."""
 

@@ -22,6 +22,8 @@ from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
+__all__ = ["Blueprint", "NumDrones", "TaskOptions", "batch_of", "task_views"]
+
 P = ParamSpec("P")
 
 MOST_DRONES = 100_000

@@ -12,6 +12,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import World
 from swarm_envs.vehicles import GRAVITY, Team
 
+__all__ = ["Randomization"]
+
 Factor = Annotated[tuple[float, float], Interval()]
 """Lowest and highest of a factor that is drawn evenly."""
 SAME: Factor = (1.0, 1.0)

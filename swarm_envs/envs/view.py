@@ -18,6 +18,8 @@ from swarm_envs.vehicles import Team
 if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
 
+__all__ = ["View"]
+
 _Array = TypeVar("_Array", bound=npt.NDArray[Any])
 
 

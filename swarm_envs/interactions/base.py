@@ -24,6 +24,8 @@ from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
+__all__ = ["PRECISIONS"]
+
 MODELS = ("none", "wake", "learned")
 """The models that ship, by name."""
 PRECISIONS = ("float64", "float32")

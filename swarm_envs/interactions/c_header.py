@@ -27,6 +27,8 @@ from swarm_envs.interactions.packed import packed
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
+__all__ = ["c_header"]
+
 SAMPLES, NEIGHBOURS = 16, 3
 """States in the header's self-test, and neighbours in each."""
 _TAKEN = ("TYPES", "SELF_TEST", "FORCE_H")

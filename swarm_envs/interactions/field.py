@@ -13,6 +13,16 @@ import numpy.typing as npt
 
 from swarm_envs.state import FloatArray, IntArray
 
+__all__ = [
+    "INTERACTION_VOLUME",
+    "LATERAL_REACH",
+    "LEARNED",
+    "NONE",
+    "VERTICAL_REACH",
+    "ForceField",
+    "Numbers",
+]
+
 Numbers = npt.NDArray[np.floating[Any]]
 """Weights: float64, or float32 for speed."""
 

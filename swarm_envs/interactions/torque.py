@@ -20,6 +20,8 @@ from swarm_envs.interactions.weights_file import Layers, load_weights, network_l
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
 
+__all__ = ["GRAM_CENTIMETRE"]
+
 GRAM_CENTIMETRE = GRAM_FORCE * 0.01
 """N m of a gram-force centimetre, the unit of the head."""
 

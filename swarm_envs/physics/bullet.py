@@ -19,6 +19,8 @@ from swarm_envs.physics.workers import Call
 from swarm_envs.state import BoolArray, IntArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
 
+__all__ = ["build_body", "import_bullet"]
+
 _COLORS = {
     "S": [0.13, 0.45, 0.85, 1.0],
     "L": [0.90, 0.45, 0.10, 1.0],

@@ -20,6 +20,17 @@ from swarm_envs.tasks.placing import OBSTACLE_MARGIN, arena_of, check_free, chec
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
 
+__all__ = [
+    "ACCELERATION_LIMIT",
+    "NEAR_MISS",
+    "SPEED_LIMIT",
+    "Placement",
+    "Success",
+    "Task",
+    "TrackingSuccess",
+    "place",
+]
+
 
 class Orbit(NamedTuple):
     """Ellipses on which drones circle: center + first cos(angle) + second sin(angle)."""

@@ -35,6 +35,8 @@ from swarm_envs.tasks.shapes import LETTER, block_of, plane, shape_points
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team
 
+__all__ = ["LABELS", "LAYOUTS", "STARTS", "FormationTask", "nearest_places", "shapes_of"]
+
 SHAPES = ("plane", "pyramid", "cube", "sphere", "plane")
 """What is flown unless other shapes are asked for."""
 LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(

@@ -16,6 +16,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.trajectories import Reference
 
+__all__ = ["LINES", "ORBITS", "REST", "Motion", "reference_of", "stage_at"]
+
 REST, LINES, ORBITS = 0, 1, 2
 """Kinds of motion."""
 _ROUNDING = 1e-9

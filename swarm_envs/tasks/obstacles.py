@@ -17,6 +17,8 @@ from swarm_envs.errors import check_array, check_integer
 from swarm_envs.physics.contact import BOX, COLUMN, ROW, distances, no_obstacles
 from swarm_envs.state import FloatArray
 
+__all__ = ["Box", "Column", "Obstacle", "buildings", "obstacle_distances", "obstacle_rows"]
+
 Point = tuple[float, float, float]
 """x, y, z, m."""
 

@@ -13,6 +13,8 @@ from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.obstacles import obstacle_distances
 
+__all__ = ["WALL_MARGIN", "derangement", "draw_apart"]
+
 ARENA_WIDTH, ARENA_HEIGHT = 4.0, 2.5
 """Size of the arena for up to 16 drones, m."""
 WALL_MARGIN = 0.3

@@ -35,6 +35,8 @@ from swarm_envs.tasks.placing import WALL_MARGIN
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.vehicles import GRAVITY, Team, parse_team
 
+__all__ = ["REWARD_WEIGHTS", "RingLayout", "RingTask", "ring_team"]
+
 GROUP_SIZE = 16
 """The most drones that share one set of rings."""
 PER_CIRCLE = 5

@@ -16,6 +16,8 @@ import numpy as np
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray, IntArray
 
+__all__ = ["shape_points"]
+
 _ROUND = "10-01-05-16-36-45-41-30-10"
 _BOW = "00-06-36-45-44-33-03"
 _LINES: dict[str, str] = {

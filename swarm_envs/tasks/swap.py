@@ -38,6 +38,8 @@ from swarm_envs.tasks.placing import (
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.vehicles import Team
 
+__all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
+
 LAYOUTS = ("stacked", "circle", "random")
 """Every layout by name."""
 Layout = Annotated[str, OneOf(LAYOUTS)]

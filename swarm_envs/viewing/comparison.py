@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.ImageDraw import ImageDraw
 
+__all__ = ["COMPENSATED_COLOR", "WITHOUT_COLOR", "Comparison", "SideBySide", "plot_comparisons"]
+
 WITHOUT_COLOR = "#D55E00"
 """Vermilion of Okabe and Ito's palette, which colour-blind readers can tell from the blue."""
 COMPENSATED_COLOR = "#0072B2"

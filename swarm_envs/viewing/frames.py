@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from swarm_envs.envs.core import SwarmCore
     from swarm_envs.envs.view import View
 
+__all__ = ["Screen"]
+
 WIDTH, HEIGHT = 640, 480
 """Size of a picture, pixels."""
 _TRAIL_S = 2.0

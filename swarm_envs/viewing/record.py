@@ -14,6 +14,8 @@ from swarm_envs.vehicles import GRAM_FORCE, Team
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
+__all__ = ["About", "FlightRecord", "Recorder", "Recording", "Solid"]
+
 _SIDES = 20
 """Of the prism that stands for a cylinder."""
 

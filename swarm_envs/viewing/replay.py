@@ -32,6 +32,8 @@ from swarm_envs.viewing.summary import (
     team_label,
 )
 
+__all__ = ["check_replay_path", "share_script", "write_replay"]
+
 _UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quaternion": 1e-4}
 """What one in the page's integers is: mm, hundredths of a gram."""
 MOST_SAMPLES = 50_000

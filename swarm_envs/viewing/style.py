@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.ImageFont import FreeTypeFont
 
+__all__ = ["GREY", "INK", "draw_drone", "draw_ground", "drone_colors", "force_colors", "picture"]
+
 INK = "#202428"
 """Colour of text and axes."""
 GREY = "#60656B"

@@ -13,6 +13,8 @@ from swarm_envs.tasks.base import NEAR_MISS
 from swarm_envs.vehicles import Vehicle, team_string
 from swarm_envs.viewing.record import Recording
 
+__all__ = ["events", "metric_rows", "outcome"]
+
 _LONGEST_TEAM = 6
 _UNITS = {"_m": "m", "_s": "s", "_g": "g", "_j": "J"}
 

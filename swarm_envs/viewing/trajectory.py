@@ -24,6 +24,8 @@ from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.vehicles import Vehicle
 from swarm_envs.viewing.record import About, Recording, Solid
 
+__all__ = ["check_trajectory_path", "read_trajectory", "write_trajectory"]
+
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "position": ("x", "y", "z"),  # m, world frame, z up
     "velocity": ("vx", "vy", "vz"),  # m/s, world frame

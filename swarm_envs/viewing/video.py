@@ -22,6 +22,16 @@ from swarm_envs.viewing.record import Recording
 from swarm_envs.viewing.style import drone_colors, font
 from swarm_envs.viewing.summary import outcome, team_label
 
+__all__ = [
+    "FPS",
+    "VideoError",
+    "count_frames",
+    "film",
+    "write_gif",
+    "write_video",
+    "write_video_or_gif",
+]
+
 WIDTH, HEIGHT, FPS = 768, 544, 24
 """Size of a picture, pixels, and pictures per second."""
 _HEADER = 40

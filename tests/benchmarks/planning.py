@@ -19,8 +19,9 @@ from tqdm import tqdm
 from swarm_envs import make
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import PlanAgent, SwarmPlan, plan_swarm
-from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, plot_plan, straight_lines
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, plot_plan
 from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord, refine
+from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_lines
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team

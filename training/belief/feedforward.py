@@ -33,6 +33,8 @@ from swarm_envs.training.force_model.network import InputRange
 from swarm_envs.training.interaction_rows import save_rows
 from swarm_envs.training.provenance import file_sha256, json_ready
 
+__all__ = ["SwapTrial", "fly_swaps", "simulated_fit_config"]
+
 
 @dataclass(frozen=True)
 class SwapTrial:

@@ -30,6 +30,8 @@ from swarm_envs.training.collection.table import CollectedFlight, scenario_count
 from swarm_envs.training.provenance import differing, json_ready
 from swarm_envs.vehicles import parse_team
 
+__all__ = ["MANIFEST", "CollectionConfig", "begin_manifest", "collect", "was_cut_short"]
+
 KINDS = ("walk", "low-walk", "swap", "low-swap")
 """Motions: random walks and stacked swaps, aloft and near the ground."""
 

@@ -24,6 +24,8 @@ from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, Flight
 from swarm_envs.training.collection.motion import TeamMotion
 from swarm_envs.vehicles import GRAVITY, VEHICLES, Team
 
+__all__ = ["CalibrationErrors", "vehicle_names"]
+
 _PER_TYPE = 100
 _ERROR = Range(0.0, 0.2)
 

@@ -25,6 +25,8 @@ from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, Team
 
+__all__ = ["Label", "SensorNoise", "force_from_motion", "thrust_direction"]
+
 LOG_RATE = 120
 """Log entries per second as flown: every second physics step."""
 

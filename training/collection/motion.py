@@ -23,6 +23,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference, ramped_line
 from swarm_envs.vehicles import Team
 
+__all__ = ["MotionRanges"]
+
 Pair = tuple[float, float]
 """Lowest and highest of what is drawn evenly."""
 Drawn = Annotated[Pair, Interval(NOT_NEGATIVE)]

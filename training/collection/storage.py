@@ -23,6 +23,8 @@ from swarm_envs.training.collection.log import (
 from swarm_envs.training.flight_table import FlightTable, read_table, write_flight_table
 from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle
 
+__all__ = ["PWM_SPAN", "commanded_thrust", "flight_file", "read_log"]
+
 PWM_SPAN = 65536.0
 """Motor signals are PWM over this (Neural-Swarm2, Sec. VII-A)."""
 LARGEST_PWM = 65535.0

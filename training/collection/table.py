@@ -15,6 +15,15 @@ from swarm_envs.training.collection.log import LOG_RATE, FlightLog, Label, inter
 from swarm_envs.training.interaction_rows import NO_NEIGHBOR, InteractionRows
 from swarm_envs.vehicles import parse_team
 
+__all__ = [
+    "ROW_RATE",
+    "CollectedFlight",
+    "DroneRows",
+    "interaction_rows",
+    "rows_of_drone",
+    "rows_of_drones",
+]
+
 TYPES = ("S", "L")
 """Interaction types of the vehicles that are flown."""
 ROW_RATE = 30

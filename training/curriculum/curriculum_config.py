@@ -17,6 +17,8 @@ from swarm_envs.training.collection.log import Label, SensorNoise
 from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.vehicles import LARGE, parse_team
 
+__all__ = ["CurriculumConfig"]
+
 PAIRS = ("SS", "SL", "LL")
 """Teams of two, of every mixture."""
 THREES = ("SSS", "SSL", "SLL", "LLL")

@@ -22,6 +22,8 @@ from swarm_envs.arguments import (
 )
 from swarm_envs.state import BoolArray, FloatArray
 
+__all__ = ["LogOptions", "block_count", "held_out_blocks", "is_guarded", "is_held_out"]
+
 
 @typed_options
 @dataclass(frozen=True)

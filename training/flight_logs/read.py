@@ -150,7 +150,15 @@ def _digest(*arrays: npt.NDArray[Any]) -> str:
     return digest.hexdigest()
 
 
-__all__ = ["MANIFEST", "is_collection", "read_collected"]
+__all__ = [
+    "MANIFEST",
+    "Found",
+    "find_data",
+    "read_flight_logs",
+    "read_logs",
+    "refuse_copy",
+    "table_key",
+]
 
 
 def is_collection(path: Path) -> bool:

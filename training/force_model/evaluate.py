@@ -33,6 +33,8 @@ from swarm_envs.training.interaction_rows.calibration import subtract_offsets
 from swarm_envs.training.interaction_rows.rows import FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
 
+__all__ = ["predict_rows"]
+
 _LEAST_ROWS = 50  # of a bin
 _AXIS_M = 0.05  # the measured bins count everything within this lateral distance as on the axis
 

@@ -18,6 +18,8 @@ from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
 
+__all__ = ["explained_variance", "generalisation"]
+
 TEAMS = ("SS", "SL", "SSL", "SSSS", "SSLL", "SSSSS", "SSSLL", "S" * 16, "S" * 12 + "L" * 4)
 """Teams of two and three drones, and of the 4, 5 and 16 that no flight had."""
 

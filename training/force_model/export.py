@@ -25,6 +25,8 @@ from swarm_envs.training.force_model.network import (
     layers,
 )
 
+__all__ = ["write_safetensors"]
+
 FORMATS: dict[str, NetworkKind] = {"deep-set-1": "deep-set", "pairwise-1": "pairwise"}
 """Kinds of network by the format of their file."""
 METADATA_KEY = "swarm_envs"

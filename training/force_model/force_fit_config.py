@@ -18,6 +18,8 @@ from swarm_envs.arguments import (
 )
 from swarm_envs.training.flight_logs.log_options import LogOptions
 
+__all__ = ["FitConfig", "TrainConfig", "with_mode_defaults"]
+
 Share = Annotated[float, Range(0.0, 1.0)]
 """From nothing, 0, to all of it, 1."""
 

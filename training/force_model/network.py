@@ -33,6 +33,8 @@ from swarm_envs.arguments import POSITIVE_M, Count, Range, typed
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
 from swarm_envs.vehicles import GRAM_FORCE
 
+__all__ = ["InputRange"]
+
 NetworkKind = Literal["deep-set", "pairwise"]
 """`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: the sum over pairs, `pairwise.PairwiseSum`."""
 

@@ -46,6 +46,8 @@ from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.calibration import RULE
 from swarm_envs.training.provenance import differing, json_ready, scalar_writer
 
+__all__ = ["REPORTS", "fit"]
+
 _ASIDE = ("progress", "json", "tensorboard")
 """Options that change nothing of the result."""
 _Fitted = tuple[Findings, dict[str, Any]]

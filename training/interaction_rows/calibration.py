@@ -18,6 +18,8 @@ import numpy as np
 
 from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
 
+__all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
+
 QUIET_HEIGHT_M = 0.3
 """A row below this height is not quiet, m."""
 QUIET_SPEED = 0.5

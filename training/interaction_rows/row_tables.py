@@ -20,6 +20,8 @@ from swarm_envs.training.interaction_rows.rows import (
 )
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
 
+__all__ = ["check_row_table", "join_rows", "notes_of", "vehicle_name", "with_present_types"]
+
 
 def join_rows(tables: Sequence[InteractionRows]) -> InteractionRows:
     """Put tables one after the other.

@@ -21,6 +21,8 @@ from swarm_envs.arguments import typed
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
 
+__all__ = ["ROW_ARRAYS", "BoolArray", "FloatArray", "IntArray", "InteractionRows", "read_rows"]
+
 FloatArray = npt.NDArray[np.float64]
 """float64, of any shape."""
 IntArray = npt.NDArray[np.int64]

@@ -5,6 +5,6 @@ names the papers; `neural_swarm2`, `dmpc_figures` and `rth3d_figures` their opti
 `reproduce_all` runs all of them, and `reproduce_page` sets them side by side.
 """
 
-from swarm_envs.training.reproduce.force_map_figure import format_summary, reproduce_figure
+from swarm_envs.training.reproduce.force_map_figure import reproduce_figure
 
-__all__ = ["format_summary", "reproduce_figure"]
+__all__ = ["reproduce_figure"]

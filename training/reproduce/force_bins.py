@@ -32,6 +32,8 @@ from swarm_envs.viewing.style import GREY, picture
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+__all__ = ["SCENARIO_COLORS"]
+
 _GROUND, _VERTICAL, _LATERAL = "ground", "vertical", "lateral"
 """Kinds of bins: over height, over the distance below, over the distance beside."""
 KINDS = {

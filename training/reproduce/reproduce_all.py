@@ -28,6 +28,8 @@ from swarm_envs.training.reproduce.papers import load_paper, numbered_studies
 from swarm_envs.training.reproduce.reproduce_page import html_page, markdown_page
 from swarm_envs.training.reproduce.study import Study, StudyOptions, run_study
 
+__all__ = ["ReproduceAllOptions", "reproduce_all", "run_chosen"]
+
 _State = Literal["done", "failed", "not run", "not remade"]
 """Of a study: remade, gone wrong, not asked for yet, and what no simulation remakes."""
 RECORD = "item.json"

@@ -27,6 +27,8 @@ from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.training.rl.curriculum_tasks import formation_curriculum, swap_curriculum
 from swarm_envs.training.rl.rl_config import RlConfig
 
+__all__ = ["RECIPES", "choosing_seeds", "evaluate_policy", "with_recipe"]
+
 _REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "discount": 0.98}
 """Defaults where places are to be found: explored widely, rewarded late."""
 Metrics = Mapping[str, Any]

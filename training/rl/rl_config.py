@@ -14,6 +14,8 @@ from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, type
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
+__all__ = ["RlConfig"]
+
 Share = Annotated[float, Range(0.0, 1.0)]
 """A number from 0 to 1."""
 Rate = Annotated[float, Range(1e-7, 1.0)]

@@ -25,6 +25,8 @@ from swarm_envs.training.rl.learner import Learner, make_learner
 from swarm_envs.training.rl.recipes import RECIPES, choosing_seeds, evaluate_policy, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 
+__all__ = ["finished_report", "train_policy"]
+
 REPORT, CURVE = "report.json", "curve.csv"
 """Files of a run: its report, where it goes on, and its curve."""
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")

@@ -35,6 +35,8 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.files import written_whole
 from swarm_envs.training.scale_out.jobs import Job, WorkerPool
 
+__all__ = ["AgentEpisodes", "EvaluationSpec", "evaluate_distributed"]
+
 FUNCTION = f"{__name__}:fly_chunk"
 """What a job calls, as `module:function`."""
 PATIENCE_S = 5.0

@@ -28,6 +28,8 @@ from swarm_envs import __version__
 from swarm_envs.arguments import typed
 from swarm_envs.errors import check_integer
 
+__all__ = ["Job", "Serial"]
+
 RETRIES = 3
 """How often a job is restarted after the process or the machine that did it died."""
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")

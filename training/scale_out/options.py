@@ -13,6 +13,8 @@ from swarm_envs.arguments import Count, typed
 from swarm_envs.errors import check_integer
 from swarm_envs.training.scale_out.jobs import RETRIES, LocalWorkers, Serial, WorkerPool, answer
 
+__all__ = ["ScaleOptions"]
+
 LOCAL, AUTO = "local", "auto"
 """Names of clusters: one of this machine, and whichever is there."""
 _ADDRESS = re.compile(r"(ray://)?(?P<host>[^\s/:]+):(?P<port>\d{1,5})")

@@ -17,6 +17,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
+__all__ = ["FILE", "read"]
+
 FILE = "scores.json"
 """Its name in a scoreboard's folder."""
 FORMAT, VERSION = "swarm-envs scoreboard", 1

@@ -21,6 +21,8 @@ from swarm_envs.baselines.neural_swarm.flights import versions
 from swarm_envs.files import write_json
 from swarm_envs.training.scoreboard.tasks import COMMON
 
+__all__ = ["OtherBenchmark"]
+
 FILE = "manifest.json"
 """Its name in a benchmark's folder."""
 _SHOWN = 8

@@ -18,6 +18,8 @@ from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.board import Board, read
 from swarm_envs.viewing.replay import check_replay_path, share_script, write_replay
 
+__all__ = ["record_replays"]
+
 FOLDER = "replays"
 """Of the pages, in a scoreboard's folder."""
 FUNCTION = f"{__name__}:record_one"

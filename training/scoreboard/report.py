@@ -31,6 +31,8 @@ from swarm_envs.training.scoreboard.markup import (
 )
 from swarm_envs.training.scoreboard.tables import PRIVILEGED, Tables, short_label
 
+__all__ = ["write"]
+
 FILE = "report.html"
 """The page's name in a scoreboard's folder."""
 _BETTER = {"higher": "more is better", "lower": "less is better", "neither": ""}

@@ -42,6 +42,8 @@ from swarm_envs.training.scoreboard.metrics import (
 )
 from swarm_envs.training.scoreboard.tasks import COMMON, SEED, ScoredTask, digest
 
+__all__ = ["BenchmarkPlan", "fly_benchmark"]
+
 FOLDER = "episodes"
 """Where episodes are kept, in a benchmark's folder."""
 _QUICK = 16

@@ -36,6 +36,8 @@ from swarm_envs.training.scoreboard.tasks import ScoredTask
 if TYPE_CHECKING:
     from swarm_envs.training.scoreboard.runner import Evaluation, LoadedAgent
 
+__all__ = ["NOTE", "align_columns", "standings"]
+
 THRESHOLDS = tuple(float(k) / 50.0 for k in range(51))
 """Scores at which profiles are given."""
 _AT_ONCE = 4_000_000

@@ -21,6 +21,8 @@ from swarm_envs.errors import unknown_name
 from swarm_envs.training.scoreboard.board import TaskInfo
 from swarm_envs.vehicles import parse_team
 
+__all__ = ["COMMON", "SEED", "TASKS", "choose_tasks", "digest"]
+
 SEED = 2026
 """What the frozen seeds are drawn from, for every task and agent: one on which nothing that ships
 was trained, tuned or chosen."""

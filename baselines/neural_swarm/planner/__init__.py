@@ -10,7 +10,7 @@ from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, Searc
 from swarm_envs.baselines.neural_swarm.planner.plan_plot import plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
-from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories, straight_lines
+from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 
 __all__ = [
     "PlanningBounds",
@@ -21,5 +21,4 @@ __all__ = [
     "Trajectories",
     "plot_plan",
     "search",
-    "straight_lines",
 ]

@@ -40,6 +40,8 @@ from swarm_envs.errors import check_array
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.vehicles import Team, parse_team
 
+__all__ = ["plan_swarm"]
+
 SEARCH = SearchConfig(iterations=40_000)
 """Options of stage 1: stage 2 needs a good class of motions, not the best motions of it."""
 ATTEMPTS = 3

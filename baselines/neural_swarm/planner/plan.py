@@ -26,6 +26,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team, Vehicle
 
+__all__ = ["SwarmPlan"]
+
 STATUSES = ("converged", "time limit", "iteration limit", "not feasible")
 """How planning may end; only the first is a plan that keeps everything."""
 

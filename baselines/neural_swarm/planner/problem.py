@@ -16,6 +16,8 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, Team, Vehicle, parse_team
 
+__all__ = ["FORCE_BOUNDS_G", "PlanningBounds", "shortest_time"]
+
 FORCE_BOUNDS_G: Mapping[str, float] = MappingProxyType({"S": 5.0, "S*": 5.0, "L": 10.0})
 """f_a,max by vehicle token, grams (Neural-Swarm2, Sec. VII-D, Fig. 6 and 7)."""
 Positive = Annotated[float, POSITIVE]

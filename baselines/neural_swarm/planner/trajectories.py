@@ -24,6 +24,8 @@ from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import Team
 
+__all__ = ["Trajectories"]
+
 
 @typed
 @dataclass(frozen=True, eq=False)

@@ -26,6 +26,8 @@ from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE, Team
 
+__all__ = ["least_spacing", "smallest_distance"]
+
 _SAMPLES = 64
 _CURVATURE = 4.0
 """Bounds the second derivative of a difference by the step's share: second differences of relative

@@ -31,6 +31,8 @@ from swarm_envs.baselines.rth3d.flight.spline import SplineFlight
 from swarm_envs.compiled import kernel
 from swarm_envs.state import FloatArray, IntArray
 
+__all__ = ["SmoothingConfig", "smooth"]
+
 BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
 """The Bezier points of a step, by row, from its four control points."""
 

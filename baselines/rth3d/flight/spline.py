@@ -17,6 +17,8 @@ from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 
+__all__ = ["on_grid", "shortest_step"]
+
 DEGREE = 3
 """Of the splines."""
 BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0

@@ -14,9 +14,9 @@ from swarm_envs.baselines.neural_swarm.planner import (
     RefinementOptions,
     Trajectories,
     plot_plan,
-    straight_lines,
 )
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
+from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_lines
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team
 
