@@ -105,7 +105,7 @@ def test_sizes_are_those_of_the_paper(name, phi, rho):
     for module in network.rho.values():
         assert [layer.out_features for layer in layers(module)] == rho
         assert layers(module)[0].in_features == phi[-1]
-    with pytest.raises(ValueError, match="must be at least"):
+    with pytest.raises(ValueError, match="must be an integer of at least 2"):
         DeepSetSpec(("S",), layers=1)
 
 
