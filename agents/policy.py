@@ -163,7 +163,7 @@ class PolicyNote:
         if (self.types and not self.sizes.typed) or (self.per_type and not self.types):
             raise ValueError(
                 f"types are {self.types}, per_type is {self.per_type} and features "
-                f"{self.features!r}, but types are named only where they are told"
+                f"{self.features!r}, but types are named only in typed features"
             )
         check_integer("fewest", self.fewest, 1)
         check_integer("drones", self.drones, self.fewest)

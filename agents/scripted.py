@@ -78,7 +78,7 @@ class RandomAgent:
 
 
 class StraightLineAgent:
-    """Flies straight at its goal, whoever is in the way: a PD law on what it observes of itself.
+    """Flies straight at its goal and avoids nobody: a PD law on what it observes of itself.
 
     What any policy that avoids others must beat. The acceleration asked for is
     4 / s^2 (goal - position) - 4 / s velocity, the way to the goal cut at 1 m.

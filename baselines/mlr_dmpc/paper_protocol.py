@@ -281,7 +281,7 @@ class PaperNodes(SwarmNodes):
         super().__init__(drones, targets, options, codec)
 
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> PaperUnit:
-        """A unit that knows what it was told before the first round, or nothing."""
+        """A unit with the information given before the first round, or with none."""
         return self._make(PaperUnit, unit, targets, [] if since else self._hovers)
 
     def _make(
