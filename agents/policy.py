@@ -23,7 +23,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from swarm_envs import TASKS
+from swarm_envs import TASKS, task_family
 from swarm_envs.agents.features import FEATURE_SETS, GOAL, FeatureSizes
 from swarm_envs.agents.networks import (
     ANY,
@@ -350,7 +350,7 @@ class PolicyAgent:
         """
         check_requirements(env, self)
         note, task = self.policy.note, env.core.task
-        if task.name != note.task:
+        if task_family(task.name) != task_family(note.task):
             raise ValueError(
                 f"this policy was trained for task {note.task!r}, but the environment's is "
                 f"{task.name!r}; train one for it by `swarm-envs train`"

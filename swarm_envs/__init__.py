@@ -1,12 +1,12 @@
 """PettingZoo environments for swarms of small quadrotors with downwash between them.
 
-from swarm_envs import swap_v0
-env = swap_v0.parallel_env(num_drones=4)
+from swarm_envs import swap_v1
+env = swap_v1.parallel_env(num_drones=4)
 
-Its import tells Gymnasium and PettingZoo the tasks' names: `gymnasium.make("swarm_envs/Swap-v0",
-num_drones=4)` flies a team as one agent, `gymnasium.make("swarm_envs/SwapSolo-v0", ...)` one drone
-of it, `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=1024, ...)` many teams at once, and
-`pettingzoo.make("parallel", "swarm_envs/swap_v0", num_drones=4)` is `swap_v0.parallel_env(...)`.
+Its import tells Gymnasium and PettingZoo the tasks' names: `gymnasium.make("swarm_envs/Swap-v1",
+num_drones=4)` flies a team as one agent, `gymnasium.make("swarm_envs/SwapSolo-v1", ...)` one drone
+of it, `gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=1024, ...)` many teams at once, and
+`pettingzoo.make("parallel", "swarm_envs/swap_v1", num_drones=4)` is `swap_v1.parallel_env(...)`.
 """
 
 from __future__ import annotations
@@ -24,14 +24,19 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-TASKS = ("swap_v0", "ring_v0", "formation_v0")
+TASKS = ("swap_v1", "ring_v1", "formation_v1", "swap_v0", "ring_v0", "formation_v0")
 """Every task by its versioned name: modules with a `parallel_env()`."""
 
 
+def task_family(task: str) -> str:
+    """The name that all versions of a task share: `swap` for `swap_v1`, and for `swap`."""
+    return task.partition("_v")[0]
+
+
 def gymnasium_name(task: str, suffix: str = "") -> str:
-    """`swarm_envs/Swap-v0` for `swap_v0`."""
-    name, version = task.rsplit("_", 1)
-    return f"swarm_envs/{name.capitalize()}{suffix}-{version}"
+    """`swarm_envs/Swap-v1` for `swap_v1`."""
+    family = task_family(task)
+    return f"swarm_envs/{family.capitalize()}{suffix}{task.removeprefix(family).replace('_', '-')}"
 
 
 def register() -> None:
@@ -77,7 +82,7 @@ def make(task: str, **options: Any) -> SwarmParallelEnv:
     """Make a task's parallel environment by name.
 
     Args:
-        task: such as `"swap_v0"`.
+        task: such as `"swap_v1"`.
         **options: as the task's `parallel_env` takes them.
 
     Raises:
@@ -90,4 +95,4 @@ def make(task: str, **options: Any) -> SwarmParallelEnv:
 
 register()
 
-__all__ = ["TASKS", "__version__", "make"]
+__all__ = ["TASKS", "__version__", "make", "task_family"]

@@ -1,32 +1,10 @@
-"""Ring, version 0: keep to a reference on intertwined rings, through each other's downwash.
+"""Ring, version 0: `swarm_envs.ring_v1` with the interaction forces of release 0.1.0.
 
     from swarm_envs import ring_v0
-    env = ring_v0.parallel_env(num_drones=5, action="setpoint")
+    env = ring_v0.parallel_env()
 
-Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v0`. Here the
-observed `task.goal` is where the reference is now.
-
-**Teams.** 5 drones (the default, `S*S*S*LL`): three small ones on an upright circle, two large ones
-on a level circle of the same radius, 0.55 m, at 0.65 m/s; a small one is at its lowest when a large
-one is right above. 16 drones (`LSSLSS` and ten `S*`): two large and four small ones on a level
-ellipse of 1.0 x 0.6 m, five and five on upright circles of 0.5 m at its tips, at 0.5 m/s. Any other
-team flies by the same rule: see `swarm_envs.tasks.ring`. Sizes, speed and phases:
-`rings=RingLayout(...)`.
-
-**Start.** On the rings, at rest, phases locked, the whole team ahead by a flight time drawn from
-0-60 s. Within 2 s the rate grows smoothly from rest. `reset(options={"start": ...})` starts
-elsewhere; the reference stays where it is. Goals cannot be given.
-
-**Success.** No collision until the clock ends, and after the first 2 s no drone ever 0.15 m or more
-from its reference. Known, and rewarded, at the end of the clock.
-
-**Rewards** (per drone, weights in `RingTask.reward_weights`): as in swap, with `tracking` in place
-of `progress` and `at_goal`.
-
-**End.** Terminated by a collision, the floor, a wall, an obstacle or tumbling (150 rad/s);
-truncated by the clock, after 2 + 10 s.
-
-**Versions.** v0: the first.
+The force model that is called `learned` here, and is the default, is `learned-v0`. Use this version
+to compare with results of release 0.1.0; use `ring_v1` for everything else.
 """
 
 from __future__ import annotations
@@ -34,35 +12,26 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from swarm_envs.arguments import typed_options
-from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.tasks.ring import REWARD_WEIGHTS, RingLayout, RingTask, ring_team
-from swarm_envs.vehicles import Team
+from swarm_envs.envs.options import task_views
+from swarm_envs.ring_v1 import RingOptions
+from swarm_envs.tasks.ring import RingTask
+
+
+@dataclass(frozen=True)
+class RingTaskV0(RingTask):
+    """Version 0 of the task."""
+
+    name = "ring_v0"
 
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
-class RingOptions(TaskOptions):
-    """Options of a ring environment."""
+class RingV0Options(RingOptions):
+    """Options of version 0: those of version 1."""
 
-    num_drones: NumDrones = 5
-    """N drones, if no team is given: the paper's teams for 5 and 16, else small ones."""
-    rings: RingLayout | None = None
-    """Sizes, speed and phases of the rings."""
-
-    @property
-    def vehicles(self) -> Team:
-        """The team: as given, else that of the paper."""
-        return ring_team(self.num_drones) if self.team is None else super().vehicles
-
-    def make_task(self) -> RingTask:
-        """Rings as these options say."""
-        return RingTask(
-            team=self.vehicles,
-            rings=self.rings,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
-        )
+    learned = "learned-v0"
+    task_type = RingTaskV0
 
 
-blueprint, parallel_env, env = task_views(RingOptions)
+blueprint, parallel_env, env = task_views(RingV0Options)
 """Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

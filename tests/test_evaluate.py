@@ -134,7 +134,7 @@ def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys)
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        (["--task", "swop"], "did you mean 'swap_v0'"),
+        (["--task", "swop"], "did you mean 'swap_v1'"),
         (["--json", "out.txt"], "must end in .json"),
     ],
 )

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from docs.extensions.option_tables import expand
-from swarm_envs import formation_v0, ring_v0, swap_v0
+from swarm_envs import formation_v1, ring_v1, swap_v1
 from swarm_envs.agents.safety import Safety
 from swarm_envs.arguments import Option, options_of
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
@@ -57,9 +57,9 @@ SETTINGS: dict[type, dict[str, Any]] = {
     Vehicle: dataclasses.asdict(SMALL),
     Column: {"center": (0.0, 0.0), "radius": 0.2},
     EnvConfig: {},
-    swap_v0.SwapOptions: {},
-    ring_v0.RingOptions: {},
-    formation_v0.FormationOptions: {},
+    swap_v1.SwapOptions: {},
+    ring_v1.RingOptions: {},
+    formation_v1.FormationOptions: {},
 }
 """Classes of settings whose annotations hold every range, and what they must be given."""
 OTHERS: dict[type, dict[str, Any]] = {
@@ -126,7 +126,7 @@ def test_a_number_with_a_range_is_finite_and_no_truth_value():
 
 
 BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
-    (swap_v0.SwapOptions, "num_drones", [1, np.int64(2)], [0, 2.0, 100_001]),
+    (swap_v1.SwapOptions, "num_drones", [1, np.int64(2)], [0, 2.0, 100_001]),
     (EnvConfig, "decision_rate", [1, 48, 240], [0, -48, 50, 48.0, 480]),
     (EnvConfig, "num_neighbors", [0, 10_000], [-1, 10_001, 1.5]),
     (EnvConfig, "horizon_s", [1, 0.1, None], [0.0, -1.0, "8"]),
@@ -145,7 +145,7 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
     (BatteryModel, "capacity_ah", [0.1], [0.0, math.nan]),
     (BatteryModel, "idle_current_a", [0.0, 1.0], [-1.0, math.inf]),
     (Vehicle, "inertia", [(1e-6, 1e-6, 2e-6)], [(1e-6, 1e-6), (1e-6, 0.0, 1e-6)]),
-    (formation_v0.FormationOptions, "turn_rad", [(-1.0, 1.0), (0, 0)], [(1.0, 0.0), (0.0,)]),
+    (formation_v1.FormationOptions, "turn_rad", [(-1.0, 1.0), (0, 0)], [(1.0, 0.0), (0.0,)]),
 ]
 
 
@@ -178,7 +178,7 @@ def test_commands_refuse_numbers_in_the_words_of_the_command_line(options):
             options(**{**COMMANDS[options], name: -1})
 
 
-@pytest.mark.parametrize("module", [swap_v0, ring_v0, formation_v0])
+@pytest.mark.parametrize("module", [swap_v1, ring_v1, formation_v1])
 def test_a_view_shows_every_option(module):
     for view in (module.parallel_env, module.env, module.blueprint):
         parameters = inspect.signature(view).parameters

@@ -148,7 +148,7 @@ def rewrite(path: Path, **changes: object) -> None:
         ({"format": "another"}, "format is 'another'"),
         ({"observation": "0" * 64}, "another layout of observations"),
         ({"features": "raw"}, "unknown features 'raw'"),
-        ({"task": "swap_v9"}, "did you mean 'swap_v0'"),
+        ({"task": "swap_v9"}, "did you mean 'swap_v1'"),
         ({"action": "velocities"}, "did you mean 'velocity'"),
         ({"action": "ctbr"}, "do not lead from 52 features to the 4 numbers"),
         ({"num_neighbors": 3}, "do not lead from 69 features"),

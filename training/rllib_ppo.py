@@ -24,7 +24,7 @@ from gymnasium import spaces
 from pettingzoo.utils import BaseParallelWrapper
 from tqdm import tqdm
 
-from swarm_envs import __version__, swap_v0
+from swarm_envs import __version__, swap_v1
 from swarm_envs.agents.features import FEATURE_SETS, GOAL
 from swarm_envs.agents.networks import Layers, plain
 from swarm_envs.agents.policy import FILE, Policy, PolicyNote, write_policy
@@ -34,7 +34,7 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.files import claimed, write_json
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 
-TASK, ENVIRONMENT, SHARED = "swap_v0", "swarm-envs-swap", "all"
+TASK, ENVIRONMENT, SHARED = "swap_v1", "swarm-envs-swap", "all"
 """What is flown, the name under which RLlib knows it, and that of the one policy."""
 
 
@@ -120,7 +120,7 @@ def make_env(options: Mapping[str, Any]) -> Any:
     """The environment as RLlib takes it; called by name on every runner."""
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
 
-    return ParallelPettingZooEnv(FeatureEnv(swap_v0.parallel_env(**options)))
+    return ParallelPettingZooEnv(FeatureEnv(swap_v1.parallel_env(**options)))
 
 
 def algorithm_config(config: RllibConfig) -> Any:

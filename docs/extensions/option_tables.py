@@ -20,9 +20,9 @@ from swarm_envs.arguments import field_docstrings
 from swarm_envs.cli import COMMANDS, PROGRAM
 from swarm_envs.commands.export import KINDS
 from swarm_envs.envs.config import EnvConfig
-from swarm_envs.formation_v0 import FormationOptions
-from swarm_envs.ring_v0 import RingOptions
-from swarm_envs.swap_v0 import SwapOptions
+from swarm_envs.formation_v1 import FormationOptions
+from swarm_envs.ring_v1 import RingOptions
+from swarm_envs.swap_v1 import SwapOptions
 from swarm_envs.training.reproduce.papers import ALL, PAPERS
 
 MARK = "<!-- commands -->"

@@ -38,7 +38,7 @@ class EpisodeOptions:
     """What is flown, and in which air."""
 
     task: str = "swap"
-    """what is flown: `swap`, or with its version, `swap_v0`"""
+    """what is flown: `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task, such as `random` or `stacked`; its default if not given"""
     drones: Count = 4
@@ -166,10 +166,10 @@ def find_task(name: str) -> str:
     Raises:
         ValueError: there is no such task; the message names the nearest.
     """
-    from swarm_envs import TASKS
+    from swarm_envs import TASKS, task_family
     from swarm_envs.errors import check_name
 
-    versions = sorted(task for task in TASKS if task.rpartition("_v")[0] == name)
+    versions = sorted(task for task in TASKS if task_family(task) == name)
     return versions[-1] if versions else check_name("task", name, TASKS)
 
 

@@ -8,7 +8,7 @@ import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
-from typing import Annotated, Any, Generic, NamedTuple, ParamSpec
+from typing import Annotated, Any, ClassVar, Generic, NamedTuple, ParamSpec
 
 from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
@@ -58,6 +58,9 @@ class TaskOptions(EnvConfig, ABC):
     render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None
     """`rgb_array` (pictures), `human` (a window) or None."""
 
+    learned: ClassVar[str] = "learned"
+    """The force model that `interactions="learned"` means in this version of the task."""
+
     @abstractmethod
     def make_task(self) -> Task:
         """The task that is flown."""
@@ -73,7 +76,10 @@ class TaskOptions(EnvConfig, ABC):
         Raises:
             ValueError: the task refuses its options.
         """
-        config = EnvConfig(**{field.name: getattr(self, field.name) for field in fields(EnvConfig)})
+        given = {field.name: getattr(self, field.name) for field in fields(EnvConfig)}
+        if self.interactions == "learned":
+            given["interactions"] = self.learned
+        config = EnvConfig(**given)
         return Blueprint(self.make_task(), config, self.render_mode)
 
 

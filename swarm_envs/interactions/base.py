@@ -26,7 +26,7 @@ from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
 __all__ = ["PRECISIONS"]
 
-MODELS = ("none", "wake", "learned")
+MODELS = ("none", "wake", "learned", "learned-v0")
 """The models that ship, by name."""
 PRECISIONS = ("float64", "float32")
 """Arithmetic in which networks can be evaluated."""
@@ -142,9 +142,9 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
         return InteractionModel("none", types, empty_field(len(types)))
     if text == "wake":
         return InteractionModel("wake", *load_wake())
-    if text == "learned":
-        with resources.as_file(_shipped("learned.safetensors")) as path:
-            return InteractionModel("learned", *load_weights(path))
+    if text in ("learned", "learned-v0"):
+        with resources.as_file(_shipped(f"{text}.safetensors")) as path:
+            return InteractionModel(text, *load_weights(path))
     if text.endswith(".json"):
         return InteractionModel(text, *load_wake(Path(text)))
     if not text.endswith(".safetensors"):

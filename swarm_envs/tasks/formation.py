@@ -90,7 +90,7 @@ class FormationTask(Task):
     obstacles: tuple[Obstacle, ...] = ()
     """What stands in the way."""
 
-    name = "formation_v0"
+    name = "formation_v1"
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)
 

@@ -238,7 +238,7 @@ class RingTask(Task):
     obstacles: tuple[Obstacle, ...] = ()
     """What stands in the way."""
 
-    name = "ring_v0"
+    name = "ring_v1"
     reward_names = REWARD_NAMES
     write_reward_terms = staticmethod(write_terms)
 

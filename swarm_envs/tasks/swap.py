@@ -120,7 +120,7 @@ class SwapTask(Task):
     obstacles: tuple[Obstacle, ...] = ()
     """What stands in the way."""
 
-    name = "swap_v0"
+    name = "swap_v1"
     episode_s = 8.0
     """The clock, s."""
     reward_names = REWARD_NAMES

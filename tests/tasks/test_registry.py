@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 import swarm_envs
-from swarm_envs import TASKS
+from swarm_envs import TASKS, task_family
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
+from swarm_envs.commands.fly import find_task
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.physics import bullet_available
@@ -47,8 +48,16 @@ def test_the_module(task):
     assert env.metadata["name"] == env.core.task.name == task
     assert set(env.core.task.reward_weights) == set(REWARD_NAMES)
     assert env.core.task.write_reference is WRITERS[env.core.task.motion.kind]
+    newest = importlib.import_module(f"swarm_envs.{find_task(task_family(task))}")
     for word in ("**Start.**", "**Success.**", "**Rewards**", "**End.**", "**Versions.**"):
-        assert word in (module.__doc__ or "")
+        assert word in (newest.__doc__ or "")
+    assert newest is module or newest.__name__ in (module.__doc__ or "")
+
+
+def test_version_0_flies_the_force_of_release_0_1_0():
+    for version, model in (("v0", "learned-v0"), ("v1", "learned")):
+        assert make(f"swap_{version}").core.physics.interactions.name == model
+        assert make(f"swap_{version}", interactions="wake").core.physics.interactions.name == "wake"
 
 
 def test_the_documented_observation_table_is_the_layout():

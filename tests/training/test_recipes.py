@@ -16,7 +16,7 @@ from swarm_envs.swap_v0 import blueprint
 from swarm_envs.tasks.formation import LAYOUTS
 from swarm_envs.training.rl import curriculum_tasks
 from swarm_envs.training.rl.curriculum_tasks import FormationCurriculum, SwapCurriculum
-from swarm_envs.training.rl.recipes import LOST_M, RECIPES, with_recipe
+from swarm_envs.training.rl.recipes import LOST_M, RECIPES, recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.vehicles import parse_team
 
@@ -52,7 +52,7 @@ def test_layouts_are_refused_with_the_list(task):
 
 def test_the_better_policy_has_the_higher_quality():
     """By hand: success averaged over layouts; on rings 15 cm cost as much as a lost one."""
-    swap, ring = RECIPES["swap_v0"], RECIPES["ring_v0"]
+    swap, ring = RECIPES["swap"], RECIPES["ring"]
     measured = {"random_success": 0.5, "circle_success": 1.0}
     assert swap.quality(measured) == pytest.approx(0.75)
     assert swap.quality({"circle_8_success": 1.0}) == pytest.approx(1.0)
@@ -153,7 +153,7 @@ def test_every_recipe_trains_and_what_comes_out_flies(task, tmp_path, capsys):
     out = tmp_path / "run"
     assert main(["train", "--task", task, *TINY, "--out", str(out)]) == 0
     report = json.loads((out / "report.json").read_text())
-    recipe = RECIPES[report["config"]["task"]]
+    recipe = recipe_of(report["config"]["task"])
     layouts = recipe.evaluation_layouts(report["config"]["layout"])
     assert set(report["chosen"]) == {"step"} | {
         f"{a}_{b}" for a in layouts for b in recipe.measures

@@ -248,7 +248,7 @@ def test_a_folder_that_another_run_writes_into_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ("--task swop", "did you mean 'swap_v0'"),
+        ("--task swop", "did you mean 'swap_v1'"),
         ("--layout stacked", "valid: 'circle', 'random'"),
         ("--json a.txt", "must end in .json"),
         ("--batch-size 1000", "--batch-size is 1000, but must divide the 16384 decisions"),

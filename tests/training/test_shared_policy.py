@@ -244,7 +244,7 @@ def test_an_environment_flies_a_blueprint_and_takes_no_options_beside():
 @pytest.mark.parametrize(
     ("make", "error", "message"),
     [
-        (lambda: SharedPolicyVecEnv("swap_v1"), ValueError, "task 'swap_v1'; .* 'swap_v0'"),
+        (lambda: SharedPolicyVecEnv("swap_v9"), ValueError, "task 'swap_v9'; .* 'swap_v1'"),
         (lambda: quick(render_mode="rgb_array"), ValueError, "render_mode is 'rgb_array', but env"),
         (lambda: quick(features="goals"), ValueError, "unknown features 'goals'"),
     ],

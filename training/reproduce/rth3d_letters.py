@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs import formation_v0
+from swarm_envs import formation_v1
 from swarm_envs.agents import record_episode
 from swarm_envs.baselines.rth3d.grid_agent import GridAgent
 from swarm_envs.state import FloatArray
@@ -25,7 +25,7 @@ _DRONES = 10  # as in the paper
 def _fly_letters(seed: int) -> tuple[Recording, list[int]]:
     """Fly from letter to letter, each drone to a place that is drawn."""
     agent = GridAgent.compensated()
-    env = formation_v0.parallel_env(
+    env = formation_v1.parallel_env(
         num_drones=_DRONES, letters=_LETTERS, labels="random", physics="batch", **agent.requires
     )
     try:

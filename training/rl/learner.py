@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from swarm_envs.agents.features import FEATURE_SETS, TYPES
 from swarm_envs.agents.networks import Layers, Network
 from swarm_envs.envs.options import Blueprint, batch_of
-from swarm_envs.training.rl.recipes import RECIPES, with_recipe
+from swarm_envs.training.rl.recipes import recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
 
@@ -53,7 +53,7 @@ class Learner(ABC):
         self.config = config = with_recipe(config, task)
         blueprints = [training_blueprint(config, task, team) for team in config.teams]
         present = {vehicle.token for found in blueprints for vehicle in found.task.team}
-        flown, recipe = tuple(token for token in TYPES if token in present), RECIPES[task]
+        flown, recipe = tuple(token for token in TYPES if token in present), recipe_of(task)
         if config.per_type and len(flown) < 2:
             raise ValueError(
                 f"--per-type needs vehicles of several types, but all here are {flown[0]}; name a "
@@ -208,7 +208,7 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     Raises:
         ValueError: an option has an impossible value.
     """
-    recipe = RECIPES[task]
+    recipe = recipe_of(task)
     given = {**recipe.reward_weights, "crash": -config.crash}
     found = batch_of(
         task,

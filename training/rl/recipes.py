@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from swarm_envs import task_family
 from swarm_envs.agents.features import GOAL, REFERENCE, TYPED
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.agents.protocol import AT_ONCE, fly_batch
@@ -27,7 +28,7 @@ from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.training.rl.curriculum_tasks import formation_curriculum, swap_curriculum
 from swarm_envs.training.rl.rl_config import RlConfig
 
-__all__ = ["RECIPES", "choosing_seeds", "evaluate_policy", "with_recipe"]
+__all__ = ["RECIPES", "choosing_seeds", "evaluate_policy", "recipe_of", "with_recipe"]
 
 _REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "discount": 0.98}
 """Defaults where places are to be found: explored widely, rewarded late."""
@@ -98,19 +99,19 @@ class Recipe:
 
 RECIPES: Mapping[str, Recipe] = MappingProxyType(
     {
-        "swap_v0": Recipe(
+        "swap": Recipe(
             layouts={name: {"layout": name} for name in ("random", "circle")},
             defaults={"layout": "random", **_REACH},
             evaluated={"random": ("random", "circle")},
             curriculum=swap_curriculum,
         ),
-        "formation_v0": Recipe(
+        "formation": Recipe(
             layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
             defaults={"layout": "shuffle", **_REACH},
             evaluated={"shuffle": ("shuffle", "cube", "tour")},
             curriculum=formation_curriculum,
         ),
-        "ring_v0": Recipe(
+        "ring": Recipe(
             layouts={"rings": {}},
             defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2, "discount": 0.95},
             reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
@@ -125,7 +126,16 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         ),
     }
 )
-"""Every task that can be learned, by its versioned name."""
+"""Every task that can be learned, by its name without the version."""
+
+
+def recipe_of(task: str) -> Recipe:
+    """The recipe of a task, whatever its version.
+
+    Raises:
+        ValueError: the task has none; the message lists those that have one.
+    """
+    return RECIPES[check_name("task with a recipe", task_family(task), RECIPES)]
 
 
 def with_recipe(config: RlConfig, task: str) -> RlConfig:
@@ -134,7 +144,7 @@ def with_recipe(config: RlConfig, task: str) -> RlConfig:
     Raises:
         ValueError: the task has no recipe, or no such layout; the message lists those that exist.
     """
-    recipe = RECIPES[check_name("task with a recipe", task, RECIPES)]
+    recipe = recipe_of(task)
     missing = [k for k in recipe.defaults if config.uses(k) and getattr(config, k) is None]
     whole = replace(config, **{k: recipe.defaults[k] for k in missing})
     check_name("--layout", whole.layout, recipe.layouts)
@@ -169,7 +179,7 @@ def evaluate_policy(
         teams: options of each team that flies; of several each has its own averages, such as
             `random_8_success` of eight drones. With none the other options say who flies.
     """
-    agent, recipe, found = PolicyAgent(policy), RECIPES[task], {}
+    agent, recipe, found = PolicyAgent(policy), recipe_of(task), {}
     for team, layout in product(teams or ({},), layouts):
         given = {"threads": 1, **options, **team, **recipe.layouts[layout], **agent.requires}
         blueprint = batch_of(task, **given)

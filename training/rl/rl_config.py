@@ -62,7 +62,7 @@ class RlConfig:
     out: Path
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
     task: str = "swap"
-    """what is learned: `swap`, or with its version, `swap_v0`"""
+    """what is learned: `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
     crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""

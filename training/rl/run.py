@@ -22,7 +22,7 @@ from swarm_envs.files import claimed, write_json, write_table
 from swarm_envs.training.force_model.export import write_safetensors
 from swarm_envs.training.provenance import differing, json_ready, scalar_writer
 from swarm_envs.training.rl.learner import Learner, make_learner
-from swarm_envs.training.rl.recipes import RECIPES, choosing_seeds, evaluate_policy, with_recipe
+from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy, recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 
 __all__ = ["finished_report", "train_policy"]
@@ -68,7 +68,7 @@ def train_policy(config: RlConfig, task: str) -> dict[str, Any]:
         report = {
             "config": progress.config,
             "steps": progress.rollouts * config.rollout_steps,
-            "chosen": max(reversed(progress.judged), key=RECIPES[task].quality),
+            "chosen": max(reversed(progress.judged), key=recipe_of(task).quality),
             "last": progress.judged[-1],
             "cpu_s": round(progress.cpu_s, 1),
             "wall_s": round(progress.wall_s, 1),
@@ -126,7 +126,7 @@ def _train_segments(config: RlConfig, task: str, learner: Learner, progress: _Pr
 
 
 def _evaluate(config: RlConfig, task: str, learner: Learner, progress: _Progress) -> None:
-    recipe, steps = RECIPES[task], progress.rollouts * config.rollout_steps
+    recipe, steps = recipe_of(task), progress.rollouts * config.rollout_steps
     about = {"config": progress.config, "steps": steps, "version": __version__}
     policy = Policy(policy_note(learner, task), learner.actor(), about)
     rates = evaluate_policy(

@@ -69,7 +69,7 @@ def definition(task: ScoredTask) -> dict[str, Any]:
     return {
         "environment": task.environment,
         "setting": task.setting,
-        "force_model": _force_model(str(COMMON["interactions"])),
+        "force_model": _force_model("learned-v0"),  # what `_v0` calls learned
         "seed": SEED,
         "score": task.score,
     }

@@ -10,7 +10,7 @@ from swarm_envs import make
 from swarm_envs.agents import load
 from swarm_envs.agents.registry import SHIPPED
 
-TASKS = {"formation-ppo": "formation_v0", "ring-ppo": "ring_v0"}
+TASKS = {"formation-ppo": "formation_v1", "ring-ppo": "ring_v1"}
 TEAMS = {"swap-ppo": 4, "swap-ppo-8": 8, "formation-ppo": 8, "ring-ppo": 5}
 """Numbers of drones, of agents that were made for so many; the others fly two."""
 DECISIONS = 3
@@ -18,7 +18,7 @@ DECISIONS = 3
 for name in SHIPPED:
     agent = load(name)
     options: dict[str, Any] = {"num_drones": TEAMS.get(name, 2), **agent.requires}
-    env = make(TASKS.get(name, "swap_v0"), physics="batch", **options)
+    env = make(TASKS.get(name, "swap_v1"), physics="batch", **options)
     observations, _ = env.reset(seed=0)
     agent.reset(env, seed=0)
     for _step in range(DECISIONS):

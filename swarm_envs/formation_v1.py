@@ -1,0 +1,124 @@
+"""Formation, version 1: fly one shape after another, each drone to a place of its own.
+
+    from swarm_envs import formation_v1
+    env = formation_v1.parallel_env(num_drones=10, letters="ARC")
+
+Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; the observed
+`task.goal` is the drone's place in the present shape.
+
+**Shapes.** `plane`, `pyramid`, `cube`, `sphere`, then `plane` again; `rings` and `blocks` as in
+Fig. 9 of the RTH3D paper; `letter:A` and the like. Any number of drones, 0.5 m apart or, where
+that would not fit the arena, less. All shapes are turned about the vertical by one drawn angle;
+letters are not.
+
+**Start.** On the first shape, or just above the ground (`start="ground"`); who stands where is
+drawn. `reset(options={"start": ...})` starts elsewhere. Goals cannot be given: use `shapes`.
+
+**Labels.** `nearest` (the default): places are matched to drones by the least sum of squared ways,
+and straight lines there within 4 s are the reference. `random`, `mirror`, `blocks`: see
+`swarm_envs.tasks.formation`; no reference.
+
+**Success.** Each shape is reached when every drone was within 0.10 m of its place for 0.5 s before
+the next shape is due, after 6 s; success when all were, without a collision.
+
+**Rewards** (per drone, weights in `FormationTask.reward_weights`): as in swap; `success` is one
+over the number of shapes, for each that is reached.
+
+**End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or success;
+truncated by the clock, 6 s for each shape that is flown to.
+
+**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds.
+v0: that of release 0.1.0, `learned-v0`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, OneOf, Range, typed_options
+from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
+from swarm_envs.tasks.formation import (
+    LABELS,
+    LAYOUTS,
+    STARTS,
+    FormationTask,
+    shapes_of,
+)
+from swarm_envs.tasks.swap import REWARD_WEIGHTS
+
+
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class FormationOptions(TaskOptions):
+    """Options of a formation environment."""
+
+    num_drones: NumDrones = 9
+    """N small drones, if no team is given."""
+    layout: Annotated[str, OneOf(tuple(LAYOUTS))] | None = None
+    """A mission by name, instead of shapes, letters, labels and shape_s: `tour`, `cube` or
+    `shuffle`; see `LAYOUTS` of `swarm_envs.tasks.formation`."""
+    shapes: Sequence[str] | None = None
+    """Names of the shapes, in order; None: `tour`'s."""
+    letters: str | None = None
+    """A text such as `"ARC"` to write, letter by letter, instead of `shapes`."""
+    labels: Annotated[str, OneOf(LABELS)] | None = None
+    """Who goes where: `nearest`, `random`, `mirror` or `blocks`; None: the first."""
+    start: Annotated[str, OneOf(STARTS)] = "shape"
+    """Where drones start: on the first `shape`, or on the `ground`."""
+    spacing_m: Annotated[float, POSITIVE_M] | None = None
+    """Smallest distance between two places of a shape, m; None: 0.5, or what fits."""
+    shape_s: Annotated[float, POSITIVE_S] | None = None
+    """Time for each shape, s; None: 6."""
+    travel_s: Annotated[float, POSITIVE_S] = 4.0
+    """Time in which the reference gets there, s."""
+    turn_rad: Annotated[tuple[float, float], Interval(Range(unit="rad"))] | None = None
+    """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
+    turned."""
+
+    task_type: ClassVar[type[FormationTask]] = FormationTask
+    """What `make_task` makes."""
+
+    def make_task(self) -> FormationTask:
+        """Formations as these options say.
+
+        Raises:
+            ValueError: the options contradict each other, or a shape does not fit the arena.
+        """
+        turn_rad = self.turn_rad
+        if turn_rad is None:
+            turn_rad = (0.0, 2 * math.pi) if self.letters is None else (0.0, 0.0)
+        return self.task_type(
+            team=self.vehicles,
+            **self._mission(),
+            start=self.start,
+            spacing_m=self.spacing_m,
+            travel_s=self.travel_s,
+            turn_rad=turn_rad,
+            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
+            obstacles=tuple(self.obstacles),
+        )
+
+    def _mission(self) -> dict[str, Any]:
+        """Options of the task that a layout or the caller gives."""
+        shapes = self.shapes
+        if self.letters is not None:
+            if not self.letters:
+                raise ValueError("letters is '', but must have at least one, such as 'ARC'")
+            shapes = shapes_of(self.letters)
+        mission = {"shapes": shapes, "labels": self.labels, "shape_s": self.shape_s}
+        given = {name: value for name, value in mission.items() if value is not None}
+        if self.layout is not None:
+            if given:
+                raise ValueError(
+                    f"layout={self.layout!r} already says what is flown, but {', '.join(given)} "
+                    "are given too; give either"
+                )
+            return dict(LAYOUTS[self.layout])
+        return given if shapes is None else {**given, "shapes": tuple(shapes)}
+
+
+blueprint, parallel_env, env = task_views(FormationOptions)
+"""Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""
