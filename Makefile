@@ -20,13 +20,14 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test quick test-all test-compat coverage mutation matrix lint format bench \
+.PHONY: help demo test quick stale stale test-all test-compat coverage mutation matrix lint format bench \
 	bench-against docs clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
 	@echo 'make quick     lint what changed, and the tests nearest to it; about a minute'
+	@echo 'make stale     what was computed from force models that have changed since'
 	@echo 'make test-all  every test, test-compat among them'
 	@echo 'make test-compat  training with TorchRL, BenchMARL, skrl and RLlib, in environments of their own'
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
@@ -63,6 +64,10 @@ test: $(VENV)/.dev
 # What changed since the last commit, or in it.
 quick: $(VENV)/.dev
 	$(BIN)/python -m tests.helpers.quick
+
+# Weights, figures and tables that were computed from models that have changed since.
+stale: $(VENV)/.dev
+	$(BIN)/python -m tests.helpers.stale
 
 test-all: $(VENV)/.dev test-compat
 	$(BIN)/python -m pytest -n auto --dist loadfile -m 'slow or not slow'
