@@ -20,7 +20,7 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test quick stale stale test-all test-compat coverage mutation matrix lint format bench \
+.PHONY: help demo test quick stale test-all test-compat coverage mutation matrix lint format bench \
 	bench-against docs clean
 
 help:
