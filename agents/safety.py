@@ -29,7 +29,6 @@ from swarm_envs.agents.evaluation import source_digest
 from swarm_envs.agents.features import observation_columns
 from swarm_envs.agents.protocol import Actions, Agent, BatchAgent, Observations, check_requirements
 from swarm_envs.arguments import (
-    FINITE,
     NOT_NEGATIVE,
     POSITIVE,
     POSITIVE_S,
@@ -65,7 +64,7 @@ class Safety:
     decisions. Less acts earlier, and more gently."""
     share: Annotated[float, Range(0.0, 1.0, above=True)] = 0.5
     """Of each evasion, the share that this drone makes: a half if the other has a filter too."""
-    downwash: Annotated[float, FINITE] = 1.3
+    downwash: Annotated[float, Range(1.0)] = 1.3
     """By how much farther drones keep below and above each other than side by side; 1 for equal."""
     aside_m: Annotated[float, NOT_NEGATIVE] = 0.03
     """How far to the left a neighbour is taken to be, so that both of a pair pass on the right, m:
@@ -74,10 +73,6 @@ class Safety:
     """Whether walls, floor and ceiling are kept away from too."""
     num_neighbors: Count = 7
     """How many neighbours are watched, if the agent does not itself observe more."""
-
-    def __post_init__(self) -> None:
-        if not self.downwash >= 1.0:
-            raise ValueError(f"Safety.downwash is {self.downwash!r}, but must be 1.0 or more")
 
     def barrier(self) -> Barrier:
         """The same as kernels take it."""

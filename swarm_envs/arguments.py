@@ -43,6 +43,7 @@ __all__ = [
     "Count",
     "Divides",
     "Interval",
+    "NotEmpty",
     "OneOf",
     "Option",
     "Range",
@@ -125,7 +126,8 @@ class Range:
             return f"a number in {left}{self.least:g}, {self.most:g}{right}{unit}"
         if self.least == 0.0:
             return ("positive and finite" if self.above else "finite and not negative") + unit
-        return f"a finite number{unit}"
+        lower = f" {'above' if self.above else 'of at least'} {self.least:g}"
+        return f"a finite number{lower if self.least > -math.inf else ''}{unit}"
 
 
 @dataclass(frozen=True)
@@ -147,6 +149,15 @@ class Interval:
     def holds(self, ends: Sequence[float]) -> bool:
         """Whether two numbers are such an interval."""
         return all(map(self.within.holds, ends)) and ends[0] <= ends[1]
+
+
+class NotEmpty:
+    """A sequence that holds something."""
+
+    def restrict(self, kind: Kind) -> Kind:
+        """Sequences of a kind with one element or more."""
+        words = f"{kind.words}, and not empty"
+        return Kind(words, lambda v: kind.fits(v) and len(v) > 0, (), kind.has_type)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Annotated
 
-from swarm_envs.arguments import POSITIVE, typed
+from swarm_envs.arguments import POSITIVE, NotEmpty, typed
 from swarm_envs.errors import unknown_name
 
 __all__ = [
@@ -169,8 +169,8 @@ VEHICLES: dict[str, Vehicle] = {v.token: v for v in (SMALL, LARGE, SMALL_STRONG)
 
 _TOKEN = re.compile(r"[A-Z]\*?|.")
 
-Team = tuple[Vehicle, ...]
-"""The vehicles that fly together, in the order of the agents."""
+Team = Annotated[tuple[Vehicle, ...], NotEmpty()]
+"""The vehicles that fly together, at least one, in the order of the agents."""
 
 
 def parse_team(team: str | Sequence[Vehicle]) -> Team:

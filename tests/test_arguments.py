@@ -7,13 +7,13 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from swarm_envs.arguments import WrongKind, typed
+from swarm_envs.arguments import Range, WrongKind, kind_of, typed
 from swarm_envs.state import FloatArray
 
 if TYPE_CHECKING:
@@ -112,3 +112,17 @@ def test_a_class_stays_what_it_was():
         Settings(None)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'size'"):
         Settings()  # type: ignore[call-arg]
+
+
+@pytest.mark.parametrize(
+    ("rule", "words"),
+    [
+        (Range(), "a finite number"),
+        (Range(0.0), "finite and not negative"),
+        (Range(1.0, unit="m"), "a finite number of at least 1, in m"),
+        (Range(-2.5, above=True), "a finite number above -2.5"),
+        (Range(-1.0, 2.0, below=True), "a number in [-1, 2)"),
+    ],
+)
+def test_a_range_names_its_ends(rule, words):
+    assert kind_of(Annotated[float, rule]).words == words

@@ -45,6 +45,7 @@ from swarm_envs.training.collection.log import SensorNoise
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
+from swarm_envs.training.reproduce.imperfect_flights import Imperfection
 from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}
@@ -55,6 +56,9 @@ SETTINGS: dict[type, dict[str, Any]] = {
     RingLayout: dataclasses.asdict(FIVE),
     PositionGains: dataclasses.asdict(MID),
     Vehicle: dataclasses.asdict(SMALL),
+    **{kind: {} for kind in (Safety, Imperfection, LossModel)},
+    GilbertElliott: {"turns_bad": 0.1, "turns_good": 0.5},
+    UnitOutage: {"unit": 0, "first_round": 1},
     Column: {"center": (0.0, 0.0), "radius": 0.2},
     EnvConfig: {},
     swap_v1.SwapOptions: {},
@@ -63,12 +67,9 @@ SETTINGS: dict[type, dict[str, Any]] = {
 }
 """Classes of settings whose annotations hold every range, and what they must be given."""
 OTHERS: dict[type, dict[str, Any]] = {
-    **{kind: {} for kind in (Safety, PlanningBounds, RefinementOptions, SearchConfig)},
+    **{kind: {} for kind in (MlrDmpcConfig, PlanningBounds, RefinementOptions, SearchConfig)},
     SmoothingConfig: {"distance": 0.3, "box": ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))},
-    **{kind: {} for kind in (MlrDmpcConfig, LossModel)},
-    GilbertElliott: {"turns_bad": 0.1, "turns_good": 0.5},
     Jam: {"first_round": 1, "last_round": 2},
-    UnitOutage: {"unit": 0, "first_round": 1},
     **{kind: {} for kind in (CalibrationErrors, SensorNoise, LogOptions, CollectionConfig)},
     CurriculumConfig: {"out": Path("curriculum")},
     FeedforwardConfig: {"out": Path("belief")},
@@ -100,7 +101,7 @@ def test_bad_values_are_refused_by_name(settings, data, value):
 @pytest.mark.parametrize("settings", OTHERS)
 def test_classes_that_check_ranges_themselves_refuse_by_name(settings):
     for name in options_of(settings):
-        for value in (math.nan, math.inf, -math.inf, -1, 0, 0.5, 1e300, 10**30, ""):
+        for value in (math.nan, math.inf, -math.inf, -1, 0, 0.5, 5e-324, 1e300, 10**30, ""):
             try:
                 settings(**{**OTHERS[settings], name: value})
             except ValueError as error:
@@ -134,6 +135,8 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
     (ControllerConfig, "rate_yaw", [0.1, 7], [0.0, -1.0]),
     (PositionGains, "velocity", [0.5], [0.0, -2.0]),
     (ControllerConfig, "gains", [MID], ["mid", None]),
+    (Safety, "downwash", [1, 1.3], [0.5, -1.0, math.inf]),
+    *((task, "team", [TEAM["team"]], [(), []]) for task in (SwapTask, RingTask, FormationTask)),
     (Randomization, "mass", [(1.0, 1.0), [0.9, 1.1]], [(1.2, 0.8), 1.1, (0.0, 1.0), (1.0,)]),
     (Randomization, "battery", [(0.5, 1.0)], [(0.5, 1.2)]),
     (Randomization, "gust_acceleration", [0.0, 1.0], [-1.0]),

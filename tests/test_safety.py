@@ -114,12 +114,6 @@ def test_walls_are_kept_away_from():
 def test_what_cannot_be_filtered_is_refused():
     with pytest.raises(ValueError, match=r"needs action='acceleration', but DetourAgent requires"):
         load("detour+filter")
-    with pytest.raises(ValueError, match=r"Safety.rate is 0.0, but must be positive"):
-        Safety(rate=0.0)
-    with pytest.raises(ValueError, match=r"Safety.downwash is 0.5, but must be 1.0 or more"):
-        Safety(downwash=0.5)
-    with pytest.raises(ValueError, match=r"Safety.share is 1.5, but must be a number in \(0, 1\]"):
-        Safety(share=1.5)
     agent = load("hover+filter")
     env = swap_v0.parallel_env(num_drones=2, **agent.requires)
     env.reset(seed=0)

@@ -12,7 +12,6 @@ from typing import Annotated
 import numpy as np
 
 from swarm_envs.arguments import (
-    FINITE,
     NOT_NEGATIVE,
     POSITIVE,
     POSITIVE_M,
@@ -28,6 +27,8 @@ __all__ = ["MlrDmpcConfig"]
 Corner = tuple[float, float, float]
 """A point, by axis: x, y, z."""
 _Factor = Annotated[float, POSITIVE]
+_MOST_SAMPLES = 1000
+"""Samples of a round: matrices of the optimisation have a row for each in the horizon."""
 
 
 @typed
@@ -89,7 +90,7 @@ class MlrDmpcConfig:
     """A faster drone is in no deadlock, m/s."""
     deadlock_m: Annotated[float, NOT_NEGATIVE] = 0.1
     """Nor is one whose plan ends this near its target, m."""
-    contact_factor: Annotated[float, FINITE] = 1.1
+    contact_factor: Annotated[float, Range(1.0)] = 1.1
     """Drones within this many times `distance_m` touch."""
     deadlock_residual: Annotated[float, NOT_NEGATIVE] = 0.1
     """Share of the pull to the target that contacts need not balance."""
@@ -116,13 +117,12 @@ class MlrDmpcConfig:
     def __post_init__(self) -> None:
         for name in ("input_sampling_s", "state_sampling_s", "collision_sampling_s"):
             ratio = self.round_s / getattr(self, name)
-            if abs(ratio - round(ratio)) > 1e-9 or round(ratio) < 1:
+            count = round(min(ratio, 2.0 * _MOST_SAMPLES))
+            if abs(ratio - count) > 1e-9 or not 1 <= count <= _MOST_SAMPLES:
                 raise ValueError(
                     f"{name} is {getattr(self, name)!r} s, but must divide round_s, "
-                    f"{self.round_s!r} s"
+                    f"{self.round_s!r} s, into at most {_MOST_SAMPLES} parts"
                 )
-        if not self.contact_factor >= 1.0:
-            raise ValueError(f"contact_factor is {self.contact_factor!r}, but must be at least 1")
         lower, upper = np.array(self.box)
         if not (np.isfinite(self.box).all() and (lower < upper).all()):
             raise ValueError(f"box is {self.box}, but its corners must be lower and upper, finite")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import Range, typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach
 from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
 from swarm_envs.baselines.mlr_dmpc.input_checks import (
@@ -33,11 +33,11 @@ __all__ = ["MlrDmpcSwarm"]
 class UnitOutage:
     """Rounds in which a compute unit is dead. It comes back knowing nothing."""
 
-    unit: int
-    """Which."""
-    first_round: int
+    unit: Annotated[int, Range(0)]
+    """Index of the unit."""
+    first_round: Annotated[int, Range(0)]
     """First round without it."""
-    last_round: int | None = None
+    last_round: Annotated[int, Range(0)] | None = None
     """Last round without it; None: it stays dead."""
 
     def covers(self, round_: int) -> bool:

@@ -240,7 +240,9 @@ def all_forces(
         return
     places = min(max(1, CHUNK // drones), environments)
     announce_compilation(write_forces)
-    write_forces(field, types, position, velocity, out, scratch_for(field, places, drones))
+    # Read-only arrays have another type, for which the kernel would be compiled once more.
+    p, v = (np.require(array, np.float64, ("C", "W")) for array in (position, velocity))
+    write_forces(field, types, p, v, out, scratch_for(field, places, drones))
 
 
 @kernel

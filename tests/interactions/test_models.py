@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.forces import active_pairs
+from swarm_envs.interactions.forces import active_pairs, write_forces
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle, parse_team
 from tests.helpers.drawn_networks import drawn
 
@@ -213,6 +214,17 @@ def test_active_pairs_counts_the_volume() -> None:
     window = load("learned").field.window
     position = np.array([[0, 0, 1.0], [0.1, 0, 1.0], [0.34, 0, 1.0], [0, 0, 2.2], [1, 1, 1.0]])
     assert active_pairs(window, position) == 6
+
+
+def test_read_only_arrays_compile_no_kernel_more() -> None:
+    model, (position, velocity) = load("wake"), swarm(np.random.default_rng(0), 2, 3)
+    kernel: Any = write_forces
+    writable = model.forces(position, velocity, "SLS")
+    before = len(kernel.signatures)
+    for array in (position, velocity):
+        array.setflags(write=False)
+    assert np.array_equal(model.forces(position, velocity, "SLS"), writable)
+    assert len(kernel.signatures) == before
 
 
 def test_what_no_model_can_take() -> None:

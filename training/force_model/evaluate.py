@@ -145,7 +145,12 @@ def predict_rows(network: ForceNetwork, rows: InteractionRows) -> FloatArray:
 def axis_bins(
     network: ForceFunction, predicted_g: FloatArray, rows: InteractionRows
 ) -> list[AxisBin]:
-    """Compare measured and modelled force under one neighbour, by vertical distance."""
+    """Compare measured and modelled force under one neighbour, by vertical distance.
+
+    Empty if no row has a neighbour: all drones flew alone.
+    """
+    if not rows.has_neighbor.any():
+        return []
     one = rows.has_neighbor.sum(axis=1) == 1
     slot = np.argmax(rows.has_neighbor, axis=1)
     pair = rows.neighbor[np.arange(len(rows)), slot]

@@ -35,18 +35,18 @@ _NOISE_HZ = 5.0
 @typed
 @dataclass(frozen=True)
 class Imperfection:
-    """What is spoiled; by default nothing.
+    """How the compensation of a controller is made worse; by default not at all.
 
     Raises:
         ValueError: a number is negative or not finite.
     """
 
     scale: _Size = 1.0
-    """Factor of the believed force."""
+    """Factor of the predicted force."""
     noise_g: _Size = 0.0
     """Root mean square of noise below 5 Hz on its vertical part, gram-force, each drone's own."""
     delay_s: _Size = 0.0
-    """How late the believed force comes, s; rounded to steps of 1/240 s."""
+    """How late the predicted force comes, s; rounded to steps of 1/240 s."""
     position_noise_m: _Size = 0.0
     """Standard deviation of measured positions, each component, white from step to step, m."""
     velocity_noise: _Size = 0.0

@@ -54,6 +54,16 @@ def test_fit_reads_a_folder_of_logs_and_says_what_became_of_it(logs, tmp_path, c
     assert (out / "learned.safetensors").is_file()
 
 
+def test_flights_of_lone_drones_are_fitted_without_pairs_to_report(logs, tmp_path):
+    alone = tmp_path / "alone"
+    alone.mkdir()
+    for name in ("S.csv", "L.csv"):
+        (alone / name).write_bytes((logs / name).read_bytes())
+    assert main(["fit", "--data", str(alone), "--out", str(tmp_path / "fit"), *QUICK]) == 0
+    report = json.loads((tmp_path / "fit" / "learned.json").read_text())
+    assert report["findings"]["rows"] > 100 and report["findings"]["axis_bins"] == []
+
+
 def test_logs_that_cannot_be_fitted_are_explained_without_traceback(logs, tmp_path, capsys):
     code = main(["fit", "--data", str(logs / "bad.csv"), "--out", str(tmp_path), *QUICK])
     assert code == 1
