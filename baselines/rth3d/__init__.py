@@ -5,7 +5,7 @@ the guaranteed methods take, `make_instance` draws instances of `FAMILIES`.
 """
 
 from swarm_envs.baselines.rth3d.grid import FAMILIES, GridInstance, building_columns, make_instance
-from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PhaseRecord, PlanTimeout
+from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_planning import METHODS, PlanNotFound, plan
 from swarm_envs.baselines.rth3d.grid_validation import ValidationReport, validate
 from swarm_envs.baselines.rth3d.highways import max_density
@@ -15,7 +15,6 @@ __all__ = [
     "METHODS",
     "GridInstance",
     "GridPlan",
-    "PhaseRecord",
     "PlanNotFound",
     "PlanTimeout",
     "ValidationReport",

@@ -13,12 +13,13 @@ from swarm_envs.baselines.neural_swarm.agent import BELIEFS
 from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.interactions import load
 from swarm_envs.tasks.swap import StackedLayout
-from swarm_envs.training.belief import (
+from swarm_envs.training.belief.feedforward import (
     FeedforwardConfig,
+    SwapTrial,
     compare_compensation,
+    feedforward_command,
     fit_feedforward,
 )
-from swarm_envs.training.belief.feedforward import SwapTrial, feedforward_command
 from swarm_envs.training.collection import CollectionConfig, interaction_rows
 from swarm_envs.training.collection.collect import collect
 from swarm_envs.training.force_model import load_network

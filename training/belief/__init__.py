@@ -3,12 +3,3 @@
 Its files are called `belief`. Command: `python -m swarm_envs.training.belief --out DIR --seed 0`,
 and `--collection.interactions wake` for an environment with another force model.
 """
-
-from swarm_envs.training.belief.feedforward import (
-    CompensationResult,
-    FeedforwardConfig,
-    compare_compensation,
-    fit_feedforward,
-)
-
-__all__ = ["CompensationResult", "FeedforwardConfig", "compare_compensation", "fit_feedforward"]

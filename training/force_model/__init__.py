@@ -17,15 +17,13 @@ if TYPE_CHECKING:
     from swarm_envs.training.force_model.evaluate import FitReport
     from swarm_envs.training.force_model.export import load_network, save_network
     from swarm_envs.training.force_model.force_fit_config import FitConfig
-    from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, FadeWindow
+    from swarm_envs.training.force_model.network import DeepSet
     from swarm_envs.training.force_model.pipeline import fit
 
 _HOMES = {
     "DeepSet": "network",
-    "DeepSetSpec": "network",
     "FitConfig": "force_fit_config",
     "FitReport": "evaluate",
-    "FadeWindow": "network",
     "fit": "pipeline",
     "load_network": "export",
     "save_network": "export",
@@ -33,8 +31,6 @@ _HOMES = {
 
 __all__ = [
     "DeepSet",
-    "DeepSetSpec",
-    "FadeWindow",
     "FitConfig",
     "FitReport",
     "fit",

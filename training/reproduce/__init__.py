@@ -4,7 +4,3 @@ Each is a `Study` (`study`): a grid of cells, what is made of them, and the pape
 names the papers; `neural_swarm2`, `dmpc_figures` and `rth3d_figures` their options and studies;
 `reproduce_all` runs all of them, and `reproduce_page` sets them side by side.
 """
-
-from swarm_envs.training.reproduce.force_map_figure import reproduce_figure
-
-__all__ = ["reproduce_figure"]

@@ -6,7 +6,7 @@ of the cheapest plan found. `scp.refine` improves them, one robot's subproblem a
 equation and which lines of the algorithm.
 """
 
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, SearchResult, search
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
 from swarm_envs.baselines.neural_swarm.planner.plan_plot import plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds, PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
@@ -17,7 +17,6 @@ __all__ = [
     "PlanningProblem",
     "RefinementOptions",
     "SearchConfig",
-    "SearchResult",
     "Trajectories",
     "plot_plan",
     "search",
