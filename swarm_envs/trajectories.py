@@ -6,12 +6,12 @@ times gives (T, 3), and (N, 3) starts with one time give (N, 3).
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import typed
+from swarm_envs.arguments import Range, typed
 from swarm_envs.state import FloatArray
 
 __all__ = ["Reference", "ramped_line", "rest_to_rest"]
@@ -73,12 +73,13 @@ def rest_to_rest(
     return _along_line(start, goal, _scale_time(_Profile(value, first, second, third), time))
 
 
+@typed
 def ramped_line(
     start: npt.ArrayLike,
     goal: npt.ArrayLike,
     duration: npt.ArrayLike,
     t: npt.ArrayLike,
-    ramp: float = 0.2,
+    ramp: Annotated[float, Range(0.0, 0.5, above=True)] = 0.2,
 ) -> Reference:
     """Straight motion at constant speed, with quintic ramps of the speed at both ends.
 
@@ -96,8 +97,6 @@ def ramped_line(
             and finite, or the ramp lies outside (0, 0.5].
     """
     time = _positive("duration", duration)
-    if not 0.0 < ramp <= 0.5:
-        raise ValueError(f"ramp is {ramp!r}, but must be a share of the duration in (0, 0.5]")
     u = np.clip(_times(t) / time, 0.0, 1.0)
     up = _ramped_time(u, ramp)
     down = _ramped_time(1.0 - u, ramp)

@@ -201,6 +201,7 @@ def parse_team(team: str | Sequence[Vehicle]) -> Team:
     return vehicles
 
 
+@typed
 def team_string(team: Sequence[Vehicle]) -> str:
     """Write a team as the string that `parse_team` reads: the inverse of it."""
     return "".join(vehicle.token for vehicle in team)

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import POSITIVE_S, OneOf, typed
+from swarm_envs.arguments import POSITIVE_S, OneOf, Range, typed
 from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team, parse_team
@@ -25,6 +25,8 @@ LONGEST_STEP_S = 0.25
 """Longest time between samples: where a drone was in a longer gap is not known, s."""
 SHORTEST_S = 0.5
 """Shorter flights are none, s."""
+LONGEST_S = 3600.0
+"""Longest flight along a plan, s."""
 YAWS = ("hold", "flown")
 """Yaw of a recording: as at the start throughout, or as it was, wobble included."""
 AT_REST = 0.02
@@ -199,9 +201,9 @@ def _along_setpoints(flight: Flight, setpoint: FloatArray) -> Flight:
 @typed
 def flight_along(
     reference: Callable[[float], Reference],
-    duration_s: Annotated[float, POSITIVE_S],
+    duration_s: Annotated[float, Range(SHORTEST_S, LONGEST_S, unit="s")],
     team: str | Team,
-    rate: float = RATE,
+    rate: Annotated[float, Range(1.0 / LONGEST_STEP_S, 1000.0, unit="Hz")] = RATE,
 ) -> Flight:
     """The flight that a plan asks for.
 
@@ -212,7 +214,7 @@ def flight_along(
         rate: samples a second.
 
     Raises:
-        ValueError: a duration that is not positive, or a reference that is not finite.
+        ValueError: a duration or rate out of its range, or a reference that is not finite.
     """
     time = np.linspace(0.0, duration_s, int(np.ceil(duration_s * rate)) + 1)
     # At the end itself a plan may say that all is over.

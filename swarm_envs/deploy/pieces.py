@@ -98,7 +98,7 @@ def _single(name: str, values: npt.NDArray[Any], positive: bool = False) -> Floa
 def evaluate(
     pieces: Pieces,
     time: npt.ArrayLike,
-    derivative: Annotated[int, Range(0)] = 0,
+    derivative: Annotated[int, Range(0, DEGREE + 1)] = 0,
     single: bool = False,
 ) -> FloatArray:
     """Where the drone should be, or a derivative of that.
@@ -116,9 +116,11 @@ def evaluate(
         (..., 4) x, y, z (m) and yaw (rad), over s to the power of the derivative.
 
     Raises:
-        ValueError: the derivative is negative.
+        ValueError: the derivative is negative or more than one above the degree, or a time is NaN.
     """
     asked, knots = np.asarray(time, dtype=np.float64), pieces.knots
+    if np.isnan(asked).any():
+        raise ValueError(f"time is {time!r:.80}, but must hold no NaN")
     inside = np.clip(asked, 0.0, knots[-1])
     which = np.clip(np.searchsorted(knots, inside, side="left") - 1, 0, len(pieces) - 1)
     dtype = np.float32 if single else np.float64
@@ -165,6 +167,7 @@ def write_pieces(path: str | Path, pieces: Pieces) -> None:
         writer.writerows([[str(value) for value in row] for row in rows.astype(np.float32)])
 
 
+@typed
 def read_pieces(path: str | Path) -> Pieces:
     """Read a CSV file of `write_pieces`, `uav_trajectories` or Crazyswarm.
 
@@ -173,7 +176,10 @@ def read_pieces(path: str | Path) -> Pieces:
             duration first; the message names the file and the line.
         OSError: the file cannot be read.
     """
-    with Path(path).open(encoding="utf-8", newline="") as file:
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"path is {str(path)!r:.80}, but must be a file of pieces, .csv")
+    # Bytes that are no text are replaced, and refused with the header or the number they are in.
+    with Path(path).open(encoding="utf-8", errors="replace", newline="") as file:
         lines = [[cell.strip() for cell in row] for row in csv.reader(file) if any(row)]
     lines = [row[:-1] if row[-1] == "" else row for row in lines]  # Crazyswarm ends with a comma
     head = [cell.lower().lstrip("# ") for cell in lines[0]] if lines else []

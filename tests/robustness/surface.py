@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,6 +17,8 @@ from swarm_envs.agents.scripted import HoverAgent
 from swarm_envs.baselines import mlr_dmpc, neural_swarm, rth3d
 from swarm_envs.baselines.neural_swarm.theorem import error_ball
 from swarm_envs.control.config import PositionGains
+from swarm_envs.deploy import evaluate, flight_along, read_pieces, settled
+from swarm_envs.deploy.pieces import Pieces
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.interactions import load
 from swarm_envs.physics import BatchPhysics, BulletPhysics
@@ -23,9 +27,10 @@ from swarm_envs.training.flight_logs.read import read_logs
 from swarm_envs.training.flight_table import read_table
 from swarm_envs.training.force_model import load_network
 from swarm_envs.training.interaction_rows import read_rows
-from swarm_envs.trajectories import rest_to_rest
-from swarm_envs.vehicles import parse_team
+from swarm_envs.trajectories import ramped_line, rest_to_rest
+from swarm_envs.vehicles import parse_team, team_string
 from swarm_envs.viewing.trajectory import read_trajectory
+from tests.helpers.imports import SOURCES
 
 STARTS, GOALS = np.array([[0.0, 0, 1], [1.0, 0, 1]]), np.array([[0.0, 1, 1], [1.0, 1, 1]])
 CORNERS = [[0, 0, 0], [3, 3, 3]]
@@ -139,13 +144,24 @@ def calls(folder: Path) -> dict[str, Call]:
     return found | {"simulate": Call(_simulated, GIVEN[mlr_dmpc.simulate])}
 
 
+def _line(t: float) -> Any:
+    return rest_to_rest(STARTS, GOALS, 1.0, t)
+
+
+PIECES = Pieces(np.ones(1), np.zeros((1, 4, 8)))
 PLAN: dict[str, Any] = {"starts": CORNERS, "goals": CORNERS[::-1], "shape": (6, 6, 6)}
 GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
     parse_team: {"team": "SSL"},
+    team_string: {"team": parse_team("SSL")},
+    evaluate: {"pieces": PIECES, "time": [0.5], "derivative": 0, "single": False},
+    flight_along: {"reference": _line, "duration_s": 1.0, "team": "SS", "rate": 200.0},
+    settled: {"flight": flight_along(_line, 1.0, "SS"), "seconds": 1.0},
+    read_pieces: {"path": Path("no.csv")},
     load: {"name": "learned"},
     neural_swarm.load_belief: {"truth": "learned"},
     agents.SafetyFilter: {"agent": HoverAgent(), "safety": None},
     rest_to_rest: {"start": STARTS, "goal": GOALS, "duration": 1.0, "t": 0.5},
+    ramped_line: {"start": STARTS, "goal": GOALS, "duration": 1.0, "t": 0.5, "ramp": 0.2},
     error_ball: {"gains": PositionGains(1.5, 2.5, 0.5), "mass": 0.03, "error_rate": 0.1},
     rth3d.plan: {**PLAN, "obstacles": None, "method": "auto", "seed": 0, "time_limit": None},
     rth3d.validate: {"paths": [CORNERS, CORNERS], **PLAN, "goals": CORNERS, "obstacles": None},
@@ -181,3 +197,32 @@ GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
     load_network: {"path": Path("no.safetensors")},
 }
 """Arguments of those that are called as they are."""
+
+NOT_CALLED: dict[str, tuple[str, ...]] = {
+    "takes what another function has made, not values of users": (
+        *("plot_plan", "report", "fit_flight", "fit_pieces", "flight_of", "export_flight"),
+        *("write_pieces", "write_replay", "write_table", "save_network", "save_rows"),
+        *("interaction_force", "interaction_rows", "next_clearance"),
+    ),
+    "takes settings, which tests/test_options.py gives bad values": (
+        *("collect", "read_flights", "run_curriculum", "fit", "search"),
+    ),
+    "begins as `fly_episode` does, which is called": ("record_episode",),
+    "takes no argument": ("bullet_available",),
+}
+"""Listed functions that are not called with hostile values, by the reason."""
+
+
+SINGLE_MODULES = ("swarm_envs.vehicles", "swarm_envs.trajectories")
+"""Modules that users import from and that are no packages."""
+
+
+def listed_functions() -> set[str]:
+    """Names of the functions that the modules of docs/public.md list."""
+    found = set()
+    for module, file in SOURCES.items():
+        if file.name == "__init__.py" or module in SINGLE_MODULES:
+            home = import_module(module)
+            names = getattr(home, "__all__", ())
+            found |= {name for name in names if inspect.isfunction(getattr(home, name))}
+    return found
