@@ -71,7 +71,7 @@ def _register_with_pettingzoo(task: str) -> None:
 
 
 def _known_to_pettingzoo() -> tuple[str, ...]:
-    """Tasks that it need not be told of: those it knows, or all if it has no registry."""
+    """Tasks that are registered there, or all if this version has no registry."""
     if not hasattr(pettingzoo, "register"):
         return TASKS
     known = pettingzoo.parallel_registry  # where an id `x_v0` is kept as `x-v0`

@@ -130,7 +130,7 @@ class MlrDmpcConfig:
     def for_swarm(self, num_drones: int) -> MlrDmpcConfig:
         """The parameters with which N drones fly: planes are turned by (2 / N)^2 of `turn_rad`.
 
-        In a crowd nothing is so symmetric as to stay stuck, and the turn costs time.
+        In a large swarm nothing is so symmetric as to stay stuck, and the turn costs time.
         """
         return replace(self, turn_rad=self.turn_rad * min(1.0, 2.0 / max(num_drones, 1)) ** 2)
 

@@ -170,7 +170,7 @@ class SwarmInformation:
         return Trajectory(state.identity, still, jerk, self._config.input_sampling_s)
 
     def _account(self, unit: int, message: UnitMessage | None, last: int, given: set[int]) -> None:
-        """Add what a member's slot may have told a drone in the last round."""
+        """Add what a member's slot may have sent to a drone in the last round."""
         if message is not None and message.trajectory is not None:
             tracker = self.trackers[message.drone]
             tracker.learn(message.trajectory)

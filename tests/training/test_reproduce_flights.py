@@ -182,7 +182,7 @@ def test_what_is_odd_is_noted(tmp_path, monkeypatch):
     report, _ = run_quietly("neural-swarm2", episodes=1, out=tmp_path / "out", **asked)
     notes = report["notes"]
     assert "compiled twin of Bullet" in notes[0]
-    assert "the very force that blows" in notes[1]
+    assert "by the environment's model" in notes[1]
 
 
 @pytest.mark.slow

@@ -113,7 +113,7 @@ def fly_quadrotors(
     force_errors: FloatArray,
     position_error: npt.ArrayLike = (0.0, 0.0, 0.0),
 ) -> FloatArray:
-    """Let E quadrotors hold a place in still air while their controllers believe in -eps_f.
+    """Let E quadrotors hold a place in still air with a force of -eps_f compensated.
 
     Attitude, rotor lag and limits of the thrust are those of the package's engine, at 240 Hz.
 

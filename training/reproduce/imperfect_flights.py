@@ -29,7 +29,7 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 _Size = Annotated[float, NOT_NEGATIVE]
 _NOISE_HZ = 5.0
-"""The noise of the belief lies below this frequency, Hz: as errors of a model do in flight."""
+"""Noise of the predicted force lies below this frequency, Hz, as errors of a model in flight do."""
 
 
 @typed
@@ -149,7 +149,7 @@ class _Belief:
         self._step = 0
 
     def force(self, state: SwarmState) -> FloatArray | None:
-        """(E, N, 3) what is believed in the next step, N; None if there is no belief."""
+        """(E, N, 3) the force that is fed forward in the next step, N; None if none is."""
         if self._model is None:
             return None
         force = self._scale * self._model.forces(state.position, state.velocity, self._team)

@@ -67,7 +67,7 @@ class SweepPoint:
 
     @property
     def controller(self) -> ControllerConfig:
-        """Default gains, with what is believed."""
+        """Default gains, with the force model that is fed forward."""
         return ControllerConfig(feedforward=_BELIEFS[self.belief]())
 
 

@@ -56,7 +56,7 @@ class NeuralSwarmOptions(StudyOptions):
     belief of their own if not given. Figure 5: the true force where the model was learned: how
     much of it is explained for 2 to 16 drones"""
     belief: Path | None = None
-    """flights: weights that the compensating controller believes, such as those of `swarm-envs
+    """flights: weights of the compensating controller's force model, such as those of `swarm-envs
     curriculum`; what ships for `--truth` if not given"""
     episodes: Count | None = None
     """flights: how many of each case by each controller; 20 if not given"""

@@ -146,7 +146,7 @@ def _notes(options: Any, engine: str, flown: Mapping[str, Sequence[PairedFlights
     for name in flown:
         truth = load(name)
         if truth.fingerprint == _belief(options, name).fingerprint:
-            notes.append(f"the controller believes the very force that blows, {truth.name!r}")
+            notes.append(f"the controller compensates by the environment's model, {truth.name!r}")
     crashed = sum(int(one.crashed.sum()) for own in flown.values() for one in own)
     if crashed:
         notes.append(f"{crashed} flights ended before the clock: their error is not their worst")
@@ -379,7 +379,7 @@ _OWN_RINGS = Reason(
     Between(3.0, 25.0),
 )
 _OWN_AIR = Reason(
-    "the force that blows here is a model, one of two, and not the air of their hall",
+    "the force here is that of a model, one of two, and not of the air of their hall",
     Between(8.5, 34.0),
 )
 

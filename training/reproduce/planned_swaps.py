@@ -8,7 +8,7 @@ As published (Sec. VII-D): "we also implement a PID controller, which uses the p
 feed-forward term", and forward propagate the dynamics with the learned model of f_a, whether the
 plan knew it or not. A robot is a double integrator, dv/dt = u + f_a / m; no force is compensated.
 What that leaves out is in (b): attitude, rotor lag, thrust limits, and a force that differs from
-what was believed when the plan was made.
+the one with which the plan was made.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ def fly_plan(
 
     Args:
         plan: starts, goals and motions of the team.
-        controller: of every drone; `feedforward` is what it believes.
+        controller: of every drone; `feedforward` is the force model that it compensates.
         truth: the true force model.
         engine: `bullet` or `batch`.
 
@@ -289,7 +289,7 @@ class TrialSettings:
     """What all trials share."""
 
     model: InteractionModel
-    """What the aware planner knows and the compensating controller believes; the plant of (a)."""
+    """The force model of the aware planner and the compensating controller; the plant of (a)."""
     truth: str | InteractionModel = "learned"
     """The true force model in (b)."""
     engine: str = "batch"

@@ -37,7 +37,9 @@ class Place:
 
 
 _POLICY = "One network for every drone, on what each observes itself."
-_COMPENSATED = "The same, over a controller that feeds forward the force that it believes."
+_COMPENSATED = (
+    "The same, over a controller that feeds forward the force that its own model predicts."
+)
 _FILTERED = "The same, behind a filter of barrier functions."
 
 ROSTER: Mapping[str, Place] = MappingProxyType(
