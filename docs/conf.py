@@ -55,5 +55,5 @@ smartquotes = False  # `--drones` stays what is typed
 nitpicky = True  # names in docstrings must lead somewhere; types of other libraries cannot
 nitpick_ignore_regex = [
     (r"py:(class|exc|data|func|meth|attr|mod)", r".*"),
-    (r"py:obj", r"typing\.Annotated.*"),  # what `POSITIVE` and its like are an alias of
+    (r"py:obj", r"typing\.(Annotated|Literal).*"),  # alternatives, and aliases like `Count`
 ]

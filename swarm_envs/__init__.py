@@ -3,7 +3,8 @@
 from swarm_envs import swap_v1
 env = swap_v1.parallel_env(num_drones=4)
 
-Its import tells Gymnasium and PettingZoo the tasks' names: `gymnasium.make("swarm_envs/Swap-v1",
+`help(swap_v1)` describes the task, and `help(swap_v1.parallel_env)` every option. Importing the
+package registers the tasks with Gymnasium and PettingZoo: `gymnasium.make("swarm_envs/Swap-v1",
 num_drones=4)` flies a team as one agent, `gymnasium.make("swarm_envs/SwapSolo-v1", ...)` one drone
 of it, `gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=1024, ...)` many teams at once, and
 `pettingzoo.make("parallel", "swarm_envs/swap_v1", num_drones=4)` is `swap_v1.parallel_env(...)`.
@@ -12,6 +13,7 @@ of it, `gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=1024, ...)` many teams
 from __future__ import annotations
 
 import importlib
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -40,7 +42,7 @@ def gymnasium_name(task: str, suffix: str = "") -> str:
 
 
 def register() -> None:
-    """Tell Gymnasium and PettingZoo every task's names, unless they know them.
+    """Register every task with Gymnasium and PettingZoo, unless it is registered.
 
     PettingZoo has a registry from version 1.27 on.
     """
@@ -91,6 +93,13 @@ def make(task: str, **options: Any) -> SwarmParallelEnv:
     check_name("task", task, TASKS)
     env: SwarmParallelEnv = importlib.import_module(f"swarm_envs.{task}").parallel_env(**options)
     return env
+
+
+def __getattr__(name: str) -> ModuleType:
+    """Import a task when it is asked for: `import swarm_envs; swarm_envs.swap_v1`."""
+    if name not in TASKS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return importlib.import_module(f"{__name__}.{name}")
 
 
 register()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -183,6 +184,29 @@ COMMANDS: Mapping[str, Command] = {
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
 
+EXAMPLES: Mapping[str, str] = {
+    "demo": "--out demo",
+    "fly": "--layout stacked --team L2S --agent tracking --seed 1 --out flight",
+    "evaluate": "--layout random --agent swap-ppo straight-line --episodes 64 --json out.json",
+    "benchmark": "--out board --workers 2",
+    "grade": "--assignment swap --work my.py:MyAgent --seed 4711 --out grades.csv",
+    "replay": "flight/trajectory.parquet --out flight.html",
+    "plan": "--grid 48x24x12 --density 0.333 --seed 1 --out plan",
+    "collect": "--out flights --seed 0",
+    "curriculum": "--quick --out runs/curriculum",
+    "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",
+    "train-sweep": "--seeds 0 1 2 --set drones=4 --compare hidden=64,64 hidden=32,32 --out runs/b",
+    "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
+    "export trajectory": "flight/trajectory.parquet --out real --tolerance 0.01",
+    "export policy": "--policy swap-ppo --out policy.h",
+    "export force": "--model learned --out learned.h",
+    "reproduce neural-swarm2": "--figure 5 --out runs/figure-5",
+    "reproduce dmpc-swarm": "--figure 4 --out runs/figure-4",
+    "reproduce rth3d": "--figure 6 --runs 2 --out runs/figure-6",
+    "reproduce all": "--quick --out runs/all",
+}
+"""What to type first, for the help of each command."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line and return its exit code.
@@ -223,7 +247,8 @@ def _overview() -> str:
     head = [f"usage: {PROGRAM} COMMAND [options]", "", "commands:"]
     explains = f"`{PROGRAM} COMMAND --help` explains a command's options"
     version = f"`{PROGRAM} --version` says which version this is."
-    return "\n".join([*head, *lines, "", f"{explains}; {version}"])
+    example = f"To begin: {PROGRAM} fly {EXAMPLES['fly']}"
+    return "\n".join([*head, *lines, "", f"{explains}; {version}", example])
 
 
 def _read(
@@ -238,9 +263,17 @@ def _read(
     return tyro.cli(
         options,
         args=list(arguments),
+        description=_description(name, options),
         prog=f"{PROGRAM} {name}",
         config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
     )
+
+
+def _description(name: str, options: type) -> str:
+    """What the help of a command begins with: each paragraph of the docstring, and an example."""
+    paragraphs = (inspect.getdoc(options) or "").split("\n\n")
+    joined = [" ".join(paragraph.splitlines()) for paragraph in paragraphs]
+    return "\n\n".join([*joined, f"Example: {PROGRAM} {name} {EXAMPLES[name]}"])
 
 
 def _complain(where: str, message: str, code: int) -> int:

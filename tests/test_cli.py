@@ -8,7 +8,8 @@ import sys
 import pytest
 
 import swarm_envs
-from swarm_envs.cli import COMMANDS, main
+from swarm_envs import cli
+from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM, main
 from swarm_envs.commands.export import KINDS
 from swarm_envs.training.reproduce.papers import PAPERS
 
@@ -46,6 +47,23 @@ def test_help_explains_every_option(call, capsys):
     # What draws nothing at random needs no seed.
     assert "--seed" in text or call in (["replay"], ["export", "trajectory"])
     assert "--out" in text
+    example = f"{PROGRAM} {' '.join(call)} {EXAMPLES[' '.join(call)]}"
+    assert f"Example: {example}" in " ".join(text.split())
+
+
+@pytest.mark.parametrize("call", CALLS, ids=" ".join)
+def test_examples_of_the_help_are_read(call, monkeypatch):
+    class Read(Exception):
+        """The options were read."""
+
+    def read_only(*given, **others):
+        read(*given, **others)
+        raise Read
+
+    read = cli._read
+    monkeypatch.setattr(cli, "_read", read_only)
+    with pytest.raises(Read):
+        COMMANDS[call[0]].run([*call[1:], *EXAMPLES[" ".join(call)].split()])
 
 
 @pytest.mark.parametrize(

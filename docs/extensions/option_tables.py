@@ -17,7 +17,7 @@ import tyro
 
 from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
-from swarm_envs.cli import COMMANDS, PROGRAM
+from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.commands.export import KINDS
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.formation_v1 import FormationOptions
@@ -150,7 +150,9 @@ def section(command: tuple[str, ...]) -> str:
     ]
     title = " ".join((PROGRAM, *command))
     head = ["| option | default | |", "|---|---|---|"]
-    return "\n".join([f"## {title}", "", inspect.getdoc(cls) or "", "", *head, *rows])
+    example = f"    {title} {EXAMPLES[' '.join(command)]}"
+    said = [f"## {title}", "", inspect.getdoc(cls) or "", "", example, ""]
+    return "\n".join([*said, *head, *rows])
 
 
 def _cell(text: str, code: bool = False) -> str:

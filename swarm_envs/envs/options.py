@@ -120,16 +120,22 @@ Raises:
 
 
 def _documented(view: Callable[P, Any], options: Callable[P, TaskOptions]) -> Any:
-    """Give a view the signature of the options, and a docstring that explains each of them."""
+    """Give a view the options as its signature, and a docstring that explains each of them.
+
+    The task's own options come first. Types stand in the docstring, in words, and would make the
+    signature unreadable.
+    """
     made: Any = view
-    made.__signature__ = inspect.signature(options).replace(
-        return_annotation=view.__annotations__["return"]
-    )
-    made.__module__, made.__qualname__ = options.__module__, view.__name__
     table = options_of(options)  # type: ignore[arg-type]  # a class
     shared = [field.name for field in fields(EnvConfig)]
-    own = [name for name in table if name not in shared]
-    entries = [_entry(table[name]) for name in (*own, *shared)]
+    names = [*(name for name in table if name not in shared), *shared]
+    parameters = inspect.signature(options).parameters
+    made.__signature__ = inspect.Signature(
+        [parameters[name].replace(annotation=inspect.Parameter.empty) for name in names],
+        return_annotation=view.__annotations__["return"],
+    )
+    made.__module__, made.__qualname__ = options.__module__, view.__name__
+    entries = [_entry(table[name]) for name in names]
     made.__doc__ = "\n".join([made.__doc__, "", "Args:", *entries, "", _RAISES])
     return view
 

@@ -152,7 +152,11 @@ def _check_measured(config: TrainConfig) -> None:
 @typed_options
 @dataclass(frozen=True, kw_only=True)
 class FitConfig(TrainConfig):
-    """What to fit, from which rows, and where to put the result."""
+    """Fit a model of the interaction forces to flight logs or to rows of measured force.
+
+    Writes the model and a report of its errors. Killed and called again, it goes on from the last
+    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed.
+    """
 
     data: Path
     """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
