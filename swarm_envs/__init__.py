@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any
 import gymnasium
 import pettingzoo
 
+from swarm_envs.arguments import typed
 from swarm_envs.errors import check_name
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ TASKS = ("swap_v1", "ring_v1", "formation_v1", "swap_v0", "ring_v0", "formation_
 """Every task by its versioned name: modules with a `parallel_env()`."""
 
 
+@typed
 def task_family(task: str) -> str:
     """The name that all versions of a task share: `swap` for `swap_v1`, and for `swap`."""
     return task.partition("_v")[0]

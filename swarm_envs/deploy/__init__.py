@@ -6,7 +6,7 @@ Trained policies and force models as C headers are made by `swarm_envs.agents.c_
 
 from swarm_envs.deploy.export import export_flight, fit_flight
 from swarm_envs.deploy.flight import Flight, flight_along, flight_of, settled
-from swarm_envs.deploy.pieces import Pieces, evaluate, fit_pieces, read_pieces, write_pieces
+from swarm_envs.deploy.pieces import Pieces, evaluate, read_pieces
 from swarm_envs.deploy.report import Separation, TeamReport, report
 
 __all__ = [
@@ -17,11 +17,9 @@ __all__ = [
     "evaluate",
     "export_flight",
     "fit_flight",
-    "fit_pieces",
     "flight_along",
     "flight_of",
     "read_pieces",
     "report",
     "settled",
-    "write_pieces",
 ]

@@ -10,8 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm_envs.deploy import Pieces, evaluate, fit_pieces, read_pieces, write_pieces
-from swarm_envs.deploy.pieces import HEADER, MOST_PIECES, PIECE_BYTES, YAW_TOLERANCE, largest_jump
+from swarm_envs.deploy import Pieces, evaluate, read_pieces
+from swarm_envs.deploy.pieces import (
+    HEADER,
+    MOST_PIECES,
+    PIECE_BYTES,
+    YAW_TOLERANCE,
+    fit_pieces,
+    largest_jump,
+    write_pieces,
+)
 from swarm_envs.state import FloatArray
 
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarm_envs import agents, make
+from swarm_envs import agents, make, task_family
 from swarm_envs.agents import fly_episode, record_episode
 from swarm_envs.agents.scripted import HoverAgent
 from swarm_envs.baselines import mlr_dmpc, neural_swarm, rth3d
@@ -152,6 +152,7 @@ PIECES = Pieces(np.ones(1), np.zeros((1, 4, 8)))
 PLAN: dict[str, Any] = {"starts": CORNERS, "goals": CORNERS[::-1], "shape": (6, 6, 6)}
 GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
     parse_team: {"team": "SSL"},
+    task_family: {"task": "swap_v1"},
     team_string: {"team": parse_team("SSL")},
     evaluate: {"pieces": PIECES, "time": [0.5], "derivative": 0, "single": False},
     flight_along: {"reference": _line, "duration_s": 1.0, "team": "SS", "rate": 200.0},
@@ -200,8 +201,8 @@ GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
 
 NOT_CALLED: dict[str, tuple[str, ...]] = {
     "takes what another function has made, not values of users": (
-        *("plot_plan", "report", "fit_flight", "fit_pieces", "flight_of", "export_flight"),
-        *("write_pieces", "write_replay", "write_table", "save_network", "save_rows"),
+        *("plot_plan", "report", "fit_flight", "flight_of", "export_flight"),
+        *("write_replay", "write_table", "save_network", "save_rows"),
         *("interaction_force", "interaction_rows", "next_clearance"),
     ),
     "takes settings, which tests/test_options.py gives bad values": (

@@ -44,7 +44,7 @@ QUICK = {
 }
 QUICK |= {"env.reset options", "TrackingAgent", "SafetyFilter"}
 QUICK |= {"read_trajectory", "read_table", "read_rows", "read_pieces"}
-QUICK |= {"ramped_line", "team_string", "evaluate", "flight_along", "settled"}
+QUICK |= {"ramped_line", "team_string", "task_family", "evaluate", "flight_along", "settled"}
 NAMES = [
     pytest.param(n, marks=[] if n in QUICK else pytest.mark.slow) for n in surface.calls(Path())
 ]
