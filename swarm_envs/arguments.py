@@ -239,12 +239,13 @@ def _guarded(
     parameters = inspect.signature(function).parameters
     open_ended = any(p.kind is p.VAR_KEYWORD for p in parameters.values())
     names = [name for name in parameters if name != "self"]
+    by_place = [name for name, p in parameters.items() if p.kind is not p.KEYWORD_ONLY]
     kinds = functools.cache(read)  # at the first call, when whatever annotations name is defined
 
     @functools.wraps(function)
     def checked(*args: Any, **options: Any) -> Any:
         wanted = kinds()
-        for name, value in (*zip(parameters, args), *options.items()):
+        for name, value in (*zip(by_place, args), *options.items()):
             if name in wanted:
                 _check(owner, name, value, wanted[name])
             elif name not in parameters and not open_ended:

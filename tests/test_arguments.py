@@ -96,6 +96,15 @@ def test_arguments_by_place_are_looked_at_too():
         job(1, "x")  # type: ignore[arg-type]
 
 
+def test_what_goes_by_name_alone_is_not_taken_by_place():
+    @typed
+    def named(*, first: int = 0) -> int:
+        return first
+
+    with pytest.raises(TypeError, match="takes 0 positional arguments but 1 was given"):
+        named("a")  # type: ignore[misc]
+
+
 @typed
 @dataclass(frozen=True)
 class Settings:
