@@ -73,7 +73,7 @@ def _step(actions: Any) -> object:
 def _vector_step(actions: Any) -> object:
     import gymnasium
 
-    env = gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=2, num_drones=2, interactions="none")
+    env = gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, num_drones=2, interactions="none")
     env.reset(seed=0)
     return env.step(actions)
 
