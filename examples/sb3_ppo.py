@@ -22,7 +22,7 @@ def main(arguments: list[str] | None = None) -> float:
     given = parser.parse_args(arguments)
     env = VecMonitor(
         SharedPolicyVecEnv(
-            "swap_v0",
+            "swap_v1",
             num_envs=given.envs,
             seed=0,
             num_drones=4,

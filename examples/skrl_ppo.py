@@ -65,7 +65,7 @@ def main(arguments: list[str] | None = None) -> PPO:
     set_seed(0)
     env = wrap_env(
         gymnasium.make_vec(
-            "swarm_envs/Swap-v0",
+            "swarm_envs/Swap-v1",
             num_envs=given.envs,
             num_drones=4,
             action="acceleration",

@@ -16,7 +16,7 @@ from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 from torchrl.modules import MultiAgentMLP, ProbabilisticActor, TanhNormal
 from torchrl.objectives import ClipPPOLoss, ValueEstimators
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 
 GROUP = "drone"
 OBSERVATION, ACTION, VALUE = (GROUP, "observation"), (GROUP, "action"), (GROUP, "state_value")
@@ -77,7 +77,7 @@ def main(arguments: list[str] | None = None) -> list[float]:
     given = parser.parse_args(arguments)
     torch.manual_seed(0)
     env = PettingZooWrapper(
-        swap_v0.parallel_env(
+        swap_v1.parallel_env(
             num_drones=4,
             action="acceleration",
             decision_rate=10,
