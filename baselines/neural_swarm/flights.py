@@ -304,15 +304,18 @@ def versions() -> dict[str, str]:
     return found
 
 
-def format_columns(rows: Sequence[tuple[str, ...]]) -> list[str]:
-    """Lines of a table whose first row is its head: the first column to the left, others right."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+def format_columns(rows: Sequence[tuple[str, ...]], rule: bool = True) -> list[str]:
+    """Lines of a table: the first column to the left, others right.
+
+    Args:
+        rows: the head first.
+        rule: draw a line of hyphens below the head.
+    """
+    widths = [max(map(len, column)) for column in zip(*rows)]
     lines = [
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))])
-        for row in rows
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
     ]
-    lines.insert(1, "  ".join("-" * width for width in widths))
-    return lines
+    return [*lines[:1], *["  ".join("-" * width for width in widths)] * rule, *lines[1:]]
 
 
 def _sha256(path: Path) -> str:

@@ -1,12 +1,17 @@
-"""Collection of flights: labels against what really acted, repulsion, resumption, determinism."""
+"""Collection of flights: motions, sensors, labels against what really acted, files, the command."""
 
 import dataclasses
 import json
+import sys
 
 import numpy as np
 import pytest
 
+from swarm_envs.cli import main
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.physics import BatchPhysics
 from swarm_envs.training.collection import (
+    CalibrationErrors,
     CollectionConfig,
     FlightLog,
     SensorNoise,
@@ -15,17 +20,38 @@ from swarm_envs.training.collection import (
     interaction_rows,
     read_flights,
 )
-from swarm_envs.training.collection.collect import FlightBatch, flight_generator, make_motion
-from swarm_envs.training.collection.flight import fly_motion
+from swarm_envs.training.collection.collect import (
+    FlightBatch,
+    flight_generator,
+    fly_flights,
+    make_motion,
+)
+from swarm_envs.training.collection.flight import fly_motion, vehicle_ids, vehicle_names
 from swarm_envs.training.collection.log import (
     LOG_RATE,
+    NO_NOISE,
     derivative,
     hann_average,
     lagged_thrust,
+    resampled,
+    rotate,
+    rotate_to_body,
+    thrust_direction,
     with_noise,
+    world_acceleration,
 )
 from swarm_envs.training.collection.motion import MotionRanges, Potential, RandomWalk, repulsion
-from swarm_envs.vehicles import LARGE, SMALL, parse_team
+from swarm_envs.training.collection.storage import (
+    commanded_thrust,
+    flight_file,
+    from_table,
+    motor_signals,
+    read_log,
+    to_table,
+)
+from swarm_envs.training.collection.table import SCENARIOS, CollectedFlight, scenario_counts
+from swarm_envs.training.flight_logs import LogOptions, read_logs
+from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, LARGE, SMALL, parse_team
 
 SHORT = CollectionConfig(
     teams=("S", "SL"), walks=2, low_walks=1, swaps=1, low_swaps=0, duration_s=3.0
@@ -148,18 +174,6 @@ def collection(tmp_path_factory):
     return out, collect(SHORT, out, progress=False)
 
 
-def contents(folder):
-    return {file.name: file.read_bytes() for file in folder.iterdir()}
-
-
-def test_the_same_seed_gives_the_same_files_and_another_does_not(collection, tmp_path):
-    out, flights = collection
-    collect(SHORT, tmp_path / "again", progress=False)
-    assert contents(tmp_path / "again") == contents(out)
-    other = collect(dataclasses.replace(SHORT, seed=1), tmp_path / "other", progress=False)
-    assert not np.array_equal(other[0].log.position, flights[0].log.position)
-
-
 def test_a_folder_of_another_configuration_is_refused(collection):
     out, _ = collection
     with pytest.raises(ValueError, match=r": config.(seed is 0|interactions is learned) there, "):
@@ -214,3 +228,296 @@ def test_a_log_is_cut_before_the_first_contact():
     distance = np.linalg.norm(log.position[:, 0] - log.position[:, 1], axis=1)
     assert distance.min() >= 2 * SMALL.radius
     assert distance[-1] < 2 * SMALL.radius + 0.03
+
+
+CONFIG = CollectionConfig(
+    teams=("S", "SL"), walks=2, low_walks=0, swaps=2, low_swaps=0, duration_s=6.0, label="imu"
+)
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory):
+    return collect(CONFIG, tmp_path_factory.mktemp("npz"), progress=False)
+
+
+def parquet(config, out):
+    pytest.importorskip("pyarrow")
+    return collect(dataclasses.replace(config, format="parquet"), out, progress=False)
+
+
+def test_signals_are_those_that_psi1_makes_the_thrust_of():
+    team = (SMALL, LARGE)
+    hover = np.array([v.hover_rotor_thrust for v in team])[:, None]
+    commands = hover * np.random.default_rng(0).uniform(0.6, 1.5, (600, 2, 4))
+    pwm, volts = motor_signals(commands, team, 120.0)
+    assert (pwm > 0.0).all() and (pwm < 65535.0).all()
+    np.testing.assert_allclose(commanded_thrust(pwm, volts, team), commands, rtol=1e-9)
+    assert (volts > 3.0).all() and (volts < 4.2).all()
+    assert (volts[-60:].mean(axis=0) < volts[:60].mean(axis=0)).all()  # the battery empties
+
+
+def test_a_thrust_beyond_the_motors_is_logged_as_the_nearest_signal():
+    commands = np.array([[[0.0, 0.0, 0.0, 0.0]], [[9.0, 9.0, 9.0, 9.0]]])
+    pwm, _ = motor_signals(commands, (SMALL,), 120.0)
+    assert (pwm[1] == 65535.0).all() and (pwm[0] > 0.0).all()
+
+
+@pytest.mark.parametrize("accelerometer", [True, False])
+def test_a_table_holds_what_the_log_holds(flights, accelerometer):
+    flight = next(f for f in flights if f.team == "SL")
+    team = parse_team("SL")
+    table = to_table(flight.log, team, 120, accelerometer)
+    assert table.drone[:4].tolist() == ["S1", "L1", "S1", "L1"]
+    back = from_table(table, team)
+    for name in ("position", "velocity", "quaternion"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(flight.log, name))
+    known = flight.log.commands > np.array([[0.02], [0.09]])  # psi1 gives no rotor less
+    assert known.mean() > 0.95
+    np.testing.assert_allclose(back.commands[known], flight.log.commands[known], atol=1e-9)
+    assert np.isnan(back.setpoint).all()
+    if accelerometer:
+        np.testing.assert_allclose(back.specific_force, flight.log.specific_force, atol=1e-6)
+    else:
+        assert table.acceleration is None and np.isnan(back.specific_force).all()
+    with pytest.raises(ValueError, match="must list L1, S1"):
+        from_table(table, parse_team("LS"))
+
+
+@pytest.mark.parametrize("label", ["imu", "differentiated"])
+def test_parquet_flights_are_read_as_if_they_were_real(flights, label, tmp_path):
+    flown = parquet(dataclasses.replace(CONFIG, label=label), tmp_path)
+    rows, report = read_logs(tmp_path, LogOptions(guard_s=0.0, keep_every=4, rate_hz=120.0))
+    assert all(file.refused is None for file in report.files)
+    wanted = "logged" if label == "imu" else "differentiated"
+    assert {file.acceleration for file in report.files} == {wanted}
+    assert set(report.vehicles) == {"S1", "L1"}
+    ours = interaction_rows(flown, label)
+    for name in ("Ge2S", "L2S", "S2L"):  # the same forces by two roads
+        a = rows.force_g[rows.scenario == rows.scenario_names.index(name)]
+        b = ours.force_g[ours.scenario == ours.scenario_names.index(name)]
+        assert len(a) == pytest.approx(len(b), rel=0.15)
+        np.testing.assert_allclose(a.mean(axis=0), b.mean(axis=0), atol=0.15)
+        np.testing.assert_allclose(a.std(axis=0), b.std(axis=0), rtol=0.15, atol=0.05)
+
+
+@pytest.mark.parametrize("form", ["npz", "parquet"])
+def test_killed_and_called_again_the_folder_is_the_same_to_the_byte(form, tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+    config = dataclasses.replace(CONFIG, format=form, duration_s=1.5, log_rate=100)
+    whole = tmp_path / "whole"
+    collect(config, whole, progress=False)
+    module = sys.modules[collect.__module__]
+    saved: list[str] = []
+    save = module.save_log
+
+    def killed(*arguments):
+        if len(saved) == 3:
+            raise KeyboardInterrupt
+        saved.append(arguments[0].name)
+        save(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(module, "save_log", killed)
+        with pytest.raises(KeyboardInterrupt):
+            collect(config, tmp_path / "cut", progress=False)
+    first = (tmp_path / "cut" / saved[0]).stat().st_mtime_ns
+    collect(config, tmp_path / "cut", progress=False)
+    assert (tmp_path / "cut" / saved[0]).stat().st_mtime_ns == first  # not flown again
+    for file in whole.iterdir():
+        assert (tmp_path / "cut" / file.name).read_bytes() == file.read_bytes()
+
+
+def test_a_parquet_flight_cannot_be_read_without_its_team(tmp_path):
+    with pytest.raises(ValueError, match="give the team"):
+        read_log(flight_file(tmp_path, "SL-walk-000", "parquet"))
+
+
+def test_the_command_covers_table_ii_and_says_so(tmp_path, capsys):
+    out, numbers = tmp_path / "out", tmp_path / "numbers.json"
+    words = "--duration-s 3 --walks 2 --low-walks 0 --swaps 1 --low-swaps 0 --log-rate 100"
+    assert main(["collect", "--out", str(out), "--json", str(numbers), *words.split()]) == 0
+    said = capsys.readouterr()
+    assert "all twelve scenarios of Table II have rows" in said.out
+    assert "flights: 100%" in said.err
+    summary = json.loads(numbers.read_text())
+    assert list(summary["scenarios"]) == list(SCENARIOS)
+    assert sum(s["rows"] for s in summary["scenarios"].values()) == summary["rows"]
+    manifest = json.loads((out / "manifest.json").read_text())
+    assert manifest["log_rate"] == 100 and manifest["config"]["noise"]["velocity"] == 0.01
+    for name, scenario in manifest["scenarios"].items():
+        assert summary["scenarios"][name]["flights"] == scenario["flights"] >= 1
+        assert f"\n{name} " in said.out
+
+
+def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
+    words = "--teams S SL --duration-s 3 --walks 1 --low-walks 0 --swaps 0 --low-swaps 0"
+    assert main(["collect", "--out", str(tmp_path), *words.split(), "--no-progress"]) == 0
+    assert "of Table II no row of S2S, SS2S" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", ["--teams", "--teams S L --walks 0 --low-walks 0"])
+def test_a_collection_of_no_flight_is_refused_with_exit_code_2(words, tmp_path, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["collect", "--out", str(tmp_path / "out"), *words.split()])
+    assert end.value.code == 2
+    assert "no flight" in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+EXACT = CollectionConfig(noise=NO_NOISE, duration_s=6.0)
+
+
+def logs(team="SL", kind="swap", count=1, config=EXACT):
+    return fly_flights(config, FlightBatch(team, kind, count), load(config.interactions))
+
+
+@pytest.mark.parametrize(
+    ("team", "kind", "rate", "label", "bound"),
+    [
+        ("SL", "swap", 120, "imu", 0.25),
+        ("SSL", "walk", 100, "imu", 0.25),
+        ("L", "low-walk", 100, "imu", 0.25),
+        ("SL", "walk", 120, "differentiated", 0.3),
+        ("SSL", "low-walk", 120, "differentiated", 0.3),
+        ("SL", "low-swap", 120, "differentiated", 0.3),
+        ("L", "low-walk", 120, "differentiated", 0.3),
+    ],
+)
+def test_labels_are_the_force_that_acted(team, kind, rate, label, bound):
+    (log,) = logs(team, kind, config=dataclasses.replace(EXACT, log_rate=rate))
+    acted = load("learned").forces(log.position, log.velocity, team) / GRAM_FORCE
+    assert np.abs(acted[..., 2]).max() > 1.5  # there is something to find
+    force = interaction_force(log, parse_team(team), 0.0, rate, label)
+    error = (force - acted)[5:-2]
+    assert np.isfinite(error).all()
+    assert np.sqrt(np.mean(error**2, axis=(0, 1))).max() < bound
+
+
+def test_a_label_knows_the_log_alone(tmp_path, monkeypatch):
+    """With every truth of the simulator spoilt as soon as a step is made, the rows are the same."""
+    config = CollectionConfig(
+        teams=("SL",), walks=2, low_walks=0, swaps=2, low_swaps=0, duration_s=3.0
+    )
+    expected = interaction_rows(collect(config, tmp_path / "a", progress=False))
+    step = BatchPhysics.step
+
+    def spoilt(self, commands, external_force=None):
+        state = step(self, commands, external_force)
+        self.force[...] = np.nan
+        return state._replace(rotor_thrust=np.full(state.rotor_thrust.shape, 9.0))
+
+    monkeypatch.setattr(BatchPhysics, "step", spoilt)
+    flights = collect(config, tmp_path / "b", progress=False)
+
+    def forbidden(*_):
+        raise AssertionError("a label asked the simulator for the force")
+
+    monkeypatch.setattr(InteractionModel, "forces", forbidden)
+    rows = interaction_rows(flights)
+    np.testing.assert_array_equal(rows.force_g, expected.force_g)
+    for label in ("differentiated", "imu"):
+        assert np.isfinite(interaction_rows(flights, label).force_g).all()
+
+
+def test_an_accelerometer_reads_one_g_in_hover_and_turns_with_the_body():
+    (log,) = logs("S", "walk", config=dataclasses.replace(EXACT, interactions="none"))
+    assert log.specific_force[:12, 0].mean(axis=0) == pytest.approx([0, 0, GRAVITY], abs=0.5)
+    # Without air only the rotors push: along the body's z axis alone.
+    thrust = lagged_thrust(log.commands, (SMALL,), 1 / 120)
+    assert np.abs(log.specific_force[..., :2]).max() < 0.1
+    pull = log.specific_force[..., 2] * SMALL.mass
+    assert np.sqrt(np.mean((pull - thrust) ** 2)) < 0.01 * SMALL.mass * GRAVITY
+    along = thrust_direction(log.quaternion) * log.specific_force[..., 2:]
+    assert np.abs(world_acceleration(log) - along).max() < 0.1
+    back = rotate_to_body(log.quaternion, rotate(log.quaternion, log.velocity))
+    np.testing.assert_allclose(back, log.velocity, atol=1e-12)
+
+
+def test_accelerometers_have_white_noise_and_a_bias_of_their_own():
+    (log,) = logs("SL", "walk")
+    noise = SensorNoise(accelerometer=0.3, accelerometer_bias=0.1)
+    rng = np.random.default_rng(0)
+    errors = np.stack(
+        [with_noise(log, noise, rng).specific_force - log.specific_force for _ in range(60)]
+    )
+    bias = errors.mean(axis=1)  # (flights, drones, 3)
+    assert np.std(errors - bias[:, None]) == pytest.approx(0.3, rel=0.02)
+    assert np.std(bias) == pytest.approx(0.1, rel=0.15)
+    assert np.abs(bias.mean(axis=0)).max() < 0.06  # drawn anew for every flight
+
+
+def test_askew_markers_lean_every_attitude_of_a_drone_alike():
+    (log,) = logs("SL", "walk")
+    noise = dataclasses.replace(NO_NOISE, attitude_bias_rad=0.02)
+    lean = thrust_direction(with_noise(log, noise, np.random.default_rng(4)).quaternion)
+    turned = np.linalg.norm(lean - thrust_direction(log.quaternion), axis=-1)
+    assert (turned.std(axis=0) < 0.4 * turned.mean(axis=0)).all()
+    assert (turned.mean(axis=0) > 2e-3).all()
+
+
+def test_logs_at_100_hz_lie_between_those_at_120():
+    (fast,) = logs("SL", "walk")
+    slow = resampled(fast, 100)
+    assert len(slow.position) == 600 and len(fast.position) == 720
+    for name in fast._fields:  # every 0.05 s both have an entry
+        a, b = getattr(fast, name)[::6], getattr(slow, name)[::5]
+        np.testing.assert_allclose(a[: len(b)], b[: len(a)], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(slow.quaternion, axis=-1), 1.0)
+    assert resampled(fast, 120) is fast
+
+
+def test_a_vehicle_that_is_off_is_off_alike_in_all_its_flights():
+    """Mean label of a lone drone aloft: weight of the type less commanded thrust, by hand."""
+    errors = CalibrationErrors(mass=0.05, thrust=0.04)
+    config = dataclasses.replace(EXACT, errors=errors, interactions="none", duration_s=12.0)
+    rngs = [np.random.default_rng(0)]
+    for team in ("S", "SL"):
+        vehicles = errors.draw(parse_team(team), config.seed, rngs)
+        mass, thrust = vehicles.mass_factor[0, 0], vehicles.thrust_factor[0, 0]
+        assert abs(mass - 1.0) > 0.005 or abs(thrust - 1.0) > 0.005
+        (log,) = logs(team, "walk", config=config)
+        label = interaction_force(log, parse_team(team))[20:-20, 0, 2].mean()
+        expected = 1e3 * SMALL.mass * (1.0 - mass / thrust)
+        assert label == pytest.approx(expected, abs=0.15)
+    again = errors.draw(parse_team("S"), config.seed + 1, rngs)
+    assert again.mass_factor[0, 0] != mass
+
+
+def test_drift_of_thrust_differs_between_flights():
+    errors = CalibrationErrors(thrust_per_flight=0.02)
+    rngs = [np.random.default_rng(k) for k in range(500)]
+    thrust = errors.draw(parse_team("SS"), 0, rngs).thrust_factor
+    assert np.std(thrust) == pytest.approx(0.02, rel=0.1)
+    assert (errors.draw(parse_team("SS"), 0, rngs).mass_factor == 1.0).all()
+
+
+def test_teams_are_put_together_from_one_fleet():
+    assert vehicle_names(parse_team("SSLS*")) == ("S1", "S2", "L1", "S*1")
+    assert vehicle_ids(parse_team("SSL")) == (1, 2, 101)
+    assert len(set(vehicle_ids(parse_team("SSSLLLS*S*")))) == 8
+
+
+def test_a_pilot_that_knows_the_force_flies_closer_to_its_set_point():
+    """A pilot that knows the force holds its height in a wake in which another falls."""
+    errors = {}
+    for believed in (None, load("learned")):
+        batch = FlightBatch("SL", "swap", 4)
+        rngs = [flight_generator(EXACT, name) for name in batch.names]
+        motion = make_motion(EXACT, batch, rngs)
+        flown = fly_motion(parse_team("SL"), motion, "learned", 6.0, believed)
+        errors[believed is None] = max(
+            float(np.abs(log.position - log.setpoint)[..., 2].max()) for log in flown
+        )
+    assert errors[False] < 0.5 * errors[True]
+
+
+def test_scenarios_are_counted_by_hand():
+    (log,) = logs("SS", "swap")
+    position = np.zeros((120, 3, 3))
+    position[:, 1, 2], position[:60, 2, 0], position[60:, 2, 0] = 0.5, 0.2, 5.0
+    flights = [CollectedFlight("a", "SSL", log._replace(position=position), False)]
+    found = scenario_counts(flights)
+    assert list(found) == ["SL2S", "SS2L"]
+    assert found["SL2S"] == (1, 2.0, 2.0)  # the two small ones stay together
+    assert found["SS2L"] == (1, 1.0, 0.5)
+    assert len(set(SCENARIOS)) == 12

@@ -19,7 +19,6 @@ from swarm_envs.training.curriculum import (
     next_clearance,
     run_curriculum,
 )
-from swarm_envs.training.curriculum import rounds as rounds_module
 from swarm_envs.training.curriculum import run as run_module
 from swarm_envs.training.curriculum.curriculum_config import (
     STAGES,
@@ -28,15 +27,13 @@ from swarm_envs.training.curriculum.curriculum_config import (
     collection_config,
 )
 from swarm_envs.training.curriculum.curriculum_report import (
-    Unseen,
     evaluate_unseen,
     goals_reached,
     horizontal_share,
     rounds_table,
     sizes_as_json,
 )
-from swarm_envs.training.curriculum.rounds import measure_closeness
-from swarm_envs.training.curriculum.run import curriculum_command
+from swarm_envs.training.curriculum.run import curriculum_command, measure_closeness
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import SMALL
 
@@ -178,8 +175,8 @@ def kill(monkeypatch, module, name, call, config):
 
 def test_killed_at_every_stage_it_goes_on_and_ends_the_same(tiny, tmp_path, monkeypatch):
     config = dataclasses.replace(TINY, out=tmp_path)
-    kill(monkeypatch, rounds_module, "fit", 2, config)  # of the second round, after its flights
-    kill(monkeypatch, rounds_module, "measure_closeness", 1, config)  # after its fit
+    kill(monkeypatch, run_module, "fit", 2, config)  # of the second round, after its flights
+    kill(monkeypatch, run_module, "measure_closeness", 1, config)  # after its fit
     kill(monkeypatch, run_module, "evaluate_unseen", 2, config)
     assert not (tmp_path / "curriculum.json").exists()
     run_curriculum(config)
@@ -187,12 +184,12 @@ def test_killed_at_every_stage_it_goes_on_and_ends_the_same(tiny, tmp_path, monk
 
 
 def test_a_round_in_which_nobody_passed_is_read_as_it_was_written(tiny, tmp_path):
-    first = tiny[1].rounds[0]
-    unknown = dataclasses.replace(first.closeness, least_clearance_m=float("nan"))
-    report = dataclasses.replace(first, closeness=unknown)
+    first = tiny[1]["rounds"][0]
+    unknown = dataclasses.replace(first["closeness"], least_clearance_m=float("nan"))
+    report = first | {"closeness": unknown}
     write_json(tmp_path / "round.json", json_ready(report))
-    again = rounds_module.read_round(tmp_path / "round.json")
-    assert np.isnan(again.closeness.least_clearance_m)
+    again = run_module.read_round(tmp_path / "round.json")
+    assert np.isnan(again["closeness"].least_clearance_m)
     assert rounds_table([again], []) == rounds_table([report], [])
 
 
@@ -205,9 +202,9 @@ def test_a_folder_of_another_curriculum_is_refused(tiny):
 def test_a_model_that_is_the_truth_explains_all_and_none_nothing():
     truth = load("learned")
     found = evaluate_unseen([load("none"), truth], truth, "SS", 1)
-    assert found.explained[1] == found.explained_horizontal[1] == 1.0
-    assert found.explained[0] < 0.1 and found.rms_error_g == 0.0
-    assert found.crashed == 0 and found.rms_force_g > 0.5
+    assert found["explained"][1] == found["explained_horizontal"][1] == 1.0
+    assert found["explained"][0] < 0.1 and found["rms_error_g"] == 0.0
+    assert found["crashed"] == 0 and found["rms_force_g"] > 0.5
 
 
 def test_horizontal_share_by_hand():
@@ -221,7 +218,7 @@ def test_horizontal_share_by_hand():
 
 def test_goals_are_of_the_worst_team_of_each_size():
     def unseen(team, value):
-        return Unseen(team, len(team), 1, 0, 1.0, 0.1, [0.0, value], [0.0, 0.0])
+        return {"team": team, "drones": len(team), "explained": [0.0, value]}
 
     good = [unseen("SS", 0.9), unseen("SSS", 0.86), unseen("SSSSS", 0.71)]
     assert goals_reached(good)
@@ -269,7 +266,7 @@ def test_the_curriculum_explains_the_true_force(tmp_path):
     )
     report = run_curriculum(config)
     for size, least in (("2", 0.85), ("3", 0.85), ("5", 0.70)):
-        assert report.explained[size]["mean"] > least, size
-    first, second, *_, last = report.rounds
-    assert second.closeness.gap_error_m < 0.8 * first.closeness.gap_error_m
-    assert last.clearance_m < 0.6 * first.clearance_m
+        assert report["explained"][size]["mean"] > least, size
+    first, second, *_, last = report["rounds"]
+    assert second["closeness"].gap_error_m < 0.8 * first["closeness"].gap_error_m
+    assert last["clearance_m"] < 0.6 * first["clearance_m"]

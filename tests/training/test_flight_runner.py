@@ -14,7 +14,6 @@ from swarm_envs.baselines.neural_swarm.flights import FlightTest, fly, swap_test
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import load
-from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.vehicles import SMALL, parse_team
@@ -42,16 +41,6 @@ def test_it_flies_what_the_agent_flies_in_the_environment(compensated):
         assert found.metrics[e] == metrics
         worst = np.abs(record.position - record.reference)[..., 2].max(axis=0)
         np.testing.assert_allclose(found.worst_height_error[e], worst, atol=1e-12)
-
-
-@pytest.mark.skipif(not bullet_available(), reason="no pybullet")
-def test_both_engines_fly_the_same():
-    one, two = (
-        fly(swap_test("L2S", SHORT, engine=engine), ControllerConfig(), SEEDS)
-        for engine in ("batch", "bullet")
-    )
-    np.testing.assert_allclose(one.position, two.position, atol=1e-7)
-    np.testing.assert_allclose(one.worst_height_error, two.worst_height_error, atol=1e-7)
 
 
 def test_how_many_fly_at_once_changes_nothing(monkeypatch):

@@ -1,4 +1,4 @@
-"""Fig. 6 and 7 with the planner: what the paper claims, on its plant and with quadrotors."""
+"""Fig. 6 and 7: what the planner claims, and its plant with plans made by hand."""
 
 from __future__ import annotations
 
@@ -6,20 +6,35 @@ import json
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
-from swarm_envs.control.config import ControllerConfig
-from swarm_envs.interactions import load
+from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
+from swarm_envs.control.config import MID, ControllerConfig, PositionGains
+from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics import bullet_available
 from swarm_envs.training.reproduce.planned_swaps import (
+    JITTER_M,
+    PID,
+    PLANNERS,
     SCENARIOS,
+    SPACING_M,
+    PidGains,
     TrialSettings,
     draw_swap,
     fly_plan,
     fly_trial,
     kept_plan,
+    measure_track,
+    plan_at,
     track_plan,
 )
+from swarm_envs.training.reproduce.planned_trials_figure import (
+    check_scenarios,
+    format_scenarios,
+    scenario_rows,
+)
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
 from tests.helpers.papers import run_quietly
 
 SETTINGS = TrialSettings(load_belief())
@@ -100,3 +115,157 @@ def test_figure_7_holds_in_every_scenario_and_trial(tmp_path):
     assert checked["unaware_violates"] == dict.fromkeys(("SL", "SSL", "LL"), True)
     assert len(summary["cells"]) == 2 * 5 * len(SCENARIOS)
     assert "in every trial: yes" in said
+
+
+DT = 0.1
+
+
+def plan_of(controls, starts, forces_by_mass=0.0):
+    """Exact motion of double integrators under held controls and forces."""
+    steps, count = controls.shape[:2]
+    states = np.zeros((steps + 1, count, 6))
+    states[0, :, :3] = starts
+    acceleration = controls + forces_by_mass
+    for k in range(steps):
+        p, v = states[k, :, :3], states[k, :, 3:]
+        states[k + 1, :, :3] = p + DT * v + 0.5 * DT**2 * acceleration[k]
+        states[k + 1, :, 3:] = v + DT * acceleration[k]
+    return Trajectories(states, controls, np.zeros((steps + 1, count, 3)), DT)
+
+
+def wavy_plan(steps=30, count=2):
+    rng = np.random.default_rng(2)
+    starts = np.array([[0.0, -3.0, 1.0], [0.0, 3.0, 1.0]])[:count]
+    return plan_of(rng.uniform(-1.0, 1.0, (steps, count, 3)), starts)
+
+
+def pushing(name, drag):
+    """A model without interaction but linear drag: its motion is known."""
+    none = load("none")
+    field = none.field._replace(drag=np.full_like(none.field.drag, drag))
+    return InteractionModel(name, none.types, field)
+
+
+def test_a_plan_in_still_air_is_flown_to_the_last_bit():
+    plan = wavy_plan()
+    track = track_plan(plan, parse_team("SL"), load("none"), dt=DT / 24)
+    assert track.error.max() < 1e-12
+    assert track.time[-1] == pytest.approx(plan.duration)
+    assert track.position[::24] == pytest.approx(plan.position, abs=1e-12)
+    assert track.velocity[::24] == pytest.approx(plan.velocity, abs=1e-12)
+
+
+def test_between_knots_the_plan_is_what_a_held_control_flies():
+    plan = wavy_plan()
+    times = np.array([0.0, 0.03, 0.1, 0.17, 2.99, 3.0, 3.5])
+    position, velocity, control = plan_at(plan, times)
+    late = 0.07
+    expected = plan.position[1] + late * plan.velocity[1] + 0.5 * late**2 * plan.controls[1]
+    assert position[3] == pytest.approx(expected, abs=1e-12)
+    assert velocity[3] == pytest.approx(plan.velocity[1] + late * plan.controls[1], abs=1e-12)
+    assert np.array_equal(control[1], plan.controls[0])
+    assert np.array_equal(control[2], plan.controls[1])
+    assert position[-1] == pytest.approx(plan.position[-1])
+    assert not velocity[-1].any()
+    assert not control[-1].any()
+
+
+def test_the_pid_answers_drag_as_its_equation_does():
+    """An unforeseen linear drag, against an independent solver of the closed loop."""
+    drag, gains, mass = 0.05, PidGains(6.0, 4.0, 2.0), parse_team("S")[0].mass
+    plan = plan_of(np.tile([[[0.0, 0.8, 0.0]]], (20, 1, 1)), np.zeros((1, 3)))
+    track = track_plan(plan, parse_team("S"), pushing("drag", drag), gains, dt=DT / 200)
+
+    def flow(t, x):
+        integral, error, rate = x
+        speed = 0.8 * t + rate
+        push = -gains.proportional * error - gains.derivative * rate - gains.integral * integral
+        return [error, rate, push - drag * speed / mass]
+
+    solved = solve_ivp(flow, (0.0, 2.0), [0.0, 0.0, 0.0], t_eval=[1.0, 2.0], rtol=1e-9)
+    found = (track.position - track.planned)[[2000, 4000], 0, 1]
+    assert found == pytest.approx(solved.y[1], rel=2e-3)
+
+
+def test_the_pid_is_the_tracking_law_multiplied_out():
+    s = 1.7  # the law's polynomial at any point: (Lambda + s)(k + s)(Gamma + s) without s^3
+    a, k, i = MID.position, MID.velocity, MID.integral
+    expected = (a + s) * (k + s) * (i + s) - s**3
+    assert PID.derivative * s**2 + PID.proportional * s + PID.integral == pytest.approx(expected)
+    assert PidGains.like(PositionGains(1.0, 2.0, 3.0)) == PidGains(11.0, 6.0, 6.0)
+
+
+def test_measures_of_a_known_force():
+    """A large drone hovers over a small one: force, bound and clearance are known."""
+    places = np.array([[0.0, 0.0, 1.5], [0.0, 0.0, 1.2]])
+    plan = plan_of(np.zeros((5, 2, 3)), places)
+    team, model = parse_team("LS"), load("learned")
+    track = track_plan(plan, team, model, PidGains(4000.0, 100.0, 1.0))
+    found = measure_track(track, team)
+    force = model.forces(places[None], np.zeros((1, 2, 3)), team)[0, :, 2] / GRAM_FORCE
+    assert found["force_g"] == pytest.approx(np.abs(force), abs=0.3)
+    assert found["over_bound"] == pytest.approx(abs(force[1]) / 5.0, rel=0.03)
+    assert found["clearance"] == pytest.approx(0.3 / 0.155, rel=0.02)
+    standing = abs(force[1]) * GRAM_FORCE / team[1].mass / 4000.0
+    assert found["error_cm"][1] == pytest.approx(100.0 * standing, rel=0.3)
+    with pytest.raises(ValueError, match="5 steps of 2 robots"):
+        track_plan(plan, parse_team("S"), model)
+
+
+@pytest.mark.parametrize("team", SCENARIOS)
+def test_swaps_are_random_seeded_and_in_the_plane(team):
+    swap, again, other = draw_swap(team, 1), draw_swap(team, 1), draw_swap(team, 2)
+    assert np.array_equal(swap.starts, again.starts)
+    assert not np.array_equal(swap.starts, other.starts)
+    assert not swap.starts[:, 0].any()
+    apart = np.linalg.norm(swap.starts[:, None] - swap.goals[None], axis=-1)
+    taken = apart.argmin(axis=0)
+    assert apart.min(axis=0) == pytest.approx(0.0)
+    assert sorted(taken) == list(range(len(team)))
+    assert not (taken == np.arange(len(team))).any()
+    assert np.diff(np.sort(swap.starts[:, 1])).min() >= SPACING_M - 2 * JITTER_M
+
+
+def straight(swap, planner):
+    """Plans by hand: straight and level; the aware one passes far above."""
+    steps, way = 40, swap.goals - swap.starts
+    time = np.linspace(0.0, 1.0, steps + 1)[:-1]
+    profile = 6.0 - 12.0 * (time + 0.5 / steps)  # of a cubic from rest to rest in unit time
+    controls = profile[:, None, None] * way / (steps * DT) ** 2
+    if planner == "aware":
+        lift = 0.9 * np.arange(len(way)) * np.cos(2 * np.pi * (time[:, None] + 0.5 / steps))
+        controls[..., 2] += lift * (2 * np.pi) ** 2 / 2 / (steps * DT) ** 2
+    return plan_of(controls, swap.starts)
+
+
+def by_hand(team, planner, seed):
+    """The cell of a trial whose plan is made by hand."""
+    track = track_plan(straight(draw_swap(team, seed), planner), parse_team(team), load("learned"))
+    about = {"scenario": team, "planner": planner, "seed": seed}
+    return {**about, "model_plant": measure_track(track, parse_team(team))}
+
+
+def test_trials_by_hand_tell_the_planners_apart():
+    cells = [
+        by_hand(team, planner, seed)
+        for team in ("SL", "LL")
+        for seed in range(3)
+        for planner in PLANNERS
+    ]
+    rows = scenario_rows(cells)
+    assert [(row["scenario"], row["planner"]) for row in rows] == [
+        ("SL", "unaware"), ("SL", "aware"), ("LL", "unaware"), ("LL", "aware")
+    ]  # fmt: skip
+    said = check_scenarios(rows)
+    assert said["unaware_violates"] == {"SL": True, "LL": True}
+    assert said["aware_error_smaller"]
+    unaware = rows[2]
+    assert unaware["worst_force_S_g"] is None
+    worst = max(max(c["model_plant"]["force_g"]) for c in cells[6:] if c["planner"] == "unaware")
+    assert unaware["worst_force_L_g"] == pytest.approx(worst, abs=1e-3)
+    assert unaware["worst_over_bound"] == pytest.approx(worst / 10.0, abs=1e-3)
+    assert f"{unaware['worst_error_cm']:.2f}" in format_scenarios(rows, "by hand")
+    other = {"aware": "unaware", "unaware": "aware"}
+    swapped = check_scenarios([{**row, "planner": other[row["planner"]]} for row in rows])
+    assert not swapped["aware_error_smaller"]
+    assert not swapped["aware_within_bound"]

@@ -14,9 +14,15 @@ from swarm_envs.cli import main
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.swap_v0 import blueprint
 from swarm_envs.tasks.formation import LAYOUTS
-from swarm_envs.training.rl import curriculum_tasks
-from swarm_envs.training.rl.curriculum_tasks import FormationCurriculum, SwapCurriculum
-from swarm_envs.training.rl.recipes import LOST_M, RECIPES, recipe_of, with_recipe
+from swarm_envs.training.rl import recipes
+from swarm_envs.training.rl.recipes import (
+    LOST_M,
+    RECIPES,
+    FormationCurriculum,
+    SwapCurriculum,
+    recipe_of,
+    with_recipe,
+)
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.vehicles import parse_team
 
@@ -82,8 +88,8 @@ def test_episodes_are_of_every_kind_as_often_as_is_said():
 
 
 def test_crowded_episodes_are_apart_and_half_of_them_pairs(monkeypatch):
-    monkeypatch.setattr(curriculum_tasks, "CIRCLE_SHARE", 0.0)
-    monkeypatch.setattr(curriculum_tasks, "CROWDED_SHARE", 1.0)
+    monkeypatch.setattr(recipes, "CIRCLE_SHARE", 0.0)
+    monkeypatch.setattr(recipes, "CROWDED_SHARE", 1.0)
     task = SwapCurriculum(team=parse_team("SSSS"))
     rng, pairs = np.random.default_rng(1), 0
     for _ in range(400):
@@ -106,7 +112,7 @@ def test_given_starts_and_lone_drones_are_drawn_as_by_the_task():
 
 def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypatch):
     """Distances within start and goal are those of two of the shapes, times one factor."""
-    monkeypatch.setattr(curriculum_tasks, "NEAREST_SHARE", 0.0)
+    monkeypatch.setattr(recipes, "NEAREST_SHARE", 0.0)
     task = FormationCurriculum(team=parse_team(8 * "S"))
     rng, seen = np.random.default_rng(0), set()
     shapes = [np.sort(_distances(points)) for points in task.places]
@@ -123,7 +129,7 @@ def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypat
         assert 0.8 <= found[0][1] <= 1.0
         seen.add((found[0][0], found[1][0]))
     assert len(seen) > 10  # of 16 pairs: planes count once
-    monkeypatch.setattr(curriculum_tasks, "NEAREST_SHARE", 1.0)
+    monkeypatch.setattr(recipes, "NEAREST_SHARE", 1.0)
     near = FormationCurriculum(team=parse_team("SSSS"))
     start, goals, *_ = near.draw(rng)
     least = min(np.square(start - goals[0][list(p)]).sum() for p in permutations(range(4)))

@@ -24,6 +24,7 @@ from swarm_envs.training.reproduce.paired_flights import (
     compare_paired,
     fly_case,
     fly_or_read,
+    judged_cm,
     ring_case,
     signed_rank_p,
     swap_case,
@@ -115,15 +116,15 @@ def test_claims_are_counted_and_a_miss_is_named():
 def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
     case = swap_case("L2S", PAPER_SWAP, "wake", "batch")
     found = fly_case(case, load("wake"), [5, 6, 7])
-    assert found.explained == pytest.approx(1.0, abs=1e-12)
-    assert found.error_rms_g.max() < 1e-9 < found.force_rms_g.min()
-    judged = found.judged_cm(-1)
-    assert np.sort(judged[0])[1] == judged[0, int(found.shown)]
-    assert judged[0, int(found.shown)] == pytest.approx(
-        np.abs(found.height_error_cm[0, :, -1]).max()
+    assert found["explained"] == pytest.approx(1.0, abs=1e-12)
+    assert found["error_rms_g"].max() < 1e-9 < found["force_rms_g"].min()
+    judged = judged_cm(found, -1)
+    assert np.sort(judged[0])[1] == judged[0, int(found["shown"])]
+    assert judged[0, int(found["shown"])] == pytest.approx(
+        np.abs(found["height_error_cm"][0, :, -1]).max()
     )
-    assert found.neighbours[1] == 1
-    assert (found.judged_cm(None) == found.worst_cm.max(axis=-1)).all()
+    assert found["neighbours"][1] == 1
+    assert (judged_cm(found, None) == found["worst_cm"].max(axis=-1)).all()
 
 
 def test_flights_of_other_settings_and_damaged_ones_are_refused(tmp_path):

@@ -6,6 +6,7 @@ import csv
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,31 +16,32 @@ from swarm_envs.interactions import load
 from swarm_envs.training.force_model.export import load_network, save_network
 from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec, layers, without_velocity
 from swarm_envs.training.force_model.pipeline import fit
-from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
-from swarm_envs.training.reproduce.ablation import (
-    ABLATIONS,
-    AblationPlan,
-    ablation_cells,
-    ablation_report,
-)
-from swarm_envs.training.reproduce.study import run_cells, write_report
+from swarm_envs.training.interaction_rows import read_rows, save_rows
+from swarm_envs.training.reproduce import ablation
+from swarm_envs.training.reproduce.ablation import ABLATIONS, TABLE_3, ablation_fit
+from swarm_envs.training.reproduce.study import run_study
 from swarm_envs.vehicles import GRAM_FORCE
+from tests.helpers.tiny_fits import make_rows
 
 FIT = "swarm_envs.training.force_model.pipeline.fit"
 SOME = ("H=10", "no-spectral-norm")
 
 
-def plan_of(rows, out, cells=tuple(ABLATIONS), seeds=(0,), **length):
-    short = {"steps": 8, "batch_size": 64, **length}
-    return AblationPlan(out=out, data=rows, cells=cells, seeds=seeds, length=short, progress=False)
+@pytest.fixture(autouse=True)
+def small_batches(monkeypatch):
+    monkeypatch.setattr(ablation, "_RECIPE", {**ablation._RECIPE, "batch_size": 64})
 
 
-def run_table(plan):
+def asked(rows, out, cells=tuple(ABLATIONS), seed=0, seeds=1, steps=8):
+    """Options of the command."""
+    return SimpleNamespace(
+        out=out, json=None, data=rows, cells=cells, seed=seed, seeds=seeds, steps=steps
+    )
+
+
+def run_table(options):
     """Fit what is not there yet, write the table, and give it."""
-    cells = run_cells(ablation_cells(plan), plan.out, None, progress=False)
-    report = ablation_report(plan, cells)
-    write_report(plan.out, "table_3", report)
-    return report.summary
+    return run_study(TABLE_3, options, progress=False)[0]
 
 
 @pytest.fixture(scope="module")
@@ -50,16 +52,14 @@ def rows(tmp_path_factory):
     force = np.zeros((count, 3))
     force[:, 2] = -20.0 * np.abs(neighbor[:, 0, 3])
     kind = rng.integers(2, size=(2, count))
-    rows = InteractionRows(
-        types=("S", "L"),
+    rows = make_rows(
+        count,
         ego_type=kind[0],
         position=rng.uniform(0.5, 1.0, (count, 3)),
         velocity=rng.uniform(-0.3, 0.3, (count, 3)),
         neighbor=neighbor,
         neighbor_type=kind[1][:, None],
         force_g=force,
-        flight=np.zeros(count, dtype=np.int64),
-        step=np.arange(count),
         vehicle=np.where(kind[0], 101, 50),
         scenario=kind[0],
         validation=np.arange(count) // 50 % 5 == 0,
@@ -110,11 +110,11 @@ def test_sizes_are_those_of_the_paper(name, phi, rho):
 
 
 def test_each_cell_changes_one_thing(rows, tmp_path):
-    plain = vars(plan_of(rows, tmp_path).fit_config("H=20,L=4", 0))
+    plain = vars(ablation_fit(asked(rows, tmp_path), "H=20,L=4", 0))
     changed = {
         name: {
             k: v
-            for k, v in vars(plan_of(rows, tmp_path).fit_config(name, 0)).items()
+            for k, v in vars(ablation_fit(asked(rows, tmp_path), name, 0)).items()
             if v != plain[k] and k != "out"
         }
         for name in ABLATIONS
@@ -132,20 +132,22 @@ def test_each_cell_changes_one_thing(rows, tmp_path):
     }
 
 
-def test_velocity_counts_where_the_force_depends_on_it(rows, tmp_path):
+def test_velocity_counts_where_the_force_depends_on_it(rows, tmp_path, monkeypatch):
+    monkeypatch.setitem(ablation._RECIPE, "learning_rate", 1e-2)
     cells = ("H=20,L=4", "no-relative-velocity")
-    table = run_table(plan_of(rows, tmp_path, cells, steps=600, learning_rate=1e-2))
+    table = run_table(asked(rows, tmp_path, cells, steps=600))
     seen, blind = (row["ours_g2"] / table["scenario_mean_g2"] for row in table["rows"])
     assert seen < 0.7  # of the labels' variance, which the blind one cannot explain
     assert blind > 0.95
 
 
-def test_without_the_clip_weights_grow_past_it(rows, tmp_path):
+def test_without_the_clip_weights_grow_past_it(rows, tmp_path, monkeypatch):
+    monkeypatch.setitem(ablation._RECIPE, "learning_rate", 0.1)
     norms = {}
     for cell in ("H=20,L=4", "no-spectral-norm"):
-        plan = plan_of(rows, tmp_path, (cell,), steps=40, learning_rate=0.1)
-        run_table(plan)
-        network = load_network(plan.folder(cell, 0) / "learned.safetensors")
+        options = asked(rows, tmp_path, (cell,), steps=40)
+        run_table(options)
+        network = load_network(ablation_fit(options, cell, 0).out / "learned.safetensors")
         matrices = [p.detach().numpy() for p in network.parameters() if p.ndim == 2]
         norms[cell] = max(np.linalg.norm(m, 2) for m in matrices)
     assert norms["H=20,L=4"] <= 3.0 + 1e-4
@@ -162,18 +164,18 @@ def test_an_interrupted_table_goes_on(rows, tmp_path, monkeypatch):
         return fit(config)
 
     monkeypatch.setattr(FIT, counted)
-    plan = plan_of(rows, tmp_path, SOME, (4, 5))
+    options = asked(rows, tmp_path, SOME, seed=4, seeds=2)
     with pytest.raises(KeyboardInterrupt):
-        run_table(plan)
+        run_table(options)
     partial = json.loads((tmp_path / "table_3.json").read_text())
     assert (partial["runs_done"], partial["runs_wanted"]) == (3, 4)
     monkeypatch.setattr(FIT, fit)
-    table = run_table(plan)
+    table = run_table(options)
     assert json.loads((tmp_path / "table_3.json").read_text()) == table
     monkeypatch.setattr(FIT, None)  # nothing is left to be fitted
-    assert run_table(plan) == table
+    assert run_table(options) == table
     for cell, row in zip(SOME, table["rows"], strict=True):
-        runs = [plan.folder(cell, seed) / "learned.json" for seed in (4, 5)]
+        runs = [ablation_fit(options, cell, seed).out / "learned.json" for seed in (4, 5)]
         errors = [json.loads(p.read_text())["findings"]["errors"]["overall"] for p in runs]
         assert row["ours_g2"] == pytest.approx(sum(errors) / 2, abs=1e-4)
         assert row["ours_deviation_g2"] == pytest.approx(
@@ -186,11 +188,11 @@ def test_an_interrupted_table_goes_on(rows, tmp_path, monkeypatch):
 
 
 def test_runs_of_other_settings_are_refused(rows, tmp_path):
-    run_table(plan_of(rows, tmp_path, SOME[:1]))
+    run_table(asked(rows, tmp_path, SOME[:1]))
     with pytest.raises(ValueError, match="was made with other steps; choose another folder"):
-        run_table(plan_of(rows, tmp_path, SOME[:1], steps=9))
+        run_table(asked(rows, tmp_path, SOME[:1], steps=9))
     with pytest.raises(FileNotFoundError, match="give its path by --data"):
-        run_table(plan_of(tmp_path / "no.npz", tmp_path))
+        run_table(asked(tmp_path / "no.npz", tmp_path))
 
 
 def test_a_sum_over_pairs_stands_beside_the_deep_set_by_scenario(rows, tmp_path):
@@ -205,12 +207,12 @@ def test_a_sum_over_pairs_stands_beside_the_deep_set_by_scenario(rows, tmp_path)
     folder = tmp_path / "rows"
     save_rows(folder / "three.npz", joint)
     save_rows(folder / "two.npz", dataclasses.replace(one, scenario_names=("S2S", "L2L")))
-    plan = plan_of(folder, tmp_path, ("H=20,L=4", "pairwise"))
-    table = run_table(plan)
+    options = asked(folder, tmp_path, ("H=20,L=4", "pairwise"))
+    table = run_table(options)
     deep, pairs = table["rows"]
     for row in (deep, pairs):
         errors = row["scenarios_g2"]
         assert set(errors) == {"S2S", "L2L", "SS2S", "LL2L"}
         mean = (errors["SS2S"] + errors["LL2L"]) / 2
         assert row["three_drones_g2"] == pytest.approx(mean, abs=1e-3)
-    assert (plan.folder("pairwise", 0) / "pairwise.safetensors").is_file()
+    assert (ablation_fit(options, "pairwise", 0).out / "pairwise.safetensors").is_file()

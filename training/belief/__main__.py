@@ -10,15 +10,15 @@ from swarm_envs.training.belief.feedforward import FeedforwardConfig, fit_feedfo
 def _main() -> None:
     config = tyro.cli(FeedforwardConfig, description="Fit the compensated controller's belief.")
     report = fit_feedforward(config)
-    errors = report.fit.findings.errors
+    errors = report["fit"].findings.errors
     print(f"validation MSE {errors.overall:.2f} g^2 (zero {errors.zero:.2f})")
-    for j in report.judgements:
+    for j in report["judgements"]:
         print(
             f"{j.team:5} radius {j.layout.radius_m} m, {j.layout.duration_s} s: "
             f"{j.uncompensated_median_cm:5.1f} -> {j.compensated_median_cm:4.1f} cm, "
             f"{j.worse} of {j.episodes} worse"
         )
-    print(f"report in {config.out / f'{report.name}.json'}, {report.wall_time_s:.0f} s")
+    print(f"report in {config.out / report['name']}.json, {report['wall_time_s']:.0f} s")
 
 
 if __name__ == "__main__":

@@ -27,7 +27,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.collection.collect import MANIFEST, CollectionConfig, collect
 from swarm_envs.training.collection.table import ROW_RATE, interaction_rows
-from swarm_envs.training.force_model import FitConfig, FitReport, load_network, save_network
+from swarm_envs.training.force_model import FitConfig, load_network, save_network
 from swarm_envs.training.force_model import fit as fit_force_model
 from swarm_envs.training.force_model.network import InputRange
 from swarm_envs.training.interaction_rows import save_rows
@@ -93,32 +93,8 @@ class FeedforwardConfig:
     """show progress bars"""
 
 
-@dataclass(frozen=True)
-class FeedforwardReport:
-    """The content of `belief.json`."""
-
-    name: str
-    """Of the files: weights and this report."""
-    command: str
-    """The command that made the model."""
-    interactions: str
-    """Force model of the environment that was flown in."""
-    interactions_sha256: str
-    """Fingerprint of its numbers."""
-    flights: int
-    """Flights it was fitted to."""
-    flown_s: float
-    """Their length together, s."""
-    rows: int
-    """Rows it was fitted to."""
-    rows_sha256: str
-    """SHA-256 of these rows."""
-    fit: FitReport
-    """How well it fits them."""
-    judgements: list[CompensationResult]
-    """How well swaps are flown with it."""
-    wall_time_s: float
-    """Time that all of this took, s."""
+FeedforwardReport = dict[str, Any]
+"""The content of `belief.json`."""
 
 
 @typed
@@ -152,19 +128,19 @@ def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
     network = load_network(config.out / "fit" / "learned.safetensors")
     save_network(path, network, provenance, torch.float32)  # as it was trained
     fed_forward, environment = load(path), load(given)
-    report = FeedforwardReport(
-        name=name,
-        command=said,
-        interactions=model.name,
-        interactions_sha256=model.fingerprint,
-        flights=len(flights),
-        flown_s=round(sum(flight.seconds for flight in flights), 1),
-        rows=len(rows),
-        rows_sha256=file_sha256(table),
-        fit=fitted,
-        judgements=[compare_compensation(t, fed_forward, environment) for t in config.trials],
-        wall_time_s=round(time.perf_counter() - began, 1),
-    )
+    report: FeedforwardReport = {
+        "name": name,
+        "command": said,
+        "interactions": model.name,
+        "interactions_sha256": model.fingerprint,
+        "flights": len(flights),
+        "flown_s": round(sum(flight.seconds for flight in flights), 1),
+        "rows": len(rows),
+        "rows_sha256": file_sha256(table),
+        "fit": fitted,
+        "judgements": [compare_compensation(t, fed_forward, environment) for t in config.trials],
+        "wall_time_s": round(time.perf_counter() - began, 1),
+    }
     write_json(config.out / f"{name}.json", json_ready(report))
     limits = network.spec.input_range
     assert limits is not None  # an anchored fit has one
@@ -328,16 +304,16 @@ def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits:
     noise = collection.noise
     given = {
         **vars(collection),
-        **vars(report),
-        "interactions_sha256": report.interactions_sha256[:16],
+        **report,
+        "interactions_sha256": report["interactions_sha256"][:16],
         "row_rate": ROW_RATE,
         "teams": ", ".join(collection.teams),
         "position_mm": 1e3 * noise.position_m,
         "velocity_cm": 1e2 * noise.velocity,
         "attitude_mrad": 1e3 * noise.attitude_rad,
-        "steps": report.fit.history[-1]["step"],
+        "steps": report["fit"].history[-1]["step"],
         "errors": _error_rows(report),
-        "judgements": "\n".join(map(_flight_row, report.judgements)),
+        "judgements": "\n".join(map(_flight_row, report["judgements"])),
         "pair_speed": limits.pair[1][3],
         "own_speed": limits.environment[1][1],
         "lowest": -limits.environment[1][0],
@@ -346,7 +322,7 @@ def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits:
 
 
 def _error_rows(report: FeedforwardReport) -> str:
-    e = report.fit.findings.errors
+    e = report["fit"].findings.errors
     rows = [("all", e.overall, e.zero, e.scenario_mean)]
     rows += [
         (name, value, e.scenario_zero[name], e.scenario_scenario_mean[name])

@@ -60,18 +60,15 @@ def scenario_name(ego: str, neighbors: Sequence[str]) -> str:
     return f"{above}2{ego}"
 
 
-class ScenarioCount(NamedTuple):
+class _ScenarioCount(NamedTuple):
     """How much of a scenario was flown."""
 
-    flights: int
-    """Flights in which the scenario occurs."""
-    drone_seconds: float
-    """Time of its drones; two like ones of a team count twice."""
-    near_seconds: float
-    """Of it, with a neighbour in the interaction volume; of lone drones all."""
+    flights: int  # flights in which the scenario occurs
+    drone_seconds: float  # time of its drones; two like ones of a team count twice
+    near_seconds: float  # of it, with a neighbour in the interaction volume; of lone drones all
 
 
-def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, ScenarioCount]:
+def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, _ScenarioCount]:
     """Count what was flown of each scenario: those of Table II first, in its order."""
     found: dict[str, list[Any]] = {}
     for flight in flights:
@@ -87,7 +84,7 @@ def scenario_counts(flights: Sequence[CollectedFlight]) -> dict[str, ScenarioCou
             entry[2] += float(near[i]) if len(team) > 1 else flight.seconds
     order = [*(name for name in SCENARIOS if name in found), *sorted(set(found) - set(SCENARIOS))]
     return {
-        name: ScenarioCount(len(found[name][0]), *(round(v, 3) for v in found[name][1:]))
+        name: _ScenarioCount(len(found[name][0]), *(round(v, 3) for v in found[name][1:]))
         for name in order
     }
 

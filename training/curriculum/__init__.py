@@ -3,9 +3,9 @@
 Downwash drives drones apart that do not know it, so nobody can fly them close together to learn
 it. So it is done in rounds: one and two drones fly far apart, without compensation, and a
 model is fitted; with it as the pilot's feed-forward they fly closer; then three drones. Order of
-reading: `run` (all of it), `curriculum_config` (options and stages), `rounds` (one round: how close
-drones came, and how close the next may plan), `curriculum_report` (how much of the true force a
-model explains, table, picture).
+reading: `run` (all of it: how close drones came, and how close the next round may plan),
+`curriculum_config` (options and stages), `curriculum_report` (how much of the true force a model
+explains, table, picture).
 
 Command: `swarm-envs curriculum --out DIR --seed 0`; the page is docs/curriculum.md.
 """
@@ -16,8 +16,7 @@ from typing import TYPE_CHECKING, Any
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 
 if TYPE_CHECKING:
-    from swarm_envs.training.curriculum.rounds import Closeness, next_clearance
-    from swarm_envs.training.curriculum.run import run_curriculum
+    from swarm_envs.training.curriculum.run import Closeness, next_clearance, run_curriculum
 
 __all__ = ["Closeness", "CurriculumConfig", "next_clearance", "run_curriculum"]
 
@@ -25,6 +24,5 @@ __all__ = ["Closeness", "CurriculumConfig", "next_clearance", "run_curriculum"]
 def __getattr__(name: str) -> Any:
     """Load what flies when it is asked for: options are read without torch."""
     if name in __all__:
-        module = "run" if name == "run_curriculum" else "rounds"
-        return getattr(import_module(f"{__name__}.{module}"), name)
+        return getattr(import_module(f"{__name__}.run"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

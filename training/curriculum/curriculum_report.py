@@ -5,19 +5,18 @@ The truth, an environment's own model, is asked here alone: for the report, neve
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarm_envs.baselines.neural_swarm.flights import format_columns
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.belief.feedforward import SwapTrial, fly_swaps
-from swarm_envs.training.curriculum.rounds import CurriculumRound
 from swarm_envs.training.force_model.explained import explained_variance
 from swarm_envs.training.reproduce.force_bins import SCENARIO_COLORS
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
@@ -32,26 +31,8 @@ FIRST_SEED = 50_000
 """Of the episodes."""
 
 
-@dataclass(frozen=True)
-class Unseen:
-    """How well the models of the rounds explain the true force on the swaps of a team."""
-
-    team: str
-    """Who flew."""
-    drones: int
-    """Drones of the team."""
-    episodes: int
-    """Swaps that were flown."""
-    crashed: int
-    """Of them ended in a collision, flown with the last model as feed-forward."""
-    rms_force_g: float
-    """Of the true vertical force."""
-    rms_error_g: float
-    """Of the last model."""
-    explained: list[float]
-    """Share of the variance of f_a,z, by round."""
-    explained_horizontal: list[float]
-    """The same of f_a,x and f_a,y, where the models have linear drag alone."""
+Unseen = dict[str, Any]
+"""How well the models of the rounds explain the true force on the swaps of a team."""
 
 
 def evaluate_unseen(
@@ -65,18 +46,19 @@ def evaluate_unseen(
     position, velocity = flights.position[:, 1:][flying], flights.velocity[:, 1:][flying]
     true = truth.forces(position, velocity, team) / GRAM_FORCE
     found = [model.forces(position, velocity, team) / GRAM_FORCE for model in models]
-    return Unseen(
-        team=team,
-        drones=len(parse_team(team)),
-        episodes=episodes,
-        crashed=int(flights.crashed.sum()),
-        rms_force_g=round(float(np.sqrt(np.mean(true[..., 2] ** 2))), 3),
-        rms_error_g=round(float(np.sqrt(np.mean((found[-1] - true)[..., 2] ** 2))), 3),
-        explained=[
+    return {
+        "team": team,
+        "drones": len(parse_team(team)),
+        "episodes": episodes,
+        "crashed": int(flights.crashed.sum()),
+        "rms_force_g": round(float(np.sqrt(np.mean(true[..., 2] ** 2))), 3),
+        "rms_error_g": round(float(np.sqrt(np.mean((found[-1] - true)[..., 2] ** 2))), 3),
+        # By round; the models have linear drag alone in the horizontal.
+        "explained": [
             round(explained_variance(model, truth, position, velocity, team), 4) for model in models
         ],
-        explained_horizontal=[round(horizontal_share(force, true), 4) for force in found],
-    )
+        "explained_horizontal": [round(horizontal_share(force, true), 4) for force in found],
+    }
 
 
 def horizontal_share(found: FloatArray, true: FloatArray) -> float:
@@ -91,43 +73,19 @@ def _by_size(unseen: Sequence[Unseen]) -> dict[int, tuple[float, float]]:
     return {
         size: (float(np.mean(shares)), min(shares))
         for size in GOALS
-        if (shares := [u.explained[-1] for u in unseen if u.drones == size])
+        if (shares := [u["explained"][-1] for u in unseen if u["drones"] == size])
     }
 
 
-@dataclass(frozen=True)
-class CurriculumReport:
+class CurriculumReport(dict[str, Any]):
     """The content of `curriculum.json`."""
-
-    command: str
-    """The command that was run."""
-    config: object
-    """Its options."""
-    interactions: str
-    """Force model of the environment."""
-    interactions_sha256: str
-    """Fingerprint of that force model."""
-    rule: str
-    """How a round's clearance follows from the round before."""
-    rounds: list[CurriculumRound]
-    """What each round flew and learned."""
-    true_drag: dict[str, list[float]]
-    """Of the environment, by type and axis, N s/m."""
-    unseen: list[Unseen]
-    """Errors on teams that no round flew."""
-    explained: dict[str, dict[str, float]]
-    """By number of drones: mean, least and goal of the share of the true vertical force."""
-    reached: bool
-    """Whether every team of each number of drones reaches the goal."""
-    wall_time_s: float
-    """Of this call: what was done before a kill is not in it."""
 
     def lines(self) -> list[str]:
         """What the command prints."""
-        return [rounds_table(self.rounds, self.unseen), ""] + [
+        return [rounds_table(self["rounds"], self["unseen"]), ""] + [
             f"{size} drones: {100 * mean:.1f} % of the variance of the true f_a,z on unseen swaps "
             f"(least of the teams {100 * least:.1f} %; goal {100 * GOALS[size]:.0f} %)"
-            for size, (mean, least) in _by_size(self.unseen).items()
+            for size, (mean, least) in _by_size(self["unseen"]).items()
         ]
 
 
@@ -144,57 +102,56 @@ def goals_reached(unseen: list[Unseen]) -> bool:
     return all(least >= GOALS[size] for size, (_, least) in _by_size(unseen).items())
 
 
-def rounds_table(rounds: list[CurriculumRound], unseen: list[Unseen]) -> str:
+def _mean_explained(unseen: Sequence[Unseen], size: int, k: int) -> float:
+    """Of the model of a round, over teams of a size; NaN if nothing was flown."""
+    shares = [u["explained"][k] for u in unseen if u["drones"] == size]
+    return float(np.mean(shares)) if unseen else np.nan
+
+
+def rounds_table(rounds: Sequence[Mapping[str, Any]], unseen: list[Unseen]) -> str:
     """The rounds as a table, plain text."""
     head = ("round", "planned", "gap error", "clearance", "distance", "cut", "rows", "val. MSE")
     units = ("", "cm", "cm", "flown, cm", "/ radii", "", "", "g^2 (zero)")
     shares = [f"{size} drones" for size in GOALS]
     lines = [(*head, *shares), (*units, *("% of f_z" for _ in shares))]
     for k, r in enumerate(rounds):
-        c = r.closeness
-        means = [
-            np.mean([u.explained[k] for u in unseen if u.drones == size]) if unseen else np.nan
-            for size in GOALS
-        ]
+        c = r["closeness"]
+        means = [_mean_explained(unseen, size, k) for size in GOALS]
         lines.append(
             (
-                f"{r.number} {r.title}",
-                f"{100 * r.clearance_m:.1f}",
+                f"{r['number']} {r['title']}",
+                f"{100 * r['clearance_m']:.1f}",
                 f"{100 * c.gap_error_m:.1f}",
                 f"{100 * c.least_clearance_m:.1f}",
                 f"{c.least_distance_ratio:.2f}",
                 f"{c.cut_swaps + c.cut_walks}/{c.flights}",
-                str(r.rows),
-                f"{r.validation_mse:.2f} ({r.zero_mse:.1f})",
+                str(r["rows"]),
+                f"{r['validation_mse']:.2f} ({r['zero_mse']:.1f})",
                 *(f"{100 * mean:.1f}" for mean in means),
             )
         )
-    widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))]
-    return "\n".join(
-        "  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]).rstrip()
-        for line in lines
-    )
+    return "\n".join(line.rstrip() for line in format_columns(lines, rule=False))
 
 
 def draw_curriculum(report: CurriculumReport, path: Path) -> None:
     """Draw the rounds and write the picture, whole, to `path` (PNG, PDF or SVG)."""
-    headline = f"Curriculum in an environment with the force model {report.interactions!r}"
+    headline = f"Curriculum in an environment with the force model {report['interactions']!r}"
     with picture(path, 12.0, 4.0, headline) as figure:
         left, middle, right = figure.subplots(1, 3)
         _closeness(left, report)
         _errors(middle, report)
         _explained(right, report)
         for axis in (left, middle, right):
-            axis.set_xticks([r.number for r in report.rounds])
+            axis.set_xticks([r["number"] for r in report["rounds"]])
             axis.set_xlabel("round")
             axis.grid(axis="y")
 
 
 def _closeness(axis: Axes, report: CurriculumReport) -> None:
-    number = [r.number for r in report.rounds]
-    planned = [100 * r.clearance_m for r in report.rounds]
-    flown = [100 * r.closeness.least_clearance_m for r in report.rounds]
-    error = [100 * r.closeness.gap_error_m for r in report.rounds]
+    number = [r["number"] for r in report["rounds"]]
+    planned = [100 * r["clearance_m"] for r in report["rounds"]]
+    flown = [100 * r["closeness"].least_clearance_m for r in report["rounds"]]
+    error = [100 * r["closeness"].gap_error_m for r in report["rounds"]]
     axis.plot(number, planned, "o-", color=INK, label="least planned")
     axis.plot(number, flown, "s--", color=SCENARIO_COLORS["S2S"], label="least flown")
     axis.plot(number, error, "^:", color=SCENARIO_COLORS["L2S"], label="error of the gap (95 %)")
@@ -205,9 +162,9 @@ def _closeness(axis: Axes, report: CurriculumReport) -> None:
 
 
 def _errors(axis: Axes, report: CurriculumReport) -> None:
-    number = np.array([r.number for r in report.rounds])
-    zero = [r.zero_mse for r in report.rounds]
-    model = [r.validation_mse for r in report.rounds]
+    number = np.array([r["number"] for r in report["rounds"]])
+    zero = [r["zero_mse"] for r in report["rounds"]]
+    model = [r["validation_mse"] for r in report["rounds"]]
     axis.bar(number - 0.2, zero, 0.38, color="#C9CDD2", label="no model")
     axis.bar(number + 0.2, model, 0.38, color=SCENARIO_COLORS["S2S"], label="model of the round")
     for x, value in zip(number + 0.2, model, strict=True):
@@ -218,9 +175,9 @@ def _errors(axis: Axes, report: CurriculumReport) -> None:
 
 
 def _explained(axis: Axes, report: CurriculumReport) -> None:
-    number = [r.number for r in report.rounds]
+    number = [r["number"] for r in report["rounds"]]
     for size, name in zip(GOALS, ("S2S", "S2L", "L2S"), strict=True):
-        shares = np.array([u.explained for u in report.unseen if u.drones == size])
+        shares = np.array([u["explained"] for u in report["unseen"] if u["drones"] == size])
         if not len(shares):
             continue
         color = SCENARIO_COLORS[name]

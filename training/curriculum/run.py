@@ -1,20 +1,36 @@
-"""The whole curriculum: rounds, evaluation on unseen swaps, report, table and picture."""
+"""The curriculum: fly, measure how close drones came, fit to everything so far, plan the next.
+
+Rounds follow each other; then the models are evaluated on unseen swaps. Every stage is written
+whole, and what is done already is read.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json, written_whole
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.collection.collect import begin_manifest
-from swarm_envs.training.collection.table import CollectedFlight
-from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig, adds_drones
+from swarm_envs.state import FloatArray
+from swarm_envs.training.belief.feedforward import simulated_fit_config
+from swarm_envs.training.collection.collect import begin_manifest, collect, was_cut_short
+from swarm_envs.training.collection.table import CollectedFlight, interaction_rows
+from swarm_envs.training.curriculum.curriculum_config import (
+    CurriculumConfig,
+    adds_drones,
+    collection_config,
+)
 from swarm_envs.training.curriculum.curriculum_report import (
     CurriculumReport,
     Unseen,
@@ -23,14 +39,218 @@ from swarm_envs.training.curriculum.curriculum_report import (
     goals_reached,
     sizes_as_json,
 )
-from swarm_envs.training.curriculum.rounds import (
-    LARGEST_STEP,
-    QUANTILE,
-    CurriculumRound,
-    fly_round,
-    weights_of,
-)
-from swarm_envs.training.provenance import json_ready
+from swarm_envs.training.force_model import fit, load_network
+from swarm_envs.training.force_model.evaluate import predict_rows
+from swarm_envs.training.interaction_rows import InteractionRows, save_rows
+from swarm_envs.training.provenance import file_sha256, json_ready
+from swarm_envs.vehicles import parse_team
+
+MARK = "round.json"
+"""Written last: a round that has it is done."""
+PASSING_M = 0.2
+"""Drones pass each other while they are so near laterally: within a wake's width."""
+QUANTILE = 0.95
+"""Of the swaps, whose worst gap errors decide on the next round."""
+LARGEST_STEP = 0.3
+"""A round plans at least this share of the last one's clearance, so that models extrapolate little.
+"""
+
+
+@dataclass(frozen=True)
+class Closeness:
+    """How close drones came in the flights of a round, by their logs."""
+
+    gap_error_m: float
+    """By how much vertical gaps of passing drones differed from the planned ones: the largest of
+    each swap, the 95 % quantile of the swaps. A wake widens them first, and as soon as the lower
+    drone has left it, the controller's integral makes up for it and they are too small."""
+    least_clearance_m: float
+    """Smallest vertical clearance of two spheres that stood over each other in a swap."""
+    least_distance_ratio: float
+    """Smallest distance of two drones in any flight over the sum of their radii: 1 is a touch."""
+    flights: int
+    """Flights that were looked at."""
+    seconds: float
+    """Their length together, s."""
+    cut_swaps: int
+    """Swaps that ended before their time, at a contact."""
+    cut_walks: int
+    """Random walks that did."""
+
+
+CurriculumRound = dict[str, Any]
+"""How a round went, as `round.json` and `curriculum.json` hold it."""
+
+
+def measure_closeness(flights: Sequence[CollectedFlight], duration_s: float) -> Closeness:
+    """Measure closeness in flights of teams, from positions and set-points as logged.
+
+    Args:
+        flights: of one round.
+        duration_s: how long each was to last.
+    """
+    errors, clearances, ratios = [], [], []
+    for flight in flights:
+        worst = 0.0
+        for apart, planned, radii in _pairs(flight):
+            lateral, gap = np.hypot(apart[:, 0], apart[:, 1]), np.abs(apart[:, 2])
+            if len(apart):
+                ratios.append(float(np.linalg.norm(apart, axis=1).min() / radii))
+            if "swap" not in flight.name:
+                continue
+            passing, over = lateral < PASSING_M, lateral < radii
+            if passing.any():
+                worst = max(worst, float(np.abs(planned - gap)[passing].max()))
+            if over.any():
+                clearances.append(float((gap[over] - radii).min()))
+        if "swap" in flight.name:
+            errors.append(worst)
+    cut = [flight.name for flight in flights if was_cut_short(flight, duration_s)]
+    cut_swaps = sum("swap" in name for name in cut)
+    return Closeness(
+        gap_error_m=round(float(np.quantile(errors, QUANTILE)), 4) if errors else 0.0,
+        least_clearance_m=round(min(clearances), 4) if clearances else float("nan"),
+        least_distance_ratio=round(min(ratios), 3) if ratios else float("nan"),
+        flights=len(flights),
+        seconds=round(sum(flight.seconds for flight in flights), 1),
+        cut_swaps=cut_swaps,
+        cut_walks=len(cut) - cut_swaps,
+    )
+
+
+@typed
+def next_clearance(
+    clearance_m: float, closeness: Closeness, unknown: float, margin: float, least_m: float
+) -> float:
+    """The clearance that the next round may plan, m.
+
+    Gaps go wrong by the force that the pilot does not know. So the gap error to expect is the one
+    that was measured, times the share of the then unknown force that is still unknown. The next
+    clearance is at least `margin` times that, at least 0.3 of this round's, at least `least_m`;
+    and no smaller than this round's if a swap ended in a contact.
+
+    Args:
+        clearance_m: planned in the round that was flown, m.
+        closeness: measured in it.
+        unknown: RMS error of the new model over that of what the pilot knew, both against the
+            labels of the round's held-out flights.
+        margin: how many expected gap errors to keep.
+        least_m: never less, m.
+    """
+    expected = closeness.gap_error_m * min(unknown, 1.0)
+    wanted = max(margin * expected, LARGEST_STEP * clearance_m, least_m)
+    if closeness.cut_swaps:
+        wanted = max(wanted, clearance_m)
+    return round(wanted, 4)
+
+
+def _pairs(flight: CollectedFlight) -> list[tuple[FloatArray, FloatArray, float]]:
+    """Of every two drones: where one is from the other (T, 3), planned gap (T,), radii together."""
+    team, log = parse_team(flight.team), flight.log
+    return [
+        (
+            log.position[:, j] - log.position[:, i],
+            np.abs(log.setpoint[:, j, 2] - log.setpoint[:, i, 2]),
+            team[i].radius + team[j].radius,
+        )
+        for i, j in combinations(range(len(team)), 2)
+    ]
+
+
+def _round_folder(config: CurriculumConfig, number: int) -> Path:
+    return config.out / f"round_{number}"
+
+
+def weights_of(config: CurriculumConfig, number: int) -> Path:
+    """The model that a round fitted."""
+    return _round_folder(config, number) / "fit" / "learned.safetensors"
+
+
+def fly_round(
+    config: CurriculumConfig, number: int, clearance_m: float, earlier: list[CollectedFlight]
+) -> tuple[CurriculumRound, list[CollectedFlight]]:
+    """Fly a round, fit, and report; what is done already is read.
+
+    Args:
+        config: of the curriculum.
+        number: of the round, from 1.
+        clearance_m: that its swaps plan.
+        earlier: flights of the rounds before.
+
+    Returns:
+        The report, and the flights of all rounds so far.
+    """
+    began, stage = time.perf_counter(), config.stages[number - 1]
+    folder = _round_folder(config, number)
+    feedforward = weights_of(config, number - 1) if stage.compensated else None
+    collection = collection_config(config, number, clearance_m, feedforward)
+    flown = collect(collection, folder / "flights", config.progress)
+    flights, mark = [*earlier, *flown], folder / MARK
+    if mark.exists():
+        return read_round(mark), flights
+    fitted = _fit_all(config, number, flights)
+    closeness = measure_closeness(flown, config.duration_s)
+    held_out = interaction_rows([f for f in flown if f.validation], config.label)
+    before = _unknown_g(held_out, feedforward)
+    after = _unknown_g(held_out, weights_of(config, number))
+    report: CurriculumRound = {
+        "number": number,
+        "title": stage.title,
+        "teams": stage.teams,
+        "compensated": stage.compensated,
+        "clearance_m": clearance_m,
+        "closeness": closeness,
+        # RMS of the force on the round's held-out flights that its pilot did not know, noise of the
+        # labels included; and the same for the model that was fitted then.
+        "unknown_before_g": round(before, 4),
+        "unknown_after_g": round(after, 4),
+        "next_clearance_m": next_clearance(
+            clearance_m, closeness, after / before, config.margin, config.least_clearance_m
+        ),
+        # Of all flights so far; validation is on those held out, against noisy labels, g^2.
+        "rows": fitted["findings"]["rows"],
+        "validation_mse": fitted["findings"]["errors"]["overall"],
+        "zero_mse": fitted["findings"]["errors"]["zero"],
+        "drag": fitted["drag"],
+        "weights_sha256": file_sha256(weights_of(config, number)),
+        "wall_time_s": round(time.perf_counter() - began, 1),
+    }
+    write_json(mark, json_ready(report))
+    return report, flights
+
+
+def _fit_all(
+    config: CurriculumConfig, number: int, flights: list[CollectedFlight]
+) -> dict[str, Any]:
+    """Fit a model to the flights of all rounds so far; returns what its report says.
+
+    A fit that was killed goes on from its checkpoint; one that is done is read.
+    """
+    folder = _round_folder(config, number)
+    table, said = folder / "rows.npz", folder / "fit" / "learned.json"
+    if not (table.exists() and said.exists()):
+        save_rows(table, interaction_rows(flights, config.label))
+        steps = config.last_steps if number == len(config.stages) else config.steps
+        differ = any(vars(config.errors).values())
+        out, seed = folder / "fit", config.seed
+        fit(simulated_fit_config(table, out, steps, seed, config.progress, differ))
+    found: dict[str, Any] = json.loads(said.read_text())
+    return found
+
+
+def _unknown_g(rows: InteractionRows, weights: Path | None) -> float:
+    """RMS of the vertical labels less what a model says, g; None stands for no model."""
+    predicted = 0.0 if weights is None else predict_rows(load_network(weights), rows)
+    return float(np.sqrt(np.mean((rows.force_g[:, 2] - predicted) ** 2)))
+
+
+def read_round(path: Path) -> CurriculumRound:
+    """Read what `fly_round` wrote; JSON holds null for what no flight showed, which was NaN."""
+    found: CurriculumRound = json.loads(path.read_text())
+    closeness: dict[str, Any] = found["closeness"]
+    closeness |= {name: math.nan for name, value in closeness.items() if value is None}
+    return found | {"closeness": Closeness(**closeness)}
+
 
 ORIGIN = "origin.json"
 """File with the options that a folder was begun with."""
@@ -94,14 +314,14 @@ def _fly_rounds(config: CurriculumConfig) -> list[CurriculumRound]:
         )
         report, flights = fly_round(config, number, clearance, flights)
         reports.append(report)
-        clearance = report.next_clearance_m
+        clearance = report["next_clearance_m"]
     return reports
 
 
 def _evaluate_all(config: CurriculumConfig, truth: InteractionModel) -> list[Unseen]:
     path = config.out / UNSEEN
     if path.exists():
-        return [Unseen(**entry) for entry in json.loads(path.read_text())]
+        return list(json.loads(path.read_text()))
     models = [load(weights_of(config, k + 1)) for k in range(len(config.stages))]
     bar = tqdm(config.unseen_teams, disable=not config.progress, desc="unseen swaps", unit="team")
     found = [evaluate_unseen(models, truth, team, config.episodes) for team in bar]

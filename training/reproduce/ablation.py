@@ -81,42 +81,38 @@ ABLATIONS = {
 number for: no spectral normalisation, or eq. (12) to the letter, and a sum over pairs."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class AblationPlan:
-    """What is fitted for the table."""
-
-    out: Path
-    """Folder of the table; runs go into `runs/<cell>/seed_<seed>`."""
-    data: Path
-    """Rows of measured force: a file, or a folder of files."""
-    seeds: Sequence[int] = (0,)
-    """One run of each cell each."""
-    cells: Sequence[str] = tuple(ABLATIONS)
-    """Which rows of the table."""
-    length: Mapping[str, Any] = field(default_factory=dict)
-    """`steps`, `batch_size` and `learning_rate` of every fit, where not the trainer's default."""
-    progress: bool = True
-    """Show progress bars of the fits."""
-
-    def folder(self, cell: str, seed: int) -> Path:
-        """Of one run."""
-        return self.out / "runs" / cell / f"seed_{seed}"
-
-    def fit_config(self, cell: str, seed: int) -> FitConfig:
-        """Configuration of one run: the paper's form on the labels as they are."""
-        plain = FitConfig(
-            data=self.data,
-            out=self.folder(cell, seed),
-            mode="measured",
-            lipschitz_samples=0,
-            seed=seed,
-        )
-        passes = {} if "steps" in self.length else {"epochs": _PASSES}
-        changes = {**_RECIPE, **self.length, **passes, **ABLATIONS[cell].changes}
-        return with_mode_defaults(replace(plain, **changes), "measured")
+def _jobs(options: Any) -> list[tuple[str, int]]:
+    """Every cell that is wanted with each seed."""
+    seeds = range(options.seed, options.seed + options.seeds)
+    return [(cell, seed) for seed in seeds for cell in _cells(options)]
 
 
-def ablation_cells(plan: AblationPlan) -> Cells:
+def _cells(options: Any) -> list[str]:
+    return [name for name in ABLATIONS if name in options.cells]
+
+
+def ablation_fit(options: Any, cell: str, seed: int) -> FitConfig:
+    """Configuration of one run, in a folder of its own: the paper's form on the labels as they are.
+
+    Args:
+        options: of the command.
+        cell: a key of `ABLATIONS`.
+        seed: of the run.
+    """
+    plain = FitConfig(
+        data=options.data,
+        out=options.out / "runs" / cell / f"seed_{seed}",
+        mode="measured",
+        lipschitz_samples=0,
+        seed=seed,
+    )
+    length = {"epochs": _PASSES} if options.steps is None else {"steps": options.steps}
+    return with_mode_defaults(
+        replace(plain, **{**_RECIPE, **length, **ABLATIONS[cell].changes}), "measured"
+    )
+
+
+def _grid(options: Any) -> Cells:
     """What fits each run, or reads it if it has ended; the table is written anew after each.
 
     Raises:
@@ -125,21 +121,23 @@ def ablation_cells(plan: AblationPlan) -> Cells:
     """
     from swarm_envs.training.force_model.fit_data import data_sha256
 
-    if not plan.data.exists():
-        raise FileNotFoundError(f"no file of rows at {str(plan.data)!r}; give its path by --data")
-    digest = data_sha256(plan.data)
-    jobs = [(cell, seed) for seed in plan.seeds for cell in plan.cells]
-    runs = {job: _finished(plan.fit_config(*job), digest) for job in jobs}
+    if not options.data.exists():
+        raise FileNotFoundError(
+            f"no file of rows at {str(options.data)!r}; give its path by --data"
+        )
+    digest = data_sha256(options.data)
+    configs = {job: ablation_fit(options, *job) for job in _jobs(options)}
+    runs = {job: _finished(config, digest) for job, config in configs.items()}
     reports = {job: report for job, report in runs.items() if report is not None}
 
     def run(job: tuple[str, int]) -> Mapping[str, Any]:
         if job not in reports:
-            _fit(replace(plan.fit_config(*job), progress=plan.progress))
-            reports[job] = _read(plan.fit_config(*job))
-            write_json(plan.out / "table_3.json", _ablation_table(plan, reports))
+            _fit(configs[job])
+            reports[job] = _read(configs[job])
+            write_json(options.out / "table_3.json", _ablation_table(options, reports))
         return reports[job]
 
-    return {f"{cell}, seed {seed}": partial(run, (cell, seed)) for cell, seed in jobs}
+    return {f"{cell}, seed {seed}": partial(run, (cell, seed)) for cell, seed in configs}
 
 
 def _fit(config: FitConfig) -> None:
@@ -178,15 +176,16 @@ def _finished(config: FitConfig, digest: str) -> Mapping[str, Any] | None:
 
 
 def _ablation_table(
-    plan: AblationPlan, reports: Mapping[tuple[str, int], Mapping[str, Any]]
+    options: Any, reports: Mapping[tuple[str, int], Mapping[str, Any]]
 ) -> dict[str, Any]:
     """The table of the runs that there are, ready for JSON."""
     first = next(iter(reports.values()), None)
     errors_of_first = first["findings"]["errors"] if first else {}
-    rows = [_row(ABLATIONS[cell], plan.seeds, reports) for cell in plan.cells]
+    seeds, cells = range(options.seed, options.seed + options.seeds), _cells(options)
+    rows = [_row(ABLATIONS[cell], seeds, reports) for cell in cells]
     return {
         "what": "validation mean squared error of f_a,z, g^2; deviations are of single runs",
-        "runs_wanted": len(plan.cells) * len(plan.seeds),
+        "runs_wanted": len(cells) * len(seeds),
         "runs_done": sum(len(row["seeds"]) for row in rows),
         "rows": rows,
         "zero_g2": errors_of_first.get("zero"),
@@ -231,15 +230,9 @@ def is_three_drones(scenario: str) -> bool:
     return above != "Ge" and len(above) == 2
 
 
-def ablation_report(plan: AblationPlan, cells: Mapping[str, Any]) -> Report:
-    """The table as JSON, CSV, text and bars, the paper's values beside ours.
-
-    Args:
-        plan: what was fitted.
-        cells: the reports of the fits, as `ablation_cells` computes them.
-    """
-    jobs = ((cell, seed) for seed in plan.seeds for cell in plan.cells)
-    table = _ablation_table(plan, dict(zip(jobs, cells.values(), strict=True)))
+def _report(options: Any, cells: Mapping[str, Any]) -> Report:
+    """The table as JSON, CSV, text and bars, the paper's values beside ours."""
+    table = _ablation_table(options, dict(zip(_jobs(options), cells.values(), strict=True)))
     columns = (
         "cell", "paper_g2", "paper_deviation_g2", "ours_g2", "ours_deviation_g2", "three_drones_g2"
     )  # fmt: skip
@@ -339,16 +332,6 @@ def _order(scenario: str) -> tuple[bool, bool, str]:
     return is_three_drones(scenario), not scenario.startswith("Ge"), scenario
 
 
-def _plan(options: Any) -> AblationPlan:
-    return AblationPlan(
-        out=options.out,
-        data=options.data,
-        seeds=range(options.seed, options.seed + options.seeds),
-        cells=[name for name in ABLATIONS if name in options.cells],
-        length={} if options.steps is None else {"steps": options.steps},
-    )
-
-
 def _check(options: Any) -> None:
     if options.data is None:
         raise ValueError("--table 3 fits models: give the rows to fit by --data PATH")
@@ -428,8 +411,8 @@ TABLE_3 = Study(
     takes=("data", "seeds", "cells", "steps"),
     check=_check,
     needs_torch=True,
-    grid=lambda options: ablation_cells(_plan(options)),
-    report=lambda options, cells: ablation_report(_plan(options), cells),
+    grid=_grid,
+    report=_report,
     claims=ablation_claims,
     pictures=("table_3.png",),
     collects=(20, 3),

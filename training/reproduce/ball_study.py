@@ -33,7 +33,7 @@ from swarm_envs.errors import check_array
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.state import FloatArray, Setpoint, hover_state
-from swarm_envs.training.reproduce.charts import Bars, draw_numbered_bars, label_axis
+from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.lag_study import TEAM, TRUTH
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
@@ -299,7 +299,7 @@ def _plot_balls(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
         ("quadrotor_growing_cm", _QUADROTOR, "quadrotor, integral free"),
         ("clamped_growing_cm", _CLAMPED, "quadrotor, integral clamped"),
     )
-    series = [Bars([row[key] for row in rows], color, label) for key, color, label in drawn]
+    series = [([row[key] for row in rows], color, label) for key, color, label in drawn]
     draw_numbered_bars(axis, [row["gains"] for row in rows], series)
     axis.legend(fontsize=8, ncols=2, loc="upper center")
     axis.set_ylim(1.0, 500.0)

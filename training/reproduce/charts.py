@@ -1,9 +1,9 @@
-"""What the pictures of the papers' figures share: labelled axes, bars side by side, captions."""
+"""What the pictures of the papers' figures share: labelled axes, and bars side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from swarm_envs.viewing.style import GREY, INK
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 
 def label_axis(
@@ -34,19 +33,13 @@ def label_axis(
         axis.legend(fontsize=legend)
 
 
-class Bars(NamedTuple):
-    """One bar in each group."""
+def draw_numbered_bars(
+    axis: Axes, groups: Sequence[str], series: Sequence[tuple[Sequence[float], str, str | None]]
+) -> None:
+    """Draw bars side by side in each group, on a logarithmic axis, with their heights above.
 
-    heights: Sequence[float]
-    """By group."""
-    color: str
-    """Of all of them."""
-    label: str | None = None
-    """In the legend."""
-
-
-def draw_numbered_bars(axis: Axes, groups: Sequence[str], series: Sequence[Bars]) -> None:
-    """Draw bars side by side in each group, on a logarithmic axis, with their heights above."""
+    A series has the heights of its bars by group, their colour, and their name in the legend.
+    """
     for k, (heights, color, label) in enumerate(series):
         places = np.arange(len(groups)) + 0.2 * (k - 0.5 * (len(series) - 1))
         axis.bar(places, heights, 0.19, color=color, label=label)
@@ -55,8 +48,3 @@ def draw_numbered_bars(axis: Axes, groups: Sequence[str], series: Sequence[Bars]
             axis.text(x, 1.06 * y, said, ha="center", va="bottom", fontsize=8, color=INK)
     axis.set_yscale("log")
     axis.set_xticks(range(len(groups)), groups)
-
-
-def write_caption(figure: Figure, text: str) -> None:
-    """Say below a picture what its marks mean."""
-    figure.supxlabel(text, fontsize=9)

@@ -20,22 +20,20 @@ from swarm_envs.training.reproduce import dmpc_flights
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about, exactly
 from swarm_envs.training.reproduce.dmpc_flights import (
     CRASH_M,
-    ReferenceFlight,
-    SwarmSetup,
-    fly_circle,
-    fly_sequence,
-    recording_of,
-)
-from swarm_envs.training.reproduce.dmpc_plots import (
     JAM_S,
     LOSSES,
     MODES,
     THEIRS,
+    ReferenceFlight,
+    SwarmSetup,
+    fly_circle,
+    fly_sequence,
     median_total,
     plot_formations,
     plot_jam,
     plot_losses,
     plot_sequence,
+    recording_of,
 )
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, StudyOptions, drawing
 

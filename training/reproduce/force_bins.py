@@ -25,7 +25,7 @@ import numpy as np
 from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.charts import label_axis, write_caption
+from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.heat_maps import force_on_ego_g
 from swarm_envs.viewing.style import GREY, picture
 
@@ -208,13 +208,7 @@ _NAMES = {"S": "small", "L": "large"}
 
 
 def plot_calibration(path: Path, bins: Sequence[_ForceBin], model: str) -> None:
-    """Scatter of predicted against measured bin means, one panel a case.
-
-    Args:
-        path: the picture to write.
-        bins: as `predict_bins` returns them.
-        model: its name, for the headline.
-    """
+    """Scatter of predicted against measured bin means, one panel a case."""
     errors = bin_errors(bins)
     ends = [value for b in bins for value in (b.measured_g, b.predicted_g)]
     low, high = min(ends) - 1.5, max(ends) + 1.5
@@ -230,11 +224,11 @@ def plot_calibration(path: Path, bins: Sequence[_ForceBin], model: str) -> None:
             axis.grid(True)
         axes[0].set_ylabel("Predicted (g)")
         whole = errors["all"]
-        write_caption(
-            figure,
+        figure.supxlabel(
             "Bars: spread of the rows in a bin; larger dots: more rows. Off by "
             f"{whole['root_mean_square_error_g']:.2f} g (root mean square over {whole['rows']:,} "
             "rows). Calibration offsets are subtracted.",
+            fontsize=9,
         )
 
 
@@ -251,13 +245,7 @@ def _scatter(axis: Axes, bins: Sequence[_ForceBin]) -> None:
 
 
 def plot_force_curves(path: Path, bins: Sequence[_ForceBin], model: str) -> None:
-    """Force over vertical and lateral distance, measured with its spread and predicted.
-
-    Args:
-        path: the picture to write.
-        bins: as `predict_bins` returns them.
-        model: its name, for the headline.
-    """
+    """Force over vertical and lateral distance, measured with its spread and predicted."""
     headline = f"Force over distance: measured (dots) and model {model!r} (lines)"
     with picture(path, 15.0, 8.0, headline) as figure:
         grid = figure.add_gridspec(2, 5)
@@ -274,10 +262,10 @@ def plot_force_curves(path: Path, bins: Sequence[_ForceBin], model: str) -> None
             axis = figure.add_subplot(grid[row, 4])
             _curves(axis, [b for b in bins if b.scenario == scenario], _GROUND)
             axis.set_title(f"{_NAMES[scenario[-1]]} alone over the ground")
-        write_caption(
-            figure,
+        figure.supxlabel(
             "Bars: standard deviation of the rows in a bin (shifted aside to be seen). Calibration "
             "offsets are subtracted.",
+            fontsize=9,
         )
 
 

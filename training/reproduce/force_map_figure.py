@@ -18,7 +18,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.training.force_model.explained import generalisation
-from swarm_envs.training.reproduce.charts import label_axis, write_caption
+from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
 from swarm_envs.training.reproduce.force_bins import (
     bin_errors,
@@ -133,13 +133,7 @@ def _numbers_of(s: _Swarm) -> dict[str, Any]:
 
 
 def plot_swarms(path: Path, swarms: Sequence[_Swarm], model: InteractionModel) -> None:
-    """Draw forces over height in stacks and rings, and over the number of drones.
-
-    Args:
-        path: the picture to write.
-        swarms: as `all_swarms` returns them; those of small drones are drawn.
-        model: whose forces they are.
-    """
+    """Draw forces over height in stacks and rings, and over the number of drones."""
     drawn = [s for s in swarms if set(s.team) == {"S"}]
     headline = f"Larger swarms than were measured, model {model.name!r}"
     with picture(path, 15.0, 8.0, headline) as figure:
@@ -156,10 +150,10 @@ def plot_swarms(path: Path, swarms: Sequence[_Swarm], model: InteractionModel) -
                 if column == 0:
                     axis.set_ylabel("Height (m)")
             _growth(figure.add_subplot(grid[row, -1]), model, formation)
-        write_caption(
-            figure,
+        figure.supxlabel(
             f"The flights have at most {_MEASURED_NEIGHBOURS} neighbours: beyond, a model "
             "extrapolates how they add up. Filled: joint force; open: sum of its pairs.",
+            fontsize=9,
         )
 
 

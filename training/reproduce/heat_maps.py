@@ -276,13 +276,7 @@ def all_maps(model: InteractionModel, step_m: float = 0.01) -> list[_ForceMap]:
 
 
 def plot_heat_maps(path: Path, maps: Sequence[_ForceMap], model: str) -> None:
-    """Draw the eight maps on one colour scale.
-
-    Args:
-        path: the picture to write.
-        maps: (a) to (h).
-        model: its name, for the headline.
-    """
+    """Draw the eight maps on one colour scale."""
     lowest = min(float(m.force_g.min()) for m in maps)
     highest = max(float(m.force_g.max()) for m in maps)
     headline = f"Force on a small drone among its neighbours, model {model!r} (Fig. 5 of the paper)"

@@ -23,7 +23,7 @@ from swarm_envs.baselines.neural_swarm.flights import (
 )
 from swarm_envs.control.config import GAINS, ControllerConfig
 from swarm_envs.interactions import load
-from swarm_envs.training.reproduce.charts import Bars, draw_numbered_bars, label_axis
+from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
 from swarm_envs.viewing.style import picture
 
@@ -180,7 +180,7 @@ def _plot(
 
 def _medians(axis: Axes, rows: Sequence[Mapping[str, Any]]) -> None:
     series = [
-        Bars([r["median_cm"] for r in rows if (r["force"], r["lag"]) == look], color)
+        ([r["median_cm"] for r in rows if (r["force"], r["lag"]) == look], color, None)
         for look, (color, _) in _LOOK.items()
     ]
     draw_numbered_bars(axis, list(GAINS), series)

@@ -28,7 +28,7 @@ from swarm_envs.baselines.neural_swarm.flights import (
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.reproduce.charts import label_axis, write_caption
+from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.imperfect_flights import NOTHING, Imperfection, fly_imperfectly
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
 from swarm_envs.vehicles import GRAVITY, SMALL, Team, parse_team
@@ -49,21 +49,15 @@ learned from flights in it."""
 
 
 @dataclass(frozen=True)
-class SweepPoint:
+class _SweepPoint:
     """One set of flights."""
 
-    cell: str
-    """Its name; points of one name are the same flights."""
-    case: str
-    """What flies, for people."""
-    value: float
-    """What the sweep varies, in its unit."""
-    belief: str
-    """One of `_BELIEFS`."""
-    test: FlightTest
-    """Team, swaps, air."""
-    imperfection: Imperfection = NOTHING
-    """What is spoiled."""
+    cell: str  # its name; points of one name are the same flights
+    case: str  # what flies, for people
+    value: float  # what the sweep varies, in its unit
+    belief: str  # one of `_BELIEFS`
+    test: FlightTest  # team, swaps, air
+    imperfection: Imperfection = NOTHING  # what is spoiled
 
     @property
     def controller(self) -> ControllerConfig:
@@ -79,7 +73,7 @@ class Sweep:
     """In tables and files."""
     label: str
     """Of the axis, with the unit."""
-    points: Sequence[SweepPoint]
+    points: Sequence[_SweepPoint]
     """What is flown, one after another."""
 
 
@@ -101,15 +95,15 @@ def _spoiled(
             cell = f"{name} {x:g}: {case}"
             alone = cell if sensed else f"unspoiled: {case}"
             sensors = spoil(x) if sensed else NOTHING
-            points.append(SweepPoint(f"{alone}, none", case, x, "none", test, sensors))
-            points.append(SweepPoint(f"{cell}, exact", case, x, "exact", test, spoil(x)))
+            points.append(_SweepPoint(f"{alone}, none", case, x, "none", test, sensors))
+            points.append(_SweepPoint(f"{cell}, exact", case, x, "exact", test, spoil(x)))
     return Sweep(name, label, points)
 
 
 def _flown(name: str, label: str, cases: Mapping[str, Mapping[float, FlightTest]]) -> Sweep:
     """A sweep of what is flown, by the baseline and both beliefs."""
     points = [
-        SweepPoint(f"{name} {x:g}: {case}, {belief}", case, x, belief, test)
+        _SweepPoint(f"{name} {x:g}: {case}, {belief}", case, x, belief, test)
         for case, tests in cases.items()
         for x, test in tests.items()
         for belief in _BELIEFS
@@ -211,7 +205,7 @@ def _grid(options: Any) -> Cells:
     return {p.cell: partial(_measure, p, seeds) for p in points}
 
 
-def _measure(point: SweepPoint, seeds: Sequence[int]) -> Cell:
+def _measure(point: _SweepPoint, seeds: Sequence[int]) -> Cell:
     """Worst height error of the lowest drone in each flight, cm."""
     flown = fly_imperfectly(point.test, point.controller, seeds, point.imperfection)
     return {
@@ -239,7 +233,7 @@ def sweep_rows(sweep: Sweep, cells: Mapping[str, Cell]) -> list[dict[str, Any]]:
     ]
 
 
-def _row(point: SweepPoint, flown: Cell, baseline: Cell) -> dict[str, Any]:
+def _row(point: _SweepPoint, flown: Cell, baseline: Cell) -> dict[str, Any]:
     with_it, without = np.array(flown["worst_cm"]), np.array(baseline["worst_cm"])
     mine, theirs = quartiles(with_it), quartiles(without)
     return {
@@ -327,11 +321,11 @@ def _plot(path: Path, sweeps: Sequence[Sweep], rows: Sequence[Mapping[str, Any]]
             _panel(axis, sweep, [row for row in rows if row["sweep"] == sweep.name])
         for axis in axes[len(sweeps) :]:
             axis.set_axis_off()
-        write_caption(
-            figure,
+        figure.supxlabel(
             "Medians. Dashed: without compensation. Solid: belief exact but for what is varied; "
             "dotted: the belief that ships. Red ring: compensation made the median worse; "
             "red cross: it made drones crash.",
+            fontsize=9,
         )
 
 

@@ -34,6 +34,7 @@ from swarm_envs.training.reproduce.paired_flights import (
     PairedFlights,
     compare_paired,
     fly_or_read,
+    judged_cm,
     ring_case,
     swap_case,
 )
@@ -147,7 +148,7 @@ def _notes(options: Any, engine: str, flown: Mapping[str, Sequence[PairedFlights
         truth = load(name)
         if truth.fingerprint == _belief(options, name).fingerprint:
             notes.append(f"the controller compensates by the environment's model, {truth.name!r}")
-    crashed = sum(int(one.crashed.sum()) for own in flown.values() for one in own)
+    crashed = sum(int(one["crashed"].sum()) for own in flown.values() for one in own)
     if crashed:
         notes.append(f"{crashed} flights ended before the clock: their error is not their worst")
     return notes
@@ -161,27 +162,27 @@ def _case_row(case: FlightCase, flown: PairedFlights) -> dict[str, Any]:
         {
             "drone": name,
             **_place(case, i),
-            **_compared_errors(case, flown.worst_cm[..., i]),
-            "force_rms_g": round(float(flown.force_rms_g[i]), 3),
-            "error_rms_g": round(float(flown.error_rms_g[i]), 3),
+            **_compared_errors(case, flown["worst_cm"][..., i]),
+            "force_rms_g": round(float(flown["force_rms_g"][i]), 3),
+            "error_rms_g": round(float(flown["error_rms_g"][i]), 3),
         }
         for i, name in enumerate(names)
     ]
     return {
         "case": case.name,
         "judged": _WORST if case.judged is None else names[case.judged],
-        "episodes": int(flown.worst_cm.shape[1]),
+        "episodes": int(flown["worst_cm"].shape[1]),
         "paper_cm": case.paper_cm,
-        **_compared_errors(case, flown.judged_cm(case.judged)),
+        **_compared_errors(case, judged_cm(flown, case.judged)),
         "drones": drones,
-        "crashed": dict(zip(SIDES, flown.crashed.sum(axis=1).tolist())),
-        "least_separation_m": dict(zip(SIDES, flown.separation_m.min(axis=1).round(4).tolist())),
-        "explained": round(float(flown.explained), 4),
-        "mean_neighbours": round(float(flown.neighbours[0]), 2),
-        "most_neighbours": int(flown.neighbours[1]),
+        "crashed": dict(zip(SIDES, flown["crashed"].sum(axis=1).tolist())),
+        "least_separation_m": dict(zip(SIDES, flown["separation_m"].min(axis=1).round(4).tolist())),
+        "explained": round(float(flown["explained"]), 4),
+        "mean_neighbours": round(float(flown["neighbours"][0]), 2),
+        "most_neighbours": int(flown["neighbours"][1]),
         "others_cm": _others(case, flown) if len(team) > 1 else None,
         "worst_height_error_cm": {
-            side: np.round(flown.worst_cm[k], 3).tolist() for k, side in enumerate(SIDES)
+            side: np.round(flown["worst_cm"][k], 3).tolist() for k, side in enumerate(SIDES)
         },
     }
 
@@ -206,7 +207,7 @@ def _others(case: FlightCase, flown: PairedFlights) -> dict[str, float] | None:
     """Errors of the drones above the judged one: what compensating the lowest costs them."""
     if case.judged is None:
         return None
-    upper = flown.worst_cm[..., :-1]
+    upper = flown["worst_cm"][..., :-1]
     worst = upper.max(axis=-1)
     return {
         "without": round(float(np.median(worst[0])), 3),

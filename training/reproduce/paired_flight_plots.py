@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarm_envs.training.reproduce.charts import label_axis
-from swarm_envs.training.reproduce.paired_flights import PLAIN_SWAPS, FlightCase, PairedFlights
+from swarm_envs.training.reproduce.paired_flights import (
+    PLAIN_SWAPS,
+    FlightCase,
+    PairedFlights,
+    judged_cm,
+)
 from swarm_envs.viewing.comparison import COMPENSATED_COLOR, WITHOUT_COLOR
 from swarm_envs.viewing.style import GREY, INK, picture
 
@@ -27,21 +32,14 @@ def plot_swaps(
     cases: Sequence[Sequence[FlightCase]],
     flown: Sequence[Sequence[PairedFlights]],
 ) -> None:
-    """Draw one row of boxes for each true force model.
-
-    Args:
-        path: the picture to write.
-        report: of the flights, as `FlightFigure` makes it.
-        cases: of each force.
-        flown: the flights of each of them.
-    """
+    """Draw one row of boxes for each true force model."""
     names = [case.name for case in cases[0]]
     width = max(6.0, 2.0 + 0.75 * len(names))
     headline = "Stacked swaps: worst height error of the lowest drone"
     with picture(path, width, 1.2 + 3.1 * len(cases), headline) as figure:
         axes = figure.subplots(len(cases), 1, sharex=True, squeeze=False)[:, 0]
         for axis, air, own, found in zip(axes, report["truths"], cases, flown, strict=True):
-            _boxes(axis, names, [f.judged_cm(c.judged) for c, f in zip(own, found, strict=True)])
+            _boxes(axis, names, [judged_cm(f, c.judged) for c, f in zip(own, found, strict=True)])
             _paper(axis, names, own)
             _doubtful(axis, names, air["cases"])
             axis.set_title(f"Environment with the force model {air['truth']['name']!r}")
@@ -116,14 +114,7 @@ def plot_rings(
     cases: Sequence[Sequence[FlightCase]],
     flown: Sequence[Sequence[PairedFlights]],
 ) -> None:
-    """Draw one row for each true force model: errors by drone, and of the worst one over time.
-
-    Args:
-        path: the picture to write.
-        report: of the flights, as `FlightFigure` makes it.
-        cases: of each force, one each.
-        flown: the flights of each.
-    """
+    """Draw one row for each true force model: errors by drone, and of the worst one over time."""
     drones = len(cases[0][0].test.task.team)
     headline = f"Intertwined rings of {drones} drones"
     with picture(path, 13.0, 0.9 + 3.4 * len(cases), headline) as figure:
@@ -163,14 +154,14 @@ def _errors(axis: Axes, entry: Mapping[str, Any], truth: str) -> None:
 
 def _height(axis: Axes, flown: PairedFlights, drone: int, entry: Mapping[str, Any]) -> None:
     for k, color in enumerate((WITHOUT_COLOR, COMPENSATED_COLOR)):
-        axis.plot(flown.time, flown.height_error_cm[k, :, drone], color=color, linewidth=1.4)
+        axis.plot(flown["time"], flown["height_error_cm"][k, :, drone], color=color, linewidth=1.4)
     title = f"One flight, the worst drone ({entry['drones'][drone]['drone']})"
     label_axis(axis, zero=True, title=title, ylabel="height error, cm")
 
 
 def _force(axis: Axes, flown: PairedFlights, drone: int, entry: Mapping[str, Any]) -> None:
-    axis.plot(flown.time, flown.force_g[1, :, drone], color=INK, linewidth=1.8, label="true")
-    axis.plot(flown.time, flown.believed_g[:, drone], color=COMPENSATED_COLOR, linewidth=1.2,
+    axis.plot(flown["time"], flown["force_g"][1, :, drone], color=INK, linewidth=1.8, label="true")
+    axis.plot(flown["time"], flown["believed_g"][:, drone], color=COMPENSATED_COLOR, linewidth=1.2,
               linestyle="--", label="predicted")  # fmt: skip
     axis.set_ylabel("vertical force, g")
     axis.set_title("The force on it, with compensation")

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.files import written_whole
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
-from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Success
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.tasks.swap import StackedLayout
@@ -87,42 +87,27 @@ SIDES = ("without", "compensated")
 """The two controllers, in the order of the arrays."""
 
 
-@dataclass(frozen=True)
-class PairedFlights:
-    """E episodes of a case, of N drones, by both controllers; sides are in the order of `SIDES`."""
+PairedFlights = dict[str, FloatArray]
+"""E episodes of a case, of N drones, by both controllers; sides are in the order of `SIDES`.
 
-    worst_cm: FloatArray
-    """(2, E, N) worst height error of each drone since errors count."""
-    crashed: BoolArray
-    """(2, E) ended in a collision or a tumble: the errors are not the worst there."""
-    separation_m: FloatArray
-    """(2, E) smallest distance of two drones."""
-    force_rms_g: FloatArray
-    """(N,) of the true vertical force on the compensated drones since errors count."""
-    error_rms_g: FloatArray
-    """(N,) of the predicted force less that."""
-    explained: FloatArray
-    """() share of that force's variance, over all drones, which was predicted."""
-    neighbours: FloatArray
-    """(2,) others in a drone's interaction volume: mean and most."""
-    shown: FloatArray
-    """() index of the episode that pictures show: the middle one without compensation."""
-    time: FloatArray
-    """(T,) s, of that episode."""
-    height_error_cm: FloatArray
-    """(2, T, N) height over the reference."""
-    force_g: FloatArray
-    """(2, T, N) true vertical force."""
-    believed_g: FloatArray
-    """(T, N) what the compensated side predicted."""
-    reference: FloatArray
-    """(T, N, 3) m."""
+- `worst_cm` (2, E, N): worst height error of each drone since errors count.
+- `crashed` (2, E): ended in a collision or a tumble: the errors are not the worst there.
+- `separation_m` (2, E): smallest distance of two drones.
+- `force_rms_g` (N,): of the true vertical force on the compensated drones since errors count;
+  `error_rms_g` (N,): of the predicted force less that; `explained` (): share of that force's
+  variance, over all drones, which was predicted.
+- `neighbours` (2,): others in a drone's interaction volume, mean and most.
+- `shown` (): index of the episode that pictures show, the middle one without compensation. Of it,
+  T samples: `time` (T,) s; `height_error_cm` (2, T, N) over the reference; `force_g` (2, T, N), the
+  true vertical force; `believed_g` (T, N), what the compensated side predicted; `reference`
+  (T, N, 3) m.
+"""
 
-    def judged_cm(self, judged: int | None) -> FloatArray:
-        """(2, E) error that counts: of one drone, or of the worst of each flight if None."""
-        if judged is None:
-            return np.asarray(self.worst_cm.max(axis=-1))
-        return self.worst_cm[..., judged]
+
+def judged_cm(flown: PairedFlights, judged: int | None) -> FloatArray:
+    """(2, E) error that counts: of one drone, or of the worst of each flight if None."""
+    worst = flown["worst_cm"]
+    return np.asarray(worst.max(axis=-1)) if judged is None else worst[..., judged]
 
 
 def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -> PairedFlights:
@@ -140,18 +125,18 @@ def fly_case(case: FlightCase, belief: InteractionModel, seeds: Sequence[int]) -
     judged = worst[0].max(axis=-1) if case.judged is None else worst[0, :, case.judged]
     shown = int(np.argsort(judged, kind="stable")[(len(judged) - 1) // 2])
     separation = [[m["minimum_separation_m"] for m in side.metrics] for side in sides]
-    return PairedFlights(
-        worst_cm=worst,
-        crashed=np.stack([side.crashed for side in sides]),
-        separation_m=np.array(separation, dtype=np.float64),
-        shown=np.array(shown),
-        time=without.time,
-        height_error_cm=np.stack([_height_error_cm(side)[shown] for side in sides]),
-        force_g=np.stack([side.force[shown, ..., 2] / GRAM_FORCE for side in sides]),
-        believed_g=compensated.believed[shown, ..., 2] / GRAM_FORCE,
-        reference=without.reference[shown],
+    return {
+        "worst_cm": worst,
+        "crashed": np.stack([side.crashed for side in sides]),
+        "separation_m": np.array(separation, dtype=np.float64),
         **_prediction(case, compensated),
-    )
+        "shown": np.array(shown),
+        "time": without.time,
+        "height_error_cm": np.stack([_height_error_cm(side)[shown] for side in sides]),
+        "force_g": np.stack([side.force[shown, ..., 2] / GRAM_FORCE for side in sides]),
+        "believed_g": compensated.believed[shown, ..., 2] / GRAM_FORCE,
+        "reference": without.reference[shown],
+    }
 
 
 def _height_error_cm(flights: Flights) -> FloatArray:
@@ -195,7 +180,8 @@ def fly_or_read(
         return _read(path, settings)
     flown = fly_case(case, belief, seeds)
     with written_whole(path) as partial:
-        np.savez_compressed(partial, settings=np.array(json.dumps(settings)), **vars(flown))
+        arrays: dict[str, Any] = {"settings": np.array(json.dumps(settings)), **flown}
+        np.savez_compressed(partial, **arrays)
     return flown
 
 
@@ -203,9 +189,7 @@ def _read(path: Path, settings: dict[str, Any]) -> PairedFlights:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
             there = json.loads(str(arrays["settings"]))
-            flown = PairedFlights(
-                **{entry.name: arrays[entry.name] for entry in fields(PairedFlights)}
-            )
+            flown = {name: arrays[name] for name in arrays.files if name != "settings"}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(
             f"{str(path)!r} is damaged, or no file of flights ({error}); delete it"

@@ -16,7 +16,7 @@ from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.charts import label_axis, write_caption
+from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
 from swarm_envs.training.reproduce.planned_swaps import (
     PLANNERS,
@@ -155,10 +155,10 @@ def _plot(path: Path, plans: Mapping[str, SwarmPlan], tracks: Mapping[str, Track
         above[0].set_ylabel("z (m)")
         below[0].set_ylabel("f_a,z (g)")
         below[0].legend(fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0))
-        write_caption(
-            figure,
+        figure.supxlabel(
             "Dashed: planned, or the bounds of the forces. Solid: tracked by a PID in the air that "
             "the model knows. Discs: the robots half way. Arrows: velocity every second.",
+            fontsize=9,
         )
 
 

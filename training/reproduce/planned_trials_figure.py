@@ -201,14 +201,7 @@ _SIZES = {"S": "small", "L": "large"}
 def plot_trials(
     path: Path, cells: Sequence[Mapping[str, Any]], headline: str, plant: str = "model_plant"
 ) -> None:
-    """Draw worst error and worst force of each trial; bars reach to the worst of all.
-
-    Args:
-        path: the picture to write.
-        cells: as `fly_trial` returns them.
-        headline: stands above all.
-        plant: whose measures: the key in the cells.
-    """
+    """Draw worst error and worst force of each trial; bars reach to the worst of all."""
     scenarios = list(dict.fromkeys(cell["scenario"] for cell in cells))
     with picture(path, 12.0, 4.6, headline) as figure:
         axes = figure.subplots(1, 3)

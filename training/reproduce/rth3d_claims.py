@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason
-from swarm_envs.training.reproduce.rth3d_settings import GUARANTEED
+from swarm_envs.training.reproduce.rth3d_runs import GUARANTEED
 
 
 def _points(numbers: Any, series: str, method: str) -> list[dict[str, Any]]:

@@ -25,20 +25,18 @@ from swarm_envs.training.reproduce.rth3d_claims import (
 from swarm_envs.training.reproduce.rth3d_letters import letter_claims, letter_report
 from swarm_envs.training.reproduce.rth3d_plots import plot_curve_figure
 from swarm_envs.training.reproduce.rth3d_runs import (
+    FIGURES,
     FIT_FROM,
+    GUARANTEED,
+    CurveFigure,
     CurvePoint,
     Curves,
+    GridSetting,
+    RatioTarget,
     Spread,
     gather_runs,
     growth,
     runs_at,
-)
-from swarm_envs.training.reproduce.rth3d_settings import (
-    FIGURES,
-    GUARANTEED,
-    CurveFigure,
-    GridSetting,
-    RatioTarget,
 )
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, StudyOptions, drawing
 

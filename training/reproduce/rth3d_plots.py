@@ -11,8 +11,15 @@ import numpy as np
 from swarm_envs.baselines.rth3d import GridInstance, make_instance
 from swarm_envs.baselines.rth3d.grid import Coordinates
 from swarm_envs.state import FloatArray
-from swarm_envs.training.reproduce.rth3d_runs import FIT_FROM, CurvePoint, Curves, Spread
-from swarm_envs.training.reproduce.rth3d_settings import GUARANTEED, CurveFigure, Peer
+from swarm_envs.training.reproduce.rth3d_runs import (
+    FIT_FROM,
+    GUARANTEED,
+    CurveFigure,
+    CurvePoint,
+    Curves,
+    Peer,
+    Spread,
+)
 from swarm_envs.viewing.style import GREY, picture
 
 if TYPE_CHECKING:
@@ -30,13 +37,7 @@ _AXES: Mapping[str, str] = {"robots": "Robots", "density": "Robots per vertex (%
 
 
 def plot_curve_figure(path: Path, figure: CurveFigure, curves: Curves) -> None:
-    """Draw a figure: time and ratio, or for patterns the ratio alone, as the paper does.
-
-    Args:
-        path: the picture to write.
-        figure: what was varied.
-        curves: its points; settings that were not run are missing.
-    """
+    """Draw a figure: time and ratio, or for patterns the ratio alone, as the paper does."""
     if figure.axis == "m":
         _plot_patterns(path, figure, curves)
         return

@@ -70,21 +70,15 @@ class ActorCriticNetworks(nn.Module):
         self.moments[2] = count
 
 
-class Rollout(NamedTuple):
+class _Rollout(NamedTuple):
     """Decisions of every drone in a rollout, in one row each."""
 
-    observations: Tensor
-    """Of the actor."""
-    states: Tensor
-    """Of the team, as the critic takes them."""
-    actions: Tensor
-    """What was done."""
-    log_probs: Tensor
-    """Logarithm of the density with which it was drawn."""
-    advantages: Tensor
-    """By how much it was better than expected."""
-    returns: Tensor
-    """What the critic learns."""
+    observations: Tensor  # of the actor
+    states: Tensor  # of the team, as the critic takes them
+    actions: Tensor  # what was done
+    log_probs: Tensor  # logarithm of the density with which it was drawn
+    advantages: Tensor  # by how much it was better than expected
+    returns: Tensor  # what the critic learns
 
 
 class MappoLearner(Learner):
@@ -129,7 +123,7 @@ class MappoLearner(Learner):
         }
 
     @torch.no_grad()
-    def _collect(self) -> Rollout:
+    def _collect(self) -> _Rollout:
         discount = self.config.discount
         assert discount is not None  # the recipe has one
         steps = [self._step() for _ in range(self.config.rollout)]
@@ -141,7 +135,7 @@ class MappoLearner(Learner):
         errors = rewards + discount * following - values
         advantages = generalised_advantages(errors, ended, discount * self.config.gae_lambda)
         rows = (observations, states, actions, log_probs, advantages, advantages + values)
-        return Rollout(*(row.flatten(0, 2) for row in rows))
+        return _Rollout(*(row.flatten(0, 2) for row in rows))
 
     def _step(self) -> tuple[Tensor, ...]:
         """One decision of every drone: what it observed, what it did, what came of it."""
@@ -178,7 +172,7 @@ class MappoLearner(Learner):
         others = [states.roll(-k, dims=1) for k in range(1, self.core.num_drones)]
         return torch.cat([observations, *others], dim=-1)
 
-    def _learn(self, rollout: Rollout, rate: float) -> tuple[float, float]:
+    def _learn(self, rollout: _Rollout, rate: float) -> tuple[float, float]:
         networks, losses = self.networks, []
         networks.note_returns(rollout.returns)
         self.adam.param_groups[0]["lr"] = rate
@@ -193,14 +187,14 @@ class MappoLearner(Learner):
         kls, value_losses = zip(*losses, strict=True)
         return float(np.mean(kls)), float(np.mean(value_losses))
 
-    def _batches(self, rollout: Rollout) -> Iterator[Rollout]:
+    def _batches(self, rollout: _Rollout) -> Iterator[_Rollout]:
         size = self.config.batch_size
         for _ in range(self.config.passes):
             order = torch.randperm(len(rollout.returns), generator=self._draws)
             for chosen in torch.split(order, size):
-                yield Rollout(*(row[chosen] for row in rollout))
+                yield _Rollout(*(row[chosen] for row in rollout))
 
-    def _losses(self, batch: Rollout) -> tuple[Tensor, Tensor, Tensor]:
+    def _losses(self, batch: _Rollout) -> tuple[Tensor, Tensor, Tensor]:
         config, networks = self.config, self.networks
         log_probs = networks.log_probability(networks.actor(batch.observations), batch.actions)
         change = log_probs - batch.log_probs

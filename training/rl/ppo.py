@@ -52,9 +52,9 @@ class PpoLearner(Sb3Learner):
             },
         )
 
-    def _encoder_spec(self) -> EncoderSpec:
+    def _encoder_spec(self) -> _EncoderSpec:
         config = self.config
-        return EncoderSpec(
+        return _EncoderSpec(
             sizes=self.sizes,
             encoder=config.encoder,
             pooling=config.pooling,
@@ -96,29 +96,22 @@ class PpoLearner(Sb3Learner):
 
 
 @dataclass(frozen=True)
-class EncoderSpec:
+class _EncoderSpec:
     """What the networks of a policy look like."""
 
-    sizes: FeatureSizes
-    """Numbers that are taken in."""
-    encoder: str
-    """one of `swarm_envs.agents.networks.ENCODERS`"""
-    pooling: str
-    """How neighbours become one row."""
-    hidden: tuple[int, ...]
-    """Widths of the hidden layers."""
-    set_hidden: tuple[int, ...]
-    """widths of phi's layers"""
-    neighbor_types: tuple[str, ...]
-    """types of neighbours with a phi of their own, or `ANY` alone"""
-    owners: tuple[str, ...]
-    """types of drones with a network of their own, or `ANY` alone"""
+    sizes: FeatureSizes  # numbers that are taken in
+    encoder: str  # one of `swarm_envs.agents.networks.ENCODERS`
+    pooling: str  # how neighbours become one row
+    hidden: tuple[int, ...]  # widths of the hidden layers
+    set_hidden: tuple[int, ...]  # widths of phi's layers
+    neighbor_types: tuple[str, ...]  # types of neighbours with a phi of their own, or `ANY` alone
+    owners: tuple[str, ...]  # types of drones with a network of their own, or `ANY` alone
 
 
 class SetEncoder(nn.Module):
     """A drone's own numbers, and those of its neighbours as a set."""
 
-    def __init__(self, spec: EncoderSpec) -> None:
+    def __init__(self, spec: _EncoderSpec) -> None:
         super().__init__()
         self._spec = spec
         self.phi = nn.ModuleList(
@@ -155,7 +148,7 @@ def _pooled(members: Tensor, present: Tensor, pooling: str) -> Tensor:
 class Trunk(nn.Module):
     """From features to the last hidden layer."""
 
-    def __init__(self, spec: EncoderSpec) -> None:
+    def __init__(self, spec: _EncoderSpec) -> None:
         super().__init__()
         self.set = SetEncoder(spec) if spec.encoder == "deep-set" else None
         self.body = _tanh_layers(self.set.width if self.set else spec.sizes.width, spec.hidden)
@@ -169,7 +162,7 @@ class Trunk(nn.Module):
 class Trunks(nn.Module):
     """The trunk of each type of drone; see the module for what comes out."""
 
-    def __init__(self, spec: EncoderSpec) -> None:
+    def __init__(self, spec: _EncoderSpec) -> None:
         super().__init__()
         self.owners, self._sizes = spec.owners, spec.sizes
         self.trunks = nn.ModuleList(Trunk(spec) for _ in spec.owners)
@@ -190,7 +183,7 @@ class Trunks(nn.Module):
 class ActorCritic(nn.Module):
     """Actor and critic, which share nothing, as Stable-Baselines3 calls them."""
 
-    def __init__(self, spec: EncoderSpec) -> None:
+    def __init__(self, spec: _EncoderSpec) -> None:
         super().__init__()
         self.policy_net, self.value_net = Trunks(spec), Trunks(spec)
         self.latent_dim_pi = self.latent_dim_vf = self.policy_net.width
@@ -213,7 +206,7 @@ class ActorCritic(nn.Module):
 class TeamPolicy(ActorCriticPolicy):  # type: ignore[misc]  # SB3's base has no types here
     """Stable-Baselines3's policy with the networks of a spec, which is given by `spec`."""
 
-    def __init__(self, *arguments: Any, spec: EncoderSpec, **options: Any) -> None:
+    def __init__(self, *arguments: Any, spec: _EncoderSpec, **options: Any) -> None:
         self._spec = spec
         super().__init__(*arguments, **options)
 

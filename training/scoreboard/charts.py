@@ -23,7 +23,7 @@ from matplotlib.markers import MarkerStyle
 from matplotlib.ticker import LogLocator
 from matplotlib.transforms import Bbox
 
-from swarm_envs.training.scoreboard.board import Board, Estimate, Interval, TaskInfo
+from swarm_envs.training.scoreboard.board import Board, Interval, TaskInfo
 from swarm_envs.training.scoreboard.markup import format_micros, format_value, tag
 
 WIDTH, HEIGHT = 400, 280
@@ -118,7 +118,7 @@ class _Chart:
 
     def __init__(self, board: Board, colors: Palette, x_label: str, y_label: str) -> None:
         self.colors = colors
-        self.labels = {agent.name: agent.label for agent in board.agents}
+        self.labels = {name: agent["label"] for name, agent in board.agents.items()}
         self._groups: dict[str, tuple[str, str, str]] = {}
         self.figure = Figure(figsize=(WIDTH / 72, HEIGHT / 72), dpi=72, frameon=False)
         FigureCanvasAgg(self.figure)  # knows how large a text is
@@ -173,15 +173,15 @@ def profile_chart(board: Board, colors: Palette, family: str) -> Element:
     """How many of a family's runs reach each score, a line an agent."""
     profile, label = board.profiles[family], f"Performance profiles, {family}"
     with mpl.rc_context({**_STYLE, "svg.hashsalt": label}):
-        chart = _Chart(board, colors, profile.label, "runs that reach it, %")
-        chart.axes.set(xlim=(profile.thresholds[0], profile.thresholds[-1]), ylim=(0.0, 1.0))
-        for name in chart.behind_first(profile.agents):
-            curve, x = profile.agents[name], profile.thresholds
-            around = [*curve.high, *curve.low[::-1]]
+        chart = _Chart(board, colors, profile["label"], "runs that reach it, %")
+        chart.axes.set(xlim=(profile["thresholds"][0], profile["thresholds"][-1]), ylim=(0.0, 1.0))
+        for name in chart.behind_first(profile["agents"]):
+            curve, x = profile["agents"][name], profile["thresholds"]
+            around = [*curve["high"], *curve["low"][::-1]]
             (band,) = chart.axes.fill([*x, *x[::-1]], around, color=_OWN, alpha=0.14, linewidth=0)
             chart.belongs(band, "band", name)
             dashes = _DASHES[colors.get(name, 0) % len(_DASHES)]
-            (line,) = chart.axes.plot(x, curve.fraction, color=_OWN, linestyle=dashes)
+            (line,) = chart.axes.plot(x, curve["fraction"], color=_OWN, linestyle=dashes)
             chart.belongs(line, "line", name, chart.labels[name])
         return chart.element(label)
 
@@ -196,19 +196,21 @@ def family_points(board: Board, family: str) -> list[ComputePoint]:
         if known:
             standing = board.aggregates[family][name]
             middle, slow = (math.exp(sum(map(math.log, each)) / len(each)) for each in zip(*known))
-            points.append(ComputePoint(name, middle, slow, standing.value, standing.interval))
+            score, interval = standing["value"], standing.get("interval")
+            points.append(ComputePoint(name, middle, slow, score, interval))
     return points
 
 
 def task_points(board: Board, task: TaskInfo) -> list[ComputePoint]:
     """The agents that flew a task: their success rate and their times."""
     points = []
-    for agent in board.agents:
-        times = _times(board, task.id, agent.name)
-        cell = board.pairs.get((task.id, agent.name))
-        success = cell.values.get("success_rate") if cell is not None else None
-        if times is not None and success is not None and success.value is not None:
-            points.append(ComputePoint(agent.name, *times, success.value, success.interval))
+    for name in board.agents:
+        times = _times(board, task.id, name)
+        cell = board.pairs.get((task.id, name))
+        success = cell["values"].get("success_rate") if cell is not None else None
+        if times is not None and success is not None and success["value"] is not None:
+            score, interval = success["value"], success.get("interval")
+            points.append(ComputePoint(name, *times, score, interval))
     return points
 
 
@@ -217,7 +219,7 @@ def _times(board: Board, task: str, agent: str) -> tuple[float, float] | None:
     cell = board.pairs.get((task, agent))
     if cell is None:
         return None
-    median, slow = (cell.values.get(name, Estimate(None)).value for name in _TIMES)
+    median, slow = (cell["values"].get(name, {}).get("value") for name in _TIMES)
     return (median, slow) if median and slow and min(median, slow) > 0.0 else None
 
 

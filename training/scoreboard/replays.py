@@ -114,19 +114,19 @@ def _jobs(folder: Path, board: Board) -> list[Job]:
     tasks = {task.id: task for task in board.tasks}
     found: list[tuple[float, Job]] = []
     for cell in board.cells:
-        if cell.replay is None or _is_there(folder / cell.replay.file, cell.replay.seed):
+        replay = cell["replay"]
+        if replay is None or _is_there(folder / replay["file"], replay["seed"]):
             continue
         arguments = {
-            "file": str(folder / cell.replay.file),
-            "environment": tasks[cell.task].environment,
-            "options": dict(tasks[cell.task].options),
-            "agent": cell.agent,
-            "seed": cell.replay.seed,
-            "success": cell.replay.success,
+            "file": str(folder / replay["file"]),
+            "environment": tasks[cell["task"]].environment,
+            "options": dict(tasks[cell["task"]].options),
+            "agent": cell["agent"],
+            "seed": replay["seed"],
+            "success": replay["success"],
         }
-        slow = cell.values.get("act_us_p99")
-        cost = (slow.value if slow is not None else None) or 0.0
-        found.append((cost, Job(FUNCTION, arguments, f"{cell.agent} on {cell.task}")))
+        cost = cell["values"].get("act_us_p99", {}).get("value") or 0.0
+        found.append((cost, Job(FUNCTION, arguments, f"{cell['agent']} on {cell['task']}")))
     return [job for _, job in sorted(found, key=lambda pair: -pair[0])]
 
 

@@ -20,7 +20,7 @@ from xml.etree.ElementTree import Element
 
 from swarm_envs.files import written_whole
 from swarm_envs.training.scoreboard import charts
-from swarm_envs.training.scoreboard.board import AgentInfo, Board, Standing, read
+from swarm_envs.training.scoreboard.board import Board, Entry, read
 from swarm_envs.training.scoreboard.charts import Palette, color_class, palette, swatch
 from swarm_envs.training.scoreboard.markup import (
     Content,
@@ -91,8 +91,8 @@ def _asset(name: str) -> str:
 
 
 def _summary(board: Board) -> str:
-    flown = [cell for cell in board.cells if cell.status == "flown"]
-    episodes = sum(cell.episodes for cell in flown)
+    flown = [cell for cell in board.cells if cell["status"] == "flown"]
+    episodes = sum(cell["episodes"] for cell in flown)
     return (
         f"{len(board.agents)} agents on {len(board.tasks)} tasks: {len(flown)} pairs flown, "
         f"{format_value(episodes)} episodes. On each task all fly the "
@@ -125,7 +125,6 @@ def _facts(manifest: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _leaderboards(board: Board, colors: Palette) -> list[Element]:
-    agents = {agent.name: agent for agent in board.agents}
     cards = []
     for family in board.families:
         names, standings = board.ranked(family), board.aggregates.get(family, {})
@@ -135,27 +134,27 @@ def _leaderboards(board: Board, colors: Palette) -> list[Element]:
         rows = []
         for place, name in enumerate(names, 1):
             cells = (board.pairs.get((task, name)) for task in tasks)
-            flown = sum(cell is not None and cell.status == "flown" for cell in cells)
+            flown = sum(cell is not None and cell["status"] == "flown" for cell in cells)
             part = f"{flown}/{len(tasks)}" if flown < len(tasks) else ""
-            rows.append(_place(place, agents[name], standings[name], part, colors))
-        what = standings[names[0]].metric
+            rows.append(_place(place, board.agents[name], standings[name], part, colors))
+        what = standings[names[0]].get("metric", "score")
         about = tag("p", what[:1].upper() + what[1:], class_="quiet")
         ranking = tag("ol", rows, _scale(), class_="board")
         cards.append(tag("article", tag("h3", family), about, ranking))
     return cards
 
 
-def _place(place: int, agent: AgentInfo, standing: Standing, part: str, colors: Palette) -> Element:
-    low, high = standing.interval or (standing.value, standing.value)
-    text = format_value(standing.value, "%")
+def _place(place: int, agent: Entry, standing: Entry, part: str, colors: Palette) -> Element:
+    low, high = standing.get("interval") or (standing["value"], standing["value"])
+    text = format_value(standing["value"], "%")
     ends = f"{format_value(low, '%')} to {format_value(high, '%')} %"
     said = f"{text} %, 95 % interval {ends}"
     whisker = tag("i", style=f"left:{100 * low:.2f}%;width:{100 * (high - low):.2f}%")
-    dot = tag("b", style=f"left:{100 * standing.value:.2f}%")
+    dot = tag("b", style=f"left:{100 * standing['value']:.2f}%")
     who = (
-        swatch(colors, agent.name),
-        tag("span", agent.label, class_="label", title=agent.label),
-        tag("abbr", "◆", title=PRIVILEGED) if agent.privileged else None,
+        swatch(colors, agent["name"]),
+        tag("span", agent["label"], class_="label", title=agent["label"]),
+        tag("abbr", "◆", title=PRIVILEGED) if agent["privileged"] else None,
         tag("small", part, title="tasks flown, of those of this family") if part else None,
     )
     return tag(
@@ -164,8 +163,8 @@ def _place(place: int, agent: AgentInfo, standing: Standing, part: str, colors: 
         tag("span", who, class_="who"),
         tag("span", whisker, dot, class_="bar", title=said),
         tag("span", text, class_="score", title=said),
-        class_=color_class(colors, agent.name),
-        data_agent=agent.name,
+        class_=color_class(colors, agent["name"]),
+        data_agent=agent["name"],
     )
 
 
@@ -178,13 +177,13 @@ def _scale() -> Element:
 
 def _not_flown(board: Board) -> Element | None:
     """What has no numbers, or not all, and why: each agent and reason once, with the tasks."""
-    labels = {agent.name: agent.label for agent in board.agents}
+    labels = {name: agent["label"] for name, agent in board.agents.items()}
     tasks = {task.id: f"{task.task} {short_label(task)}" for task in board.tasks}
     groups: dict[tuple[str, str, str], list[str]] = {}
     for cell in board.cells:
-        if cell.status != "flown" or cell.reason:
-            key = cell.status, cell.agent, cell.reason
-            groups.setdefault(key, []).append(tasks[cell.task])
+        if cell["status"] != "flown" or cell["reason"]:
+            key = cell["status"], cell["agent"], cell["reason"]
+            groups.setdefault(key, []).append(tasks[cell["task"]])
     if not groups:
         return None
     rows = []
@@ -203,7 +202,7 @@ def _not_flown(board: Board) -> Element | None:
 def _legend(board: Board, colors: Palette) -> Element:
     """All agents of the charts; a script makes each a switch that brings it out."""
     shown = {name for family in board.families for name in board.ranked(family)}
-    labels = {agent.name: agent.label for agent in board.agents}
+    labels = {name: agent["label"] for name, agent in board.agents.items()}
     names = [*colors, *(name for name in labels if name in shown and name not in colors)]
     return tag(
         "ul",
@@ -275,8 +274,11 @@ def _glossary(board: Board) -> list[Element]:
         about = tag("small", f"{_as_text(own)}; {task.episodes} episodes")
         tasks.append(_defined(task.label, [tag("code", task.id), f" {task.help} ", about]))
     agents = [
-        _defined(a.label, [a.help, " ", tag("em", f"◆ {PRIVILEGED}") if a.privileged else None])
-        for a in board.agents
+        _defined(
+            agent["label"],
+            [agent["help"], " ", tag("em", f"◆ {PRIVILEGED}") if agent["privileged"] else None],
+        )
+        for agent in board.agents.values()
     ]
     for_all = tag("p", f"Each with {_as_text(common)}." if common else None, class_="quiet")
     return [

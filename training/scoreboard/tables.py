@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from itertools import groupby
 from xml.etree.ElementTree import Element
 
-from swarm_envs.training.scoreboard.board import AgentInfo, Board, CellResult, Metric, TaskInfo
+from swarm_envs.training.scoreboard.board import Board, Entry, Metric, TaskInfo
 from swarm_envs.training.scoreboard.markup import NONE, format_interval, format_value, tag
 
 PRIVILEGED = "sees the true state"
@@ -26,15 +26,15 @@ class Tables:
     def __init__(self, board: Board, linked: Callable[[str], bool]) -> None:
         self._board, self._linked = board, linked
         self._tasks = {task.id: k for k, task in enumerate(board.tasks)}
-        self._agents = {agent.name: k for k, agent in enumerate(board.agents)}
+        self._agents = {name: k for k, name in enumerate(board.agents)}
         self._tints: dict[tuple[str, str, str], float] = {}
         for task in board.tasks:
-            flown = [c for c in board.cells if c.task == task.id and c.status == "flown"]
+            flown = [c for c in board.cells if c["task"] == task.id and c["status"] == "flown"]
             for metric in board.metrics:
-                values = [getattr(c.values.get(metric.name), "value", None) for c in flown]
+                values = [c["values"].get(metric.name, {}).get("value") for c in flown]
                 for cell, tint in zip(flown, goodness(metric, values), strict=True):
                     if tint is not None:
-                        self._tints[task.id, cell.agent, metric.name] = tint
+                        self._tints[task.id, cell["agent"], metric.name] = tint
 
     def matrix(self) -> Element:
         """Agents by tasks, of one metric: a script puts in another."""
@@ -47,7 +47,7 @@ class Tables:
             _sortable(short_label(task), data_task=task.id, data_family=task.task, title=task.id)
             for task in board.tasks
         ]
-        agents = sorted(board.agents, key=lambda agent: -self._total(agent.name))
+        agents = sorted(board.agents.values(), key=lambda agent: -self._total(agent["name"]))
         return tag(
             "table",
             tag("caption", f"{board.metrics[0].label} of every agent on every task"),
@@ -68,9 +68,9 @@ class Tables:
             heads.append(_sortable(text, **about, title=metric.help))
         body = []
         for task in board.tasks:
-            for agent in board.agents:
-                cell = board.pairs.get((task.id, agent.name))
-                if cell is not None and cell.status == "flown":
+            for agent in board.agents.values():
+                cell = board.pairs.get((task.id, agent["name"]))
+                if cell is not None and cell["status"] == "flown":
                     body.append(self._number_row(task, agent, cell))
         caption = tag("caption", "Every number, with its 95 % interval")
         return tag(
@@ -80,78 +80,77 @@ class Tables:
     def _total(self, agent: str) -> float:
         """Of all leaderboards together."""
         boards = self._board.aggregates.values()
-        return sum(standings[agent].value for standings in boards if agent in standings)
+        return sum(standings[agent]["value"] for standings in boards if agent in standings)
 
-    def _matrix_row(self, agent: AgentInfo) -> Element:
+    def _matrix_row(self, agent: Entry) -> Element:
         cells = [self._matrix_cell(task, agent) for task in self._board.tasks]
-        privileged = "yes" if agent.privileged else "no"
-        return tag("tr", _head(agent), cells, data_agent=agent.name, data_privileged=privileged)
+        privileged = "yes" if agent["privileged"] else "no"
+        return tag("tr", _head(agent), cells, data_agent=agent["name"], data_privileged=privileged)
 
-    def _matrix_cell(self, task: TaskInfo, agent: AgentInfo) -> Element:
-        cell = self._board.pairs.get((task.id, agent.name))
+    def _matrix_cell(self, task: TaskInfo, agent: Entry) -> Element:
+        cell = self._board.pairs.get((task.id, agent["name"]))
         if cell is None:
             return tag("td", NONE, data_family=task.task)
-        if cell.status != "flown":
-            text = tag("abbr", _WORDS[cell.status], title=cell.reason or None)
-            return tag("td", text, class_=cell.status, data_family=task.task)
+        if cell["status"] != "flown":
+            text = tag("abbr", _WORDS[cell["status"]], title=cell["reason"] or None)
+            return tag("td", text, class_=cell["status"], data_family=task.task)
         metric = self._board.metrics[0]
-        part = tag("abbr", "†", title=cell.reason, class_="part") if cell.reason else None
+        part = tag("abbr", "†", title=cell["reason"], class_="part") if cell["reason"] else None
         shown = tag("a", self._number(cell, metric), class_="n", href=f"#{self._row_id(cell)}")
         data = {"data_family": task.task, **self._data(cell, metric)}
         return tag("td", self._replay(cell), part, shown, class_="flown", **data)
 
-    def _number_row(self, task: TaskInfo, agent: AgentInfo, cell: CellResult) -> Element:
+    def _number_row(self, task: TaskInfo, agent: Entry, cell: Entry) -> Element:
         values = [
             tag("td", self._number(cell, metric), **self._data(cell, metric))
             for metric in self._board.metrics
         ]
         replay = tag("td", self._replay(cell))
-        if cell.replay is not None:
-            why = f"Episode {cell.replay.episode + 1} of {cell.episodes}, seed {cell.replay.seed}"
-            replay.set("data-why", f"{why}: {cell.replay.why}." if cell.replay.why else f"{why}.")
+        if (shown := cell["replay"]) is not None:
+            why = f"Episode {shown['episode'] + 1} of {cell['episodes']}, seed {shown['seed']}"
+            replay.set("data-why", f"{why}: {shown['why']}." if shown["why"] else f"{why}.")
         return tag(
             "tr",
             tag("th", tag("code", task.id), scope="row"),
             _head(agent, scope=None),
             replay,
-            tag("td", str(cell.episodes), data_v=cell.episodes),
+            tag("td", str(cell["episodes"]), data_v=cell["episodes"]),
             values,
             id=self._row_id(cell),
             data_task=task.id,
-            data_agent=agent.name,
+            data_agent=agent["name"],
             data_label=self._label(cell),
-            data_note=cell.reason or None,
+            data_note=cell["reason"] or None,
         )
 
-    def _number(self, cell: CellResult, metric: Metric) -> list[Element | str]:
-        given = cell.values.get(metric.name)
-        if given is None or given.value is None:
+    def _number(self, cell: Entry, metric: Metric) -> list[Element | str]:
+        given = cell["values"].get(metric.name, {})
+        if given.get("value") is None:
             return [NONE]
-        text, ends = format_value(given.value, metric.unit), given.interval
+        text, ends = format_value(given["value"], metric.unit), given.get("interval")
         return [text, " ", tag("small", format_interval(ends, metric.unit))] if ends else [text]
 
-    def _data(self, cell: CellResult, metric: Metric) -> dict[str, float | str | None]:
+    def _data(self, cell: Entry, metric: Metric) -> dict[str, float | str | None]:
         """Attributes of the cell of a table that shows a value: by what to sort, how good it is."""
-        given = cell.values.get(metric.name)
-        tint = self._tints.get((cell.task, cell.agent, metric.name))
+        tint = self._tints.get((cell["task"], cell["agent"], metric.name))
         return {
-            "data_v": None if given is None else given.value,
+            "data_v": cell["values"].get(metric.name, {}).get("value"),
             "style": None if tint is None else f"--t:{tint:.3f}",
         }
 
-    def _replay(self, cell: CellResult) -> Element | None:
-        if cell.replay is None or not self._linked(cell.replay.file):
+    def _replay(self, cell: Entry) -> Element | None:
+        if cell["replay"] is None or not self._linked(cell["replay"]["file"]):
             return None
         said = f"Replay: {self._label(cell)}"
-        return tag("a", class_="play", href=cell.replay.file, aria_label=said, title=said)
+        return tag("a", class_="play", href=cell["replay"]["file"], aria_label=said, title=said)
 
-    def _label(self, cell: CellResult) -> str:
-        agent = self._board.agents[self._agents[cell.agent]]
-        return f"{agent.label}, {self._board.tasks[self._tasks[cell.task]].label}"
+    def _label(self, cell: Entry) -> str:
+        agent, task = self._board.agents[cell["agent"]], self._tasks[cell["task"]]
+        return f"{agent['label']}, {self._board.tasks[task].label}"
 
-    def _row_id(self, cell: CellResult) -> str:
+    def _row_id(self, cell: Entry) -> str:
         """The place of a cell's row among all numbers: free of what a user wrote."""
-        return f"n{self._tasks[cell.task]}-{self._agents[cell.agent]}"
+        return f"n{self._tasks[cell['task']]}-{self._agents[cell['agent']]}"
 
 
 def short_label(task: TaskInfo) -> str:
@@ -163,9 +162,9 @@ def _sortable(text: str, **attributes: str) -> Element:
     return tag("th", tag("span", text), scope="col", data_sort=True, **attributes)
 
 
-def _head(agent: AgentInfo, scope: str | None = "row") -> Element:
-    mark = tag("abbr", "◆", title=PRIVILEGED) if agent.privileged else None
-    return tag("th", tag("span", agent.label), mark, scope=scope, title=agent.help or None)
+def _head(agent: Entry, scope: str | None = "row") -> Element:
+    mark = tag("abbr", "◆", title=PRIVILEGED) if agent["privileged"] else None
+    return tag("th", tag("span", agent["label"]), mark, scope=scope, title=agent["help"] or None)
 
 
 def goodness(metric: Metric, values: Sequence[float | None]) -> list[float | None]:

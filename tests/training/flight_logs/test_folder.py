@@ -1,14 +1,18 @@
-"""A folder as people have them: copies, doubles, other files, odd logs."""
+"""A folder as people have them: copies, doubles, odd logs, tables beside logs; and a fit of it."""
 
 from __future__ import annotations
 
 import dataclasses
+import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from swarm_envs.cli import main
+from swarm_envs.interactions import load
 from swarm_envs.training.flight_logs import (
     FlightTable,
     LogOptions,
@@ -18,8 +22,9 @@ from swarm_envs.training.flight_logs import (
 )
 from swarm_envs.training.flight_logs.log_report import Calibration
 from swarm_envs.training.force_model.fit_data import read_data
+from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
-from swarm_envs.vehicles import SMALL
+from swarm_envs.vehicles import GRAM_FORCE, SMALL
 
 OPTIONS = LogOptions(min_scenario_rows=1, min_quiet_rows=0, block_s=1.0, guard_s=0.1)
 
@@ -148,3 +153,122 @@ def test_an_implausible_calibration_offset_is_a_warning() -> None:
         said = lines(odd)[-1]
         assert said.startswith("warning: the calibration offset of S cf7 is 16 % of its weight")
         assert said.endswith("check mass, voltage, rotors")
+
+
+QUICK = ("--steps", "30", "--batch-size", "64", "--slope-inputs", "16", "--lipschitz-samples", "50")
+MIXED = LogOptions(min_scenario_rows=20, min_quiet_rows=0, guard_s=0.25)
+
+Edit = Callable[[FlightTable], FlightTable]
+
+
+def changed(**columns: object) -> Edit:
+    return lambda table: dataclasses.replace(table, **columns)  # type: ignore[arg-type]
+
+
+def nan_in_velocity(table: FlightTable) -> FlightTable:
+    velocity = table.velocity.copy()
+    velocity[5, 1] = np.nan
+    return dataclasses.replace(table, velocity=velocity)
+
+
+BAD_LOGS: dict[str, tuple[Edit, str]] = {
+    "nan": (nan_in_velocity, "column 'vy' is nan in line 7"),
+    "unknown-type": (lambda t: changed(type=np.full(len(t), "M"))(t), "unknown vehicle type 'M'"),
+}
+
+
+@pytest.fixture(scope="module")
+def sound(flown: Any, as_table: Any) -> FlightTable:
+    """Two drones, 8 s."""
+    table: FlightTable = as_table(flown("SL", "walk", 8.0), "SL", ["50", "big"])
+    return table
+
+
+@pytest.fixture(scope="module")
+def sound_rows(sound: FlightTable, tmp_path_factory: pytest.TempPathFactory) -> InteractionRows:
+    """The rows of that flight."""
+    path = tmp_path_factory.mktemp("log") / "flight.csv"
+    write_table(path, sound)
+    return read_logs(path, dataclasses.replace(MIXED, block_s=1.0))[0]
+
+
+@pytest.fixture
+def folder(sound: FlightTable, sound_rows: InteractionRows, tmp_path: Path) -> Path:
+    """A sound log and a sound table, two bad logs, two bad tables, and what is neither."""
+    data = tmp_path / "data"
+    write_table(data / "a-log.csv", sound)
+    save_rows(data / "table.npz", sound_rows)
+    for name, (edit, _) in BAD_LOGS.items():
+        write_table(data / f"bad-{name}.csv", edit(sound))
+    force = sound_rows.force_g * GRAM_FORCE
+    save_rows(data / "bad-newtons.npz", dataclasses.replace(sound_rows, force_g=force))
+    (data / "bad-cut.npz").write_bytes((data / "table.npz").read_bytes()[:900])
+    (data / "notes.txt").write_text("windy")
+    return data
+
+
+def test_logs_and_tables_are_joined(folder: Path, sound_rows: InteractionRows) -> None:
+    found, report = read_data(folder, MIXED)
+    files = {file.file: file for file in report.files}
+    assert files["table.npz"].rows == len(sound_rows)
+    assert len(found) == report.rows == files["a-log.csv"].rows + len(sound_rows)
+    assert np.unique(found.flight).size == 2
+    assert sorted(found.vehicle_names.values()) == ["50", "big"]  # the same in both files
+    assert set(report.vehicles) == {"50", "big"}
+    for file in report.files:
+        if file.refused is None:
+            assert file.rows + sum(file.dropped.values()) == file.entries, file.file
+    assert "force_g[:, 2] stays below" in str(files["bad-newtons.npz"].refused)
+
+
+def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
+    sound: FlightTable, tmp_path: Path
+) -> None:
+    """Logs alone and logs among tables alike."""
+    write_table(tmp_path / "flight.csv", sound)
+    options = dataclasses.replace(MIXED, min_quiet_rows=10_000)
+    with pytest.raises(ValueError, match="vehicle not calibrated"):
+        read_data(tmp_path, options)
+    found, report = read_data(tmp_path, options, offsets=False)
+    assert len(found) == report.rows > 100
+    assert {vehicle.refused for vehicle in report.vehicles.values()} == {None}
+
+
+def test_logs_alone_give_no_torque(sound: FlightTable, tmp_path: Path) -> None:
+    write_table(tmp_path / "flight.csv", sound)
+    with pytest.raises(ValueError, match="a flight log carries no torque"):
+        read_data(tmp_path, MIXED, torque=True)
+
+
+def test_only_bad_files_end_the_fit_with_every_reason(folder: Path) -> None:
+    (folder / "a-log.csv").unlink()
+    (folder / "table.npz").unlink()
+    with pytest.raises(
+        ValueError, match=r"none of 2 logs and 2 tables in .* is sound: bad-"
+    ) as end:
+        read_data(folder, MIXED)
+    for _, message in BAD_LOGS.values():
+        assert message in str(end.value)
+
+
+@pytest.mark.parametrize("model", ["deep-set", "pairwise", "wake"])
+def test_the_command_fits_every_model_and_reports_alike(
+    model: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, copy = tmp_path / "out", tmp_path / "copy.json"
+    logs = ["--logs.min-scenario-rows", "20", "--logs.min-quiet-rows", "0", "--offsets", "none"]
+    command = ["fit", "--data", str(folder), "--out", str(out), "--json", str(copy), *logs, *QUICK]
+    assert main([*command, "--model", model]) == 0
+    said = capsys.readouterr().out
+    assert "2 of 6 files are sound" in said and "refused bad-nan.csv: column 'vy'" in said
+    assert f"{model}: validation MSE" in said
+    report = json.loads(copy.read_text())
+    assert report == json.loads((out / REPORTS[model]).read_text())
+    assert report["model"] == model
+    assert set(report["findings"]) >= {"errors", "errors_raw", "lipschitz_bound", "axis_bins"}
+    assert len(report["logs"]["files"]) == 6
+    assert report["logs"]["not_read"] == ["notes.txt"]
+    assert (report["findings"]["lipschitz_bound"] is None) == (model == "wake")
+    found = load(str(out / WEIGHTS[model]))
+    force = found.forces([[[0.0, 0.0, 0.8], [0.0, 0.0, 1.1]]], np.zeros((1, 2, 3)), "SL")
+    assert np.isfinite(force).all() and force[0, 0, 2] != 0.0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import base64
 import hashlib
+import json
 import re
-from html.parser import HTMLParser
 from typing import Any
 
 import numpy as np
@@ -22,38 +22,50 @@ from swarm_envs.training.scoreboard.markup import (
     tag,
 )
 from swarm_envs.training.scoreboard.tables import goodness
+from tests.helpers.browsers import PageReader
 from tests.helpers.scoreboards import AGENTS, EVIL, scores, write_scores
 
+
+def change(content, path, value):
+    *way, last = path
+    for key in way:
+        content = content[key]
+    if value is KeyError:
+        del content[last]
+    else:
+        content[last] = value
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        (["format"], "a list", "its format is 'a list'.*'swarm-envs scoreboard'"),
+        (["tasks"], KeyError, "tasks.* is missing"),
+        (["cells", 3, "task"], "swap-x", "cells name .* on 'swap-x', which the file does not list"),
+        (["cells", 3, "values", "energy_j", "value"], float("nan"), "it holds NaN.*null says"),
+        (["cells", 3, "replay", "file"], "javascript:alert(1)", "must be replays/NAME.html"),
+        (["aggregates", "hop"], {"rth3d": {"value": 1.0}}, "aggregates name 'rth3d' in 'hop'"),
+        (["aggregates", "swap", "rth3d", "value"], 1.5, r"must be a score in \[0, 1\]"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, path, value, said):
+    content = scores()
+    change(content, path, value)
+    write_scores(tmp_path, content)
+    with pytest.raises(ValueError, match=f"scores.json' cannot be shown: .*{said}.*write it anew"):
+        read(tmp_path)
+
+
+def test_what_is_no_scoreboard_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no scores.json in .*swarm-envs benchmark --out"):
+        read(tmp_path)
+    for text in ("[]", "{", json.dumps({"format": "swarm-envs scoreboard"})):
+        (tmp_path / "scores.json").write_text(text)
+        with pytest.raises(ValueError, match="cannot be shown"):
+            read(tmp_path)
+
+
 WIDTH, HEIGHT = charts.WIDTH, charts.HEIGHT
-VOID = {"meta", "link", "input", "br", "img"}
-
-
-class Reader(HTMLParser):
-    """Collects a page's elements: tag, attributes, text, and the row of a table they stand in."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.open: list[dict[str, Any]] = []
-        self.elements: list[dict[str, Any]] = []
-        self.feed(text)
-        assert [e["tag"] for e in self.open] == []  # everything that was opened was closed
-
-    def handle_starttag(self, name, attributes):
-        row = next((e for e in self.open[::-1] if e["tag"] == "tr"), None)
-        element = {"tag": name, "row": row, "text": "", **dict(attributes)}
-        self.elements.append(element)
-        if name not in VOID:
-            self.open.append(element)
-
-    def handle_endtag(self, name):
-        assert self.open.pop()["tag"] == name
-
-    def handle_data(self, data):
-        for element in self.open:
-            element["text"] += data
-
-    def all(self, name):
-        return [e for e in self.elements if e["tag"] == name]
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +91,7 @@ def text(folder):
 
 @pytest.fixture(scope="module")
 def page(text):
-    return Reader(text)
+    return PageReader(text)
 
 
 def test_every_number_of_the_file_is_in_the_page(page, content):
@@ -161,7 +173,7 @@ def test_the_same_scores_give_the_same_page(folder, text):
 def test_leaderboards_have_the_best_first_and_its_colours_are_the_best_s(folder):
     board = read(folder)
     for family in board.families:
-        values = [board.aggregates[family][name].value for name in board.ranked(family)]
+        values = [board.aggregates[family][name]["value"] for name in board.ranked(family)]
         assert values == sorted(values, reverse=True)
     colors = palette(board)
     assert sorted(colors.values()) == list(range(8))
@@ -174,16 +186,16 @@ def test_lines_of_a_profile_are_its_numbers(folder):
     drawn = charts.profile_chart(board, palette(board), "ring")
     left, bottom, width, height = np.array(charts.FRAME) * (WIDTH, HEIGHT, WIDTH, HEIGHT)
     lines = [group for group in drawn.iter("g") if group.get("class", "").startswith("line ")]
-    assert {group.get("data-agent") for group in lines} == set(board.profiles["ring"].agents)
+    assert {group.get("data-agent") for group in lines} == set(board.profiles["ring"]["agents"])
     for group in lines:
         (line,) = group.iter("path")
         numbers = [float(number) for number in re.findall(r"[\d.]+", line.attrib["d"])]
         across, down = np.array(numbers).reshape(-1, 2).T
         fraction = (HEIGHT - down - bottom) / height
-        curve = board.profiles["ring"].agents[group.attrib["data-agent"]]
-        np.testing.assert_allclose(fraction, curve.fraction, atol=3e-4)
+        curve = board.profiles["ring"]["agents"][group.attrib["data-agent"]]
+        np.testing.assert_allclose(fraction, curve["fraction"], atol=3e-4)
         threshold = (across - left) / width
-        np.testing.assert_allclose(threshold, board.profiles["ring"].thresholds, atol=3e-4)
+        np.testing.assert_allclose(threshold, board.profiles["ring"]["thresholds"], atol=3e-4)
 
 
 @pytest.mark.parametrize("seed", range(3))
