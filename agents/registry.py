@@ -27,6 +27,10 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
         ),
+        "tracking-adaptive": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.adaptive",
+        "tracking-compensated-adaptive": (
+            "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated_adaptive"
+        ),
         "detour": "swarm_envs.agents.scripted:DetourAgent",
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         "swap-ppo": "swarm_envs.agents.policy:swap_ppo",

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "ADAPTATION_END",
     "BLOCK_TYPE",
     "BODY_END",
     "CONTACT_COLUMNS",
@@ -126,6 +127,7 @@ _VEHICLE = (
     Field("nominal_inertia", (3,), "kg m^2", None, "Moments of inertia, likewise."),
     Field("nominal_motor_rate", (), "1/s", None, "Motor rate, likewise."),
     Field("nominal_max_rotor_thrust", (), "N", None, "Largest rotor thrust, likewise."),
+    Field("nominal_motor_decay", (), "", None, "exp(-nominal_motor_rate dt) of a controller step."),
     Field("motor_decay", (), "", None, "exp(-motor_rate dt) of a physics step."),
     Field("energy_scale", (), "J/N^1.5", None, "Induced energy of a rotor in one physics step."),
     Field("force_bound", (), "N", None, "Bound on the vertical force, for metrics."),
@@ -139,6 +141,19 @@ _VEHICLE = (
     Field("asked", (4,), "N, rad/s", None, "Thrust and body rates that action `ctbr` asks for."),
 )
 """What each drone is made of, and what stays as it is in a decision."""
+
+_ADAPTATION = (
+    Field("adaptive_force", (3,), "N", 0.0, "Force that adaptation adds to the feed-forward."),
+    Field("filtered_residual", (3,), "N", 0.0, "Force that is not explained, low-passed."),
+    Field("filtered_residual_rate", (3,), "N/s", 0.0, "Its derivative."),
+    Field("adaptive_coefficients", (3, 3), "1, 1/s, m/s^2", 0.0, "Of Neural-Fly, by axis."),
+    Field("adaptive_covariance", (3, 6), "", 0.0, "Theirs, by axis: its upper triangle, in rows."),
+    Field("nominal_thrust", (), "N", 0.0, "Total thrust by the nominal motors' lag."),
+    Field("last_thrust_axis", (3,), "", 0.0, "Direction of thrust one step ago, world frame."),
+    Field("last_velocity", (3,), "m/s", 0.0, "Velocity one step ago, world frame."),
+    Field("last_feedforward", (3,), "N", 0.0, "Interaction force compensated one step ago."),
+)
+"""What an adaptive tracking loop remembers as well."""
 
 _EPISODE = (
     Field("battery_capacity", (), "A s", None, "Charge of a full battery."),
@@ -173,7 +188,7 @@ _EPISODE = (
 )
 """What a decision, an episode, or a battery adds: not read in ordinary physics steps."""
 
-DRONE = (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_EPISODE)
+DRONE = (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_ADAPTATION, *_EPISODE)
 """Every quantity of a drone."""
 
 _KEPT = (
@@ -235,6 +250,11 @@ SETTINGS = (
     Field("rate_error_blend", (), "", None, "Low-pass on the derivative of the rate error."),
     Field("desired_rate_blend", (), "", None, "Low-pass on the desired body rate."),
     Field("lead", (), "", None, "1 with lag compensation, 0 without."),
+    Field("adaptation", (), "", None, "Which adaptation: see swarm_envs.control.config.", np.int64),
+    Field("residual_filter", (4,), "1, s, 1/s, 1", None, "Low-pass of the residual, over a step."),
+    Field("adaptive_kept", (), "", None, "Share of Neural-Fly's coefficients kept in a step."),
+    Field("adaptive_drift", (3,), "", None, "Variance that its coefficients gain in a step."),
+    Field("adaptive_noise", (), "m^2/s^4", None, "Variance of the accelerations it learns from."),
     Field("decision_rate", (), "1/s", None, "Decisions a second.", np.int64),
     Field("decision_s", (), "s", None, "Time between decisions."),
     Field("horizon_s", (), "s", None, "The clock."),
@@ -254,6 +274,9 @@ _SCRATCH = (
     Field("asked_change", (3,), "rad/s^2", None, "Derivative of the body rates asked for."),
     Field("body_rate", (3,), "rad/s", None, "Angular velocity in the body frame."),
     Field("torque", (3,), "N m", None, "Torque of the rate loop, but for its gyroscopic part."),
+    Field("residual", (3,), "N", None, "Force that nominal thrust and feed-forward leave over."),
+    Field("old_velocity", (3,), "m/s", None, "Velocity one step ago."),
+    Field("old_feedforward", (3,), "N", None, "Interaction force compensated one step ago."),
 )
 """What a block has beside the columns of the drones."""
 
@@ -278,7 +301,9 @@ ENVIRONMENT_TYPE = record_type(ENVIRONMENT)
 """An environment: one record."""
 SETTINGS_TYPE = record_type(SETTINGS)
 """The settings: one record."""
-BLOCK_TYPE = record_type((*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_SCRATCH), LANES)
+BLOCK_TYPE = record_type(
+    (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_ADAPTATION, *_SCRATCH), LANES
+)
 """What a physics step knows of `LANES` drones."""
 
 
@@ -292,6 +317,8 @@ CONTROLLER_END = BODY_END + _columns(_CONTROLLER)
 """Columns from `BODY_END` to this one belong to the tracking loop."""
 VEHICLE_END = CONTROLLER_END + _columns(_VEHICLE)
 """Columns from `CONTROLLER_END` to this one are never written back by physics steps."""
+ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
+"""Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
 
 
 LINE = 64

@@ -29,7 +29,14 @@ from swarm_envs.commands.evaluate import EvaluateOptions
 from swarm_envs.commands.export import ForceOptions, PolicyOptions
 from swarm_envs.commands.fly import FlyOptions
 from swarm_envs.commands.grade import GradeOptions
-from swarm_envs.control.config import MID, ControllerConfig, PositionGains
+from swarm_envs.control.config import (
+    MID,
+    ControllerConfig,
+    Indi,
+    MomentumObserver,
+    NeuralFly,
+    PositionGains,
+)
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.motors import BatteryModel
@@ -53,6 +60,7 @@ SETTINGS: dict[type, dict[str, Any]] = {
     **dict.fromkeys((SwapTask, RingTask, FormationTask), TEAM),
     **{kind: {} for kind in (StackedLayout, CircleLayout, Success, TrackingSuccess)},
     **{kind: {} for kind in (Randomization, BatteryModel, ControllerConfig)},
+    **{kind: {} for kind in (MomentumObserver, Indi, NeuralFly)},
     RingLayout: dataclasses.asdict(FIVE),
     PositionGains: dataclasses.asdict(MID),
     Vehicle: dataclasses.asdict(SMALL),
@@ -134,6 +142,9 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
     (ControllerConfig, "min_vertical_thrust_fraction", [0.2, 0.99], [0.0, 1.0, math.nan]),
     (ControllerConfig, "rate_yaw", [0.1, 7], [0.0, -1.0]),
     (PositionGains, "velocity", [0.5], [0.0, -2.0]),
+    (MomentumObserver, "bandwidth_hz", [0.1, 20], [0.0, 20.5, math.nan]),
+    (NeuralFly, "force_drift", [0.0, 5.0], [-1.0, math.inf]),
+    (ControllerConfig, "adaptation", [None, Indi(), NeuralFly()], ["indi", 3.0]),
     (ControllerConfig, "gains", [MID], ["mid", None]),
     (Safety, "downwash", [1, 1.3], [0.5, -1.0, math.inf]),
     *((task, "team", [TEAM["team"]], [(), []]) for task in (SwapTask, RingTask, FormationTask)),

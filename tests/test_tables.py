@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from swarm_envs.tables import (
+    ADAPTATION_END,
     BLOCK_TYPE,
     BODY_END,
     CONTROLLER_END,
@@ -53,18 +54,19 @@ def test_a_block_begins_with_the_columns_of_a_drone():
     """In their order, each with a number for every lane: `load` and `store` copy by columns."""
     block = np.zeros(1, BLOCK_TYPE)
     rows = block.view(np.float64).reshape(-1, LANES)
-    rows[:VEHICLE_END] = np.arange(VEHICLE_END)[:, None] + np.linspace(0.0, 0.5, LANES)
+    rows[:ADAPTATION_END] = np.arange(ADAPTATION_END)[:, None] + np.linspace(0.0, 0.5, LANES)
     drone = np.zeros(1, DRONE_TYPE)
-    drone.view(np.float64)[:VEHICLE_END] = np.arange(VEHICLE_END)
+    drone.view(np.float64)[:ADAPTATION_END] = np.arange(ADAPTATION_END)
     shared = [name for name in BLOCK_TYPE.names or () if name in (DRONE_TYPE.names or ())]
-    assert sum(np.size(drone[0][name]) for name in shared) == VEHICLE_END
+    assert sum(np.size(drone[0][name]) for name in shared) == ADAPTATION_END
     for name in shared:
         expected = np.asarray(drone[0][name])[..., None] + np.linspace(0.0, 0.5, LANES)
         np.testing.assert_array_equal(block[0][name], expected)
     places = {name: offset // 8 for name, (_, offset, *_) in (DRONE_TYPE.fields or {}).items()}
     assert places["setpoint_position"] == BODY_END
     assert places["mass"] == CONTROLLER_END
-    assert places["battery_capacity"] == VEHICLE_END
+    assert places["adaptive_force"] == VEHICLE_END
+    assert places["battery_capacity"] == ADAPTATION_END
 
 
 def test_a_reset_sets_what_says_so_and_leaves_the_rest():

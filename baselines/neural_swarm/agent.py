@@ -28,7 +28,7 @@ from swarm_envs.baselines.neural_swarm.planner.problem import (
     hover_force,
     shortest_time,
 )
-from swarm_envs.control.config import ControllerConfig
+from swarm_envs.control.config import ControllerConfig, Indi
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel, load
@@ -105,6 +105,16 @@ class TrackingAgent:
     ) -> TrackingAgent:
         """The agent that feeds forward the force of a model; by default `load_belief()`."""
         return cls(ControllerConfig(feedforward=belief or load_belief()), decision_rate)
+
+    @classmethod
+    def adaptive(cls) -> TrackingAgent:
+        """The agent that estimates the force in flight, by `Indi`, and knows no model."""
+        return cls(ControllerConfig(adaptation=Indi()))
+
+    @classmethod
+    def compensated_adaptive(cls) -> TrackingAgent:
+        """The agent that feeds `load_belief()` forward, and estimates what that leaves over."""
+        return cls(ControllerConfig(feedforward=load_belief(), adaptation=Indi()))
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Note the agents' names; nothing here is random."""

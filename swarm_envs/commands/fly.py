@@ -70,8 +70,9 @@ class FlyOptions(EpisodeOptions):
 
     agent: str = "tracking"
     """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
-    -compensated), neural-swarm-planner, swap-ppo, swap-ppo-8, formation-ppo, ring-ppo, the folder
-    of a trained policy, or path/to/file.py:Class; with +filter at its end behind a safety filter"""
+    -compensated), tracking-adaptive, tracking-compensated-adaptive, neural-swarm-planner, swap-ppo,
+    swap-ppo-8, formation-ppo, ring-ppo, the folder of a trained policy, or path/to/file.py:Class;
+    with +filter at its end behind a safety filter"""
     seed: Seed = 0
     """of the episode and the agent"""
     out: Path | None = None

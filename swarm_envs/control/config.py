@@ -6,12 +6,21 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated
 
-from swarm_envs.arguments import POSITIVE, Range, typed
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE, Range, typed
 
 if TYPE_CHECKING:
     from swarm_envs.interactions.base import InteractionModel
 
-__all__ = ["GAINS", "MID", "ControllerConfig", "PositionGains", "gains"]
+__all__ = [
+    "GAINS",
+    "MID",
+    "ControllerConfig",
+    "Indi",
+    "MomentumObserver",
+    "NeuralFly",
+    "PositionGains",
+    "gains",
+]
 
 STEP = 1.0 / 240.0
 """Length of one controller step, which is one physics step, s."""
@@ -45,6 +54,99 @@ GAINS: dict[str, PositionGains] = {"soft": SOFT, "mid": MID, "stiff": STIFF}
 """The presets by name."""
 
 
+LOW_PASS, LAST_LAYER = 1, 2
+"""Kinds of adaptation, as kernels tell them apart; 0 is none."""
+_Bandwidth = Annotated[float, Range(0.0, 20.0, above=True, unit="Hz")]
+_Drift = Annotated[float, NOT_NEGATIVE]
+
+
+@typed
+@dataclass(frozen=True)
+class MomentumObserver:
+    """Adaptation by a momentum observer of the force that the controller does not know.
+
+    De Luca and Mattone (ICRA 2003); Tomic et al. (IEEE Trans. Robotics 33(6), 2017). The force
+    follows what velocity and nominal thrust leave over, through a first-order low-pass. That passes
+    white noise of the velocity on at all frequencies: where there is 1 cm/s of it, take `Indi`.
+
+    Raises:
+        ValueError: the bandwidth is out of its range; see docs/adaptation.md for its reason.
+    """
+
+    bandwidth_hz: _Bandwidth = 3.0
+    """Frequency at which the estimate has fallen by 3 dB, Hz."""
+
+    def over(self, dt: float) -> dict[str, object]:
+        """The fields of `swarm_envs.tables.SETTINGS` that it gives, for steps of dt, s."""
+        kept = 1.0 - low_pass_blend(self.bandwidth_hz, dt)
+        return {"adaptation": LOW_PASS, "residual_filter": [kept, 0.0, 0.0, 0.0]}
+
+
+@typed
+@dataclass(frozen=True)
+class Indi:
+    """Adaptation by incremental nonlinear dynamic inversion (INDI) of the velocity's dynamics.
+
+    Smeur et al. (Control Engineering Practice 73, 2018); Tal and Karaman (IEEE Trans. Control
+    Systems Technology 29(3), 2021). Acceleration and nominal thrust pass the same second-order
+    Butterworth low-pass; what they differ by is compensated. With a `feedforward`, that is left
+    out of the difference and compensated at once: learned INDI, as the hybrid method of
+    Cobo-Briesewitz et al. (L4DC 2026). The acceleration is the difference of successive velocities,
+    and the thrust is that of nominal motors: there is neither an accelerometer nor a tachometer.
+
+    Raises:
+        ValueError: the cut-off is out of its range; see docs/adaptation.md for its reason.
+    """
+
+    cutoff_hz: _Bandwidth = 4.0
+    """Frequency at which the low-pass has fallen by 3 dB, Hz."""
+
+    def over(self, dt: float) -> dict[str, object]:
+        """The fields of `swarm_envs.tables.SETTINGS` that it gives, for steps of dt, s."""
+        return {"adaptation": LOW_PASS, "residual_filter": butterworth(self.cutoff_hz, dt)}
+
+
+@typed
+@dataclass(frozen=True)
+class NeuralFly:
+    """Adaptation of the last layer, as in Neural-Fly (O'Connell et al., Science Robotics, 2022).
+
+    In each axis the basis has three functions: the force that `feedforward` predicts there, over
+    the nominal mass; the velocity; and 1. So what is learned in flight is by how much the model is
+    too weak or too strong, a drag, and a constant. Their coefficients follow errors of prediction
+    and of tracking, with the gain of a Kalman filter.
+
+    Raises:
+        ValueError: a number is negative or not finite, or the noise is zero.
+    """
+
+    measurement_noise: Annotated[float, POSITIVE] = 0.1
+    """Square root of R, m/s^2 per sqrt(Hz): noise of the accelerations that are learned from."""
+    force_drift: _Drift = 2.0
+    """Square root of Q of the constant, m/s^2 per sqrt(s). Over `measurement_noise` it is the
+    bandwidth of the constant, rad/s."""
+    scale_drift: _Drift = 0.5
+    """The same of the factor of the model's force, 1 per sqrt(s)."""
+    drag_drift: _Drift = 0.5
+    """The same of the drag, 1/s per sqrt(s)."""
+    forgetting_rate: Annotated[float, POSITIVE] = 0.1
+    """Lambda, 1/s: how fast coefficients return to zero where nothing is learned. Were it zero,
+    their covariance would grow for ever in hover, where neither model nor drag can be seen."""
+    cutoff_hz: _Bandwidth = 10.0
+    """Cut-off of the second-order Butterworth low-pass of what is learned from, Hz."""
+
+    def over(self, dt: float) -> dict[str, object]:
+        """The fields of `swarm_envs.tables.SETTINGS` that it gives, for steps of dt, s."""
+        drifts = (self.scale_drift, self.drag_drift, self.force_drift)
+        return {
+            "adaptation": LAST_LAYER,
+            "residual_filter": butterworth(self.cutoff_hz, dt),
+            "adaptive_kept": math.exp(-self.forgetting_rate * dt),
+            "adaptive_drift": [drift * drift * dt for drift in drifts],
+            "adaptive_noise": self.measurement_noise**2 / dt,
+        }
+
+
 @typed
 @dataclass(frozen=True)
 class ControllerConfig:
@@ -64,6 +166,9 @@ class ControllerConfig:
     """The interaction model whose forces the controller compensates; None for no compensation."""
     lag_compensation: bool = True
     """Whether the motors' lag is compensated, eq. (22)."""
+    adaptation: MomentumObserver | Indi | NeuralFly | None = None
+    """What estimates the force that `feedforward` does not explain, and compensates it as well;
+    None for nothing."""
 
     attitude_tilt: Annotated[float, POSITIVE] = 20.0
     """Lambda_q in roll and pitch, 1/s: rate asked for per unit of the error quaternion's vector."""
@@ -86,7 +191,11 @@ class ControllerConfig:
     """Cut-off of the low-pass on the desired body rate, Hz."""
 
     velocity_integral_limit: Annotated[float, POSITIVE] = 0.05
-    """Largest |integral of the velocity error| per axis, m: anti-windup."""
+    """Largest |integral of the velocity error| per axis, m: anti-windup. It gives at most
+    (K_v / m) Gamma_v m limit of force, with the default gains 0.22 g for a small drone and 0.43 g
+    for a large one: trim. The integral takes 1 / Gamma_v = 2 s, longer than a wake is crossed, and
+    pushes a drone past its goal with what it has gathered there. What is larger is the task of
+    `adaptation`."""
     rate_integral_limit: Annotated[float, POSITIVE] = 0.2
     """Largest |integral of the body-rate error| per axis, rad: anti-windup."""
     min_vertical_thrust_fraction: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.2
@@ -112,6 +221,17 @@ def low_pass_blend(cutoff_hz: float, step: float) -> float:
     return -math.expm1(-2.0 * math.pi * cutoff_hz * step)
 
 
+def butterworth(cutoff_hz: float, step: float) -> list[float]:
+    """Transition over a step of a second-order Butterworth low-pass, exact for a held input u.
+
+    Returns:
+        (a, b, c, d) with x - u <- a (x - u) + b x' and x' <- c (x - u) + d x'; b in s, c in 1/s.
+    """
+    half = math.pi * math.sqrt(2.0) * cutoff_hz  # both poles are half (-1 +- i), in 1/s
+    decay, cos, sin = math.exp(-half * step), math.cos(half * step), math.sin(half * step)
+    return [decay * (cos + sin), decay * sin / half, -2.0 * half * decay * sin, decay * (cos - sin)]
+
+
 _SAME = (
     "attitude_tilt",
     "attitude_yaw",
@@ -126,7 +246,7 @@ _SAME = (
 """Fields that go into the settings as they are."""
 
 
-def gains(config: ControllerConfig, dt: float = STEP) -> dict[str, float]:
+def gains(config: ControllerConfig, dt: float = STEP) -> dict[str, object]:
     """The fields of `swarm_envs.tables.SETTINGS` that a configuration gives, for a step of dt.
 
     Raises:
@@ -144,4 +264,5 @@ def gains(config: ControllerConfig, dt: float = STEP) -> dict[str, float]:
         "rate_error_blend": low_pass_blend(config.rate_error_cutoff_hz, dt),
         "desired_rate_blend": low_pass_blend(config.desired_rate_cutoff_hz, dt),
         "lead": 1.0 if config.lag_compensation else 0.0,
+        **({} if config.adaptation is None else config.adaptation.over(dt)),
     }

@@ -117,7 +117,7 @@ def mix_rotors(
 
 
 @part
-def track(blocks: Records, count: int, settings: Records) -> None:
+def track(blocks: Records, count: int, settings: Records, adaptive: bool | None) -> None:
     """Make one step of position and attitude loop for every drone of the first `count` blocks.
 
     Args:
@@ -126,6 +126,7 @@ def track(blocks: Records, count: int, settings: Records) -> None:
         count: how many of them.
         settings: (1,) gains. They are read here, once: inside of the lane loop they would keep it
             from becoming vector instructions.
+        adaptive: True if what `adapt` estimates is compensated as well, else None.
     """
     s = settings[0]
     step, per_step, lead = s.step, 1.0 / s.step, s.lead  # a division takes as long as ten sums
@@ -163,6 +164,9 @@ def track(blocks: Records, count: int, settings: Records) -> None:
 
             # The vertical part of the force is kept positive: it always points up.
             (fx, fy, fz), known = three(b.desired_force, lane), three(b.feedforward_force, lane)
+            if adaptive is not None:
+                more = three(b.adaptive_force, lane)
+                known = known[0] + more[0], known[1] + more[1], known[2] + more[2]
             fx, fy, fz = fx - known[0], fy - known[1], max(fz + weight - known[2], least * weight)
 
             # The thrust along the body's axis, with the lead of eq. (22).

@@ -83,6 +83,8 @@ class TrackingController:
         )
         for name, value in gains(own, dt).items():
             self._loop.settings[name] = value
+        drones = self._loop.world.drones
+        drones["nominal_motor_decay"] = np.exp(-drones["nominal_motor_rate"] * dt)
 
     def reset(self, mask: BoolArray | None = None) -> None:
         """Forget all that was, in the environments of the (E,) mask or in every one."""

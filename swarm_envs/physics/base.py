@@ -173,6 +173,7 @@ class Physics:
             self._open_circuit,
             self.order if drones > FEW else None,
             True if self.settings["gusty"][0] else None,
+            True if self.settings["adaptation"][0] else None,
             self.interactions.packed,
             self.feedforward.packed if self.settings["compensates"][0] else None,
         )
@@ -208,6 +209,7 @@ class Physics:
         return {
             **{name: array[0] for name, array in zip(nominal._fields, nominal, strict=True)},
             **{f"nominal_{name}": array for name, array in nominal_values.items()},
+            "nominal_motor_decay": np.exp(-nominal.motor_rate[0] * self.settings["step"][0]),
             **self._battery.of_team(team),
             "type": self.interactions.type_indices(team),
             "feedforward_type": self.feedforward.type_indices(team),

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarm_envs.compiled import kernel, part
+from swarm_envs.control.adaptation import adapt
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
 from swarm_envs.interactions.forces import swarm_forces
@@ -40,6 +41,7 @@ from swarm_envs.physics.rigid_body import (
 )
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import (
+    ADAPTATION_END,
     BLOCK_TYPE,
     BODY_END,
     CONTACT_COLUMNS,
@@ -93,22 +95,25 @@ def new_work(num_drones: int) -> Work:
 
 
 @part
-def load_tile(columns: FloatArray, count: int, controlled: bool, begins: bool, work: Work) -> None:
+def load_tile(
+    columns: FloatArray, count: int, controlled: bool, adaptive: bool, begins: bool, work: Work
+) -> None:
     """Copy what a step knows of the drones of the first `count` members into the blocks.
 
-    The columns of the tracking loop are left out if there is none. Where a decision begins, what
-    was touched in the last one is forgotten. Lanes that are left over in the last block repeat the
-    last drone, so that numbers there are sound; they are not written back.
+    The columns of the tracking loop, and of its adaptation, are left out if there is none. Where a
+    decision begins, what was touched in the last one is forgotten. Lanes that are left over in the
+    last block repeat the last drone, so that numbers there are sound; they are not written back.
     """
     drones, slot = columns.shape[1], 0
     skipped = BODY_END if controlled else CONTROLLER_END
+    end = ADAPTATION_END if adaptive else VEHICLE_END
     for place in range(count):
         for i in range(drones):
             row, lane = columns[work.members[place], i], slot % LANES
             block = work.tile[slot // LANES]
             for c in range(BODY_END):
                 block[c, lane] = row[c]
-            for c in range(skipped, VEHICLE_END):
+            for c in range(skipped, end):
                 block[c, lane] = row[c]
             if begins:
                 for k in range(len(CONTACT_COLUMNS)):
@@ -116,20 +121,25 @@ def load_tile(columns: FloatArray, count: int, controlled: bool, begins: bool, w
             slot += 1
     last, block = (slot - 1) % LANES, work.tile[(slot - 1) // LANES]
     for lane in range(last + 1, LANES):
-        for c in range(VEHICLE_END):
+        for c in range(end):
             block[c, lane] = block[c, last]
 
 
 @part
-def store_tile(columns: FloatArray, count: int, controlled: bool, work: Work) -> None:
+def store_tile(
+    columns: FloatArray, count: int, controlled: bool, adaptive: bool, work: Work
+) -> None:
     """Copy what a step has changed back from the blocks."""
     drones, slot = columns.shape[1], 0
     end = CONTROLLER_END if controlled else BODY_END
+    learned = ADAPTATION_END if adaptive else VEHICLE_END
     for place in range(count):
         for i in range(drones):
             row, lane = columns[work.members[place], i], slot % LANES
             block = work.tile[slot // LANES]
             for c in range(end):
+                row[c] = block[c, lane]
+            for c in range(VEHICLE_END, learned):
                 row[c] = block[c, lane]
             slot += 1
 
@@ -189,6 +199,7 @@ def fly(  # noqa: C901  # one step, on one screen
     open_circuit: FloatArray | None,
     order: IntArray | None,
     gusty: bool | None,
+    adaptive: bool | None,
     air: PackedField,
     feedforward: PackedField | None,
     work: Work,
@@ -213,6 +224,7 @@ def fly(  # noqa: C901  # one step, on one screen
         open_circuit: (K,) of the batteries; None if they never empty.
         order: (E, N) drones of each environment, as last sorted along x; None if they are few.
         gusty: True if there are gusts, else None.
+        adaptive: True if the controller adapts, else None.
         air: the force model of the environment.
         feedforward: the model whose forces the controller compensates; None without one.
         work: working memory of this thread.
@@ -221,6 +233,7 @@ def fly(  # noqa: C901  # one step, on one screen
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0
+    adapts = adaptive is not None and controlled
     e = first
     while e < last:
         count = 0
@@ -232,7 +245,7 @@ def fly(  # noqa: C901  # one step, on one screen
         if count == 0:
             continue
         full = (count * size + LANES - 1) // LANES
-        load_tile(columns, count, controlled, phases & BEGIN != 0, work)
+        load_tile(columns, count, controlled, adapts, phases & BEGIN != 0, work)
         for k in range(steps + 1):
             if phases & TOUCH and (k > 0) == moves:
                 touch(work.blocks, full, settings)
@@ -253,7 +266,9 @@ def fly(  # noqa: C901  # one step, on one screen
                     gather(count, size, compensated, work, feedforward_scratch)
                     swarm_forces(feedforward, count, size, feedforward_scratch)
                     spread(count, size, compensated, environments, work, feedforward_scratch)
-                track(work.blocks, full, settings)
+                if adaptive is not None:
+                    adapt(work.blocks, full, settings)
+                track(work.blocks, full, settings, adaptive)
             if phases & CONTROL and controlled:
                 hold_rates(work.blocks, full, settings)
             if phases & SPIN:
@@ -280,7 +295,7 @@ def fly(  # noqa: C901  # one step, on one screen
                 integrate(work.blocks, full)
             elif phases & SPIN:
                 write_wrenches(count, drones, work)
-        store_tile(columns, count, controlled, work)
+        store_tile(columns, count, controlled, adapts, work)
 
 
 @part

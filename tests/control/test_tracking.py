@@ -17,8 +17,9 @@ from swarm_envs.control.config import (
     low_pass_blend,
 )
 from swarm_envs.control.tracking import TrackingController
-from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
+from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
+from tests.helpers.random_flights import RandomFlight
 
 TEAM = parse_team("SLS*L")
 MEMORY = (
@@ -33,42 +34,6 @@ def memory(controller: TrackingController) -> dict[str, FloatArray]:
     return {name: drones[name].copy() for name in MEMORY}
 
 
-class _RandomFlight:
-    """Smooth random states and set-points with noise on top, for two environments of a team."""
-
-    def __init__(self, seed: int, wildness: float) -> None:
-        self.rng = np.random.default_rng(seed)
-        self.wildness = wildness
-        self.shape = (2, len(TEAM))
-        self.state = hover_state(TEAM, self.rng.normal(size=(*self.shape, 3)))
-        self.setpoint = Setpoint.hold(self.state.position.copy())
-        self.walk = np.zeros((*self.shape, 3))
-
-    def advance(self) -> tuple[SwarmState, Setpoint, FloatArray]:
-        rng, shape, wild = self.rng, self.shape, self.wildness
-        self.walk += 0.05 * (wild * rng.normal(size=self.walk.shape) - self.walk)
-        s, sp = self.state, self.setpoint
-        s.velocity[...] = self.walk + 0.03 * rng.normal(size=self.walk.shape)
-        s.position[...] += s.velocity / 240
-        s.angular_velocity[...] = 2 * wild * rng.normal(size=self.walk.shape)
-        step = np.concatenate([s.angular_velocity / 480, np.ones((*shape, 1))], axis=-1)
-        s.quaternion[...] = _multiply(step, s.quaternion)
-        s.quaternion[...] /= np.linalg.norm(s.quaternion, axis=-1, keepdims=True)
-        s.quaternion[...] *= rng.choice([-1.0, 1.0], size=(*shape, 1))
-        sp.velocity[...] = 0.1 * wild * rng.normal(size=self.walk.shape)
-        sp.acceleration[...] = wild * rng.normal(size=self.walk.shape)
-        sp.yaw_rate[...] = wild * rng.normal(size=shape)
-        sp.yaw[...] += sp.yaw_rate / 240 + (rng.uniform(size=shape) < 0.01) * rng.normal(size=shape)
-        return s, sp, 0.03 * wild * rng.normal(size=self.walk.shape)
-
-
-def _multiply(a: FloatArray, b: FloatArray) -> FloatArray:
-    va, wa, vb, wb = a[..., :3], a[..., 3:], b[..., :3], b[..., 3:]
-    vector = wa * vb + wb * va + np.cross(va, vb)
-    scalar = wa * wb - np.sum(va * vb, axis=-1, keepdims=True)
-    return np.concatenate([vector, scalar], axis=-1)
-
-
 @pytest.mark.parametrize("lag_compensation", [True, False])
 @pytest.mark.parametrize(("wildness", "stiffness"), [(0.03, MID), (1.0, STIFF)])
 def test_compiled_agrees_with_plain(
@@ -77,7 +42,7 @@ def test_compiled_agrees_with_plain(
     config = ControllerConfig(gains=stiffness, lag_compensation=lag_compensation)
     compiled = TrackingController(TEAM, num_envs=2, config=config)
     plain = [[NumpyTrackingController(v, config) for v in TEAM] for _ in range(2)]
-    flight = _RandomFlight(7, wildness)
+    flight = RandomFlight(TEAM, 7, wildness)
     limits = np.array([v.max_rotor_thrust for v in TEAM])[:, None]
     saturated = unsaturated = 0
     for _ in range(300):
@@ -110,7 +75,7 @@ def test_compiled_agrees_with_plain(
 
 def test_reset_forgets_only_the_masked_environments() -> None:
     one, fresh = (TrackingController(TEAM, num_envs=2) for _ in range(2))
-    flight = _RandomFlight(3, 1.0)
+    flight = RandomFlight(TEAM, 3, 1.0)
     for _ in range(20):
         one.commands(*flight.advance())
     untouched = memory(one)

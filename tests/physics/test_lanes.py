@@ -10,6 +10,7 @@ import numba
 import numpy as np
 import pytest
 
+from swarm_envs.control.adaptation import filter_residual, find_residual, learn_last_layer
 from swarm_envs.control.loop import hold_rates, track
 from swarm_envs.interactions import load
 from swarm_envs.interactions.forces import swarm_forces
@@ -58,9 +59,23 @@ def test_the_body_is_vector_instructions(part):
     assert scalar <= 0.02 * packed
 
 
-@pytest.mark.parametrize("part", [track, hold_rates, touch])
-def test_controller_and_walls_are_vector_instructions(part):
+@pytest.mark.parametrize("part", [hold_rates, touch])
+def test_rates_and_walls_are_vector_instructions(part):
+    packed, scalar = instructions(part, blocks(), 2, np.zeros(1, SETTINGS_TYPE))
+    assert packed >= 15
+    assert scalar <= 0.1 * packed
+
+
+@pytest.mark.parametrize("adaptive", [None, True])
+def test_the_tracking_loop_is_vector_instructions(adaptive):
     """But for the yaw: sine and cosine, which are left out where no set-point yaws."""
+    packed, scalar = instructions(track, blocks(), 2, np.zeros(1, SETTINGS_TYPE), adaptive)
+    assert packed >= 15
+    assert scalar <= 0.1 * packed
+
+
+@pytest.mark.parametrize("part", [find_residual, filter_residual, learn_last_layer])
+def test_adaptation_is_vector_instructions(part):
     packed, scalar = instructions(part, blocks(), 2, np.zeros(1, SETTINGS_TYPE))
     assert packed >= 15
     assert scalar <= 0.1 * packed

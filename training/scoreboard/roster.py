@@ -40,6 +40,7 @@ _POLICY = "One network for every drone, on what each observes itself."
 _COMPENSATED = (
     "The same, over a controller that feeds forward the force that its own model predicts."
 )
+_ADAPTIVE = "The same controller, with an estimate of the force (INDI) in place of a force model."
 _FILTERED = "The same, behind a filter of barrier functions."
 
 ROSTER: Mapping[str, Place] = MappingProxyType(
@@ -50,6 +51,10 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "straight-line+filter": Place("straight line + filter", _FILTERED),
         "tracking": Place("tracking", "The controller of Neural-Swarm2, uncompensated.", 2),
         "tracking-compensated": Place("tracking, compensated", _COMPENSATED, 2),
+        "tracking-adaptive": Place("tracking, adaptive", _ADAPTIVE, 2),
+        "tracking-compensated-adaptive": Place(
+            "tracking, compensated and adaptive", "The same, with that belief beside it.", 2
+        ),
         "detour": Place("detour", "Straight ways with bumps around each other, planned once.", 4),
         "detour-compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
         "swap-ppo": Place("swap PPO", f"{_POLICY} Trained on swaps of four."),

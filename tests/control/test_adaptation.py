@@ -1,0 +1,178 @@
+"""Adaptive control: against plain Python, in flight, and what it bears before it is unstable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarm_envs.baselines.neural_swarm.flights import FlightTest, fly, swap_test
+from swarm_envs.baselines.neural_swarm.numpy_controller import (
+    NumpyTrackingController,
+    TrackingTarget,
+)
+from swarm_envs.control.config import (
+    ControllerConfig,
+    Indi,
+    MomentumObserver,
+    NeuralFly,
+    butterworth,
+)
+from swarm_envs.control.tracking import TrackingController
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.interactions import load
+from swarm_envs.physics import BatchPhysics, bullet_available
+from swarm_envs.state import Setpoint, hover_state
+from swarm_envs.tasks.swap import StackedLayout
+from swarm_envs.vehicles import GRAM_FORCE, parse_team
+from tests.helpers.linear_loop import Loop, height_margin
+from tests.helpers.plain_adaptation import PlainAdaptation
+from tests.helpers.random_flights import RandomFlight
+
+TEAM = parse_team("SLS*L")
+KINDS = (MomentumObserver(), Indi(), NeuralFly())
+QUICK = (MomentumObserver(20.0), Indi(20.0), NeuralFly(force_drift=10.0, cutoff_hz=20.0))
+"""They reach the limit of one weight in wild flights."""
+NAMES = ("momentum observer", "INDI", "Neural-Fly")
+SHORT = StackedLayout(radius_m=(0.5, 0.5), duration_s=(2.0, 2.0))
+each = pytest.mark.parametrize("adaptation", KINDS, ids=NAMES)
+
+
+@pytest.mark.parametrize(
+    ("adaptation", "wildness"),
+    [*((kind, 0.03) for kind in KINDS), *((kind, 3.0) for kind in QUICK)],
+)
+def test_compiled_agrees_with_plain(adaptation, wildness):
+    config = ControllerConfig(adaptation=adaptation)
+    compiled = TrackingController(TEAM, num_envs=2, config=config)
+    places = [(e, i) for e in range(2) for i in range(len(TEAM))]
+    plain = {at: NumpyTrackingController(TEAM[at[1]], config) for at in places}
+    adaptive = {at: PlainAdaptation(TEAM[at[1]], config) for at in places}
+    drones = compiled._loop.world.drones
+    flight, commands = RandomFlight(TEAM, 5, wildness), drones["commands"].copy()
+    limited = 0
+    for _ in range(300):
+        state, setpoint, force = flight.advance()
+        last, commands = commands, compiled.commands(state, setpoint, force)
+        for at in places:
+            p, v, q, w = (array[at] for array in state[:1] + state[1:2] + state[2:4])
+            target = TrackingTarget(
+                setpoint.position[at].copy(),
+                setpoint.velocity[at].copy(),
+                setpoint.acceleration[at].copy(),
+                float(setpoint.yaw[at]),
+                float(setpoint.yaw_rate[at]),
+            )
+            aims = (target.position, target.velocity)
+            more = adaptive[at].force(p, v, q, last[at], force[at], aims)
+            np.testing.assert_allclose(drones["adaptive_force"][at], more, rtol=0, atol=1e-9)
+            expected = plain[at].commands(p, v, q, w, target, force[at] + more)
+            np.testing.assert_allclose(commands[at], expected, rtol=0, atol=1e-9)
+            limited += int((abs(more) >= 0.999 * TEAM[at[1]].mass * 9.80665).any())
+    assert (limited > 0) == (wildness == 3.0)
+
+
+def observed(adaptation, push_g: float, seconds: float) -> float:
+    """Vertical force, g, that is estimated in hover under a push."""
+    team = parse_team("S")
+    controller = TrackingController(team, config=ControllerConfig(adaptation=adaptation))
+    physics = BatchPhysics(team, interactions="none")
+    state = physics.reset(hover_state(team, [[0.0, 0.0, 1.0]]))
+    target = Setpoint.hold(state.position.copy())
+    push = np.array([[[0.0, 0.0, push_g * GRAM_FORCE]]])
+    for _ in range(round(240 * seconds)):
+        state = physics.step(controller.commands(state, target), push)
+    return float(controller._loop.world.drones["adaptive_force"][0, 0, 2] / GRAM_FORCE)
+
+
+@each
+def test_a_push_is_estimated_and_nothing_where_there_is_none(adaptation):
+    assert observed(adaptation, -5.0, 2.0) == pytest.approx(-5.0, rel=0.02)
+    assert observed(adaptation, 0.0, 1.0) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_momentum_observer_has_its_bandwidth():
+    """The estimate of a push that begins follows 1 - exp(-2 pi 3 Hz t)."""
+    for steps in (5, 10, 40):
+        share = 1.0 - np.exp(-2.0 * np.pi * 3.0 * (steps - 1) / 240.0)
+        found = observed(MomentumObserver(3.0), -4.0, steps / 240.0)
+        assert found == pytest.approx(-4.0 * share, rel=1e-6)
+
+
+def test_the_butterworth_filter_is_down_3_db_at_its_cut_off():
+    a, b, c, d = butterworth(4.0, 1 / 2400)
+    transition, turn = np.array([[a, b], [c, d]]), np.exp(2j * np.pi * 4.0 / 2400)
+    given = (np.eye(2) - transition)[:, 0]
+    gain = np.linalg.solve(turn * np.eye(2) - transition, given)[0]
+    assert abs(gain) == pytest.approx(np.sqrt(0.5), rel=1e-4)
+
+
+def worst_cm(test: FlightTest, feedforward, adaptation) -> float:
+    """Median of the lowest drone's worst height error."""
+    found = fly(test, ControllerConfig(feedforward=feedforward, adaptation=adaptation), range(4))
+    assert not found.crashed.any()
+    return 100.0 * float(np.median(found.worst_height_error[:, -1]))
+
+
+@each
+def test_belief_and_adaptation_together_beat_either(adaptation):
+    """Also with masses that are wrong by up to 9 %, which neither knows."""
+    for factors in ((1.0, 1.0), (0.94, 1.06)):
+        wrong = Randomization(mass=factors)
+        test = replace(swap_test("L2S", SHORT, "wake"), randomization=wrong)
+        belief = load("learned")
+        alone = worst_cm(test, belief, None), worst_cm(test, None, adaptation)
+        assert worst_cm(test, belief, adaptation) < 0.6 * min(alone)
+
+
+@pytest.mark.skipif(not bullet_available(), reason="needs pybullet")
+@each
+def test_both_engines_fly_the_same(adaptation):
+    config = ControllerConfig(feedforward=load("wake"), adaptation=adaptation)
+    flights = [fly(swap_test("SL2S", SHORT, engine=e), config, [0]) for e in ("batch", "bullet")]
+    np.testing.assert_allclose(flights[0].position, flights[1].position, rtol=0, atol=1e-9)
+
+
+def test_a_reset_forgets_what_was_learned():
+    controller = TrackingController(TEAM, 2, ControllerConfig(adaptation=NeuralFly()))
+    flight, drones = RandomFlight(TEAM, 1, 1.0), controller._loop.world.drones
+    for _ in range(20):
+        controller.commands(*flight.advance())
+    names = ("adaptive_force", "adaptive_coefficients", "adaptive_covariance", "last_velocity")
+    assert all(drones[name].any(axis=(1, 2)).all() for name in names)
+    controller.reset(np.array([False, True]))
+    assert all(drones[name][0].any() and not drones[name][1].any() for name in names)
+
+
+@pytest.mark.parametrize(
+    ("adaptation", "gain"),
+    [(None, 4.0), (MomentumObserver(), 2.36), (Indi(), 2.38), (NeuralFly(), 2.19)],
+    ids=["none", *NAMES],
+)
+def test_the_gain_margin_is_as_documented(adaptation, gain):
+    """With a state that is 10 ms late; docs/adaptation.md. The true loop agrees."""
+    config = ControllerConfig(adaptation=adaptation)
+    assert Loop(config, 0.97 * gain, 0.01).radius() < 1.0 < Loop(config, 1.03 * gain, 0.01).radius()
+    calm, shaken = (Loop(config, share * gain, 0.01).peak(480) for share in (0.9, 1.1))
+    assert calm[360:].max() < 0.5 * calm[:120].max()
+    assert shaken[360:].max() > 2.0 * shaken[:120].max()
+
+
+def test_height_alone_is_as_its_transfer_function():
+    """At 20 Hz the height limits: the whole loop's margin is that of L(s), but for its sampling."""
+    fast = MomentumObserver(20.0)
+    whole = Loop(ControllerConfig(adaptation=fast), delay_s=0.01).gain_margin()
+    assert height_margin(fast, 0.01) == pytest.approx(whole, rel=0.2)
+    assert height_margin(MomentumObserver(3.0), 0.01) > 4.0
+    assert height_margin(fast, 0.02) < 1.0 < height_margin(fast, 0.0)
+
+
+def test_the_bandwidth_ends_where_20_ms_of_delay_make_it_unstable():
+    assert Loop(ControllerConfig(adaptation=MomentumObserver(3.0)), 1.0, 0.02).radius() < 1.0
+    assert Loop(ControllerConfig(adaptation=MomentumObserver(20.0)), 1.0, 0.02).radius() > 1.0
+    for kind, name in ((MomentumObserver, "bandwidth_hz"), (Indi, "cutoff_hz")):
+        with pytest.raises(
+            ValueError, match=rf"{name} is 21\.0, but must be a number in \(0, 20\]"
+        ):
+            kind(21.0)
