@@ -83,23 +83,6 @@ def pwm_for_force(
     return a + b * f + c * v + d * f * f + e * f * v
 
 
-def max_rotor_force_g(
-    vehicle: Vehicle, pwm: npt.ArrayLike, voltage: npt.ArrayLike
-) -> np.float64 | FloatArray:
-    """Largest force that one rotor could give now, psi3 of Table I.
-
-    Args:
-        vehicle: whose rotor.
-        pwm: present motor signal PWM / 65536, any shape.
-        voltage: battery voltage measured under that signal over 4.2 V, broadcast against `pwm`.
-
-    Returns:
-        Force in grams.
-    """
-    a, b, c = vehicle.pwm_to_max_force
-    return a + b * np.asarray(pwm, dtype=np.float64) + c * np.asarray(voltage, dtype=np.float64)
-
-
 @typed
 @dataclass(frozen=True)
 class BatteryModel:

@@ -173,9 +173,3 @@ class Setpoint(NamedTuple):
     def copy(self) -> Setpoint:
         """Return set-points whose arrays are independent of these."""
         return Setpoint(*(array.copy() for array in self))
-
-    def assign(self, other: Setpoint, mask: BoolArray | None = None) -> None:
-        """Copy other set-points into these arrays, in the environments of the (E,) mask."""
-        where = slice(None) if mask is None else mask
-        for mine, theirs in zip(self, other, strict=True):
-            mine[where] = theirs[where]

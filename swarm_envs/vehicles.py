@@ -9,7 +9,6 @@ Rotors stand in an X, numbered as on the Crazyflie, seen from above with x forwa
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -216,8 +215,3 @@ def _vehicle(token: str, team: str) -> Vehicle:
     if token not in VEHICLES:
         raise ValueError(unknown_name("vehicle token", token, VEHICLES, f"in team {team!r}"))
     return VEHICLES[token]
-
-
-def disk_loading(vehicle: Vehicle) -> float:
-    """Weight over swept rotor area, N/m^2: what sets the speed of the downwash."""
-    return vehicle.mass * GRAVITY / (4 * math.pi * vehicle.rotor_radius**2)

@@ -1,19 +1,24 @@
-"""The site: every page can be found, links lead somewhere, names exist, nothing is out of date."""
+"""The site: pages are found, links lead somewhere, names exist, tables are true, blocks run."""
 
 from __future__ import annotations
 
+import csv
 import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from docs.extensions import state_tables
 from docs.extensions.api_pages import packages_of, page_of
 from docs.extensions.links import inward, without_empty_folders
 from docs.extensions.names import exports, modules, public_names, resolve
 from docs.extensions.option_tables import commands, options_class, options_of
+from docs.extensions.state_tables import TABLES, state_table
 from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.cli import COMMANDS, main
 from swarm_envs.errors import unknown_name
@@ -21,6 +26,15 @@ from tests.helpers.imports import ROOT, SOURCES
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
 
 WRITTEN = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *PAGES]
+_ROW = re.compile(
+    r"^\| (?:(\d): )?([^|]*)\| (\d+ x \d+ x \d+) \| ([\d,]+) \| (.*) \|$", re.MULTILINE
+)
+_BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCKS = [
+    pytest.param(block, id=f"{page.relative_to(ROOT)}-{k}")
+    for page in (ROOT / "README.md", *PAGES)
+    for k, block in enumerate(_BLOCK.findall(page.read_text(encoding="utf-8")))
+]
 
 
 def test_links_lead_somewhere():
@@ -150,3 +164,76 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
         assert not [url for url in reader.loaded if re.match(r"(https?:)?//", url)], page.name
     for style in (tmp_path / "site").rglob("*.css"):
         assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8"))
+
+
+def table() -> Iterator[tuple[str, str, str, list[str]]]:
+    """Rows of the figures' table of docs/rth3d.md: figure, grid, robots, and the numbers."""
+    text = (DOCS / "rth3d.md").read_text(encoding="utf-8").partition("| figure | grid |")[2]
+    figure = ""
+    for match in _ROW.finditer(text.partition("\n\n")[0]):
+        figure = match[1] or figure
+        numbers = [cell.strip() for cell in match[5].split("|")]
+        yield figure, match[3].replace(" ", ""), match[4].replace(",", ""), numbers
+
+
+def measured(figure: str, grid: str, robots: str) -> list[list[str]]:
+    """What the file of a figure holds of a grid, one list of numbers for each of its curves."""
+    with (DOCS / "rth3d" / f"figure_{figure}.csv").open(encoding="utf-8") as file:
+        own = [r for r in csv.DictReader(file) if (r["grid"], r["robots"]) == (grid, robots)]
+    found = []
+    for series in dict.fromkeys(row["series"] for row in own):
+        by = {row["method"]: row for row in own if row["series"] == series}
+        pairs = [
+            f"{float(by[m]['ratio_before_compaction']):.2f}, {float(by[m]['ratio']):.3f}"
+            for m in ("rth3d", "rth3d-lba")
+        ]
+        auto = f"{float(by['auto']['ratio']):.3f}" if "auto" in by else ""
+        spent = [
+            f"{float(by[m]['cpu_s']):.2g}" if m in by else "-"
+            for m in ("rth3d", "rth3d-lba", "auto")
+        ]
+        found.append([by["rth3d"]["runs"], *pairs, auto, " / ".join(spent)])
+    return found
+
+
+MEASURED = list(table())
+
+
+def test_the_table_is_found():
+    assert {row[0] for row in MEASURED} == set("56789") and len(MEASURED) > 30
+
+
+@pytest.mark.parametrize(("figure", "grid", "robots", "numbers"), MEASURED)
+def test_a_row_says_what_was_measured(figure, grid, robots, numbers):
+    assert numbers in measured(figure, grid, robots)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_page_of_the_architecture_shows_every_field(name):
+    text = state_tables.expand((DOCS / "architecture.md").read_text(encoding="utf-8"))
+    assert f"state table: {name}" not in text
+    for field in TABLES[name]:
+        row = [f"`{field.name}`", f"`{field.shape}`", f"`{np.dtype(field.kind)}`", field.unit]
+        assert f"\n| {' | '.join(row)} | " in text
+        assert f" | {field.meaning} |\n" in text
+
+
+def test_a_row_says_what_a_field_holds_after_a_reset():
+    assert "| `held` | `()` | `bool` |  | `False` | Whether" in state_table("ENVIRONMENT")
+    assert "| `touched_drone` | `()` | `float64` |  | `-1.0` | Drone" in state_table("DRONE")
+    assert "| `position` | `(3,)` | `float64` | m |  | Position" in state_table("DRONE")
+    with pytest.raises(KeyError, match="DRONES"):
+        state_tables.expand("<!-- state table: DRONES -->")
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_block_runs(block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)  # where it may leave files
+    code = compile(block, "block", "exec", dont_inherit=True)
+    exec(code, {"__name__": "block"})
+
+
+def test_the_readme_has_a_loop_of_env_step() -> None:
+    loops = [b for b in _BLOCK.findall((ROOT / "README.md").read_text()) if "env.step(" in b]
+    assert loops
+    assert 15 <= len(loops[0].splitlines()) <= 25

@@ -1,4 +1,4 @@
-"""The rules of the house: who may import whom, what nobody may call, what every file has."""
+"""The rules of the house beside ruff's: who may import whom, and what every file has."""
 
 from __future__ import annotations
 
@@ -7,84 +7,91 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from graphlib import TopologicalSorter
+from itertools import zip_longest
 
 import pytest
 
-from tests.helpers.documented import count, unexplained
 from tests.helpers.imports import OUTER, ROOT, SOURCES, imported_modules, imports, level, parsed
+
+
+def fields(body: list[ast.stmt]) -> Iterator[tuple[list[str], str]]:
+    """Public names that each statement binds, and the docstring below it, if any."""
+    for node, after in zip_longest(body, body[1:]):
+        targets: list[ast.expr] = []
+        if isinstance(node, ast.Assign):
+            targets = node.targets
+        elif isinstance(node, ast.AnnAssign):
+            targets = [node.target]
+        names = [part.id for t in targets for part in ast.walk(t) if isinstance(part, ast.Name)]
+        public = [name for name in names if not name.startswith("_")]
+        if public and not _is_type_variable(node):
+            yield public, _text(after)
+
+
+def _text(node: ast.stmt | None) -> str:
+    value = node.value if isinstance(node, ast.Expr) else None
+    text = value.value if isinstance(value, ast.Constant) else ""
+    return text if isinstance(text, str) else ""
+
+
+def _is_type_variable(node: ast.stmt) -> bool:
+    value = getattr(node, "value", None)
+    return isinstance(value, ast.Call) and ast.unparse(value.func) in ("TypeVar", "ParamSpec")
+
+
+def classes() -> dict[str, ast.ClassDef]:
+    """Every public class of the package by its full name."""
+    return {
+        f"{module}.{node.name}": node
+        for module in SOURCES
+        for node in parsed(module).body
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+    }
+
+
+CLASSES = classes()
+
+
+def explained(name: str) -> set[str]:
+    """Fields of a class that have a docstring, there, in its own, or in a class that it extends."""
+    node = CLASSES[name]
+    found = {field for names, text in fields(node.body) if text for field in names}
+    found |= set(re.findall(r"^\s+(\w+): ", ast.get_docstring(node) or "", re.MULTILINE))
+    module = name.rpartition(".")[0]
+    bound = dict(imports(parsed(module), module))
+    for base in node.bases:
+        word = ast.unparse(base)
+        full = bound.get(word, f"{module}.{word}")
+        if full in CLASSES:
+            found |= explained(full)
+    methods = {f.name for f in node.body if isinstance(f, ast.FunctionDef)}
+    if {"reset", "act"} <= methods:  # an `Agent`, whose protocol says what these are
+        found |= {"requires", "privileged"}
+    return found
+
+
+def unexplained(module: str) -> Iterator[str]:
+    """Constants and fields of a module that nothing explains."""
+    for names, text in fields(parsed(module).body):
+        if not text:
+            yield from (name for name in names)
+    for node in parsed(module).body:
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            known = explained(f"{module}.{node.name}")
+            for names, _ in fields(node.body):
+                yield from (f"{node.name}.{name}" for name in names if name not in known)
+
+
+def count(module: str) -> int:
+    """How many constants and fields are public in a module."""
+    inside = [n.body for n in parsed(module).body if isinstance(n, ast.ClassDef)]
+    return sum(len(names) for b in (parsed(module).body, *inside) for names, _ in fields(b))
 
 
 def text_of(name: str) -> str:
     """The text of a module."""
     return SOURCES[name].read_text(encoding="utf-8")
-
-
-def banned_calls(source: str) -> set[str]:
-    """What a source calls that nobody may: unpickling, global random generators."""
-    tree = ast.parse(source)
-    bound = dict(imports(tree, ""))
-    found = set()
-    for node in ast.walk(tree):
-        if not isinstance(node, ast.Call):
-            continue
-        head, _, tail = ast.unparse(node.func).partition(".")
-        origin = bound.get(head, head)
-        if tail and "." in origin and origin.split(".")[0] == head:
-            origin = head  # `import a.b` binds a
-        full = f"{origin}.{tail}" if tail else origin
-        if is_banned(full, node):
-            found.add(full)
-    return found
-
-
-OWN_GENERATORS = {"default_rng", "Generator", "SeedSequence", "PCG64", "PCG64DXSM", "Philox"}
-
-
-def is_banned(full: str, call: ast.Call) -> bool:
-    module, _, function = full.rpartition(".")
-    if module == "numpy.random":
-        return function not in OWN_GENERATORS
-    if module == "random":
-        return function != "Random"
-    if full == "numpy.load":
-        pickles = {k.arg: ast.unparse(k.value) for k in call.keywords}.get("allow_pickle", "False")
-        return pickles != "False"
-    pickle = module in {"pickle", "cloudpickle", "dill", "joblib"}
-    return full == "torch.load" or (pickle and function in {"load", "loads"})
-
-
-def numba_internals(source: str) -> set[str]:
-    """What a source takes of numba that may change any day: `numba.core`, llvmlite, private names.
-
-    Where numba is imported every private attribute counts, whatever it is of: nobody can see from
-    here which objects numba has made.
-    """
-    tree = ast.parse(source)
-    taken = {full for _, full in imports(tree, "")}
-    roots = {full.split(".")[0] for full in taken}
-    if not roots & {"numba", "llvmlite"}:
-        return set()
-    bound = dict(imports(tree, ""))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Attribute):
-            head, *rest = ast.unparse(node).split(".")
-            origin = bound.get(head, head)
-            taken.add(".".join([head if origin.startswith(f"{head}.") else origin, *rest]))
-        if isinstance(node, ast.Call) and ast.unparse(node.func) in ("getattr", "setattr"):
-            taken |= {
-                f"{ast.unparse(node.args[0])}.{ast.literal_eval(name)}"
-                for name in node.args[1:2]
-                if isinstance(name, ast.Constant)
-            }
-    return {name for name in taken if is_internal(name)}
-
-
-def is_internal(name: str) -> bool:
-    """Whether a dotted name is private, dunders and one's own aside, or of numba's inner parts."""
-    head, *rest = name.split(".")
-    private = any(part.startswith("_") and not part.endswith("__") for part in rest)
-    inner = name.startswith("numba.core") or head == "llvmlite"
-    return inner or (private and head not in ("self", "cls", "swarm_envs"))
 
 
 def test_the_package_was_found():
@@ -103,6 +110,14 @@ def test_modules_import_only_what_stands_below():
     )
 
 
+def test_modules_import_in_no_circle_while_they_are_imported():
+    """Within functions two modules may know each other; at import that would depend on order."""
+    graph = {name: imported_modules(parsed(name), name, deep=False) for name in SOURCES}
+    for name, others in graph.items():
+        others -= {other for other in others if f"{name}.".startswith(f"{other}.")}
+    assert len([*TopologicalSorter(graph).static_order()]) >= len(SOURCES)
+
+
 def test_torch_loads_only_where_networks_are_trained():
     heavy = offenders(
         lambda name: (
@@ -112,35 +127,15 @@ def test_torch_loads_only_where_networks_are_trained():
     assert not [n for n in heavy if not re.match(r"swarm_envs\.(training|agents\.networks)\b", n)]
 
 
-def test_nothing_unpickles_or_uses_a_global_generator():
-    assert not offenders(lambda name: banned_calls(text_of(name)))
-
-
-def test_nothing_takes_what_numba_keeps_to_itself():
-    assert not offenders(lambda name: numba_internals(text_of(name)))
-
-
-def test_every_public_thing_has_a_docstring():
-    assert not offenders(lambda name: list(undocumented(parsed(name))))
+def test_no_array_is_unpickled():
+    """Of all else that unpickles, or draws from a global generator, ruff warns."""
+    assert not offenders(lambda name: re.search(r"allow_pickle=(?!False)", text_of(name)))
 
 
 def test_fields_and_constants_say_what_they_are():
     """Nearly all: one that a name and its neighbours explain may stand without."""
     bare = [f"{module}.{name}" for module in SOURCES for name in unexplained(module)]
     assert len(bare) <= 0.02 * sum(map(count, SOURCES)), f"without docstring: {bare}"
-
-
-def undocumented(node: ast.AST, name: str = "module") -> Iterator[str]:
-    documented = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
-    if any(ast.unparse(mark) == "overload" for mark in getattr(node, "decorator_list", ())):
-        return  # the definition that follows has it
-    if isinstance(node, documented) and not ast.get_docstring(node):
-        yield name
-    if isinstance(node, ast.Module | ast.ClassDef):
-        for child in node.body:
-            child_name = getattr(child, "name", "_")
-            if not child_name.startswith("_"):
-                yield from undocumented(child, child_name)
 
 
 def test_files_are_short_and_finished():
@@ -193,46 +188,3 @@ def test_the_order_of_the_house():
     order += ["baselines.neural_swarm", "training.force_model", "cli"]
     levels = [level(f"swarm_envs.{name}") for name in order]
     assert levels == sorted(set(levels))
-
-
-@pytest.mark.parametrize(
-    ("source", "found"),
-    [
-        ("import numpy as np\nnp.random.seed(0)", {"numpy.random.seed"}),
-        ("from numpy import random\nrandom.rand(3)", {"numpy.random.rand"}),
-        ("import random\nrandom.shuffle(x)", {"random.shuffle"}),
-        ("from pickle import loads as f\nf(x)", {"pickle.loads"}),
-        ("import torch.nn\ntorch.load('x')", {"torch.load"}),
-        ("import numpy as np\nnp.load(f, allow_pickle=True)", {"numpy.load"}),
-        ("import numpy as np\nnp.random.default_rng(0).normal()\nnp.load(f)", set()),
-    ],
-)
-def test_the_finder_of_banned_calls(source, found):
-    assert banned_calls(source) == found
-
-
-@pytest.mark.parametrize(
-    ("source", "found"),
-    [
-        ("from numba.core import types", {"numba.core.types"}),
-        ("import numba.core.ir as ir", {"numba.core.ir"}),
-        ("import llvmlite.binding", {"llvmlite.binding"}),
-        ("def f():\n    from llvmlite import ir", {"llvmlite.ir"}),
-        ("import numba as nb\nnb.core", {"numba.core"}),
-        ("from numba import njit\nnjit(f)._cache", {"njit(f)._cache"}),
-        ("import numba\nd = numba.njit(f)\nd._compiler", {"d._compiler"}),
-        ("import numba\ngetattr(numba, '_x')", {"numba._x"}),
-        ("from numba.np import _x", {"numba.np._x"}),
-        ("import numba\nnumba.__version__\nself._x\nnumba.njit(f).signatures", set()),
-        ("import numpy as np\nnp.core._x", set()),
-    ],
-)
-def test_the_finder_of_numba_s_internals(source, found):
-    assert numba_internals(source) == found
-
-
-def test_the_finder_of_missing_docstrings():
-    source = '"""M."""\nclass A:\n    """A."""\n    def f(self): ...\n    def _g(self): ...\n'
-    assert list(undocumented(ast.parse(source))) == ["f"]
-    stub = "from typing import overload\n@overload\ndef f(x: int) -> int: ...\n"
-    assert list(undocumented(ast.parse(f'"""M."""\n{stub}def f(x): ...\n'))) == ["f"]

@@ -14,7 +14,6 @@ from swarm_envs.motors import (
     current,
     drain,
     limit_rotors,
-    max_rotor_force_g,
     pwm_for_force,
     rotor_force_g,
     voltage,
@@ -120,7 +119,8 @@ def test_the_maximum_of_a_loaded_rotor_is_psi3_itself():
     thrust = LARGE.mass * 9.80665
     v = voltage(0.6, thrust, *battery)
     p = pwm_for_force(LARGE, thrust / 4 / GRAM_FORCE, v)
-    expected = max_rotor_force_g(LARGE, p, v) * GRAM_FORCE
+    a, b, c = LARGE.pwm_to_max_force
+    expected = (a + b * p + c * v) * GRAM_FORCE
     assert limit_rotors(0.6, thrust, *battery) == pytest.approx(expected, rel=1e-12)
 
 

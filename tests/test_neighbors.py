@@ -13,8 +13,7 @@ from swarm_envs.interactions.field import default_window, empty_field
 from swarm_envs.interactions.forces import find_pairs, pair_weight
 from swarm_envs.interactions.packed import packed, scratch_for
 from swarm_envs.neighbors import FEW, nearest, nearest_sorted, sort_along_x
-from swarm_envs.physics import BatchPhysics
-from swarm_envs.state import IntArray, hover_state
+from swarm_envs.state import IntArray
 from swarm_envs.vehicles import parse_team
 
 Array = npt.NDArray[np.float64]
@@ -88,26 +87,6 @@ def test_nearest_are_those_of_a_full_sort(position: Array, wanted: int) -> None:
             assert count == len(expected)
             assert found[: len(expected)].tolist() == expected
             np.testing.assert_array_equal(squares[: len(expected)], square[expected])
-
-
-@given(st.integers(0, 10**6), st.floats(0.6, 3.0), st.booleans())
-def test_contacts_of_many_are_those_of_every_pair(seed: int, side: float, ties: bool) -> None:
-    position = cloud(seed, MANY, side, ties) + np.array([0.0, 0.0, 0.5])
-    team = parse_team("SL" * (MANY // 2))
-    physics = BatchPhysics(team, interactions="none")
-    state = hover_state(team, position[None])
-    physics.reset(state)
-    physics.step(state.rotor_thrust)
-    p = physics.state.position[0]
-    radius = np.array([vehicle.radius for vehicle in team])
-    apart = p[:, None] - p[None]
-    distance = np.sqrt(apart[..., 0] ** 2 + apart[..., 1] ** 2 + apart[..., 2] ** 2)
-    np.fill_diagonal(distance, np.inf)
-    ratio = distance / (radius[:, None] + radius[None])
-    drone = np.where(ratio.min(axis=1) < 1.0, ratio.argmin(axis=1), -1)
-    np.testing.assert_array_equal(physics.contacts.separation[0], distance.min(axis=1))
-    np.testing.assert_array_equal(physics.contacts.clearance[0], ratio.min(axis=1))
-    np.testing.assert_array_equal(physics.contacts.drone[0], drone)
 
 
 @pytest.mark.parametrize("name", ["wake", "learned"])

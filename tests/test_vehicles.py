@@ -13,7 +13,6 @@ from swarm_envs.vehicles import (
     SMALL,
     SMALL_STRONG,
     VEHICLES,
-    disk_loading,
     parse_team,
     team_string,
 )
@@ -99,7 +98,3 @@ def test_every_vehicle_can_hover_and_its_rotors_fit(vehicle):
     assert vehicle.hover_rotor_thrust < 0.6 * vehicle.max_rotor_thrust
     assert vehicle.rotor_radius < vehicle.arm / math.sqrt(2)  # neighbouring discs do not overlap
     assert VEHICLES[vehicle.token] is vehicle
-
-
-def test_disk_loading_is_weight_over_four_discs():
-    assert disk_loading(SMALL) == pytest.approx(0.034 * 9.80665 / (4 * math.pi * 0.0231**2))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces
-from swarm_envs.baselines.mlr_dmpc.membership import LISTENING_ROUNDS
 from swarm_envs.baselines.mlr_dmpc.messages import (
     NONE,
     RECENT,
@@ -20,6 +19,7 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Inbox
 from swarm_envs.baselines.mlr_dmpc.swarm_information import (
+    LISTENING_ROUNDS,
     SwarmInformation,
     assign_to_units,
     guaranteed_planes,

@@ -62,8 +62,6 @@ class MlrDmpcResult:
     """(N,) when each was, s; NaN: it never was."""
     solve_ms: FloatArray
     """(plans,) in the solver for each, ms."""
-    plan_ms: FloatArray
-    """(plans,) for each, with all that building and checking takes, ms."""
     solver_failures: int
     """Plans for which no trajectory was found or accepted although the flown one was feasible."""
     least_shifted_slack_m: float
@@ -266,7 +264,6 @@ class _FlightRecorder:
             float(there.max()) if len(there) and not np.isnan(there).any() else None,
             arrivals,
             np.array([plan.solve_ms for plan in plans]),
-            np.array([plan.total_ms for plan in plans]),
             len(failed),
             min((p.shifted_slack for p in plans), default=np.inf) if not voided else np.nan,
             tuple(self._violations),

@@ -1,4 +1,13 @@
-"""How every compute unit plans: priorities (Appendix A, in 8 bit), detours and trajectories."""
+"""How every compute unit plans: priorities (Appendix A, in 8 bit), detours and trajectories.
+
+A drone at rest is in a deadlock if its pull to the target is balanced by those that it touches
+(Chen et al. 2024, Theorem 1 and eq. (13), as the paper's Appendix A.4 uses them): at rest, the
+optimality conditions of (13) say that the pull is a sum of contact forces, none of which pulls.
+
+Others then make room (Appendix B.1). The paper starts when the whole swarm is still. Here a drone
+that is still, with its plan at an end away from its target, is enough, so that one knot does not
+wait for drones that fly elsewhere.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces, Neighbors, no_neighbors
-from swarm_envs.baselines.mlr_dmpc.deadlock import (
-    SwarmSnapshot,
-    deadlocked,
-    next_detours,
-    no_detours,
-)
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.trajectory import (
     Trajectory,
@@ -25,7 +28,170 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import (
     state_at,
 )
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned, plan_trajectory
-from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+
+
+def deadlocked(
+    ends: FloatArray, speeds: FloatArray, targets: FloatArray, config: MlrDmpcConfig
+) -> BoolArray:
+    """Who is in a deadlock (N,), by ends of plans (N, 3), speeds now (N,) and targets (N, 3).
+
+    A drone is if it is slower than `deadlock_speed`, its plan ends farther than `deadlock_m` from
+    its target, and non-negative contact forces of still drones within `contact_factor` times the
+    distance kept, and of the walls of the box, balance the pull of its target but for
+    `deadlock_residual` of it.
+    """
+    pull = targets - ends
+    length = np.linalg.norm(pull, axis=1)
+    still = speeds <= config.deadlock_speed
+    gap = np.linalg.norm((ends[:, None] - ends) * config.inverse_scaling, axis=-1)
+    touches = still & (gap <= config.contact_factor * config.distance_m)
+    np.fill_diagonal(touches, False)
+    out = np.zeros(len(ends), dtype=bool)
+    for i in np.flatnonzero(still & (length > config.deadlock_m)):
+        between = (ends[i] - ends[touches[i]]) * config.inverse_scaling**2
+        contacts = np.concatenate([between, _walls(ends[i], config)])
+        out[i] = unbalanced(pull[i] / length[i], contacts) <= config.deadlock_residual
+    return out
+
+
+def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
+    """What is left of a pull (3,) when contacts push along (K, 3), non-negative least squares."""
+    length = np.linalg.norm(contacts, axis=1, keepdims=True)
+    touching = length[:, 0] > 1e-9  # two that would end at one place push nowhere
+    if not touching.any():
+        return float(np.linalg.norm(pull))
+    from scipy.optimize import nnls
+
+    directions = contacts[touching] / length[touching]
+    return float(nnls(directions.T, -pull)[1])
+
+
+def _walls(point: FloatArray, config: MlrDmpcConfig) -> FloatArray:
+    """(K, 3) inward normals of the faces of the box that a point (3,) touches."""
+    lower, upper = np.array(config.box)
+    near = (config.contact_factor - 1.0) * config.distance_m
+    normals = np.eye(3)
+    return np.concatenate([normals[point - lower <= near], -normals[upper - point <= near]])
+
+
+NOBODY = -1
+"""Stands for the drone that is made room for where there is none."""
+
+
+class _Detours(NamedTuple):
+    """Who makes room at present."""
+
+    # (N,) the drone that each makes room for, itself if it steps aside, or `NOBODY`
+    for_whom: IntArray
+    # (N, 3) where each flies meanwhile, m; meaningless for those who make no room
+    targets: FloatArray
+    since: IntArray  # (N,) round at which each last began to make room
+
+    def current(self, targets: FloatArray) -> FloatArray:
+        """Where each drone flies now (N, 3), m: to its target (N, 3), unless it makes room."""
+        return np.where((self.for_whom == NOBODY)[:, None], targets, self.targets)
+
+
+class SwarmSnapshot(NamedTuple):
+    """What the planner knows of a swarm."""
+
+    positions: FloatArray
+    """(N, 3) now, m."""
+    velocities: FloatArray
+    """(N, 3) now, m/s."""
+    ends: FloatArray
+    """(N, 3) where the plans end, m."""
+    targets: FloatArray
+    """(N, 3) own targets, m."""
+
+
+def no_detours(n: int) -> _Detours:
+    """Nobody makes room."""
+    return _Detours(np.full(n, NOBODY), np.zeros((n, 3)), np.full(n, -(10**6)))
+
+
+def next_detours(
+    detours: _Detours,
+    swarm: SwarmSnapshot,
+    round_index: int,
+    config: MlrDmpcConfig,
+    rng: np.random.Generator,
+) -> _Detours:
+    """Who makes room from now on: some stop, some begin. A pure function of its arguments.
+
+    Drone i makes room for the nearest drone j that is stuck, no nearer to its target than i, within
+    range, and that i is in the way of or moves towards. It flies sideways of j's way. A stuck drone
+    that finds nobody steps aside itself. Who rests at its target stays there. The generator draws
+    alike for every drone, whoever needs it.
+    """
+    noise = rng.normal(size=(len(swarm.positions), 3))
+    speeds = np.linalg.norm(swarm.velocities, axis=1)
+    stuck = deadlocked(swarm.ends, speeds, swarm.targets, config)
+    age = round_index - detours.since
+    keep = (detours.for_whom != NOBODY) & (age < config.detour_rounds)
+    yields = _yields(swarm, stuck & ~keep, config)
+    free = ~keep & (age >= config.detour_rounds + config.detour_pause_rounds)
+    for_whom = np.where(yields.any(axis=1), _nearest(swarm, yields, config), NOBODY)
+    served = np.isin(np.arange(len(stuck)), for_whom[free]) | np.isin(
+        np.arange(len(stuck)), detours.for_whom[keep]
+    )
+    alone = stuck & (for_whom == NOBODY) & ~served
+    for_whom[alone] = np.flatnonzero(alone)
+    begins = free & (for_whom != NOBODY)
+    places = _places(swarm, for_whom, noise, config)
+    return _Detours(
+        np.where(begins, for_whom, np.where(keep, detours.for_whom, NOBODY)),
+        np.where(begins[:, None], places, detours.targets),
+        np.where(begins, round_index, detours.since),
+    )
+
+
+def _yields(swarm: SwarmSnapshot, stuck: BoolArray, config: MlrDmpcConfig) -> BoolArray:
+    """(N, N) whether row i should make room for column j."""
+    position, left = swarm.positions, swarm.targets - swarm.positions
+    distance = np.linalg.norm(left, axis=1)
+    between = position[:, None] - position
+    gap = np.linalg.norm(between, axis=-1)
+    ahead = np.einsum("ijk,jk->ij", between, left) > 0.5 * gap * distance
+    closing = np.einsum("ijk,ik->ij", between, swarm.velocities) < 0.0
+    meets = np.einsum("ijk,ik->ij", between, left) < -0.5 * gap * distance[:, None]
+    at_home = distance <= 0.9 * config.distance_m
+    out = stuck & (gap < config.detour_range_m) & (ahead | closing | meets)
+    out &= (distance[:, None] <= distance) & ~at_home[:, None]
+    tie = distance[:, None] == distance
+    index = np.arange(len(distance))
+    out &= ~tie | (index[:, None] < index)
+    return out
+
+
+def _nearest(swarm: SwarmSnapshot, allowed: BoolArray, config: MlrDmpcConfig) -> IntArray:
+    """(N,) the nearest column that is allowed."""
+    gap = np.linalg.norm(swarm.positions[:, None] - swarm.positions, axis=-1)
+    return np.argmin(np.where(allowed, gap, np.inf), axis=1)
+
+
+def _places(
+    swarm: SwarmSnapshot, for_whom: IntArray, noise: FloatArray, config: MlrDmpcConfig
+) -> FloatArray:
+    """(N, 3) where to make room: away from the other, beside its way, m."""
+    other = np.maximum(for_whom, 0)
+    way = _unit(swarm.targets[other] - swarm.positions[other])
+    away = _unit(swarm.positions - swarm.positions[other])
+    side = away + 0.5 * noise
+    side -= np.sum(side * way, axis=1, keepdims=True) * way
+    step = config.detour_step_m * _unit(_unit(side) + 0.5 * away)
+    lower, upper = np.array(config.box)
+    return np.clip(
+        swarm.positions + step + config.detour_noise_m * noise, lower + 0.05, upper - 0.05
+    )
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """Vectors (N, 3) of length one, or zero where they were."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors / np.maximum(length, 1e-9)
+
 
 TRIGGERS = ("HT", "RR", "DT")
 """The paper's rules of who is planned next: hybrid, round robin, distance."""

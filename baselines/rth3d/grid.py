@@ -56,11 +56,6 @@ class GridInstance:
         """Robots per vertex, those of obstacles included, as the paper counts."""
         return len(self.starts) / float(np.prod(self.shape))
 
-    def facts(self) -> dict[str, Any]:
-        """What a `GridPlan` repeats of its instance."""
-        names = ("starts", "goals", "shape", "obstacles", "lower_bound")
-        return {name: getattr(self, name) for name in names}
-
 
 def numbers(points: npt.NDArray[np.integer], shape: Shape) -> Vertices:
     """Numbers of vertices that are given as coordinates (..., 3)."""

@@ -15,11 +15,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.grid import Coordinates, Shape, check_instance
+from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance
 from swarm_envs.baselines.rth3d.grid_validation import ValidationReport, validate
 from swarm_envs.errors import unknown_name
 from swarm_envs.files import written_whole
-from swarm_envs.state import BoolArray
 
 __all__ = ["plot_grid_plan"]
 
@@ -99,27 +98,17 @@ class PlanningClock:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class GridPlan:
+class GridPlan(GridInstance):
     """Paths of all robots, and how they were found."""
 
     paths: npt.NDArray[np.int16]
     """(T + 1, n, 3) vertex (x, y, z) of each robot after each step; T is the makespan."""
-    starts: Coordinates
-    """(n, 3)."""
-    goals: Coordinates
-    """(n, 3)."""
-    shape: Shape
-    """(m1, m2, m3)."""
-    obstacles: BoolArray
-    """(m1, m2, m3)."""
     method: str
     """What was asked for."""
     winner: str
     """What the paths are by: of `auto`, "pibt", "rth3d-lba" or "pibt, then rth3d-lba"."""
     seed: int
     """Of the planner."""
-    lower_bound: int
-    """Largest Manhattan distance of a robot to its goal: no plan is shorter."""
     bound: int | None
     """What the makespan is guaranteed not to exceed, given the steps of balancing; None for PIBT,
     which has none."""
@@ -218,7 +207,7 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
         paths=paths,
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
         valid=bool(report),
-        **instance.facts(),
+        **vars(instance),
         **{name: about[name] for name in _KEPT},
     )
 

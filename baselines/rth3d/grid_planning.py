@@ -28,9 +28,8 @@ from swarm_envs.baselines.rth3d.grid import (
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_validation import follow_paths, validate
-from swarm_envs.baselines.rth3d.highways import Highways, choose_highways
 from swarm_envs.baselines.rth3d.pibt import Pibt
-from swarm_envs.baselines.rth3d.rubik import balance_both, shuffle
+from swarm_envs.baselines.rth3d.rubik import Highways, balance_both, choose_highways, shuffle
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_name
 
@@ -320,5 +319,5 @@ def _result(
         before_compaction=solution.before_compaction,
         phases=tuple(clock.phases),
         valid=bool(report),
-        **instance.facts(),
+        **vars(instance),
     )

@@ -7,7 +7,9 @@ import importlib.util
 import os
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from swarm_envs.arguments import typed
 
@@ -40,6 +42,29 @@ def check_file(option: str, file: Path, suffixes: tuple[str, ...] = ()) -> None:
     if _exists(given, file) and file.is_dir():
         raise Misuse(f"{given}, but that is a folder; name a file")
     _check_writable(given, file.absolute().parent)
+
+
+def output_files(options: Any, kinds: Mapping[str, tuple[str, ...]]) -> dict[str, Path]:
+    """Files that a command is to write, by their options; `--out` is a folder for all of them.
+
+    Args:
+        options: of the command: `out`, and one of each name in `kinds`; None where not given.
+        kinds: by option the name in the folder, then the suffixes that are allowed.
+
+    Raises:
+        Misuse: a wrong suffix, or a place that cannot be written.
+    """
+    files = {}
+    if options.out is not None:
+        check_folder("--out", options.out)
+    for option, (name, *suffixes) in kinds.items():
+        path = getattr(options, option)
+        if path is None and options.out is not None:
+            path = options.out / name
+        if path is not None:
+            check_file(f"--{option}", path, tuple(suffixes))
+            files[option] = path
+    return files
 
 
 def check_outputs(out: Path, json: Path | None) -> None:

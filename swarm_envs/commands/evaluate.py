@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 import traceback
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -16,8 +17,9 @@ from swarm_envs.training.scale_out.options import ScaleOptions
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
-    from swarm_envs.agents.evaluation import EpisodeFile
+    from swarm_envs.agents.evaluation import Episode, EpisodeFile
     from swarm_envs.envs.parallel import SwarmParallelEnv
+    from swarm_envs.training.scale_out.episodes import AgentEpisodes
 
 
 @command_options
@@ -110,9 +112,7 @@ def _kept(options: EvaluateOptions) -> Path | None:
 def _reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, Any]]:
     """Each agent's scores; or, under `error`, why it has none."""
     if not options.scale.alone:
-        from swarm_envs.commands.evaluate_apart import reports
-
-        return reports(options, about)
+        return _reports_apart(options, about)
     return [_report(name, options, about) for name in options.agent]
 
 
@@ -124,8 +124,8 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
     try:
         agent, env = prepare(name, options, about["task"])
     except (Exception, SystemExit) as error:
-        return {**report, "error": unflyable(error)}
-    report |= described(agent, env)
+        return {**report, "error": _unflyable(error)}
+    report |= _described(agent, env)
     try:
         scores = score_episodes(_fly(name, env, agent, options, about))
         counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
@@ -138,12 +138,12 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
         env.close()
 
 
-def unflyable(error: BaseException) -> str:
+def _unflyable(error: BaseException) -> str:
     """Why an agent has no scores, if it cannot even be made."""
     return f"cannot be flown: {type(error).__name__}: {error}"
 
 
-def described(agent: Agent, env: SwarmParallelEnv) -> dict[str, Any]:
+def _described(agent: Agent, env: SwarmParallelEnv) -> dict[str, Any]:
     """What a report says of an agent beside its scores."""
     return {"privileged": agent.privileged, "decision_rate": env.core.config.decision_rate}
 
@@ -157,9 +157,9 @@ def _fly(
     from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 
     seeds = frozen_seeds(options.seed, options.episodes)
-    kept = open_episodes(name, agent, options, about)
+    kept = _open_episodes(name, agent, options, about)
     found = kept.episodes if kept is not None else {}
-    tell_before(name, sum(seed in found for seed in seeds), len(seeds))
+    _tell_before(name, sum(seed in found for seed in seeds), len(seeds))
     episodes, good = [], 0
     flown = evaluate_agent(env, agent, seeds, dict(found), kept.add if kept is not None else None)
     with tqdm(total=len(seeds), desc=name[-30:], unit="episode", mininterval=0.5) as bar:
@@ -171,13 +171,13 @@ def _fly(
     return episodes
 
 
-def tell_before(name: str, before: int, wanted: int) -> None:
+def _tell_before(name: str, before: int, wanted: int) -> None:
     """Say how many of an agent's episodes are there already, if any."""
     if before:
         print(f"{name}: {before} of {wanted} episodes were flown before", flush=True)
 
 
-def open_episodes(
+def _open_episodes(
     name: str, agent: Agent, options: EvaluateOptions, about: dict[str, Any]
 ) -> EpisodeFile | None:
     """Where an agent's episodes are kept; None if they are not.
@@ -194,6 +194,88 @@ def open_episodes(
     depends = {k: v for k, v in about.items() if k != "seed"}
     depends |= {"agent": name, "source": source_digest(agent), "version": __version__}
     return EpisodeFile(folder, name, depends)
+
+
+def _reports_apart(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, Any]]:
+    """The same with other processes or a Ray cluster.
+
+    Raises:
+        ConnectionError: there is no such cluster.
+        ImportError: a cluster is asked for, and Ray is not installed.
+        OSError: an episode cannot be kept.
+    """
+    found: dict[str, dict[str, Any]] = {}
+    agents: dict[str, AgentEpisodes] = {}
+    for name in options.agent:
+        found[name], record = _enter_apart(name, options, about)
+        if record is not None:
+            agents[name] = record
+    _fly_apart([*agents.values()], options, about["task"])
+    for name, record in agents.items():
+        found[name] |= _scores(record, options)
+    return [found[name] for name in options.agent]
+
+
+def _enter_apart(
+    name: str, options: EvaluateOptions, about: dict[str, Any]
+) -> tuple[dict[str, Any], AgentEpisodes | None]:
+    """What is known of an agent before it flies; no record if it cannot."""
+    from swarm_envs.agents.evaluation import source_digest
+    from swarm_envs.agents.protocol import flies_batches
+    from swarm_envs.training.scale_out.episodes import AgentEpisodes
+
+    report: dict[str, Any] = {"agent": name}
+    try:
+        agent, env = prepare(name, options, about["task"])
+    except (Exception, SystemExit) as error:
+        return {**report, "error": _unflyable(error)}, None
+    report |= _described(agent, env)
+    batched = flies_batches(env, agent)
+    env.close()
+    try:
+        kept = _open_episodes(name, agent, options, about)
+    except Exception as error:
+        return {**report, "error": str(error)}, None
+    return report, AgentEpisodes(name, source_digest(agent), batched, kept)
+
+
+def _fly_apart(agents: list[AgentEpisodes], options: EvaluateOptions, task: str) -> None:
+    """Every episode of all agents that is not there yet, with one progress bar."""
+    from tqdm import tqdm
+
+    from swarm_envs.agents.evaluation import frozen_seeds
+    from swarm_envs.training.scale_out.episodes import EvaluationSpec, evaluate_distributed
+
+    seeds = frozen_seeds(options.seed, options.episodes)
+    before = {e.name: sum(seed in e.episodes for seed in seeds) for e in agents}
+    for name, count in before.items():
+        _tell_before(name, count, len(seeds))
+    total = len(seeds) * len(agents)
+    if sum(before.values()) == total:
+        return
+    with (
+        options.scale.open() as workers,
+        tqdm(total=total, initial=sum(before.values()), unit="episode", mininterval=0.5) as bar,
+    ):
+
+        def on_episode(record: AgentEpisodes, episode: Episode) -> None:
+            bar.set_description_str(record.name[-30:], refresh=False)
+            bar.update()
+
+        setting = options.setting()
+        evaluate_distributed(
+            [EvaluationSpec(e, task, setting, seeds) for e in agents], workers, on_episode
+        )
+
+
+def _scores(record: AgentEpisodes, options: EvaluateOptions) -> dict[str, Any]:
+    from swarm_envs.agents.evaluation import frozen_seeds, score_episodes
+
+    if record.failure is None:
+        return score_episodes(record.flown(frozen_seeds(options.seed, options.episodes)))
+    if ":" in record.name:  # whoever wrote the file needs to see where it failed
+        sys.stderr.write(record.trace)
+    return {"error": record.failure}
 
 
 def _table(agents: list[dict[str, Any]]) -> str:

@@ -11,26 +11,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from swarm_envs.arguments import Count, Seed
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.checks import Misuse, check_file, command_options, output_files
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
     from swarm_envs.envs.parallel import SwarmParallelEnv
     from swarm_envs.viewing.record import Recording
 
-_NAMES = {
-    "json": "flight.json",
-    "trajectory": "trajectory.parquet",
-    "replay": "replay.html",
-    "video": "flight.mp4",
+_FILES = {
+    "json": ("flight.json", ".json"),
+    "trajectory": ("trajectory.parquet", ".parquet", ".npz"),
+    "replay": ("replay.html", ".html"),
+    "video": ("flight.mp4", ".mp4", ".gif"),
 }
-"""What `--out` writes: option and name of the file, in the order of writing."""
-_SUFFIXES = {
-    "json": (".json",),
-    "trajectory": (".parquet", ".npz"),
-    "replay": (".html",),
-    "video": (".mp4", ".gif"),
-}
+"""What `--out` writes: option, name of the file and its suffixes, in the order of writing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,17 +80,6 @@ class FlyOptions(EpisodeOptions):
     json: Path | None = None
     """write metrics and events, .json"""
 
-    def files(self) -> dict[str, Path]:
-        """What to write, by its option, in the order of writing."""
-        found = {}
-        for option, name in _NAMES.items():
-            path = getattr(self, option)
-            if path is None and self.out is not None:
-                path = self.out / name
-            if path is not None:
-                found[option] = path
-        return found
-
 
 def run_fly(options: FlyOptions) -> None:
     """Fly, print and write.
@@ -106,8 +89,8 @@ def run_fly(options: FlyOptions) -> None:
         ImportError: what draws is not installed; nothing was flown.
         ValueError: the agent failed in flight.
     """
-    files = options.files()
-    _check_files(options.out, files)
+    files = output_files(options, _FILES)
+    _check_writers(files)
     try:
         agent, env = prepare(options.agent, options, find_task(options.task))
     except (ValueError, TypeError, FileNotFoundError) as error:
@@ -120,17 +103,8 @@ def run_fly(options: FlyOptions) -> None:
     _write_files(files, recording)
 
 
-def _check_files(out: Path | None, files: Mapping[str, Path]) -> None:
-    """Refuse files that cannot be written, or for which something is not installed.
-
-    Raises:
-        Misuse: a wrong suffix, or a place that cannot be written.
-        ImportError: plotly, pyarrow or pybullet is missing.
-    """
-    if out is not None:
-        check_folder("--out", out)
-    for option, path in files.items():
-        check_file(f"--{option}", path, _SUFFIXES[option])
+def _check_writers(files: Mapping[str, Path]) -> None:
+    """Raise ImportError if plotly, pyarrow or pybullet is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
@@ -286,12 +260,12 @@ def run_replay(options: ReplayOptions) -> None:
     """
     from swarm_envs.viewing.trajectory import check_trajectory_path, read_trajectory
 
+    check_file("--out", options.out, (".html",))
     files = {"replay": options.out}
     if options.video is not None:
+        check_file("--video", options.video, (".mp4", ".gif"))
         files["video"] = options.video
-    if options.out.suffix != ".html":
-        raise Misuse(f"--out is {str(options.out)!r}, but must end in .html")
-    _check_files(None, files)
+    _check_writers(files)
     if not options.file.is_file():
         raise Misuse(f"there is no file {str(options.file)!r}")
     try:

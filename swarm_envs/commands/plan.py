@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from swarm_envs.arguments import POSITIVE_S, Count, Range, Seed
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.checks import Misuse, command_options, output_files
 
 if TYPE_CHECKING:
     from swarm_envs.baselines.rth3d import GridInstance, GridPlan
@@ -64,16 +64,13 @@ class PlanOptions:
             rule = "must be two or three integers with an x between, such as 144x72x36"
             raise ValueError(f"--grid is {self.grid!r}, but {rule}") from error
 
-    def files(self) -> dict[str, Path]:
-        """What to write, by its option."""
-        names = {"save": "plan.npz", "json": "plan.json", "picture": "plan.png"}
-        given = {option: getattr(self, option) for option in names}
-        if self.out is not None:
-            given = {o: path or self.out / names[o] for o, path in given.items()}
-        return {option: path for option, path in given.items() if path is not None}
 
-
-_SUFFIXES = {"save": (".npz",), "json": (".json",), "picture": (".png",)}
+_FILES = {
+    "save": ("plan.npz", ".npz"),
+    "json": ("plan.json", ".json"),
+    "picture": ("plan.png", ".png"),
+}
+"""What `--out` writes: option, name of the file and its suffix, in the order of writing."""
 
 
 def run_plan(options: PlanOptions) -> None:
@@ -86,11 +83,7 @@ def run_plan(options: PlanOptions) -> None:
     """
     from swarm_envs.files import claimed
 
-    files = options.files()
-    if options.out is not None:
-        check_folder("--out", options.out)
-    for option, path in files.items():
-        check_file(f"--{option}", path, _SUFFIXES[option])
+    files = output_files(options, _FILES)
     instance = _instance(options)
     with nullcontext() if options.out is None else claimed(options.out):
         found = _plan(instance, options)

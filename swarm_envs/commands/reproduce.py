@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from swarm_envs.commands.checks import Misuse, check_file, check_folder, need_torch
+from swarm_envs.commands.checks import Misuse, check_outputs, need_torch
 
 PROGRAM = "swarm-envs reproduce"
 """What is typed before the paper."""
@@ -53,9 +53,7 @@ def _run_all(arguments: Sequence[str], read: Callable[[str, type[Any], Sequence[
 
     options = read("reproduce all", ReproduceAllOptions, arguments)
     if not options.list:
-        check_folder("--out", options.out)
-        if options.json is not None:
-            check_file("--json", options.json)
+        check_outputs(options.out, options.json)
     said, complete = reproduce_all(options)
     print(said)
     return 0 if complete else 1

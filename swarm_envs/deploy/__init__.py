@@ -4,10 +4,15 @@ Trained policies and force models as C headers are made by `swarm_envs.agents.c_
 `swarm_envs.interactions.c_header`.
 """
 
-from swarm_envs.deploy.export import export_flight, fit_flight
+from swarm_envs.deploy.export import (
+    Separation,
+    TeamReport,
+    export_flight,
+    fit_flight,
+    report,
+)
 from swarm_envs.deploy.flight import Flight, flight_along, flight_of, settled
 from swarm_envs.deploy.pieces import Pieces, evaluate, read_pieces
-from swarm_envs.deploy.report import Separation, TeamReport, report
 
 __all__ = [
     "Flight",

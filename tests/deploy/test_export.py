@@ -28,7 +28,7 @@ from swarm_envs.deploy import (
     report,
     settled,
 )
-from swarm_envs.deploy.report import separation
+from swarm_envs.deploy.export import separation
 from swarm_envs.interactions import load as load_model
 from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import GRAVITY, SMALL, parse_team

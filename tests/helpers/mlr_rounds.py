@@ -82,13 +82,17 @@ def arrival_time(
 
 
 def scattered(
-    n: int, config: MlrDmpcConfig, rng: np.random.Generator, spacing: float = 0.3
+    n: int,
+    config: MlrDmpcConfig,
+    rng: np.random.Generator,
+    spacing: float = 0.3,
+    within: FloatArray | None = None,
 ) -> FloatArray:
-    """Places (n, 3) in the box, no two nearer than a scaled spacing, m."""
-    lower, upper = np.array(config.box)
+    """Places (n, 3) in the box or within corners (2, 3), no two nearer than a scaled spacing, m."""
+    low, high = np.add(config.box, [[0.1], [-0.1]]) if within is None else within
     places: list[FloatArray] = []
     while len(places) < n:
-        place = rng.uniform(lower + 0.1, upper - 0.1)
+        place = rng.uniform(low, high)
         if scaled_distances(np.array([*places, place]), config).min(initial=np.inf) >= spacing:
             places.append(place)
     return np.array(places)

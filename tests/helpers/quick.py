@@ -16,7 +16,7 @@ from tests.helpers.imports import ROOT, SOURCES, imported_modules, imports, pars
 
 BUDGET_S = 60.0
 """After this time no further test begins."""
-DOCS_TESTS = ("tests/test_docs.py", "tests/test_docs_tables.py", "tests/test_readme.py")
+DOCS_TESTS = ("tests/test_docs.py",)
 """What sees a page of the documentation."""
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from swarm_envs.physics import bullet_available
 from tests.robustness import kills, outputs, soak
-from tests.robustness.lives import ROTA, live
+from tests.robustness.soak import ROTA, live
 
 needs_bullet = pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
 needs_fork = pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")

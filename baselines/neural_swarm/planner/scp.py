@@ -27,8 +27,8 @@ from swarm_envs.baselines.neural_swarm.planner.convex_program import (
     ProgramSolution,
     RobotProgram,
     SolverSettings,
+    convexify,
 )
-from swarm_envs.baselines.neural_swarm.planner.linearization import convexify
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (
     BOUNDED_FRACTIONS,

@@ -24,10 +24,8 @@ from swarm_envs.baselines.neural_swarm.planner.propagation import (
     WorkingState,
     evaluate_forces,
     forces_allowed,
-    propagate,
-)
-from swarm_envs.baselines.neural_swarm.planner.steering import (
     impulse_cost,
+    propagate,
     reach_burst,
     rest_bursts,
 )

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.mlr_dmpc.deadlock import (
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.unit_planner import (
     NOBODY,
     SwarmSnapshot,
     deadlocked,
@@ -15,7 +16,6 @@ from swarm_envs.baselines.mlr_dmpc.deadlock import (
     no_detours,
     unbalanced,
 )
-from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 
 CONFIG = MlrDmpcConfig()
 

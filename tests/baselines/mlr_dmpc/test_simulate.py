@@ -145,9 +145,7 @@ FAR = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
     ("changes", "reason"),
     [
         ({"targets": FAR * [0.2, 1, 1]}, r"targets\[0\] and targets\[1\] are 0.200 m apart"),
-        ({"starts": FAR * [0.1, 1, 1]}, r"starts\[0\] and starts\[1\] are 0.100 m apart"),
         ({"loss": 1.5}, r"loss is 1.5, but must be a share in \[0, 1\]"),
-        ({"trigger": "XX"}, "trigger is 'XX'"),
         ({"solver": "cplex"}, "cplex"),
         ({"duration_s": 0.0}, "duration_s is 0.0, but must be above 0"),
         ({"recovery": "paper", "joins": {1: 5}}, "only recovery=True"),

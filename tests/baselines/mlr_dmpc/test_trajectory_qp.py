@@ -197,16 +197,6 @@ def test_a_drone_alone_arrives_and_stays():
     assert np.allclose(own.positions(np.array([3.0])), target, atol=1e-3)
 
 
-@settings(max_examples=8, deadline=None)
-@given(seed=st.integers(0, 10**6), n=st.integers(2, 12), units=st.integers(1, 4))
-def test_swarms_stay_apart_and_what_they_fly_stays_feasible(seed, n, units):
-    rng = np.random.default_rng(seed)
-    starts, targets = scattered(n, CONFIG, rng, 0.2501), scattered(n, CONFIG, rng)
-    swarm = MlrDmpcSwarm(starts, targets, compute_units=min(units, n), seed=seed)
-    for _ in range(30):
-        keep_clear(swarm, swarm.run_round())
-
-
 @pytest.mark.parametrize("offset", [0.0, 1e-3, -1e-3, 0.04, -0.04])
 def test_two_head_on_pass_each_other_on_the_right(offset):
     """Also if they begin a little to the left of each other."""

@@ -10,11 +10,12 @@ import pytest
 
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem
 from swarm_envs.baselines.neural_swarm.planner.convex_program import (
+    ConvexSubproblem,
     PenaltyWeights,
     RobotProgram,
     SolverSettings,
+    convexify,
 )
-from swarm_envs.baselines.neural_swarm.planner.linearization import ConvexSubproblem, convexify
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
 from swarm_envs.baselines.neural_swarm.planner.scp import with_velocity
 from swarm_envs.baselines.neural_swarm.planner.trajectories import (

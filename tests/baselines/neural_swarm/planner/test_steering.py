@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from swarm_envs.baselines.neural_swarm.planner.steering import (
+from swarm_envs.baselines.neural_swarm.planner.propagation import (
     impulse_cost,
     reach_burst,
     responses,
