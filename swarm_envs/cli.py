@@ -80,10 +80,20 @@ def _demo(arguments: Sequence[str]) -> int:
 
 
 def _fit(arguments: Sequence[str]) -> int:
+    if "--residual" in arguments:
+        return _fit_residual([word for word in arguments if word != "--residual"])
     from swarm_envs.training.force_model.force_fit_config import FitConfig
 
     config = _read("fit", FitConfig, arguments, prefixes=True)
     return _learn(config, "swarm_envs.training.force_model.pipeline", "fit")
+
+
+def _fit_residual(arguments: Sequence[str]) -> int:
+    """What a force model leaves over: other options, so another command in all but its name."""
+    from swarm_envs.training.force_model.residual_config import ResidualConfig
+
+    config = _read("fit --residual", ResidualConfig, arguments, prefixes=True)
+    return _learn(config, "swarm_envs.training.force_model.residual_fit", "fit_residual")
 
 
 def _curriculum(arguments: Sequence[str]) -> int:

@@ -24,9 +24,11 @@ __all__ = [
     "CONTACT_COLUMNS",
     "CONTACT_VALUES",
     "CONTROLLER_END",
+    "HALL_END",
     "LANES",
     "RESET_COLUMNS",
     "RESET_VALUES",
+    "SENSED_TYPE",
     "SETTINGS_TYPE",
     "VEHICLE_END",
     "Field",
@@ -34,6 +36,7 @@ __all__ = [
     "Records",
     "World",
     "aligned",
+    "as_columns",
     "clear_environments",
     "new_world",
     "record_type",
@@ -129,6 +132,7 @@ _VEHICLE = (
     Field("nominal_max_rotor_thrust", (), "N", None, "Largest rotor thrust, likewise."),
     Field("nominal_motor_decay", (), "", None, "exp(-nominal_motor_rate dt) of a controller step."),
     Field("motor_decay", (), "", None, "exp(-motor_rate dt) of a physics step."),
+    Field("thrust_gain", (), "", None, "Force of the rotors over what their thrusts say."),
     Field("energy_scale", (), "J/N^1.5", None, "Induced energy of a rotor in one physics step."),
     Field("force_bound", (), "N", None, "Bound on the vertical force, for metrics."),
     Field("type", (), "", None, "Interaction type in the force model of the environment."),
@@ -154,6 +158,26 @@ _ADAPTATION = (
     Field("last_feedforward", (3,), "N", 0.0, "Interaction force compensated one step ago."),
 )
 """What an adaptive tracking loop remembers as well."""
+
+_HALL = (
+    Field(
+        "residual_process",
+        (3,),
+        "",
+        None,
+        "Random process of unit variance.",
+    ),
+    Field("residual_quiet", (), "N", None, "Its standard deviation where no force is modelled."),
+    Field("residual_more", (), "N", None, "What it grows by where that force is large."),
+    Field("residual_half", (), "N", None, "Modelled force at which it has grown by half of that."),
+    Field("force_offset", (), "N", None, "Constant vertical force that no model knows."),
+    Field("frame_phase", (), "", None, "Share of a frame's time since the last one arrived."),
+    Field("position_error", (3,), "m", 0.0, "Error of the estimated position."),
+    Field("velocity_error", (3,), "m/s", 0.0, "Error of the estimated velocity."),
+    Field("attitude_error", (3,), "rad", 0.0, "Error of the estimated attitude, world frame."),
+    Field("gyro_error", (3,), "rad/s", 0.0, "Error of the measured angular velocity, world frame."),
+)
+"""What the world "hall" adds: air that no model knows, and errors of the estimated state."""
 
 _EPISODE = (
     Field("battery_capacity", (), "A s", None, "Charge of a full battery."),
@@ -188,7 +212,16 @@ _EPISODE = (
 )
 """What a decision, an episode, or a battery adds: not read in ordinary physics steps."""
 
-DRONE = (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_ADAPTATION, *_EPISODE)
+DRONE = (
+    *_BODY,
+    *_CONTACT,
+    *_METRICS,
+    *_CONTROLLER,
+    *_VEHICLE,
+    *_ADAPTATION,
+    *_HALL,
+    *_EPISODE,
+)
 """Every quantity of a drone."""
 
 _KEPT = (
@@ -196,6 +229,7 @@ _KEPT = (
     Field("duration", (), "s", None, "Time of the reference from one stage to the next; 0: rest."),
     Field("gust_key", (), "", None, "Stream of random numbers of the gusts.", np.uint64),
     Field("noise_key", (), "", None, "Stream of random numbers of the observations.", np.uint64),
+    Field("hall_key", (), "", None, "Stream of random numbers of the hall.", np.uint64),
 )
 """What a task or a randomisation draws for an episode, and a reset leaves."""
 
@@ -264,6 +298,15 @@ SETTINGS = (
     Field("hold_s", (), "s", None, "How long all must stay there."),
     Field("settle_s", (), "s", None, "Errors count from this time on."),
     Field("noise", (4,), "m, m/s, rad, rad/s", None, "Standard deviations of observations."),
+    Field("residual_kept", (), "", None, "Share of the residual that is left after a step."),
+    Field("residual_sideways", (), "", None, "Horizontal residual over the vertical one."),
+    Field("velocity_walk", (), "m/s", None, "Noise of the estimated velocity in a step."),
+    Field("attitude_walk", (), "rad", None, "Noise of the estimated attitude in a step."),
+    Field("frames_per_step", (), "", None, "Frames of motion capture in a step."),
+    Field("frame_delay", (), "s", None, "Age of a frame when it arrives."),
+    Field("frame_loss", (), "", None, "Probability that a frame is lost."),
+    Field("frame_noise", (2,), "m, rad", None, "Standard deviations of a frame."),
+    Field("frame_gain", (3,), "1, 1/s, 1", None, "Its gain on position, velocity, attitude."),
 )
 """What stays the same while environments fly."""
 
@@ -277,6 +320,11 @@ _SCRATCH = (
     Field("residual", (3,), "N", None, "Force that nominal thrust and feed-forward leave over."),
     Field("old_velocity", (3,), "m/s", None, "Velocity one step ago."),
     Field("old_feedforward", (3,), "N", None, "Interaction force compensated one step ago."),
+    Field("stream", (), "", None, "Where the stream of random numbers of a drone is.", np.uint64),
+    Field("true_position", (3,), "m", None, "Position, while the block holds the estimate."),
+    Field("true_quaternion", (4,), "", None, "Attitude, likewise."),
+    Field("true_velocity", (3,), "m/s", None, "Velocity, likewise."),
+    Field("true_angular_velocity", (3,), "rad/s", None, "Angular velocity, likewise."),
 )
 """What a block has beside the columns of the drones."""
 
@@ -297,12 +345,14 @@ of AVX-512 and two of AVX2: loops over lanes become vector instructions."""
 
 DRONE_TYPE = record_type(DRONE)
 """A drone: one record."""
+SENSED_TYPE = record_type(_BODY)
+"""What observations see of a drone where it is not the truth: one record."""
 ENVIRONMENT_TYPE = record_type(ENVIRONMENT)
 """An environment: one record."""
 SETTINGS_TYPE = record_type(SETTINGS)
 """The settings: one record."""
 BLOCK_TYPE = record_type(
-    (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_ADAPTATION, *_SCRATCH), LANES
+    (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_ADAPTATION, *_HALL, *_SCRATCH), LANES
 )
 """What a physics step knows of `LANES` drones."""
 
@@ -319,6 +369,8 @@ VEHICLE_END = CONTROLLER_END + _columns(_VEHICLE)
 """Columns from `CONTROLLER_END` to this one are never written back by physics steps."""
 ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
 """Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
+HALL_END = ADAPTATION_END + _columns(_HALL)
+"""Columns from `ADAPTATION_END` to this one belong to the world "hall"."""
 
 
 LINE = 64
@@ -349,7 +401,12 @@ class World(NamedTuple):
     @property
     def columns(self) -> npt.NDArray[np.float64]:
         """(E, N, columns) the memory of the drones as plain numbers."""
-        return self.drones.view(np.float64).reshape(*self.drones.shape, -1)
+        return as_columns(self.drones)
+
+
+def as_columns(drones: Records) -> npt.NDArray[np.float64]:
+    """The memory of records (E, N) as plain numbers (E, N, columns)."""
+    return drones.view(np.float64).reshape(*drones.shape, -1)
 
 
 def new_world(num_envs: int, num_drones: int, num_stages: int = 1) -> World:

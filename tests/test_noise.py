@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy import stats
 
 from swarm_envs.compiled import kernel
-from swarm_envs.noise import normal, uniform
+from swarm_envs.noise import even_number, moved, normal, pair_of_normals, stream_of, uniform
 
 MASK = 2**64 - 1
 
@@ -44,3 +45,27 @@ def test_normal_numbers_are_normal_and_keys_independent():
     assert stats.kstest(one, "norm").pvalue > 0.01
     assert abs(np.corrcoef(one[:-1], one[1:])[0, 1]) < 0.02
     assert abs(np.corrcoef(one, other)[0, 1]) < 0.02
+
+
+@kernel
+def pairs(key: np.uint64, member: int, count: int) -> np.ndarray:
+    out, stream = np.empty((count, 3)), stream_of(key, member)
+    for k in range(count):
+        out[k, 0], out[k, 1] = pair_of_normals(stream, 0)
+        out[k, 2] = even_number(stream, 1)
+        stream = moved(stream, 2)
+    return out
+
+
+def test_numbers_of_lanes_have_the_moments_of_normal_ones():
+    """Sums of four bytes: bounded, with a kurtosis of 3 - 6/5 / 4."""
+    one, other = pairs(np.uint64(9), 0, 200_000), pairs(np.uint64(9), 1, 200_000)
+    both = np.concatenate([one, other], axis=1)
+    correlation = np.corrcoef(both.T) - np.eye(6)
+    assert np.abs(correlation).max() < 0.01
+    for column in both[:, [0, 1, 3, 4]].T:
+        assert abs(column.mean()) < 0.01 and abs(column.var() - 1.0) < 0.01
+        assert stats.kurtosis(column, fisher=False) == pytest.approx(2.7, abs=0.03)
+        assert np.abs(column).max() < 3.46
+        assert abs(np.corrcoef(column[1:], column[:-1])[0, 1]) < 0.01
+    assert stats.kstest(one[:, 2], "uniform").pvalue > 0.01

@@ -39,6 +39,7 @@ from swarm_envs.control.config import (
 )
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.randomization import Randomization
+from swarm_envs.hall import Hall
 from swarm_envs.motors import BatteryModel
 from swarm_envs.tasks.base import Success, TrackingSuccess
 from swarm_envs.tasks.formation import FormationTask
@@ -59,7 +60,7 @@ TEAM = {"team": (SMALL,) * 5}
 SETTINGS: dict[type, dict[str, Any]] = {
     **dict.fromkeys((SwapTask, RingTask, FormationTask), TEAM),
     **{kind: {} for kind in (StackedLayout, CircleLayout, Success, TrackingSuccess)},
-    **{kind: {} for kind in (Randomization, BatteryModel, ControllerConfig)},
+    **{kind: {} for kind in (Randomization, Hall, BatteryModel, ControllerConfig)},
     **{kind: {} for kind in (MomentumObserver, Indi, NeuralFly)},
     RingLayout: dataclasses.asdict(FIVE),
     PositionGains: dataclasses.asdict(MID),
@@ -152,6 +153,10 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
     (Randomization, "battery", [(0.5, 1.0)], [(0.5, 1.2)]),
     (Randomization, "gust_acceleration", [0.0, 1.0], [-1.0]),
     (Randomization, "gust_time_s", [0.1], [0.0]),
+    (Hall, "frame_rate_hz", [1.0, 240], [0.0, 241.0, math.nan]),
+    (Hall, "frame_loss", [0.0, 0.9], [1.0, -0.1]),
+    (Hall, "residual_time_s", [0.1], [0.0, math.inf]),
+    (EnvConfig, "world", ["ideal", "hall", Hall()], [1, None]),
     (StackedLayout, "radius_m", [(0.5, 0.5)], [(0.7, 0.5), (0.0, 0.3), (3.0, math.inf)]),
     (RingLayout, "horizontal_m", [(0.5, 0.6)], [(0.0, 1.0), (1.0, math.nan), (1.0,)]),
     (RingLayout, "phases_rad", [(-1.0, 9.0)], [(0.0,), (0.0, math.inf)]),

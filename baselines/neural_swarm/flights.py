@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata, resources
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +28,7 @@ from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.randomization import Randomization
+from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import BoolArray, FloatArray, IntArray
@@ -76,6 +77,8 @@ class FlightTest:
     """Length of a flight, s; None for the task's own."""
     randomization: Randomization | None = None
     """What else differs from episode to episode; None for nothing."""
+    world: Literal["ideal", "hall"] | Hall = "ideal"
+    """Whether it is flown in the ideal world, or in the hall; see `EnvConfig`."""
     decision_rate: int = 48
     """Set-points a second, and samples of what is recorded."""
 
@@ -217,6 +220,7 @@ def _make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) ->
         interactions=test.truth,
         horizon_s=test.horizon_s,
         randomization=test.randomization,
+        world=test.world,
         end_on_success=False,
         **TrackingAgent(controller, test.decision_rate).requires,
     )

@@ -21,6 +21,7 @@ from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.commands.export import KINDS
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.formation_v1 import FormationOptions
+from swarm_envs.hall import Hall
 from swarm_envs.ring_v1 import RingOptions
 from swarm_envs.swap_v1 import SwapOptions
 from swarm_envs.training.reproduce.papers import ALL, PAPERS
@@ -29,7 +30,7 @@ MARK = "<!-- commands -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     settings.__name__: settings
-    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions)
+    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions, Hall)
 }
 """The settings whose options a page may ask for."""
 

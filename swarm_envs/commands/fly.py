@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -43,13 +43,15 @@ class EpisodeOptions:
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
+    world: Literal["ideal", "hall"] = "ideal"
+    """`ideal`, or `hall`: with force that no model knows, and an estimated state"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
         team = {"num_drones": self.drones} if self.team is None else {"team": self.team}
-        names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
+        names = ("layout", "physics", "interactions", "world", "force_rate", "horizon_s")
         given = {name: getattr(self, name, None) for name in names}
         return {**team, **{name: value for name, value in given.items() if value is not None}}
 

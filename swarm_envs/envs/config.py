@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,7 @@ from swarm_envs.envs.actions import ACTIONS
 from swarm_envs.envs.observation import FORMS
 from swarm_envs.envs.randomization import SAME, Randomization
 from swarm_envs.errors import check_array, check_integer, check_name
+from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.interactions.base import PRECISIONS
 from swarm_envs.motors import BatteryModel
@@ -86,6 +87,10 @@ class EnvConfig:
     """The clock: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
+    world: Literal["ideal", "hall"] | Hall = "ideal"
+    """`ideal`: forces, rotors and states are what the equations say. `hall`: as in a hall with
+    motion capture, with force that no model knows, and a state that drones must estimate. Or a
+    `swarm_envs.hall.Hall` with numbers of your own."""
     battery: BatteryModel | None = None
     """How batteries empty and weaken the rotors; None for batteries that never do."""
     randomization: Randomization | None = None
@@ -110,6 +115,16 @@ class EnvConfig:
                 f"Randomization.battery is {ranges.battery}, but these batteries never "
                 "empty; give battery=BatteryModel() too"
             )
+        if ranges is not None and ranges.noisy and self.hall is not None:
+            raise ValueError(
+                f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "
+                "with noise of its own; leave it 0 and give world=Hall(position_noise_m=...)"
+            )
+
+    @property
+    def hall(self) -> Hall | None:
+        """The numbers of the hall; None in the ideal world."""
+        return Hall.of(self.world)
 
     @property
     def engine(self) -> str:

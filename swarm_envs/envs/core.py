@@ -23,6 +23,7 @@ from swarm_envs.envs.observation import (
     Float32Array,
     observation_width,
     sense,
+    sense_in_hall,
     write_observations,
 )
 from swarm_envs.envs.randomization import draw_vehicles
@@ -32,7 +33,7 @@ from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.tables import World
+from swarm_envs.tables import SENSED_TYPE, World, as_columns
 from swarm_envs.tasks.base import Placement, Task, place
 from swarm_envs.tasks.rewards import check_reward_weights, weigh
 from swarm_envs.vehicles import Team
@@ -119,7 +120,9 @@ class SwarmCore:
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
         ranges = config.randomization
         self._noisy = ranges is not None and ranges.noisy
-        self._seen = self.world.copy() if self._noisy else self.world
+        sensed = self._noisy or config.hall is not None
+        drones = self.world.drones
+        self._seen = np.zeros(drones.shape, SENSED_TYPE) if sensed else drones
         self._shape = (num_envs, self.num_drones, self.mode.width)
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._state = (*self.world, self.settings)
@@ -130,7 +133,7 @@ class SwarmCore:
         k, (drones, environments, _) = self.config.num_neighbors, self.world
         width = observation_width(k, self.num_obstacles)
         self.rows: Float32Array = np.zeros((*drones.shape, width), np.float32)
-        seen = (self._seen.drones, self._seen.columns, drones, environments, self.settings)
+        seen = (self._seen, as_columns(self._seen), drones, environments, self.settings)
         order = self.physics.order if self.num_drones > FEW else None
         obstacles = self.physics.obstacles if self.num_obstacles else None
         given = (self.rows, self.num_obstacles, *seen, order, obstacles)
@@ -227,6 +230,9 @@ class SwarmCore:
         if self.config.randomization is not None:
             for e in begun.tolist():
                 draw_vehicles(self.generators[e], self.config.randomization, e, self.world)
+        if self.physics.hall is not None:
+            for e in begun.tolist():
+                self.physics.hall.draw(self.generators[e], e, self.world)
         self.physics.begin(begun)
         self._kernels.refer(*self.world, self.settings)
         self._observe(0, self.num_envs, where, 0)
@@ -302,9 +308,11 @@ class SwarmCore:
 
     def _observe(self, first: int, last: int, where: BoolArray, thread: int) -> None:
         """Write the rows of those of the environments first to last - 1 that are in the mask."""
+        if self.physics.hall is not None:
+            sense_in_hall(first, last, self.world.drones, where, self._seen)
         if self._noisy:
             drones, environments, _ = self.world
-            sense(first, last, drones, environments, self.settings, where, self._seen.drones)
+            sense(first, last, drones, environments, self.settings, where, self._seen)
         self._kernels.observe(first, last, where, *self._observed[thread])
 
     def _task_for(self, team: Team | None) -> Task:
@@ -401,6 +409,7 @@ class SwarmCore:
             "team": tuple(vehicle.token for vehicle in self.task.team),
             "physics": self.physics.name,
             "action": self.config.action,
+            "world": "ideal" if self.physics.hall is None else "hall",
             "num_neighbors": self.config.num_neighbors,
             "num_obstacles": self.num_obstacles,
             "number of environments": self.num_envs,
@@ -442,6 +451,7 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         battery=config.battery,
         force_rate=config.force_rate,
         gusts=gusts,
+        hall=config.hall,
         obstacles=task.obstacle_rows,
         level=ACTIONS[config.action].level,
         controller=config.controller,

@@ -37,8 +37,8 @@ class Randomization:
 
     Factors are uniform between two numbers and multiply the vehicle's nominal value, each drone's
     own; the controller goes on computing with the nominal one. Noise is white and Gaussian, given
-    by its standard deviation per component, and is what observations see: the tracking loop flies
-    by the true state.
+    by its standard deviation per component, and is what observations alone see: the tracking loop
+    flies by the true state. For a state estimate that both see, give `world="hall"`.
 
     Raises:
         ValueError: a range is empty or not positive, or a standard deviation negative.

@@ -20,6 +20,7 @@ from swarm_envs.arguments import Divides, Range, typed
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.errors import check_array
+from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.motors import BatteryModel
@@ -81,6 +82,8 @@ class Physics:
             240 or a divisor.
         gusts: standard deviation (m/s^2) and correlation time (s) of the acceleration that gusts
             give in environments; None for still air. `step` leaves them out.
+        hall: numbers of the world `"hall"`, of which environments draw what is constant in an
+            episode; None for the ideal world.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none.
         level: where commands enter: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`.
         controller: of the tracking loop, for the first two.
@@ -107,6 +110,7 @@ class Physics:
         battery: BatteryModel | None = None,
         force_rate: Annotated[int, Divides(PHYSICS_RATE)] = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
+        hall: Hall | None = None,
         obstacles: npt.ArrayLike | None = None,
         level: int = ROTORS,
         controller: ControllerConfig | None = None,
@@ -123,6 +127,7 @@ class Physics:
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
         rows = np.asarray(no_obstacles() if obstacles is None else obstacles)
         self.obstacles = check_array("obstacles", rows, (*rows.shape[:1], ROW), "(M, 7)")
+        self.hall = hall
         self._battery = BatteryModel() if battery is None else battery
         self._bounds_g = force_bounds_g
         drones = len(self.team)
@@ -143,6 +148,7 @@ class Physics:
             idle_current=self._battery.idle_current_a,
             current_per_newton=self._battery.current_per_newton,
             **gains(config, TIME_STEP),
+            **({} if hall is None else hall.settings()),
         )
         self.order: IntArray = np.repeat(np.arange(drones)[None], num_envs, axis=0)
         for name, values in self._fields_of(self.team).items():
@@ -174,6 +180,7 @@ class Physics:
             self.order if drones > FEW else None,
             True if self.settings["gusty"][0] else None,
             True if self.settings["adaptation"][0] else None,
+            None if self.hall is None else True,
             self.interactions.packed,
             self.feedforward.packed if self.settings["compensates"][0] else None,
         )
@@ -217,6 +224,7 @@ class Physics:
                 TIME_STEP / math.sqrt(2.0 * AIR_DENSITY * area) for area in areas.tolist()
             ],
             "force_bound": bound,
+            "thrust_gain": [1.0] * len(team),
             "hover_thrust": [vehicle.hover_rotor_thrust for vehicle in team],
             "type_code": code,
         }

@@ -144,6 +144,8 @@ def integrate(blocks: Records, count: int) -> None:
             thrust, tx, ty, tz = rotor_wrench(
                 rotors, b.rotor_offset[lane], b.thrust_to_torque[lane]
             )
+            gain = b.thrust_gain[lane]
+            thrust, tx, ty, tz = gain * thrust, gain * tx, gain * ty, gain * tz
             # Euler's equations in the body frame.
             jx, jy, jz = three(b.inertia, lane)
             x, y, z = three(b.angular_velocity, lane)

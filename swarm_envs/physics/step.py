@@ -31,6 +31,14 @@ from swarm_envs.physics.contact import (
     touch,
     touch_obstacles,
 )
+from swarm_envs.physics.hall_lanes import (
+    disturb,
+    estimate,
+    load_hall,
+    store_hall,
+    use_estimate,
+    use_truth,
+)
 from swarm_envs.physics.rigid_body import (
     TIME_STEP,
     gust,
@@ -200,6 +208,7 @@ def fly(  # noqa: C901  # one step, on one screen
     order: IntArray | None,
     gusty: bool | None,
     adaptive: bool | None,
+    hall: bool | None,
     air: PackedField,
     feedforward: PackedField | None,
     work: Work,
@@ -225,6 +234,7 @@ def fly(  # noqa: C901  # one step, on one screen
         order: (E, N) drones of each environment, as last sorted along x; None if they are few.
         gusty: True if there are gusts, else None.
         adaptive: True if the controller adapts, else None.
+        hall: True in the world "hall", else None.
         air: the force model of the environment.
         feedforward: the model whose forces the controller compensates; None without one.
         work: working memory of this thread.
@@ -246,8 +256,12 @@ def fly(  # noqa: C901  # one step, on one screen
             continue
         full = (count * size + LANES - 1) // LANES
         load_tile(columns, count, controlled, adapts, phases & BEGIN != 0, work)
+        if hall is not None:
+            load_hall(columns, environments, members, count, work.blocks, work.tile)
         for k in range(steps + 1):
             if phases & TOUCH and (k > 0) == moves:
+                if hall is not None:
+                    estimate(work.blocks, full, settings)
                 touch(work.blocks, full, settings)
                 if order is None:
                     meet(work.blocks, count, size, work.spots)
@@ -258,6 +272,8 @@ def fly(  # noqa: C901  # one step, on one screen
                     touch_obstacles(work.blocks, count * size, obstacles)
             if k == steps:
                 break
+            if hall is not None and phases & CONTROL and controlled:
+                use_estimate(work.blocks, full)
             if phases & CONTROL and s.level == SETPOINTS:
                 if feedforward is not None:
                     compensated = size > 0
@@ -271,6 +287,8 @@ def fly(  # noqa: C901  # one step, on one screen
                 track(work.blocks, full, settings, adaptive)
             if phases & CONTROL and controlled:
                 hold_rates(work.blocks, full, settings)
+                if hall is not None:
+                    use_truth(work.blocks, full)
             if phases & SPIN:
                 compensated = size == 0
                 due: Any = np.int64(0)  # a literal would compile what takes it twice
@@ -288,6 +306,9 @@ def fly(  # noqa: C901  # one step, on one screen
                     for place in range(count):
                         environment = environments[members[place]]
                         gust(environment, place * size, size, settings, work.blocks)
+                if hall is not None:
+                    adds = gusty is not None or phases & CONTROL == 0
+                    disturb(work.blocks, full, settings, adds)
                 spin_rotors(work.blocks, full)
                 if open_circuit is not None:
                     empty_batteries(count, drones, settings, open_circuit, work)
@@ -296,6 +317,8 @@ def fly(  # noqa: C901  # one step, on one screen
             elif phases & SPIN:
                 write_wrenches(count, drones, work)
         store_tile(columns, count, controlled, adapts, work)
+        if hall is not None:
+            store_hall(columns, members, count, work.tile)
 
 
 @part
@@ -328,6 +351,8 @@ def write_wrenches(count: int, drones: Records, work: Work) -> None:
         r = rotation_entries(qx, qy, qz, qw)
         (x, y, z), (ex, ey, ez) = three(b.force, lane), three(b.external, lane)
         x, y, z = x + ex, y + ey, z + ez
+        gain = b.thrust_gain[lane]
+        thrust, out[3], out[4], out[5] = gain * thrust, gain * out[3], gain * out[4], gain * out[5]
         out[0] = r[0] * x + r[3] * y + r[6] * z
         out[1] = r[1] * x + r[4] * y + r[7] * z
         out[2] = r[2] * x + r[5] * y + r[8] * z + thrust

@@ -15,7 +15,7 @@ BASE = 0  # vehicles, state and the other single modules at the bottom
 LEVELS = {"interactions": 1, "control": 1, "physics": 1, "tasks": 2, "viewing": 2, "envs": 3}
 LEVELS |= {"deploy": 3}
 _BASE_MODULES = (
-    *("vehicles", "state", "errors", "motors", "files", "c_text"),
+    *("vehicles", "state", "errors", "motors", "hall", "files", "c_text"),
     *("compiled", "tables", "neighbors", "arguments"),
 )
 LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)

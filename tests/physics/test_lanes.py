@@ -16,6 +16,7 @@ from swarm_envs.interactions import load
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.physics.contact import SPOT_TYPE, meet, touch
+from swarm_envs.physics.hall_lanes import disturb, estimate, use_estimate
 from swarm_envs.physics.rigid_body import integrate, spin_rotors
 from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
 
@@ -47,12 +48,12 @@ def instructions(part: Any, *arguments: Any) -> tuple[int, int]:
 def blocks() -> Any:
     memory = aligned(2, BLOCK_TYPE)
     for name in BLOCK_TYPE.names or ():
-        memory[name] = 0.5
+        memory[name] = 1 if name == "stream" else 0.5
     memory["setpoint_yaw"] = 0.0
     return memory
 
 
-@pytest.mark.parametrize("part", [spin_rotors, integrate])
+@pytest.mark.parametrize("part", [spin_rotors, integrate, use_estimate])
 def test_the_body_is_vector_instructions(part):
     packed, scalar = instructions(part, blocks(), 2)
     assert packed >= 15
@@ -79,6 +80,14 @@ def test_adaptation_is_vector_instructions(part):
     packed, scalar = instructions(part, blocks(), 2, np.zeros(1, SETTINGS_TYPE))
     assert packed >= 15
     assert scalar <= 0.1 * packed
+
+
+def test_the_hall_is_vector_instructions_random_numbers_included():
+    settings = np.ones(1, SETTINGS_TYPE)
+    for part, given in ((disturb, (settings, True)), (estimate, (settings,))):
+        packed, scalar = instructions(part, blocks(), 2, *given)
+        assert packed >= 30
+        assert scalar <= 0.15 * packed
 
 
 def test_pairs_of_environments_are_compared_side_by_side():

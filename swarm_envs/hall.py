@@ -1,0 +1,159 @@
+"""The world `"hall"`: what separates a room with drones from their equations.
+
+Three things are added to the simulation: force that no model knows, rotors that do not quite give
+what they say, and a state that has to be estimated. `Hall` holds every number; docs/hall.md has
+them in a table. The kernels are in `swarm_envs.physics.hall_lanes`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_S, Range, typed
+from swarm_envs.state import FloatArray
+from swarm_envs.tables import World
+from swarm_envs.vehicles import GRAVITY, LARGE, SMALL
+
+__all__ = ["Hall"]
+
+_STEP = 1.0 / 240.0
+_Share = Annotated[float, Range(0.0, 1.0)]
+_Positive = Annotated[float, Range(0.0, 1.0, above=True)]
+Shares = tuple[_Share, _Share]
+"""Of the weight: of a small vehicle, and of a large one."""
+
+
+@typed
+@dataclass(frozen=True)
+class Hall:
+    """How far a hall with motion capture is from the ideal world: every number can be changed.
+
+    What begins with `residual` and `offset` was identified by `swarm-envs fit --residual` on the
+    192 measured flights of Neural-Swarm2 (docs/hall.md). Pairs are shares of the weight, of a
+    vehicle of 34 g (`SMALL`) and one of 67 g (`LARGE`); others have those between by their mass,
+    or the nearer.
+
+    Raises:
+        ValueError: a number is out of its range; the message names it, the rule and the fix.
+    """
+
+    residual_quiet: Shares = (0.023, 0.031)
+    """Standard deviation of the random vertical force where the force model says nothing. Source:
+    fit to flights."""
+    residual_wake: Shares = (0.101, 0.097)
+    """The same where the modelled force is large. Source: fit to flights."""
+    residual_half: tuple[_Positive, _Positive] = (0.080, 0.034)
+    """Modelled force at which the standard deviation lies halfway between both. Source: fit to
+    flights."""
+    residual_time_s: Annotated[float, POSITIVE_S] = 0.15
+    """Correlation time of that force, s, an Ornstein-Uhlenbeck process of each drone and axis.
+    Source: fit to flights."""
+    residual_sideways: Annotated[float, NOT_NEGATIVE] = 0.41
+    """Horizontal random force along each axis over the vertical one. Source: fit to flights."""
+    offset: Shares = (0.018, 0.027)
+    """Standard deviation of the constant vertical force of a drone in an episode: errors of mass
+    and thrust at hover. Source: fit to flights."""
+    thrust_error: Annotated[float, Range(0.0, 0.2)] = 0.014
+    """Standard deviation of the factor on the force of a drone's rotors in an episode. Source:
+    Table I of Neural-Swarm2: over half to one and a half times hover and 3.4 to 4.0 V, psi1 of the
+    signal psi2 over the force asked for, of the small vehicle."""
+
+    frame_rate_hz: Annotated[float, Range(1.0, 240.0, unit="Hz")] = 100.0
+    """Frames of motion capture a second. Source: Neural-Swarm2, Sec. VII-A."""
+    frame_delay_s: Annotated[float, Range(0.0, 0.05, unit="s")] = 0.010
+    """Age of a frame when the drone has it, s, over which it is taken to have flown straight on.
+    Source: an assumption, one frame for cameras and radio."""
+    frame_loss: Annotated[float, Range(0.0, 1.0, below=True)] = 0.01
+    """Probability that a drone does not receive a frame. Source: an assumption."""
+    position_noise_m: Annotated[float, Range(0.0, 1.0, unit="m")] = 0.001
+    """Standard deviation of a frame's position, each axis, m. Source: `locSrv.extPosStdDev` of
+    Crazyswarm."""
+    attitude_noise_rad: Annotated[float, Range(0.0, 1.0, unit="rad")] = 0.0045
+    """Standard deviation of a frame's attitude about each axis, rad. Source: `extQuatStdDev` of the
+    Crazyflie's firmware."""
+    accelerometer_noise: Annotated[float, Range(0.0, 10.0, unit="m/s^2/sqrt(Hz)")] = 0.05
+    """Noise density of the accelerations that predict the state, vibrations included,
+    m/s^2/sqrt(Hz). Source: `procNoiseAcc_xy` of the firmware's filter, 0.5 m/s^2 at 100 Hz."""
+    gyro_noise: Annotated[float, Range(0.0, 1.0, unit="rad/s/sqrt(Hz)")] = 0.01
+    """Noise density of the measured body rates, rad/s/sqrt(Hz). Source: `measNoiseGyro` of the
+    firmware's filter, 0.1 rad/s at 100 Hz."""
+
+    @classmethod
+    def of(cls, world: str | Hall) -> Hall | None:
+        """The numbers that an option `world` stands for; None for the ideal world."""
+        if isinstance(world, Hall):
+            return world
+        return cls() if world == "hall" else None
+
+    def draw(self, rng: np.random.Generator, e: int, world: World) -> None:
+        """Draw what is constant in a new episode, and where its random numbers begin.
+
+        Args:
+            rng: the environment's generator.
+            e: the environment.
+            world: its tables are written.
+        """
+        drones = world.drones[e]
+        weight = GRAVITY * drones["nominal_mass"]
+
+        def share(pair: Shares) -> FloatArray:
+            """The same share of the weights in newton."""
+            masses = (SMALL.mass, LARGE.mass)
+            return np.asarray(weight * np.interp(drones["nominal_mass"], masses, pair))
+
+        quiet = share(self.residual_quiet)
+        drones["residual_quiet"], drones["residual_half"] = quiet, share(self.residual_half)
+        drones["residual_more"] = share(self.residual_wake) - quiet
+        drones["residual_process"] = rng.standard_normal((len(drones), 3))
+        drones["force_offset"] = share(self.offset) * rng.standard_normal(len(drones))
+        drones["thrust_gain"] = 1.0 + self.thrust_error * rng.standard_normal(len(drones))
+        drones["frame_phase"] = rng.uniform()  # cameras see all drones at once
+        world.environments["hall_key"][e] = rng.integers(2**63)
+
+    def filter_gains(self) -> tuple[float, float, float]:
+        """Gains of a frame on position, velocity (1/s) and attitude: those of the Kalman filter.
+
+        Steady state of the discrete filter whose process noise are accelerations and body rates of
+        these densities between frames, for frames that all arrive; delay is not known to it.
+        """
+        time = 1.0 / self.frame_rate_hz
+        walk = np.array([[time**3 / 3.0, time**2 / 2.0], [time**2 / 2.0, time]])
+        moves = np.array([[1.0, time], [0.0, 1.0]])
+        position, velocity = _steady_gain(
+            moves, self.accelerometer_noise**2 * walk, self.position_noise_m**2
+        )
+        drift = np.array([[self.gyro_noise**2 * time]])
+        (attitude,) = _steady_gain(np.eye(1), drift, self.attitude_noise_rad**2)
+        return float(position), float(velocity), float(attitude)
+
+    def settings(self) -> dict[str, object]:
+        """The fields of `swarm_envs.tables.SETTINGS` that follow."""
+        return {
+            "residual_kept": math.exp(-_STEP / self.residual_time_s),
+            "residual_sideways": float(self.residual_sideways),
+            "velocity_walk": self.accelerometer_noise * math.sqrt(_STEP),
+            "attitude_walk": self.gyro_noise * math.sqrt(_STEP),
+            "frames_per_step": self.frame_rate_hz * _STEP,
+            "frame_delay": float(self.frame_delay_s),
+            "frame_loss": float(self.frame_loss),
+            "frame_noise": (float(self.position_noise_m), float(self.attitude_noise_rad)),
+            "frame_gain": self.filter_gains(),
+        }
+
+
+def _steady_gain(moves: FloatArray, process: FloatArray, measured: float) -> FloatArray:
+    """Gain of a Kalman filter that measures its first state, after so long that it stays."""
+    if not process.any():
+        return np.zeros(len(moves))  # nothing drifts: nothing has to be corrected
+    covariance, gain = process, np.zeros(len(moves))
+    for _ in range(100_000):
+        last, gain = gain, covariance[:, 0] / (covariance[0, 0] + measured)
+        covariance = covariance - np.outer(gain, covariance[0])
+        covariance = moves @ covariance @ moves.T + process
+        if np.allclose(gain, last, rtol=1e-12, atol=0.0):
+            break
+    return np.asarray(gain)

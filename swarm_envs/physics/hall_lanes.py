@@ -1,0 +1,203 @@
+"""The world `"hall"` in lanes: forces that no model knows, and a state that is estimated.
+
+Each drone estimates its state by a filter of constant gain: accelerometer and gyroscope predict it
+at every physics step, and a frame of motion capture corrects it, late, noisy, or not at all. All
+this is linear in the errors of the estimate but for the turning of the body, so the *errors* are
+what is kept and advanced; the estimate is the truth plus its error. With n standard normal numbers:
+
+1. prediction: e_v += a n, e_p += e_v dt; e_q += g n, e_w = g n / dt;
+2. a frame of age d: i = -v d + s n - e_p, e_p += K_p i, e_v += K_v i; the same for e_q with the
+   angular velocity. Over the delay a drone is taken to go straight on.
+
+While the controller works, the block holds the estimate in place of the truth.
+"""
+
+from __future__ import annotations
+
+import math
+
+from swarm_envs.compiled import equation, part
+from swarm_envs.control.loop import four, three
+from swarm_envs.noise import even_number, moved, pair_of_normals, stream_of
+from swarm_envs.physics.rigid_body import TIME_STEP
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.tables import ADAPTATION_END, HALL_END, LANES, Records
+
+__all__ = ["turned"]
+
+DRAWS = 9
+"""Random numbers of 64 bits that a drone takes in a physics step."""
+
+
+@equation
+def turned(
+    q: tuple[float, float, float, float], angle: tuple[float, float, float]
+) -> tuple[float, float, float, float]:
+    """An attitude turned by a small rotation vector (rad) in the world frame."""
+    x, y, z = 0.5 * angle[0], 0.5 * angle[1], 0.5 * angle[2]
+    a = q[0] + x * q[3] + y * q[2] - z * q[1]
+    b = q[1] - x * q[2] + y * q[3] + z * q[0]
+    c = q[2] + x * q[1] - y * q[0] + z * q[3]
+    d = q[3] - x * q[0] - y * q[1] - z * q[2]
+    scale = 1.0 / math.sqrt(a * a + b * b + c * c + d * d)
+    return a * scale, b * scale, c * scale, d * scale
+
+
+@part
+def load_hall(
+    columns: FloatArray,
+    environments: Records,
+    members: IntArray,
+    count: int,
+    blocks: Records,
+    tile: FloatArray,
+) -> None:
+    """Copy what the hall knows of the drones of the first `count` members into the blocks.
+
+    Lanes that are left over in the last block are zeros or what another tile left there: sound
+    numbers, which nobody reads.
+    """
+    drones, slot = columns.shape[1], 0
+    for place in range(count):
+        e = members[place]
+        for i in range(drones):
+            row, n, lane = columns[e, i], slot // LANES, slot % LANES
+            for c in range(ADAPTATION_END, HALL_END):
+                tile[n, c, lane] = row[c]
+            first = stream_of(environments[e].hall_key, i)
+            blocks[n].stream[lane] = moved(first, environments[e].age * DRAWS)
+            slot += 1
+
+
+@part
+def store_hall(columns: FloatArray, members: IntArray, count: int, tile: FloatArray) -> None:
+    """Copy what has changed back from the blocks."""
+    drones, slot = columns.shape[1], 0
+    for place in range(count):
+        for i in range(drones):
+            row = columns[members[place], i]
+            for c in range(ADAPTATION_END, HALL_END):
+                row[c] = tile[slot // LANES, c, slot % LANES]
+            slot += 1
+
+
+@part
+def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
+    """Write the force that no model knows into `external` (N, world frame), and advance it.
+
+    Args:
+        blocks: records of `LANES` drones, whose modelled force has just been evaluated.
+        count: how many of them.
+        settings: (1,) record.
+        adds: whether it adds to what `external` holds.
+    """
+    s, base = settings[0], 1.0 if adds else 0.0
+    kept, sideways = s.residual_kept, s.residual_sideways
+    fresh = math.sqrt(1.0 - kept * kept)
+    for n in range(count):
+        b = blocks[n]
+        for lane in range(LANES):
+            stream = b.stream[lane]
+            x, y = pair_of_normals(stream, 0)
+            z, _ = pair_of_normals(stream, 1)
+            b.stream[lane] = moved(stream, DRAWS)
+            fx, fy, fz = three(b.force, lane)
+            force = math.sqrt(fx * fx + fy * fy + fz * fz)
+            grown = force / (force + b.residual_half[lane])
+            size = b.residual_quiet[lane] + b.residual_more[lane] * grown
+            x, y = (
+                kept * b.residual_process[0, lane] + fresh * x,
+                kept * b.residual_process[1, lane] + fresh * y,
+            )
+            z = kept * b.residual_process[2, lane] + fresh * z
+            (
+                b.residual_process[0, lane],
+                b.residual_process[1, lane],
+                b.residual_process[2, lane],
+            ) = x, y, z
+            (ex, ey, ez), across = three(b.external, lane), sideways * size
+            b.external[0, lane], b.external[1, lane] = (
+                base * ex + across * x,
+                base * ey + across * y,
+            )
+            b.external[2, lane] = base * ez + size * z + b.force_offset[lane]
+
+
+@part
+def estimate(blocks: Records, count: int, settings: Records) -> None:
+    """Advance the errors of the estimates to the state that a step has led to.
+
+    Args:
+        blocks: records of `LANES` drones.
+        count: how many of them.
+        settings: (1,) record.
+    """
+    s = settings[0]
+    dt, velocity_walk, attitude_walk = TIME_STEP, s.velocity_walk, s.attitude_walk
+    per_step, loss, delay = s.frames_per_step, s.frame_loss, s.frame_delay
+    step_frames = TIME_STEP / s.frames_per_step
+    position_noise, attitude_noise = s.frame_noise[0], s.frame_noise[1]
+    position_gain, velocity_gain, attitude_gain = s.frame_gain[0], s.frame_gain[1], s.frame_gain[2]
+    for n in range(count):
+        b = blocks[n]
+        for lane in range(LANES):
+            stream = b.stream[lane]
+            a0, a1 = pair_of_normals(stream, 2)
+            a2, g0 = pair_of_normals(stream, 3)
+            g1, g2 = pair_of_normals(stream, 4)
+            p0, p1 = pair_of_normals(stream, 5)
+            p2, q0 = pair_of_normals(stream, 6)
+            q1, q2 = pair_of_normals(stream, 7)
+            phase = b.frame_phase[lane] + per_step
+            arrived = 1.0 if phase >= 1.0 else 0.0
+            phase -= arrived
+            b.frame_phase[lane] = phase
+            seen = arrived if even_number(stream, 8) >= loss else 0.0
+            age = delay + phase * step_frames
+            moves = (a0, a1, a2), (g0, g1, g2), (p0, p1, p2), (q0, q1, q2)
+            for k in range(3):
+                velocity = b.velocity_error[k, lane] + velocity_walk * moves[0][k]
+                position = b.position_error[k, lane] + dt * velocity
+                turn = attitude_walk * moves[1][k]
+                attitude = b.attitude_error[k, lane] + turn
+                missed = position_noise * moves[2][k] - b.velocity[k, lane] * age - position
+                turned_by = attitude_noise * moves[3][k] - b.angular_velocity[k, lane] * age
+                b.position_error[k, lane] = position + seen * position_gain * missed
+                b.velocity_error[k, lane] = velocity + seen * velocity_gain * missed
+                b.attitude_error[k, lane] = attitude + seen * attitude_gain * (turned_by - attitude)
+                b.gyro_error[k, lane] = turn / dt
+
+
+@part
+def use_estimate(blocks: Records, count: int) -> None:
+    """Put the estimate in the place of the truth, which is kept aside."""
+    for n in range(count):
+        b = blocks[n]
+        for lane in range(LANES):
+            for k in range(3):
+                b.true_position[k, lane] = b.position[k, lane]
+                b.true_velocity[k, lane] = b.velocity[k, lane]
+                b.true_angular_velocity[k, lane] = b.angular_velocity[k, lane]
+                b.position[k, lane] += b.position_error[k, lane]
+                b.velocity[k, lane] += b.velocity_error[k, lane]
+                b.angular_velocity[k, lane] += b.gyro_error[k, lane]
+            q = four(b.quaternion, lane)
+            x, y, z, w = turned(q, three(b.attitude_error, lane))
+            for k in range(4):
+                b.true_quaternion[k, lane] = b.quaternion[k, lane]
+            b.quaternion[0, lane], b.quaternion[1, lane] = x, y
+            b.quaternion[2, lane], b.quaternion[3, lane] = z, w
+
+
+@part
+def use_truth(blocks: Records, count: int) -> None:
+    """Put the truth back, to the last bit."""
+    for n in range(count):
+        b = blocks[n]
+        for lane in range(LANES):
+            for k in range(3):
+                b.position[k, lane] = b.true_position[k, lane]
+                b.velocity[k, lane] = b.true_velocity[k, lane]
+                b.angular_velocity[k, lane] = b.true_angular_velocity[k, lane]
+            for k in range(4):
+                b.quaternion[k, lane] = b.true_quaternion[k, lane]

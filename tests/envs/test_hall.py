@@ -1,0 +1,334 @@
+"""The world `"hall"`: what it adds is as large as it says, and felt by whom it should be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+from swarm_envs import swap_v0
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.randomization import Randomization
+from swarm_envs.hall import Hall
+from swarm_envs.motors import FULL_VOLTAGE, pwm_for_force, rotor_force_g
+from swarm_envs.physics import bullet_available
+from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
+
+STEP = 1 / 240
+EXACT = Hall(
+    residual_quiet=(0.0, 0.0),
+    residual_wake=(0.0, 0.0),
+    offset=(0.0, 0.0),
+    thrust_error=0.0,
+    frame_loss=0.0,
+    position_noise_m=0.0,
+    attitude_noise_rad=0.0,
+    accelerometer_noise=0.0,
+    gyro_noise=0.0,
+)
+"""A hall without anything: the ideal world."""
+
+
+def hall(**numbers: Any) -> Hall:
+    """A hall with these imperfections alone."""
+    return Hall(**{**vars(EXACT), **numbers})
+
+
+def core(world: Any, num_envs: int = 1, team: Any = "SL", **options: Any) -> SwarmCore:
+    config = EnvConfig(**{"physics": "batch", "interactions": "none", "world": world, **options})
+    made = SwarmCore(SwapTask(parse_team(team), "stacked"), config, num_envs)
+    made.reset(list(range(num_envs)))
+    return made
+
+
+def hover(made: SwarmCore, decisions: int, action: float = 0.0) -> None:
+    for _ in range(decisions):
+        made.step(np.full((*made.world.drones.shape, made.mode.width), action))
+
+
+def test_a_hall_without_imperfections_is_the_ideal_world():
+    different: list[dict[str, Any]] = [{}, {"interactions": "wake"}, {"action": "ctbr"}]
+    for options in different:
+        flown = [core(world, **options) for world in ("ideal", EXACT)]
+        for made in flown:
+            hover(made, 40, 0.1)
+        for mine, theirs in zip(*(made.physics.state for made in flown), strict=True):
+            np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(flown[0].rows, flown[1].rows, rtol=0, atol=1e-6)
+
+
+def accelerations(made: SwarmCore, steps: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Acceleration, residual and modelled force after each of some physics steps (K, E, N, 3)."""
+    found: list[tuple[np.ndarray, ...]] = []
+    drones = made.world.drones
+    for _ in range(steps):
+        before = drones["velocity"].copy()
+        hover(made, 1)
+        change = (drones["velocity"] - before) / STEP
+        found.append((change, drones["residual_process"].copy(), drones["force"].copy()))
+    return tuple(map(np.array, zip(*found)))  # type: ignore[return-value]
+
+
+def test_the_residual_has_the_variance_and_correlation_that_it_says():
+    made = core(hall(residual_quiet=(0.05, 0.05), residual_time_s=0.1), 2000, decision_rate=240)
+    _, residual, _ = accelerations(made, 60)
+    assert residual.mean() == pytest.approx(0.0, abs=0.03)
+    assert (residual**2).mean() == pytest.approx(1.0, abs=0.03)
+    for steps in (1, 12, 24, 48):
+        correlation = (residual[steps:] * residual[:-steps]).mean()
+        assert correlation == pytest.approx(math.exp(-steps * STEP / 0.1), abs=0.04)
+    apart = residual.reshape(60, 2000, 6)[-1]
+    between = np.corrcoef(apart.T) - np.eye(6)
+    assert np.abs(between).max() < 0.08  # drones and axes are independent
+
+
+def test_the_residual_pushes_and_grows_with_the_modelled_force():
+    numbers: Any = {
+        "residual_quiet": (0.02, 0.03),
+        "residual_wake": (0.1, 0.1),
+        "residual_half": (0.05, 0.08),
+        "residual_sideways": 0.5,
+    }
+    options: Any = {"interactions": "wake", "decision_rate": 240, "action": "rotors", "team": "SL"}
+    plain, shaken = (core(world, 3, **options) for world in (EXACT, hall(**numbers)))
+    for made in (plain, shaken):
+        below = [[0.0, 0.0, 1.0], [0.02, 0.0, 1.4]]
+        made.reset(options={"start": below})
+    still, _, _ = accelerations(plain, 1)
+    moved, residual, force = accelerations(shaken, 1)
+    weight = shaken.world.drones["nominal_mass"] * GRAVITY
+    pushed = (moved - still)[0] * shaken.world.drones["mass"][..., None]
+    share = np.linalg.norm(force[0], axis=-1) / weight
+    assert share.max() > 0.05
+    quiet, half = np.array([0.02, 0.03]), np.array([0.05, 0.08])  # of S and of L
+    size = weight * (quiet + (0.1 - quiet) * share / (share + half))
+    np.testing.assert_allclose(pushed[..., 2], size * residual[0, ..., 2], atol=1e-10)
+    np.testing.assert_allclose(pushed[..., 0], 0.5 * size * residual[0, ..., 0], atol=1e-10)
+
+
+@pytest.mark.parametrize("engine", ["batch", "bullet"])
+def test_offsets_and_thrust_errors_are_constant_accelerations(engine):
+    if engine == "bullet" and not bullet_available():
+        pytest.skip("pybullet is not installed")
+    for world in (hall(offset=(0.05, 0.05)), hall(thrust_error=0.05)):
+        made = core(world, physics=engine, action="rotors")
+        drones = made.world.drones
+        level = 2 * drones["hover_thrust"] / drones["max_rotor_thrust"] - 1
+        for _ in range(10):
+            made.step(np.repeat(level[..., None], 4, axis=-1))
+        error = drones["force_offset"] / (drones["mass"] * GRAVITY) + drones["thrust_gain"] - 1
+        assert np.abs(error).min() > 1e-4
+        expected = GRAVITY * error * made.time[:, None]
+        np.testing.assert_allclose(drones["velocity"][..., 2], expected, rtol=1e-6)
+
+
+def test_what_is_drawn_for_an_episode_has_the_spread_that_it_says():
+    between = replace(SMALL, token="M", mass=0.5 * (SMALL.mass + LARGE.mass))
+    made = core(Hall(offset=(0.02, 0.04), thrust_error=0.04), 1000, team=(SMALL, between, LARGE))
+    drones = made.world.drones
+    offset = drones["force_offset"] / (drones["nominal_mass"] * GRAVITY)
+    assert offset.std(axis=0) == pytest.approx([0.02, 0.03, 0.04], rel=0.1)
+    assert drones["thrust_gain"].std() == pytest.approx(0.04, rel=0.08)
+    assert len(np.unique(made.world.environments["hall_key"])) == 1000
+    first = offset.copy()
+    made.reset()
+    assert not (made.world.drones["force_offset"] == first).any()
+
+
+def test_gains_are_those_of_the_kalman_filter():
+    """The steady state by scipy's solution of the Riccati equation."""
+    numbers, time = Hall(frame_rate_hz=50.0), 1 / 50.0
+    moves = np.array([[1.0, time], [0.0, 1.0]])
+    walk = 0.05**2 * np.array([[time**3 / 3, time**2 / 2], [time**2 / 2, time]])
+    seen = np.array([[1.0, 0.0]])
+    before = solve_discrete_are(moves.T, seen.T, walk, [[0.001**2]])
+    gain = before[:, 0] / (before[0, 0] + 0.001**2)
+    assert numbers.filter_gains()[:2] == pytest.approx(gain, rel=1e-6)
+    assert hall(position_noise_m=0.1).filter_gains() == (0.0, 0.0, 0.0)  # nothing drifts
+
+
+def test_the_thrust_error_is_that_of_the_published_polynomials():
+    """Psi1 of psi2's signal over the force asked for: Table I, the small vehicle."""
+    force = SMALL.mass * 1000 / 4 * np.linspace(0.5, 1.5, 41)[:, None]
+    volts = np.linspace(3.4, 4.0, 31) / FULL_VOLTAGE
+    given = rotor_force_g(SMALL, pwm_for_force(SMALL, force, volts), volts) / force
+    assert given.std() == pytest.approx(Hall().thrust_error, abs=5e-4)
+
+
+def reference_errors(
+    numbers: Hall, position: np.ndarray, velocity: np.ndarray, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (K, R) of a filter in plain numpy that keeps the state, not its error, on one axis.
+
+    The frames are those of a camera: taken at their own times, of the position then.
+
+    Args:
+        numbers: of the hall.
+        position: (K, R) the truth of R drones at each physics step.
+        velocity: (K, R)
+        rng: draws the noise.
+    """
+    count, runs = position.shape
+    kp, kv, _ = numbers.filter_gains()
+    p, v = position[0], velocity[0]
+    period, time, phase = 1 / numbers.frame_rate_hz, STEP * np.arange(count), rng.uniform(size=runs)
+    due = np.floor((time[:, None] - numbers.frame_delay_s) / period - phase)
+    noise = numbers.accelerometer_noise / math.sqrt(STEP)
+    errors = np.zeros((2, count, runs))
+    for k in range(1, count):
+        measured = (velocity[k] - velocity[k - 1]) / STEP
+        v = v + STEP * (measured + noise * rng.standard_normal(runs))
+        p = p + STEP * v
+        taken = np.maximum((due[k] + phase) * period / STEP, 0.0)
+        before = np.minimum(taken.astype(int), count - 2)
+        here, there = (position[before + k, np.arange(runs)] for k in (0, 1))
+        seen = here + (taken - before) * (there - here)
+        frame = seen + numbers.position_noise_m * rng.standard_normal(runs)
+        arrived = (due[k] > due[k - 1]) & (rng.uniform(size=runs) >= numbers.frame_loss)
+        missed = np.where(arrived, frame - p, 0.0)
+        p, v = p + kp * missed, v + kv * missed
+        errors[:, k] = p - position[k], v - velocity[k]
+    return errors[0], errors[1]
+
+
+@pytest.mark.parametrize("given", [{}, {"frame_loss": 0.6}, {"frame_delay_s": 0.02}])
+def test_the_estimate_errs_as_a_filter_in_plain_numpy(given):
+    """A drone that speeds up to 0.4 m/s, in many environments."""
+    usual = {name: getattr(Hall(), name) for name in ("accelerometer_noise", "gyro_noise")}
+    numbers = hall(**usual, frame_rate_hz=60.0, position_noise_m=0.005, **given)
+    made = core(numbers, 600, team="S", decision_rate=240)
+    truth, errors = [], []
+    for k in range(180):
+        hover(made, 1, 0.2 if k < 100 else 0.0)
+        d = made.world.drones[:, 0]
+        truth.append((d["position"][:, 0].copy(), d["velocity"][:, 0].copy()))
+        errors.append((d["position_error"][:, 0].copy(), d["velocity_error"][:, 0].copy()))
+    position, velocity = np.array(truth).transpose(1, 0, 2)
+    assert velocity[-1].mean() > 0.4
+    mine = np.array(errors)
+    theirs = reference_errors(numbers, position, velocity, np.random.default_rng(1))
+    for k, quantity in enumerate(theirs):
+        spread = quantity[120:].std()
+        assert mine[120:, k].std() == pytest.approx(spread, rel=0.1)
+        assert mine[120:, k].mean() == pytest.approx(quantity[120:].mean(), abs=0.15 * spread)
+
+
+def test_a_late_frame_shows_the_place_where_the_drone_was():
+    numbers = hall(frame_delay_s=0.04, accelerometer_noise=0.05, position_noise_m=1e-6)
+    made = core(numbers, 50, team="S")
+    hover(made, 30, 0.3)
+    hover(made, 30)
+    d = made.world.drones
+    speed = np.linalg.norm(d["velocity"], axis=-1)
+    assert speed.min() > 0.5
+    along = (d["position_error"] * d["velocity"]).sum(axis=-1) / speed
+    assert along.mean() == pytest.approx(-speed.mean() * (0.04 + STEP / 2), rel=0.03)
+
+
+def test_attitude_errs_by_what_gyroscope_and_frames_say():
+    """Against the steady state of the scalar Kalman filter, P = sqrt(q r) for dense frames."""
+    numbers = hall(gyro_noise=0.01, attitude_noise_rad=0.02, frame_rate_hz=240.0)
+    made = core(numbers, 400)
+    hover(made, 20)
+    errors = made.world.drones["attitude_error"]
+    drift, noise = 0.01**2 * STEP, 0.02**2
+    before = 0.5 * (drift + math.sqrt(drift**2 + 4 * drift * noise))  # Riccati's equation
+    assert errors.std() == pytest.approx(math.sqrt(before - drift), rel=0.1)
+    rates = made.world.drones["gyro_error"]
+    assert rates.std() == pytest.approx(0.01 / math.sqrt(STEP), rel=0.05)
+
+
+@pytest.mark.parametrize("action", ["setpoint", "acceleration"])
+def test_the_controller_flies_by_the_estimate_and_judges_by_the_truth(action):
+    """Without noise a filter corrects nothing: an error that is put in stays."""
+    made = core(EXACT, team="S", action=action)
+    d = made.world.drones
+    start = d["position"].copy()
+    d["position_error"] = [0.1, -0.1, 0.05]
+    command = np.zeros((1, 1, made.mode.width))
+    command[..., :3] = start if action == "setpoint" else 0.0
+    for _ in range(48 * 6):
+        made.step(command)
+    np.testing.assert_allclose(d["position"], start - [0.1, -0.1, 0.05], atol=3e-3)
+    np.testing.assert_allclose(made.rows[..., :3], start, atol=3e-3)
+    away = np.linalg.norm(d["position"] - d["goal"], axis=-1)
+    np.testing.assert_allclose(d["distance"], away, atol=1e-12)
+
+
+def test_contacts_are_those_of_the_truth():
+    made = core(hall(position_noise_m=1.0, accelerometer_noise=1e-3), team="SS")
+    made.world.drones["position_error"][0, 0] = made.world.drones["position"][0, 1]
+    made.world.drones["position_error"][0, 0] -= made.world.drones["position"][0, 0]
+    hover(made, 1)
+    assert not made.physics.contact.any()
+    assert np.linalg.norm(made.rows[0, 0, :3] - made.rows[0, 1, :3]) < 0.05
+
+
+def flight(made: SwarmCore, decisions: int = 30) -> bytes:
+    """What was flown and seen under actions of a generator of its own."""
+    rng, seen = np.random.default_rng(3), []
+    shape = (made.num_drones, made.mode.width)
+    for _ in range(decisions):
+        one = rng.uniform(-0.3, 0.3, shape)
+        made.step(np.repeat(one[None], made.num_envs, axis=0))
+        seen.append(made.rows[0].tobytes() + made.world.drones[0].tobytes())
+    return b"".join(seen)
+
+
+def test_same_seed_same_bytes_for_any_number_of_environments_and_threads():
+    alone = flight(core("hall", 1))
+    assert alone == flight(core("hall", 70))
+    assert alone == flight(core("hall", 70, threads=2))
+    assert alone != flight(core("ideal", 1))
+
+
+@pytest.mark.parametrize("engine", ["batch", "bullet"])
+def test_a_snapshot_goes_on_byte_for_byte(engine):
+    if engine == "bullet" and not bullet_available():
+        pytest.skip("pybullet is not installed")
+    first = core("hall", 2, physics=engine)
+    flight(first, 7)
+    kept = first.get_state()
+    expected = flight(first)
+    other = core("hall", 2, physics=engine)
+    other.set_state(kept)
+    assert flight(other) == expected
+    with pytest.raises(ValueError, match="world is 'hall', but here it is 'ideal'"):
+        core("ideal", 2, physics=engine).set_state(kept)
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+@pytest.mark.parametrize("gusts", [0.0, 0.5])
+def test_engines_fly_the_same_hall(gusts):
+    ranges = Randomization(gust_acceleration=gusts) if gusts else None
+    options: Any = {"interactions": "wake", "team": "LSS", "randomization": ranges}
+    batch, bullet = (core("hall", 2, physics=name, **options) for name in ("batch", "bullet"))
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        actions = rng.uniform(-0.3, 0.3, (2, 3, 3))
+        for made in (batch, bullet):
+            made.step(actions)
+        assert not batch.physics.contact.any()
+    for name in ("position", "quaternion", "position_error", "attitude_error", "residual_process"):
+        np.testing.assert_allclose(
+            batch.world.drones[name], bullet.world.drones[name], rtol=0, atol=1e-9
+        )
+    np.testing.assert_allclose(batch.rows, bullet.rows, rtol=0, atol=1e-6)  # float32
+
+
+def test_the_option_is_read_by_name_and_by_numbers():
+    worlds: list[tuple[Any, Any]] = [("ideal", None), ("hall", Hall()), (EXACT, EXACT)]
+    for world, expected in worlds:
+        env = swap_v0.parallel_env(world=world, physics="batch", interactions="none")
+        assert env.core.physics.hall == expected
+        env.close()
+    with pytest.raises(ValueError, match="world"):
+        swap_v0.parallel_env(world="attic")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="in the hall the state is estimated"):
+        EnvConfig(world="hall", randomization=Randomization(position_noise_m=0.01))
