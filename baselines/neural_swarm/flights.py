@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from importlib import metadata, resources
 from pathlib import Path
-from typing import Any, Literal, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -77,7 +77,7 @@ class FlightTest:
     """Length of a flight, s; None for the task's own."""
     randomization: Randomization | None = None
     """What else differs from episode to episode; None for nothing."""
-    world: Literal["ideal", "hall"] | Hall = "ideal"
+    world: str | Hall = "ideal"
     """Whether it is flown in the ideal world, or in the hall; see `EnvConfig`."""
     decision_rate: int = 48
     """Set-points a second, and samples of what is recorded."""

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,8 @@ __all__ = ["EnvConfig", "check_num_envs"]
 
 ENGINES = ("bullet", "batch")
 """Names of the physics engines."""
+WORLDS = ("ideal", "hall")
+"""Names of the worlds."""
 
 
 MANY_DRONES = 1024
@@ -87,7 +89,7 @@ class EnvConfig:
     """The clock: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
-    world: Literal["ideal", "hall"] | Hall = "ideal"
+    world: Annotated[str, OneOf(WORLDS)] | Hall = "ideal"
     """`ideal`: forces, rotors and states are what the equations say. `hall`: as in a hall with
     motion capture, with force that no model knows, and a state that drones must estimate. Or a
     `swarm_envs.hall.Hall` with numbers of your own."""

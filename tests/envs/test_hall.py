@@ -329,6 +329,6 @@ def test_the_option_is_read_by_name_and_by_numbers():
         assert env.core.physics.hall == expected
         env.close()
     with pytest.raises(ValueError, match="world"):
-        swap_v0.parallel_env(world="attic")  # type: ignore[arg-type]
+        swap_v0.parallel_env(world="attic")
     with pytest.raises(ValueError, match="in the hall the state is estimated"):
         EnvConfig(world="hall", randomization=Randomization(position_noise_m=0.01))
