@@ -34,7 +34,7 @@ from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["EnvConfig", "check_num_envs"]
+__all__ = ["WORLDS", "EnvConfig", "check_num_envs"]
 
 ENGINES = ("bullet", "batch")
 """Names of the physics engines."""

@@ -13,7 +13,9 @@ from swarm_envs.baselines.neural_swarm.flights import PAPER_SWAP
 from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask
 from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.training.reproduce.claims import Extent
 from swarm_envs.training.reproduce.paired_flight_figures import (
+    FIGURE_8,
     check_rings,
     check_swaps,
 )
@@ -21,6 +23,7 @@ from swarm_envs.training.reproduce.paired_flights import (
     PLAIN_SWAPS,
     STRONG_SWAPS,
     SWAPS,
+    Air,
     compare_paired,
     fly_case,
     fly_or_read,
@@ -75,13 +78,13 @@ def test_the_cases_are_those_of_the_paper():
         assert plain[:-1] == strong[:-1] and name.removesuffix("*") in PLAIN_SWAPS
         assert strong[-1].thrust_to_weight == pytest.approx(2.6)
     assert {name for name in PLAIN_SWAPS if name.endswith("S")} == {n[:-1] for n in STRONG_SWAPS}
-    case = swap_case("L2S", PAPER_SWAP, "learned", "batch")
+    case = swap_case("L2S", PAPER_SWAP, Air("learned", "ideal"), "batch")
     assert case.paper_cm == (17.0, 7.0)
     assert isinstance(case.test.task, SwapTask)
     assert case.test.task.stacked.radius_m == (0.5, 0.5)
     assert case.test.task.stacked.duration_s == (4.0, 4.0)
     for figure, upright in ((9, 3), (1, 10)):
-        task = ring_case(figure, "learned", "batch").test.task
+        task = ring_case(figure, Air("learned", "ideal"), "batch").test.task
         assert isinstance(task, RingTask)
         assert [v.token for v, axis in zip(task.team, task.orbit.first) if axis[2]] == upright * [
             "S*"
@@ -114,7 +117,7 @@ def test_claims_are_counted_and_a_miss_is_named():
 
 
 def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
-    case = swap_case("L2S", PAPER_SWAP, "wake", "batch")
+    case = swap_case("L2S", PAPER_SWAP, Air("wake", "ideal"), "batch")
     found = fly_case(case, load("wake"), [5, 6, 7])
     assert found["explained"] == pytest.approx(1.0, abs=1e-12)
     assert found["error_rms_g"].max() < 1e-9 < found["force_rms_g"].min()
@@ -128,7 +131,7 @@ def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
 
 
 def test_flights_of_other_settings_and_damaged_ones_are_refused(tmp_path):
-    case, belief = swap_case("S2S", PAPER_SWAP, "wake", "batch"), load_belief("wake")
+    case, belief = swap_case("S2S", PAPER_SWAP, Air("wake", "ideal"), "batch"), load_belief("wake")
     path = tmp_path / "S2S.npz"
     fly_or_read(path, case, belief, [1])
     with pytest.raises(ValueError, match=r"other settings: seeds is \[1\] there, \[2\] here"):
@@ -142,6 +145,7 @@ def test_flights_of_other_settings_and_damaged_ones_are_refused(tmp_path):
 
 def test_swaps_are_reported_by_drone_beside_the_paper(tmp_path):
     asked = {"figure": 8, "truth": "wake", "cases": ("L2S", "SS2L"), "episodes": 2}
+    asked["world"] = "ideal"
     report, said = run_quietly("neural-swarm2", engine="batch", out=tmp_path, **asked)
     assert "17 -> 7" in next(line for line in said.splitlines() if line.startswith("L2S"))
     rows = {row["case"]: row for row in report["truths"][0]["cases"]}
@@ -163,6 +167,7 @@ def test_swaps_are_reported_by_drone_beside_the_paper(tmp_path):
 
 def test_rings_are_judged_by_their_worst_drone(tmp_path):
     asked = {"figure": 9, "truth": "learned", "episodes": 1, "engine": "batch", "seed": 4}
+    asked["world"] = "ideal"
     report, said = run_quietly("neural-swarm2", out=tmp_path, **asked)
     assert "worst of each flight" in said and "10 -> 5 cm" in said
     row = report["truths"][0]["cases"][0]
@@ -170,6 +175,20 @@ def test_rings_are_judged_by_their_worst_drone(tmp_path):
     worst = max(drone["without"]["median"] for drone in row["drones"])
     assert row["without"]["median"] == pytest.approx(worst)
     assert row["ratio"] < 0.5 and row["explained"] > 0.8
+
+
+def test_the_hall_is_flown_beside_the_ideal_world(tmp_path):
+    asked = {"figure": 8, "truth": "wake", "cases": ("L2S",), "episodes": 2, "engine": "batch"}
+    report, said = run_quietly("neural-swarm2", out=tmp_path, **asked)
+    assert [air["air"] for air in report["truths"]] == ["wake", "wake, hall"]
+    ideal, hall = (air["cases"][0]["worst_height_error_cm"] for air in report["truths"])
+    assert ideal["compensated"] != hall["compensated"]
+    assert "forces: wake, hall" in said
+    assert (tmp_path / "figure_8" / "wake-hall" / "L2S.npz").is_file()
+    assert FIGURE_8.claims is not None
+    claims = FIGURE_8.claims(report, Extent())
+    explained = [c.quantity for c in claims if c.reasons and "hall, L2S" in c.quantity]
+    assert explained == ["`wake` air, hall, L2S: error without, cm"]
 
 
 def test_what_is_odd_is_noted(tmp_path, monkeypatch):
@@ -190,12 +209,12 @@ def test_what_is_odd_is_noted(tmp_path, monkeypatch):
 @pytest.mark.parametrize("figure", [8, 9, 1])
 def test_the_claims_hold_for_both_forces(figure, tmp_path):
     asked = {"figure": figure, "episodes": 20 if figure == 8 else 5, "engine": "batch"}
-    report, _ = run_quietly("neural-swarm2", out=tmp_path, **asked)
+    report, _ = run_quietly("neural-swarm2", out=tmp_path, world="ideal", **asked)
     assert [air["truth"]["name"] for air in report["truths"]] == ["learned", "wake"]
     for air in report["truths"]:
         missed = [claim for claim in air["claims"] if not claim["reached"]]
         assert not missed, (air["truth"]["name"], missed)
-        assert len(air["cases"]) == (len(SWAPS) if figure == 8 else 1)
+        assert len(air["cases"]) == {8: len(SWAPS), 9: 1, 1: 2}[figure]
         for row in air["cases"]:
             assert not any(row["crashed"].values()), row["case"]
             assert row["explained"] > 0.8, row["case"]

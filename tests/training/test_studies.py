@@ -34,6 +34,7 @@ TINY: dict[str, dict[str, Any]] = {
     "neural-swarm2/study-lag": {"episodes": 1, "engine": "batch"},
     "neural-swarm2/study-ball": {"episodes": 1},
     "neural-swarm2/study-limits": {"episodes": 1},
+    "neural-swarm2/study-hall": {"episodes": 2, "engine": "batch", "truth": "wake"},
     "dmpc-swarm/figure-3a": {},
     "dmpc-swarm/figure-3b": {"seeds": 1, "replay": False},
     "dmpc-swarm/figure-3c": {"seeds": 1, "replay": False},

@@ -12,6 +12,7 @@ from swarm_envs.training.reproduce.ablation import ABLATIONS, TABLE_3
 from swarm_envs.training.reproduce.ball_study import BALL
 from swarm_envs.training.reproduce.collected_flights import TABLE_2
 from swarm_envs.training.reproduce.force_map_figure import FIGURE_5
+from swarm_envs.training.reproduce.hall_study import HALL
 from swarm_envs.training.reproduce.identified_vehicles import TABLE_1
 from swarm_envs.training.reproduce.lag_study import LAG
 from swarm_envs.training.reproduce.limits_study import LIMITS
@@ -46,8 +47,9 @@ class NeuralSwarmOptions(StudyOptions):
     """number of the figure"""
     table: Literal[1, 3] | None = None
     """number of the table"""
-    study: Literal["lag", "ball", "limits"] | None = None
-    """lag compensation on and off; the ball of Theorem 5; the limits of compensation"""
+    study: Literal["lag", "ball", "limits", "hall"] | None = None
+    """lag compensation on and off; the ball of Theorem 5; the limits of compensation; what each
+    part of the hall costs"""
     seed: Seed = 0
     """table: seed of the first run of each cell; flights: seeds are drawn from it; figure 5: of the
     swarms that `--truth` asks about"""
@@ -55,6 +57,8 @@ class NeuralSwarmOptions(StudyOptions):
     """flights: the true force model, `learned`, `wake` or a path of weights; both of those with a
     belief of their own if not given. Figure 5: the true force where the model was learned: how
     much of it is explained for 2 to 16 drones"""
+    world: Literal["ideal", "hall"] | None = None
+    """figures 1, 8 and 9: `ideal` or `hall`; both if not given"""
     belief: Path | None = None
     """flights: weights of the compensating controller's force model, such as those of `swarm-envs
     curriculum`; what ships for `--truth` if not given"""
@@ -121,5 +125,6 @@ STUDIES = (
     LAG,
     BALL,
     LIMITS,
+    HALL,
 )
 """Every numbered table and figure of the paper, and the studies beside them."""

@@ -42,7 +42,7 @@ def plot_swaps(
             _boxes(axis, names, [judged_cm(f, c.judged) for c, f in zip(own, found, strict=True)])
             _paper(axis, names, own)
             _doubtful(axis, names, air["cases"])
-            axis.set_title(f"Environment with the force model {air['truth']['name']!r}")
+            axis.set_title(f"Forces: {air['air']}")
             axis.set_ylabel("worst height error, cm")
         _legend(figure, report["episodes"])
 
@@ -124,14 +124,14 @@ def plot_rings(
         for row, air, found in zip(axes, report["truths"], flown, strict=True):
             entry = air["cases"][0]
             worst = int(np.argmax([d["without"]["median"] for d in entry["drones"]]))
-            _errors(row[0], entry, air["truth"]["name"])
+            _errors(row[0], entry, air["air"])
             _height(row[1], found[0], worst, entry)
             _force(row[2], found[0], worst, entry)
         for axis in axes[-1, 1:]:
             axis.set_xlabel("time, s")
 
 
-def _errors(axis: Axes, entry: Mapping[str, Any], truth: str) -> None:
+def _errors(axis: Axes, entry: Mapping[str, Any], air: str) -> None:
     drones = entry["drones"]
     places = np.arange(len(drones))
     sides = (
@@ -148,7 +148,7 @@ def _errors(axis: Axes, entry: Mapping[str, Any], truth: str) -> None:
     axis.set_xticks(places, [d["drone"] for d in drones], rotation=90 if len(drones) > 8 else 0)
     axis.legend(fontsize=8, loc="upper right", ncols=2)
     axis.set_ylim(0.0, 1.32 * axis.get_ylim()[1])
-    title = f"Force model {truth!r}: every drone"
+    title = f"Forces: {air}; every drone"
     label_axis(axis, title, "", "worst height error, cm", grid="y")
 
 

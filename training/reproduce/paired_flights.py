@@ -13,15 +13,16 @@ from __future__ import annotations
 import json
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.flights import Flights, FlightTest, fly, quartiles, swap_test
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.files import written_whole
+from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import FloatArray
@@ -40,6 +41,31 @@ SWAPS = (*PLAIN_SWAPS, *STRONG_SWAPS)
 _RING_SIZES = {9: 5, 1: 16}  # drones of the rings by number of the figure
 
 
+class Air(NamedTuple):
+    """In what a case is flown."""
+
+    truth: str
+    """Name of the force model, as it was asked for."""
+    world: str
+    """`ideal` or `hall`; see `swarm_envs.hall`."""
+
+    @property
+    def name(self) -> str:
+        """Such as `learned`, or `learned, hall`."""
+        return self.truth if self.world == "ideal" else f"{self.truth}, {self.world}"
+
+    @property
+    def folder(self) -> str:
+        """Where its flights are kept."""
+        name = Path(self.model.name).stem
+        return name if self.world == "ideal" else f"{name}-{self.world}"
+
+    @property
+    def model(self) -> InteractionModel:
+        """The force model of the environment."""
+        return load(self.truth)
+
+
 @dataclass(frozen=True)
 class FlightCase:
     """One team on one motion."""
@@ -54,19 +80,23 @@ class FlightCase:
     """The paper's error without and with compensation, if it gives one."""
 
 
-def swap_case(
-    name: str, layout: StackedLayout, truth: str | Path | InteractionModel, engine: str
-) -> FlightCase:
+def swap_case(name: str, layout: StackedLayout, air: Air, engine: str) -> FlightCase:
     """A case of Fig. 8: judged by its lowest drone."""
     paper = (17.0, 7.0) if name == "L2S" else None  # medians of six swaps
-    return FlightCase(name, swap_test(name, layout, truth, engine), -1, paper)
+    test = swap_test(name, layout, air.model, engine)
+    return FlightCase(name, replace(test, world=air.world), -1, paper)
 
 
-def ring_case(figure: int, truth: str | Path | InteractionModel, engine: str) -> FlightCase:
+def ring_case(figure: int, air: Air, engine: str) -> FlightCase:
     """The rings of Fig. 9 or Fig. 1: judged by the worst drone of each flight."""
     task = RingTask(ring_team(_RING_SIZES[figure]))
     paper = {9: (10.0, 5.0), 1: (15.0, 10.0)}[figure]  # of one drone on an upright ring
-    return FlightCase(f"ring of {len(task.team)}", FlightTest(task, truth, engine), None, paper)
+    return FlightCase(
+        f"ring of {len(task.team)}",
+        FlightTest(task, air.model, engine, world=air.world),
+        None,
+        paper,
+    )
 
 
 def _settings_of(case: FlightCase) -> dict[str, object]:
@@ -80,6 +110,7 @@ def _settings_of(case: FlightCase) -> dict[str, object]:
         "layout": repr(layout),
         "seconds": case.test.seconds,
         "decision_rate": case.test.decision_rate,
+        **({} if case.test.world == "ideal" else {"world": repr(Hall.of(case.test.world))}),
     }
 
 

@@ -1,0 +1,218 @@
+"""Which part of the hall costs how much: the paper's L2S swap in one part of it after the other.
+
+A small drone passes below a large one (Neural-Swarm2, Sec. VII-E), without and with a belief, and
+with a controller that adapts (docs/adaptation.md), in the ideal world, in each part of
+`swarm_envs.hall.Hall` alone, in the whole hall, and in one whose rotors are wrong by 5 %.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.agents.evaluation import bootstrap_interval
+from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.neural_swarm.flights import (
+    default_engine,
+    fly,
+    format_columns,
+    swap_test,
+)
+from swarm_envs.control.config import ControllerConfig, Indi
+from swarm_envs.hall import Hall
+from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
+from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
+from swarm_envs.viewing.style import picture
+
+TEAM = "L2S"
+_EPISODES = 40
+_TRUTHS = ("learned", "wake")
+"""The forces that are flown in if none is named: those for which a belief ships."""
+_WHOLE = Hall()
+_EMPTY = replace(
+    _WHOLE,
+    residual_quiet=(0.0, 0.0),
+    residual_wake=(0.0, 0.0),
+    offset=(0.0, 0.0),
+    thrust_error=0.0,
+    frame_delay_s=0.0,
+    frame_loss=0.0,
+    position_noise_m=0.0,
+    attitude_noise_rad=0.0,
+    accelerometer_noise=0.0,
+    gyro_noise=0.0,
+)
+"""A hall in which nothing is otherwise than in the ideal world."""
+_PARTS = {
+    "random force": ("residual_quiet", "residual_wake"),
+    "offset of the force": ("offset",),
+    "thrust curve": ("thrust_error",),
+    "state estimate": (
+        *("frame_delay_s", "frame_loss", "position_noise_m", "attitude_noise_rad"),
+        *("accelerometer_noise", "gyro_noise"),
+    ),
+}
+"""Numbers of each part of the hall."""
+
+
+def hall_worlds() -> dict[str, str | Hall]:
+    """The worlds that are flown in, by name."""
+    alone = {
+        part: replace(_EMPTY, **{name: getattr(_WHOLE, name) for name in names})
+        for part, names in _PARTS.items()
+    }
+    wrong = replace(_WHOLE, thrust_error=0.05)
+    return {"ideal": "ideal", **alone, "hall": "hall", "hall, thrust wrong by 5 %": wrong}
+
+
+@dataclass(frozen=True)
+class _Side:
+    """A controller of the study."""
+
+    believes: bool
+    adapts: bool
+
+    @property
+    def name(self) -> str:
+        """Also part of its cells' names."""
+        words = [w for w, has in (("belief", self.believes), ("INDI", self.adapts)) if has]
+        return " + ".join(words) or "neither"
+
+    def controller(self, truth: str) -> ControllerConfig:
+        """The configuration of the tracking loop, in an environment with these forces."""
+        belief = load_belief(truth) if self.believes else None
+        return ControllerConfig(feedforward=belief, adaptation=Indi() if self.adapts else None)
+
+
+_SIDES = tuple(_Side(believes, adapts) for adapts in (False, True) for believes in (False, True))
+
+
+def _truths(options: Any) -> tuple[str, ...]:
+    return _TRUTHS if options.truth is None else (options.truth,)
+
+
+def _settings(options: Any) -> dict[str, Any]:
+    return {
+        "team": TEAM,
+        "seed": options.seed,
+        "episodes": options.episodes or _EPISODES,
+        "engine": options.engine or default_engine(),
+        "hall": repr(_WHOLE),
+    }
+
+
+def _rows(options: Any) -> Iterator[tuple[str, str, _Side]]:
+    """Force model, world and controller of every cell."""
+    for truth in _truths(options):
+        for world in hall_worlds():
+            for side in _SIDES:
+                yield truth, world, side
+
+
+def _grid(options: Any) -> Cells:
+    """The same swaps in every world by every controller."""
+    seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
+    engine, worlds = options.engine or default_engine(), hall_worlds()
+    return {
+        f"{truth}, {world}, {side.name}": partial(
+            _measure, truth, worlds[world], side.controller, seeds, engine
+        )
+        for truth, world, side in _rows(options)
+    }
+
+
+def _measure(
+    truth: str,
+    world: str | Hall,
+    controller: Callable[[str], ControllerConfig],
+    seeds: Sequence[int],
+    engine: str,
+) -> Cell:
+    """Fly the swaps: worst height errors of the small drone, and how many ended early."""
+    test = replace(swap_test(TEAM, truth=truth, engine=engine), world=world)
+    flights = fly(test, controller(truth), seeds)
+    return {
+        "worst_cm": np.round(100.0 * flights.worst_height_error[:, -1], 4).tolist(),
+        "crashed": int(flights.crashed.sum()),
+    }
+
+
+def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
+    rows = []
+    for truth, world, side in _rows(options):
+        cell = cells[f"{truth}, {world}, {side.name}"]
+        worst = np.array(cell["worst_cm"])
+        low, high = bootstrap_interval(worst, np.median)
+        rows.append(
+            {
+                "truth": truth,
+                "world": world,
+                "controller": side.name,
+                "median_cm": round(float(np.median(worst)), 3),
+                "low_cm": round(low, 3),
+                "high_cm": round(high, 3),
+                "crashed": cell["crashed"],
+            }
+        )
+    summary = {**_settings(options), "rows": rows}
+    files = {"hall.png": partial(_plot, rows=rows)}
+    return Report(summary, _text(summary), rows, files)
+
+
+def _text(summary: Mapping[str, Any]) -> str:
+    lines: list[tuple[str, ...]] = [("forces", "world", *(side.name for side in _SIDES))]
+    rows = summary["rows"]
+    for first in range(0, len(rows), len(_SIDES)):
+        of_world = rows[first : first + len(_SIDES)]
+        lines.append((of_world[0]["truth"], of_world[0]["world"], *map(_said, of_world)))
+    head = (
+        f"Worst height error of the small drone, {TEAM}, median of {summary['episodes']} swaps "
+        "[95 % interval], cm; by what the controller has"
+    )
+    return "\n".join([head, *format_columns(lines)])
+
+
+def _said(row: Mapping[str, Any]) -> str:
+    crashed = f", {row['crashed']} crashed" if row["crashed"] else ""
+    return f"{row['median_cm']:.2f} [{row['low_cm']:.2f}, {row['high_cm']:.2f}]{crashed}"
+
+
+_COLORS = ("#D55E00", "#0072B2", "#E69F00", "#56B4E9")
+
+
+def _plot(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Medians by world, a panel for each force model."""
+    truths = list(dict.fromkeys(row["truth"] for row in rows))
+    headline = "A small drone passes under a large one: what each part of the hall costs"
+    with picture(path, 11.0, 4.4 * len(truths), headline) as figure:
+        panels = figure.subplots(len(truths), 1, squeeze=False)[:, 0]
+        for axis, truth in zip(panels, truths, strict=True):
+            own = [row for row in rows if row["truth"] == truth]
+            series = [
+                ([r["median_cm"] for r in own if r["controller"] == side.name], color, side.name)
+                for side, color in zip(_SIDES, _COLORS, strict=True)
+            ]
+            names = [w.replace(", ", ",\n") for w in dict.fromkeys(row["world"] for row in own)]
+            draw_numbered_bars(axis, names, series)
+            label_axis(
+                axis, f"Forces: {truth}", "", "Worst height error, median (cm)", grid="y", legend=9
+            )
+
+
+HALL = Study(
+    paper="neural-swarm2",
+    name="study-hall",
+    label="Hall",
+    shows="height errors of L2S in each part of the hall, with and without belief and adaptation",
+    file="hall",
+    takes=("truth", "episodes", "engine"),
+    grid=_grid,
+    settings=_settings,
+    report=_report,
+)
+"""Which part of the hall costs how much."""
