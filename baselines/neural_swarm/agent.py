@@ -40,7 +40,7 @@ __all__ = ["BELIEFS", "load_belief"]
 
 BELIEFS: Mapping[str, str] = {
     "learned": "belief",
-    "learned-v0": "belief",
+    "learned-v0": "belief_v0",
     "wake": "belief_wake",
 }
 """Files of the shipped deep sets, by the force model of the environment they were fitted in."""

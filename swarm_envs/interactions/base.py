@@ -26,7 +26,7 @@ from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
 __all__ = ["PRECISIONS"]
 
-MODELS = ("none", "wake", "learned", "learned-v0")
+MODELS = ("none", "wake", "learned", "learned-v0", "deep-set")
 """The models that ship, by name."""
 PRECISIONS = ("float64", "float32")
 """Arithmetic in which networks can be evaluated."""
@@ -126,9 +126,10 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
     """Load an interaction model.
 
     Args:
-        name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (the shipped deep
-            set), or the path of what `swarm-envs fit` made: a safetensors file of a deep set or of
-            a pairwise sum, or the JSON of a wake; a model is returned as it is.
+        name: `"none"` (no force at all), `"wake"` (closed form), `"learned"` (wakes and networks
+            of pairs, joined), `"deep-set"` (the architecture of Neural-Swarm2), `"learned-v0"` (the
+            deep set that was `"learned"` before), or the path of what `swarm-envs fit` made: a
+            safetensors file, or the JSON of a wake; a model is returned as it is.
 
     Raises:
         ValueError: the name is none of these, or the file is damaged.
@@ -142,7 +143,7 @@ def load(name: str | Path | InteractionModel) -> InteractionModel:
         return InteractionModel("none", types, empty_field(len(types)))
     if text == "wake":
         return InteractionModel("wake", *load_wake())
-    if text in ("learned", "learned-v0"):
+    if text in MODELS:
         with resources.as_file(_shipped(f"{text}.safetensors")) as path:
             return InteractionModel(text, *load_weights(path))
     if text.endswith(".json"):

@@ -1,4 +1,4 @@
-"""A fitted deep set as a C99 header: float32, no library, no heap, for a 32-bit microcontroller.
+"""A fitted force model as a C99 header: float32, no heap, for a 32-bit microcontroller.
 
 The paper evaluates its networks on the vehicles' own processors (Neural-Swarm2, Sec. VI). Window,
 clamps, anchor and drag are those of the model, so the header's force is the simulator's, rounded.
@@ -21,7 +21,16 @@ from swarm_envs.c_text import (
     type_enumeration,
 )
 from swarm_envs.interactions.base import InteractionModel
-from swarm_envs.interactions.field import LEARNED, ForceField
+from swarm_envs.interactions.composed import AXIS_RADIUS
+from swarm_envs.interactions.field import (
+    COMPOSED,
+    LEARNED,
+    LOWEST_HEIGHT,
+    ONSET,
+    UNITS_OF_OWN,
+    UNITS_OF_PAIR,
+    ForceField,
+)
 from swarm_envs.interactions.forces import all_forces
 from swarm_envs.interactions.packed import packed
 from swarm_envs.state import FloatArray
@@ -38,44 +47,75 @@ def c_header(model: InteractionModel, name: str = "learned", seed: int = 0) -> s
     """Source of a header that evaluates a model.
 
     Args:
-        model: a deep set.
+        model: a composed model or a deep set.
         name: prefix of everything that the header defines.
         seed: from which the states of the header's self-test are drawn.
 
     Raises:
-        ValueError: the model is no deep set, or the name cannot begin an identifier of C.
+        ValueError: the model is neither, or the name cannot begin an identifier of C.
     """
     check_prefix(name)
     field = model.field
-    if field.kind != LEARNED:
+    if field.kind not in (LEARNED, COMPOSED):
         raise ValueError(
-            f"interaction model {model.name!r} is no deep set; only those can be exported, "
-            "such as 'learned' or a file that `swarm-envs fit` made"
+            f"interaction model {model.name!r} is neither composed nor a deep set; only those can "
+            "be exported, such as 'learned' or a file that `swarm-envs fit` made"
         )
-    kinds = len(field.drag)
-    networks = [
-        f"{{{name}_weights_{n}, {name}_widths_{n}, {len(_widths(field, n)) - 1}}}"
-        for n in range(2 * kinds + 1)
-    ]
+    deep_set = field.kind == LEARNED
     words = {
         "name": name,
         "NAME": name.upper(),
         "provenance": comment_lines(_provenance(model)),
         "costs": comment_lines(_costs(field)),
+        "include": "" if deep_set else "#include <math.h>\n\n",
         "lateral": f"{field.window[1]:g}",
         "vertical": f"{field.window[3]:g}",
         "types": type_enumeration(name.upper(), model.types, _TAKEN),
         "tables": "\n".join(_tables(name, field)),
+        "widest": str(_widest(field)),
+        "gram": literal(GRAM_FORCE),
+        "anchor": literal(field.anchor_height),
+        **(_deep_set_words if deep_set else _composed_words)(name, field),
+        **_self_test(field, np.random.default_rng(seed)),
+    }
+    middle = "deep_set" if deep_set else "composed"
+    return fill_templates([f"force/{part}.h" for part in ("begin", middle, "end")], words)
+
+
+def _networks(name: str, field: ForceField) -> list[str]:
+    """Initialisers of all networks, in the order of the field."""
+    return [
+        f"{{{name}_weights_{n}, {name}_widths_{n}, {len(_widths(field, n)) - 1}}}"
+        for n in range(len(field.layout))
+    ]
+
+
+def _deep_set_words(name: str, field: ForceField) -> dict[str, str]:
+    networks, kinds = _networks(name, field), len(field.drag)
+    return {
         "phi": ",\n    ".join(networks[:kinds]),
         "environment": networks[kinds],
         "rho": ",\n    ".join(networks[kinds + 1 :]),
-        "widest": str(_widest(field)),
         "hidden": str(_widths(field, 0)[-1]),
-        "gram": literal(GRAM_FORCE),
-        "anchor": literal(field.anchor_height),
-        **_self_test(field, np.random.default_rng(seed)),
     }
-    return fill_templates(["force.h"], words)
+
+
+def _composed_words(name: str, field: ForceField) -> dict[str, str]:
+    networks, kinds = _networks(name, field), len(field.drag)
+    rows = [", ".join(networks[k * kinds : (k + 1) * kinds]) for k in range(kinds)]
+    lost, height = field.wake_mitigation
+    return {
+        "pair": ",\n    ".join(f"{{{row}}}" for row in rows),
+        "own": ",\n    ".join(networks[kinds * kinds :]),
+        "own_units": f"{name}_own_units",
+        "pair_units": f"{name}_pair_units",
+        "axis": literal(AXIS_RADIUS),
+        "onset": literal(ONSET),
+        "lowest": literal(LOWEST_HEIGHT),
+        "q": literal(field.wake_combine),
+        "lost": literal(lost),
+        "fading": literal(height),
+    }
 
 
 def _provenance(model: InteractionModel) -> list[str]:
@@ -94,17 +134,20 @@ def _costs(field: ForceField) -> list[str]:
     products = [
         sum(a * b for a, b in pairwise(_widths(field, n))) for n in range(len(field.layout))
     ]
-    pair, own, rho = max(products[:kinds]), products[kinds], max(products[kinds + 1 :])
-    once = f"{own + rho} for the drone itself"
+    if field.kind == COMPOSED:
+        pair, own = max(products[: kinds * kinds]), max(products[kinds * kinds :])
+        codes = 0
+    else:
+        pair, own = max(products[:kinds]), products[kinds] + max(products[kinds + 1 :])
+        codes = 2 * _widths(field, 0)[-1]
+    once = f"{own} for the drone itself"
     if field.anchor_height > 0.0:
-        once = (
-            f"{2 * (own + rho)} for the drone itself (none at {field.anchor_height:g} m and above "
-            "with no neighbour)"
-        )
-    stack = 4 * (4 * _widest(field) + 2 * _widths(field, 0)[-1]) + 200
+        where = f"none at {field.anchor_height:g} m and above"
+        alone = "" if field.kind == COMPOSED else " with no neighbour"
+        once = f"{2 * own} for the drone itself ({where}{alone})"
     return [
         f"read-only memory: {4 * field.weights.size} bytes of weights",
-        f"stack: about {stack} bytes",
+        f"stack: about {4 * (4 * _widest(field) + codes) + 200} bytes",
         f"multiply-adds: {pair} a neighbour, {once}",
     ]
 
@@ -127,6 +170,13 @@ def _tables(name: str, field: ForceField) -> list[str]:
         array_definition(f"{name}_pair_range", field.pair_range),
         array_definition(f"{name}_drag", field.drag),
     ]
+    if field.kind == COMPOSED:
+        tables += [
+            array_definition(f"{name}_wake", field.wake_pair.reshape(-1, 4)),
+            array_definition(f"{name}_delay", field.wake_delay),
+            array_definition(f"{name}_pair_units", np.array(UNITS_OF_PAIR)),
+            array_definition(f"{name}_own_units", np.array(UNITS_OF_OWN)),
+        ]
     for n in range(len(field.layout)):
         widths = ", ".join(map(str, _widths(field, n)))
         tables.append(f"static const int {name}_widths_{n}[] = {{{widths}}};")
@@ -158,7 +208,7 @@ def _self_test(field: ForceField, rng: np.random.Generator) -> dict[str, str]:
     pairs = np.concatenate(
         [position[:, 1:] - position[:, :1], velocity[:, 1:] - velocity[:, :1]], 2
     )
-    states = [position[:, 0, 2:], velocity[:, 0], pairs.reshape(SAMPLES, -1), force[:, 0, 2:]]
+    states = [position[:, 0, 2:], velocity[:, 0], pairs.reshape(SAMPLES, -1), force[:, 0]]
     return {
         "samples": str(SAMPLES),
         "neighbours": str(NEIGHBOURS),

@@ -11,13 +11,18 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from swarm_envs.compiled import equation
 from swarm_envs.state import FloatArray, IntArray
 
 __all__ = [
     "INTERACTION_VOLUME",
     "LATERAL_REACH",
     "LEARNED",
+    "LOWEST_HEIGHT",
     "NONE",
+    "ONSET",
+    "UNITS_OF_OWN",
+    "UNITS_OF_PAIR",
     "VERTICAL_REACH",
     "ForceField",
     "Numbers",
@@ -26,7 +31,7 @@ __all__ = [
 Numbers = npt.NDArray[np.floating[Any]]
 """Weights: float64, or float32 for speed."""
 
-NONE, WAKE, LEARNED, PAIRWISE = 0, 1, 2, 3
+NONE, WAKE, LEARNED, PAIRWISE, COMPOSED = 0, 1, 2, 3, 4
 """Kinds of force model, as kernels tell them apart."""
 
 LATERAL_REACH = 0.35
@@ -40,6 +45,16 @@ LATERAL_FADE = 0.1
 VERTICAL_FADE = 0.3
 """The outer part of the vertical reach over which a pair's contribution fades, m."""
 
+ONSET = 0.03
+"""Depth over which a drone beside another comes to be below it, m: the scale of a logistic."""
+LOWEST_HEIGHT = 0.07
+"""Nothing was measured below this height, m: air near the ground is taken as it is there."""
+
+UNITS_OF_PAIR = (0.2, 0.5, 0.5, 0.5, 0.5)
+"""What a composed model counts a pair's r, dz (m), v_r, v_t and v_dz (m/s) in, in its networks."""
+UNITS_OF_OWN = (0.2, 0.5, 0.5)
+"""The same of a lone drone's -z (m), |v_xy| and -v_z (m/s)."""
+
 NO_LIMIT = 1e30
 """Stands for infinity in input ranges, so that arithmetic on it stays finite."""
 
@@ -48,7 +63,7 @@ class ForceField(NamedTuple):
     """Numbers of a force model over K interaction types. SI units unless said."""
 
     kind: int
-    """NONE, WAKE, LEARNED (a deep set) or PAIRWISE."""
+    """NONE, WAKE, LEARNED (a deep set), PAIRWISE or COMPOSED."""
     drag: FloatArray
     """(K, 3) linear drag coefficients c of a lone drone, N s/m: force -c v."""
     window: FloatArray
@@ -60,7 +75,8 @@ class ForceField(NamedTuple):
     wake_pair: FloatArray
     """(K, K, 4) A (N), w0 (m), spread S, exponent p by [type of the upper, type of the lower]."""
     wake_delay: FloatArray
-    """(K,) seconds per metre by which a drone's wake trails behind it, by the upper type."""
+    """(K,) seconds per metre by which a drone's wake trails behind it, by the upper type; of a
+    composed model too, as the next and the mitigation."""
     wake_combine: float
     """Exponent q of the norm that sums several wakes; above 1 they give less than their sum."""
     wake_ground: FloatArray
@@ -73,9 +89,21 @@ class ForceField(NamedTuple):
     layout: IntArray
     """(networks, 2 L + 2): depth, the L + 1 widths, the L places in `weights` where the layers
     begin. Of a deep set 2 K + 1: phi of each type, phi of the environment, rho of each type. Of a
-    pairwise sum K (K + 1): of the pairs, [neighbour, drone] in rows, of the types' environment."""
+    pairwise sum or a composed model K (K + 1): of the pairs, [neighbour, drone] in rows, of the
+    types' environment."""
     anchor_height: float
     """Height from which a lone drone feels exactly nothing, m; 0 if the model is not anchored."""
+
+
+@equation
+def fade_weight(distance: float, full: float, end: float) -> float:
+    """Weight by a quintic smoothstep, twice differentiable: 1 up to `full`, 0 from `end` on, m."""
+    if distance >= end:
+        return 0.0
+    if not distance <= full:
+        u = (distance - full) / (end - full)
+        return max(1.0 - u * u * u * (10.0 + u * (6.0 * u - 15.0)), 0.0)  # rounding at the edge
+    return 1.0
 
 
 def default_window() -> FloatArray:

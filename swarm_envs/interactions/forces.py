@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from swarm_envs.compiled import announce_compilation, equation, kernel, part
 from swarm_envs.errors import check_array, unknown_name
-from swarm_envs.interactions.field import NONE, WAKE
+from swarm_envs.interactions.composed import describe_turned, join_pushes
+from swarm_envs.interactions.field import COMPOSED, NONE, WAKE
 from swarm_envs.interactions.network import add_outputs, network, put_drone, put_pair
 from swarm_envs.interactions.packed import (
     CHUNK,
@@ -180,6 +181,8 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
     describe_motion(field, total, scratch)
     if kind == WAKE:
         wake_forces(field, total, scratch)
+    if kind == COMPOSED:
+        describe_turned(field, total, scratch)
     for n in range(field.layout.shape[0]):
         of_pairs = field.layout[n, SOURCE] == PAIRS
         end = counters["pairs"] if of_pairs else 2 * counters["feeling"]
@@ -191,6 +194,8 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
             if counters["used"] == SAMPLES or at == end - 1:
                 result = network(field.layout, n, field.weights, counters["used"], scratch.rows)
                 add_outputs(field, n, scratch.rows[result:], scratch)
+    if kind == COMPOSED:
+        join_pushes(field, scratch)
 
 
 @kernel

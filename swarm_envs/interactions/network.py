@@ -22,6 +22,7 @@ gives the same bits whatever is computed with it, so this never shows.
 from __future__ import annotations
 
 from swarm_envs.compiled import equation, part
+from swarm_envs.interactions.composed import add_pushes
 from swarm_envs.interactions.packed import (
     ANY,
     BLOCKS,
@@ -36,6 +37,7 @@ from swarm_envs.interactions.packed import (
     START,
     TARGET,
     TO_CODES,
+    TO_PUSHES,
     UNITS,
     PackedField,
     Scratch,
@@ -108,7 +110,7 @@ def put_pair(field: PackedField, n: int, at: int, scratch: Scratch) -> None:
         for k in range(6, 2 * INPUTS):
             row[k] = 0.0
         counters["slot"][used], counters["share"][used] = 2 * pair["i"], pair["weight"]
-        counters["used"] = used + 1
+        counters["pair"][used], counters["used"] = at, used + 1
 
 
 @equation
@@ -153,6 +155,9 @@ def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> 
         scratch: working memory.
     """
     counters, hidden = scratch.counters[0], field.constants[0]["hidden"]
+    if field.layout[n, TARGET] == TO_PUSHES:
+        add_pushes(field.constants[0]["wake_combine"], rows, scratch)
+        return
     for s in range(counters["used"]):
         slot, share, output = counters["slot"][s], counters["share"][s], rows[s // 2]["v"]
         drone, free = scratch.drones[slot // 2], slot % 2

@@ -11,7 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarm_envs.interactions.field import LEARNED, PAIRWISE, ForceField, Numbers
+from swarm_envs.interactions.field import (
+    COMPOSED,
+    LEARNED,
+    PAIRWISE,
+    UNITS_OF_OWN,
+    UNITS_OF_PAIR,
+    ForceField,
+    Numbers,
+)
 from swarm_envs.neighbors import FEW
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tables import Records, aligned
@@ -50,7 +58,7 @@ CONSTANTS = np.dtype(
 
 PAIRS, ENVIRONMENT, CODES = 0, 1, 2
 """What a network is applied to: pairs of drones, each drone's own motion, each drone's codes."""
-TO_CODES, TO_FORCE = 0, 1
+TO_CODES, TO_FORCE, TO_PUSHES = 0, 1, 2
 """Where its outputs are added."""
 SOURCE, TARGET, OWN, NEIGHBOUR, DEPTH, FIRST_LAYER = range(6)
 """Columns of a layout. `OWN` and `NEIGHBOUR` are interaction types, or `ANY`."""
@@ -91,11 +99,13 @@ def packed(field: ForceField) -> PackedField:
             constants[name][(slice(1), *place)] = value
     low, high = field.environment_range[:, 0]
     constants["anchor_motion"] = np.clip(-field.anchor_height, low, high)
-    if field.kind not in (LEARNED, PAIRWISE):
+    if field.kind == COMPOSED:
+        constants["anchor_motion"] /= UNITS_OF_OWN[0]
+    if field.kind not in (LEARNED, PAIRWISE, COMPOSED):
         empty = np.zeros((0, FIRST_LAYER + 3), np.int64)
         row = np.dtype([("v", np.float64, (INPUTS, WIDTH))])
         return PackedField(constants, empty, aligned(1, row))
-    steps = _deep_set_steps(types) if field.kind == LEARNED else _pairwise_steps(types)
+    steps = _deep_set_steps(types) if field.kind == LEARNED else _steps_of_pairs(field.kind, types)
     sorted_layers = _sorted_layers(field, steps)
     networks = [_shape(field, n) for n, *_ in steps]
     width = max(WIDTH, *(max(*inputs, *units) for inputs, units in networks))
@@ -136,12 +146,12 @@ def _deep_set_steps(types: int) -> list[tuple[int, int, int, int, int]]:
     ]
 
 
-def _pairwise_steps(types: int) -> list[tuple[int, int, int, int, int]]:
-    """The same of a pairwise sum."""
-    steps = []
+def _steps_of_pairs(kind: int, types: int) -> list[tuple[int, int, int, int, int]]:
+    """The same of a pairwise sum or a composed model."""
+    steps, target = [], TO_PUSHES if kind == COMPOSED else TO_FORCE
     for own in range(types):
         steps.append((types * types + own, ENVIRONMENT, TO_FORCE, own, ANY))
-        steps += [(k * types + own, PAIRS, TO_FORCE, own, k) for k in range(types)]
+        steps += [(k * types + own, PAIRS, target, own, k) for k in range(types)]
     return steps
 
 
@@ -169,6 +179,11 @@ def _sorted_layers(
         PAIRS: _drawn(rng, field.pair_range),
         ENVIRONMENT: _drawn(rng, field.environment_range),
     }
+    if field.kind == COMPOSED:
+        motions = {
+            PAIRS: motions[PAIRS][:, :5] / UNITS_OF_PAIR,
+            ENVIRONMENT: motions[ENVIRONMENT][:, :3] / UNITS_OF_OWN,
+        }
     for n, source, target, *_ in steps:
         if source == CODES:  # of a drone alone, and of one with a neighbour of each type
             x = np.concatenate([codes[-1], *(codes[-1] + code for code in codes[:-1])])
@@ -220,7 +235,8 @@ DRONE = np.dtype(
         ("outside", np.int64),  # whether the force is an extrapolation past what was measured
         ("low", np.int64),  # whether it feels the ground
         ("felt", np.int64),  # whether it feels anything of networks; else they give exactly 0
-        ("pushed", np.float64),  # sum of all wakes on it
+        ("pushed", np.float64),  # sum of all wakes on it, each to the power q
+        ("pairs", np.float64, (3,)),  # sum of all pushes on it: horizontally in x and y, and down
     ],
     align=True,
 )
@@ -231,6 +247,8 @@ PAIR = np.dtype(
         ("j", np.int64),
         ("weight", np.float64),  # what the window leaves of it
         ("motion", np.float64, (6,)),  # p_j - p_i and v_j - v_i, kept within what was measured
+        ("wake", np.float64),  # N: what the closed form says that j's wake pushes
+        ("towards", np.float64, (2,)),  # horizontally towards the axis of j's wake, shorter near it
     ],
     align=True,
 )
@@ -246,6 +264,7 @@ COUNTERS = np.dtype(
         ("near", np.int64, (CHUNK,)),  # 1 where a pair is inside the interaction volume
         ("slot", np.int64, (SAMPLES,)),  # 2 i + part: to which drone's sum a sample is added
         ("share", np.float64, (SAMPLES,)),  # with which factor
+        ("pair", np.int64, (SAMPLES,)),  # of which pair, if of any
     ],
     align=True,
 )
@@ -258,7 +277,7 @@ class Scratch(NamedTuple):
     drones: Records
     """(M,) records of `DRONE`."""
     columns: FloatArray
-    """(M, 18) the same memory as plain numbers; the first three are the position."""
+    """(M, 21) the same memory as plain numbers; the first three are the position."""
     order: IntArray | None
     """(2, M) the drones of each environment, by their index there, as last sorted along x; and
     indices for a moment. None if they are few."""

@@ -22,14 +22,12 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.compiled import equation
-from swarm_envs.interactions.field import WAKE, ForceField, empty_field
+from swarm_envs.interactions.field import LOWEST_HEIGHT, ONSET, WAKE, ForceField, empty_field
 from swarm_envs.interactions.packed import PackedField, Scratch
 from swarm_envs.vehicles import GRAM_FORCE
 
 FORMAT = "wake-1"
 """What a file of a closed form says it is."""
-_ONSET = 0.03
-_LOWEST_MEASURED = 0.07
 
 
 def wake_field(parameters: dict[str, Any]) -> ForceField:
@@ -111,11 +109,11 @@ def wake_forces(field: PackedField, total: int, scratch: Scratch) -> None:
         width = fit[1] + fit[2] * max(dz, 0.0)
         aside = lateral / width
         shape = (fit[1] / width) ** fit[3] * math.exp(-0.5 * (aside * aside))
-        force = fit[0] * shape / (1.0 + math.exp(-dz / _ONSET))
+        force = fit[0] * shape / (1.0 + math.exp(-dz / ONSET))
         lower["pushed"] += (pair["weight"] * force) ** q
     for slot in range(total):
         drone = scratch.drones[slot]
-        height, own = max(drone["position"][2], _LOWEST_MEASURED), ground_effect[drone["type"]]
+        height, own = max(drone["position"][2], LOWEST_HEIGHT), ground_effect[drone["type"]]
         lost = mitigation[0] * math.exp(-height / mitigation[1])
-        lift = own[0] * math.exp((_LOWEST_MEASURED - height) / own[1])
+        lift = own[0] * math.exp((LOWEST_HEIGHT - height) / own[1])
         drone["force"][2] += lift - (1.0 - lost) * drone["pushed"] ** (1.0 / q)

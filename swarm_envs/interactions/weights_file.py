@@ -2,7 +2,9 @@
 
 Tensors, float64, of a deep set: `phi.<type>.<layer>.weight` (out, in) and `.bias`, the same for
 `phi.environment` and `rho.<type>`; of a pairwise sum: `pair.<neighbour>.<drone>.<layer>...` and
-`environment.<type>.<layer>...`; of both `drag.<type>` (3,) in N s/m. The note under the key
+`environment.<type>.<layer>...`; of a composed model the same, and `wake.<neighbour>.<drone>` (4,):
+A in gram-force, w0 in m, S, p; `delay.<type>` (1,) in s/m, `joining` (3,): q, M, and h in m. Of all
+`drag.<type>` (3,) in N s/m. The note under the key
 `swarm_envs` holds format, types, window, input ranges, anchor height and provenance.
 """
 
@@ -18,9 +20,12 @@ from safetensors import SafetensorError, safe_open
 
 from swarm_envs.errors import check_array
 from swarm_envs.interactions.field import (
+    COMPOSED,
     LATERAL_REACH,
     LEARNED,
     PAIRWISE,
+    UNITS_OF_OWN,
+    UNITS_OF_PAIR,
     VERTICAL_REACH,
     ForceField,
     empty_field,
@@ -28,11 +33,12 @@ from swarm_envs.interactions.field import (
 )
 from swarm_envs.interactions.network import pairwise_names
 from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE
 
 Layers = list[tuple[FloatArray, FloatArray]]
 """Weights and biases of a network."""
 
-KINDS = {"deep-set-1": LEARNED, "pairwise-1": PAIRWISE}
+KINDS = {"deep-set-1": LEARNED, "pairwise-1": PAIRWISE, "composed-1": COMPOSED}
 """Formats, and which kernels read them."""
 _FORMATS = " or ".join(map(repr, KINDS))
 ENVIRONMENT = "environment"
@@ -52,7 +58,7 @@ def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any
     if not path.is_file():
         raise FileNotFoundError(
             f"weights file {str(path)!r} does not exist; give the path of a file made by "
-            "`swarm-envs fit`, or one of 'none', 'wake', 'learned'"
+            "`swarm-envs fit`, or the name of one that ships, such as 'learned'"
         )
     try:
         tensors, notes = read_tensors(path)
@@ -106,10 +112,10 @@ def _assemble(
     types: tuple[str, ...], tensors: dict[str, FloatArray], notes: dict[str, Any]
 ) -> ForceField:
     kind = KINDS[notes["format"]]
-    names = pairwise_names(types) if kind == PAIRWISE else _deep_set_names(types)
+    names = _deep_set_names(types) if kind == LEARNED else pairwise_names(types)
     networks = [network_layers(name, tensors) for name in names]
     _check_all_read(tensors, networks)
-    _check_widths(names, networks)
+    _check_widths(kind, names, networks)
     deepest = max(len(layers) for layers in networks)
     layout = np.zeros((len(names), 2 * deepest + 2), dtype=np.int64)
     flat: list[FloatArray] = []
@@ -122,7 +128,8 @@ def _assemble(
             flat += [weight.T.ravel(), bias]
             position += weight.size + bias.size
     own_range, pair_range = _ranges(notes.get("input_range"))
-    return empty_field(len(types))._replace(
+    field = _joined(types, tensors) if kind == COMPOSED else empty_field(len(types))
+    return field._replace(
         kind=kind,
         drag=np.array([_drag(t, tensors) for t in types]),
         window=_window(notes.get("window")),
@@ -132,6 +139,33 @@ def _assemble(
         layout=layout,
         anchor_height=_anchor_height(notes.get("anchor_height_m")),
     )
+
+
+def _joined(types: tuple[str, ...], tensors: dict[str, FloatArray]) -> ForceField:
+    """A field with the wakes of a composed model, and how its pushes are joined."""
+    field = empty_field(len(types))
+    for a, upper in enumerate(types):
+        for b, lower in enumerate(types):
+            wake = _positive(f"wake.{upper}.{lower}", tensors, 4)
+            field.wake_pair[a, b] = wake * [GRAM_FORCE, 1.0, 1.0, 1.0]
+        field.wake_delay[a] = _positive(f"delay.{upper}", tensors, 1)[0]
+    q, lost, height = _positive("joining", tensors, 3)
+    if q < 1.0 or lost > 1.0 or height == 0.0:
+        raise ValueError(
+            f"'joining' is {q:g}, {lost:g}, {height:g}, but q must be at least 1, M at most 1, "
+            "and h above 0"
+        )
+    return field._replace(wake_combine=float(q), wake_mitigation=np.array([lost, height]))
+
+
+def _positive(name: str, tensors: dict[str, FloatArray], count: int) -> FloatArray:
+    """Numbers that may not be negative; the width w0 of a wake not 0 either."""
+    numbers = tensors[name]
+    if numbers.shape != (count,) or (numbers < 0.0).any():
+        raise ValueError(f"{name!r} must be {count} numbers that are not negative")
+    if name.startswith("wake.") and numbers[1] == 0.0:
+        raise ValueError(f"{name!r} is a wake without width")
+    return numbers
 
 
 def _deep_set_names(types: tuple[str, ...]) -> list[str]:
@@ -172,13 +206,17 @@ def _check_all_read(tensors: dict[str, FloatArray], networks: list[Layers]) -> N
         raise ValueError(f"it holds {found} weights and biases, but its networks have {read}")
 
 
-def _check_widths(names: list[str], networks: list[Layers]) -> None:
-    hidden = networks[0][-1][0].shape[0]
+def _check_widths(kind: int, names: list[str], networks: list[Layers]) -> None:
+    hidden, pair, own = networks[0][-1][0].shape[0], 6, 4
+    if kind == COMPOSED:
+        pair, own = len(UNITS_OF_PAIR), len(UNITS_OF_OWN)
     for name, layers in zip(names, networks, strict=True):
         inputs, outputs = layers[0][0].shape[1], layers[-1][0].shape[0]
         part = name.split(".")[0]
         last = 1 if part in ("pair", ENVIRONMENT) else hidden
-        expected = (4 if ENVIRONMENT in name.split(".") else 6, last)
+        expected = (own if ENVIRONMENT in name.split(".") else pair, last)
+        if kind == COMPOSED and part == "pair":
+            expected = (pair, 2)
         if part == "rho":
             expected = (hidden, 1)
         if (inputs, outputs) != expected:

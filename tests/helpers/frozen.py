@@ -292,7 +292,7 @@ class PhysicsAlone:
     def fly(self, seed: int) -> Flown:
         """Fly it; half way some environments are set to another state."""
         engine = {"batch": BatchPhysics, "bullet": BulletPhysics}[self.engine]
-        physics = engine(self.team, num_envs=self.envs, interactions="learned")
+        physics = engine(self.team, num_envs=self.envs, interactions="learned-v0")
         rng, log = np.random.default_rng(seed), Log()
         shape = (self.envs, len(physics.team))
         hover = physics.state.rotor_thrust.copy()
@@ -408,7 +408,7 @@ def _flights() -> dict[str, Any]:
         {},
     )
     circle = mixed | {"layout": "circle", "action": "velocity", "interactions": "wake"}
-    single = load("learned").with_precision("float32")
+    single = load("learned-v0").with_precision("float32")
     ctbr = four | calm | {"action": "ctbr", "decision_rate": 240}
     return {
         "swaps by acceleration": batch(four | {"threads": 1}, **three),
@@ -466,9 +466,11 @@ def _flights() -> dict[str, Any]:
         "BulletPhysics, 2 x 5": PhysicsAlone("bullet", "LSS*SL", 2, seeds=(1,)),
         "tracking": TrackingAlone(ControllerConfig()),
         "tracking with compensation": TrackingAlone(wake, seeds=(1,)),
-        "forces, learned": ForcesAlone(lambda: load("learned")),
-        "forces, learned, float32": ForcesAlone(lambda: load("learned").with_precision("float32")),
-        "forces, wake": ForcesAlone(lambda: load("wake")),
+        "forces, learned": ForcesAlone(lambda: load("learned-v0")),
+        "forces, learned, float32": ForcesAlone(
+            lambda: load("learned-v0").with_precision("float32")
+        ),
+            lambda: load("learned-v0").with_precision("float32")
         "forces, pairwise": ForcesAlone(pairwise_model),
     }
 

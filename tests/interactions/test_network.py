@@ -24,10 +24,11 @@ from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAM_FORCE
 
 
-def test_float32_agrees_to_a_thousandth_of_a_gram() -> None:
+@pytest.mark.parametrize("name", ["learned", "learned-v0"])
+def test_float32_agrees_to_a_thousandth_of_a_gram(name: str) -> None:
     """1e5 random states of the flight range, against the float64 networks."""
     rng = np.random.default_rng(8)
-    model = load("learned")
+    model = load(name)
     fast = model.with_precision("float32")
     position = rng.uniform([-0.3, -0.3, 0.05], [0.3, 0.3, 1.6], (25_000, 4, 3))
     velocity = rng.normal(0.0, 0.5, position.shape)
@@ -35,16 +36,17 @@ def test_float32_agrees_to_a_thousandth_of_a_gram() -> None:
     rounded = fast.forces(position, velocity, "SLLS")
     assert 0.0 < np.abs(rounded - expected).max() < 1e-3 * GRAM_FORCE
     assert fast.with_precision("float64").field.weights.dtype == np.float64
-    for name in ("none", "wake"):
-        assert load(name).with_precision("float32").field is not None
+    for still in ("none", "wake"):
+        assert load(still).with_precision("float32").field is not None
     with pytest.raises(ValueError, match="unknown precision 'float16'"):
         model.with_precision("float16")
 
 
+@pytest.mark.parametrize("name", ["learned", "learned-v0"])
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_what_is_computed_together_never_shows(precision: str) -> None:
+def test_what_is_computed_together_never_shows(precision: str, name: str) -> None:
     """Other environments, and drones out of reach, do not change a bit of a drone's force."""
-    model = load("learned").with_precision(precision)
+    model = load(name).with_precision(precision)
     rng = np.random.default_rng(9)
     position = rng.uniform([-0.3, -0.3, 0.1], [0.3, 0.3, 1.3], (37, 3, 3))
     velocity = rng.normal(0.0, 0.3, position.shape)

@@ -47,7 +47,7 @@ def write(path: Path, tensors: Tensors, note: object) -> Path:
 
 
 def refused(path: Path, cause: str) -> None:
-    known = "a 'deep-set-1' or 'pairwise-1' file"
+    known = "a 'deep-set-1' or 'pairwise-1' or 'composed-1' file"
     pattern = rf"weights file '.*' is damaged or not {known} \(.*{cause}.*\); fit it"
     with pytest.raises(ValueError, match=pattern):
         load_weights(path)

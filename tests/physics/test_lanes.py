@@ -95,13 +95,14 @@ def test_pairs_of_environments_are_compared_side_by_side():
     assert packed >= 8  # scalar ones do the environments that are left over
 
 
-def test_forces_count_few_references():
+@pytest.mark.parametrize("name", ["learned", "learned-v0"])
+def test_forces_count_few_references(name):
     """Numba counts references to arrays that are found in a branch, by an atomic instruction each.
 
     In the loop over samples that doubles the time of the forces. What stays is outside of loops,
     or in the sweep of many drones.
     """
-    field = load("learned").packed
+    field = load(name).packed
     code = compiled(swarm_forces, field, 1, 2, scratch_for(field, 1, 2)).inspect_llvm()
     functions = re.split(r"^define ", "".join(code.values()), flags=re.MULTILINE)
     body = next(function for function in functions if "swarm_forces" in function[:200])

@@ -74,7 +74,7 @@ def test_configurations_differ_in_what_is_said():
     assert differing(there, there) == ""
 
 
-@pytest.mark.parametrize("model", ["deep-set", "pairwise", "wake"])
+@pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed", "wake"])
 def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
     rows = planted_rows(1500)
     met = (rows.neighbor_type[:, 0] == 0) | (rows.ego_type == 1)  # L is never over S
@@ -145,10 +145,11 @@ def rows_of_types(types, count=1500):
     )
 
 
-@pytest.mark.parametrize("model", ["deep-set", "pairwise"])
+@pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed"])
 def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
     rows = rows_of_types(("S", "S*", "XL"))
-    report = fit(config_of(rows, tmp_path, model=model, **QUICK | {"steps": 250}))
+    steps = 1000 if model == "composed" else 250  # it begins with a wake of 20 g, narrow and steep
+    report = fit(config_of(rows, tmp_path, model=model, **QUICK | {"steps": steps}))
     assert report.notes == []
     assert report.findings.errors.overall < 0.6 * report.findings.errors.zero
     found = load(str(tmp_path / "out" / WEIGHTS[model]))
@@ -163,7 +164,7 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
         found.forces(position, np.zeros((1, 2, 3)), "SL")
 
 
-@pytest.mark.parametrize("model", ["deep-set", "pairwise"])
+@pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed"])
 def test_a_type_that_is_never_a_neighbour_feels_but_does_not_push(model, tmp_path):
     rows = rows_of_types(("S", "L"))
     report = fit(

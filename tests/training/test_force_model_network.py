@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.export import description_of, load_network, save_network
 from swarm_envs.training.force_model.lipschitz import measure_lipschitz
 from swarm_envs.training.force_model.network import (
@@ -13,7 +14,6 @@ from swarm_envs.training.force_model.network import (
     OUTER_FADE,
     DeepSet,
     DeepSetSpec,
-    build,
     fade,
     layers,
 )

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 
+from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.lipschitz import lipschitz_bound, measure_lipschitz
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,
@@ -16,12 +17,12 @@ from swarm_envs.training.force_model.network import (
     DeepSetSpec,
     ForceNetwork,
     NetworkKind,
-    build,
     layers,
 )
 from tests.helpers.tiny_fits import RANGE
 
 KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise")
+ALL: tuple[NetworkKind, ...] = (*KINDS, "composed")
 
 
 def random_network(spec: DeepSetSpec, seed: int, scale: float) -> ForceNetwork:
@@ -46,7 +47,7 @@ def holds(network: ForceNetwork, samples: int = 3000) -> None:
         assert 0.0 < found.input_ratio_g_per_unit <= whole
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ALL)
 @pytest.mark.parametrize("scale", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("anchor", [0.6, None])
 def test_random_networks_keep_to_the_bound(

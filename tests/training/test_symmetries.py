@@ -1,4 +1,4 @@
-"""Deep set and pairwise sum, in torch and compiled: what must not change their forces."""
+"""Deep set, pairwise sum, composed model, in torch and compiled: what must not change forces."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import torch
 
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.state import FloatArray
+from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.export import save_network
 from swarm_envs.training.force_model.network import (
     OUTER_FADE,
@@ -17,13 +18,12 @@ from swarm_envs.training.force_model.network import (
     ForceNetwork,
     NetworkKind,
     PairwiseSum,
-    build,
     layers,
 )
 from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
 from tests.helpers.tiny_fits import RANGE
 
-KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise")
+KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise", "composed")
 TEAM = "SLSLS"
 
 
@@ -32,8 +32,9 @@ def random_network(kind: NetworkKind, seed: int = 0) -> ForceNetwork:
     torch.manual_seed(seed)
     made = build(DeepSetSpec(("S", "L"), OUTER_FADE, RANGE, 0.6, kind=kind), torch.float64)
     with torch.no_grad():
-        for parameter in made.parameters():
-            parameter.mul_(2.0)
+        for network in made.named_networks().values():
+            for parameter in network.parameters():
+                parameter.mul_(2.0)
         made.drag[0], made.drag[1] = torch.tensor([0.01, 0.01, 0.02]), torch.tensor([0.04] * 3)
     return made
 
@@ -132,6 +133,7 @@ def test_pairwise_forces_add_up_and_deep_sets_do_not() -> None:
         gaps[kind] = float(np.abs(joint - alone - pairs).max())
     assert gaps["pairwise"] < 1e-12
     assert gaps["deep-set"] > 0.01
+    assert gaps["composed"] > 0.01
 
 
 def test_a_pairwise_sum_is_what_the_module_says() -> None:

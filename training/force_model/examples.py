@@ -33,7 +33,7 @@ class Examples(NamedTuple):
     batch: Batch
     """Inputs and labels of all rows."""
     label: Tensor
-    """(R,) vertical force, gram-force; or (R, 4) with the torque, as `torque_head.targets`."""
+    """(R,) vertical force, gram-force; or more columns, as `targets`."""
     weight: Tensor
     """(R,) of the squared error, mean 1."""
 
@@ -43,13 +43,17 @@ class Examples(NamedTuple):
         return Examples(batch, self.label[start:stop], self.weight[start:stop])
 
 
-def targets(rows: InteractionRows, torque: bool = False) -> Tensor:
+def targets(rows: InteractionRows, torque: bool = False, horizontal: bool = False) -> Tensor:
     """Labels of the rows: (R,) the force in gram-force, or (R, 4) with the torque, gram-force cm.
+
+    With the horizontal force (R, 3): the vertical first, then x and y.
 
     Raises:
         ValueError: the torque is wanted of rows that carry none.
     """
     force = torch.from_numpy(rows.force_g[:, 2]).float()
+    if horizontal:
+        return torch.from_numpy(rows.force_g[:, [2, 0, 1]]).float()
     if not torque:
         return force
     if rows.torque is None:

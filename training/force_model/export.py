@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from swarm_envs.arguments import typed
 from swarm_envs.files import written_whole
+from swarm_envs.training.force_model.composed import Composed, build
 from swarm_envs.training.force_model.network import (
     DeepSet,
     DeepSetSpec,
@@ -21,13 +22,16 @@ from swarm_envs.training.force_model.network import (
     ForceNetwork,
     InputRange,
     NetworkKind,
-    build,
     layers,
 )
 
 __all__ = ["write_safetensors"]
 
-FORMATS: dict[str, NetworkKind] = {"deep-set-1": "deep-set", "pairwise-1": "pairwise"}
+FORMATS: dict[str, NetworkKind] = {
+    "deep-set-1": "deep-set",
+    "pairwise-1": "pairwise",
+    "composed-1": "composed",
+}
 """Kinds of network by the format of their file."""
 METADATA_KEY = "swarm_envs"
 """Under which a file holds its note."""
@@ -53,7 +57,8 @@ def save_network(
     `phi.environment.<layer>...`, `rho.<type>.<layer>...`, of a torque head also
     `torque.<type>.weight` (3, width) and `.bias`, which take the place of rho's last layer and
     give gram-force centimetres. Of a sum over pairs: `pair.<neighbour>.<drone>.<layer>...`,
-    `environment.<type>.<layer>...`. Of both: `drag.<type>` (3,) in N s/m.
+    `environment.<type>.<layer>...`. Of a composed model the same, and the numbers that
+    `swarm_envs.interactions.weights_file` lists. Of all: `drag.<type>` (3,) in N s/m.
 
     Args:
         path: the file to write.
@@ -66,6 +71,8 @@ def save_network(
     tensors = {f"drag.{name}": network.drag[i] for i, name in enumerate(spec.types)}
     tensors |= {name: layer.weight for name, layer in _layers(network, ".weight").items()}
     tensors |= {name: layer.bias for name, layer in _layers(network, ".bias").items()}
+    if isinstance(network, Composed):
+        tensors |= network.wake_tensors()
     window, limits = spec.window, spec.input_range
     description = {
         **(provenance or {}),
@@ -112,6 +119,8 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
             layer.bias.copy_(tensors[name])
         for index, name in enumerate(network.spec.types):
             network.drag[index] = tensors[f"drag.{name}"]
+        if isinstance(network, Composed):
+            network.set_wake_tensors(tensors)
     return network
 
 
@@ -141,9 +150,9 @@ def _spec(description: dict[str, object], tensors: dict[str, Tensor]) -> DeepSet
     types, anchor = description["types"], description["anchor_height_m"]
     assert isinstance(types, list) and (anchor is None or isinstance(anchor, float))
     kind = FORMATS[str(description["format"])]
-    first = f"pair.{types[0]}.{types[0]}." if kind == "pairwise" else f"rho.{types[0]}."
+    first = f"rho.{types[0]}." if kind == "deep-set" else f"pair.{types[0]}.{types[0]}."
     depth = sum(name.startswith(first) and name.endswith(".weight") for name in tensors)
-    hidden = {} if kind == "pairwise" else {"hidden": tensors[f"{first}0.weight"].shape[1]}
+    hidden = {} if kind != "deep-set" else {"hidden": tensors[f"{first}0.weight"].shape[1]}
     return DeepSetSpec(
         types=tuple(types),
         window=_window(window) if isinstance(window, dict) else None,

@@ -96,6 +96,8 @@ class TrainConfig:
 
 Mode = Literal["anchored", "measured"]
 """What is fitted: the forces of environments, or labels as measured."""
+Model = Literal["deep-set", "composed", "pairwise", "wake"]
+"""Which function is fitted."""
 
 _OWN: Mapping[Mode, Mapping[str, Any]] = {
     "anchored": {
@@ -120,32 +122,49 @@ _NOT_IN_THE_PAPER: Mapping[str, Any] = {
     "velocity_jitter": 0.0,
     "balance": 0.0,
 }
-"""What a measured fit leaves out; it refuses any but these values and the usual ones."""
+"""What a measured fit leaves out, and one of a composed model, which is smooth by its closed form;
+they refuse any but these values and the usual ones."""
+_COMPOSED: Mapping[str, Any] = {
+    "epochs": 8.0,
+    "schedule": "cosine",
+    "average_share": 0.0,
+    "optimiser": "soap",
+    "teachers": 0,
+}
 
 Config = TypeVar("Config", bound=TrainConfig)
 
 
-def with_mode_defaults(config: Config, mode: Mode = "anchored") -> Config:
-    """The same options with nothing left to the mode: what is trained, and what reports record.
+def with_mode_defaults(
+    config: Config, mode: Mode = "anchored", model: Model = "deep-set"
+) -> Config:
+    """The same options with nothing left to mode and model: what is trained, what reports record.
 
     Raises:
-        ValueError: an option is set that a measured fit leaves out.
+        ValueError: an option is set that such a fit leaves out.
     """
-    if mode == "measured":
-        _check_measured(config)
-    own = {name: v for name, v in _OWN[mode].items() if getattr(config, name) is None}
+    if model == "composed" and mode == "measured":
+        raise ValueError("a composed model is for environments; fit it in anchored mode")
+    left_out: Mapping[str, Any] = {}
+    if mode == "measured" or model == "composed":
+        left_out = _NOT_IN_THE_PAPER
+        _check_left_out(config, "measured fit" if mode == "measured" else "composed model")
+    if model == "composed":
+        left_out = {**left_out, "symmetry": "none"}  # it has every symmetry
+    usual = _COMPOSED if model == "composed" else _OWN[mode]
+    own = {name: v for name, v in usual.items() if getattr(config, name) is None}
     if config.steps is not None or config.epochs is not None:
         own = {name: v for name, v in own.items() if name not in ("steps", "epochs")}
-    return replace(config, **own, **(_NOT_IN_THE_PAPER if mode == "measured" else {}))
+    return replace(config, **own, **left_out)
 
 
-def _check_measured(config: TrainConfig) -> None:
+def _check_left_out(config: TrainConfig, what: str) -> None:
     for name, value in _NOT_IN_THE_PAPER.items():
         given = getattr(config, name)
         if given not in (value, getattr(TrainConfig, name)):
             raise ValueError(
-                f"{name} is {given}, but a measured fit takes {value}, as the paper does; leave it "
-                "out, or fit in anchored mode"
+                f"{name} is {given}, but a {what} takes {value}; leave it out, or fit another "
+                "model in anchored mode"
             )
 
 
@@ -163,10 +182,12 @@ class FitConfig(TrainConfig):
     .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
     out: Path
     """folder for model, report and checkpoint: `learned.safetensors` and `learned.json` of a deep
-    set, `pairwise.safetensors` and `pairwise.json`, `wake.json` and its report `wake-fit.json`"""
-    model: Literal["deep-set", "pairwise", "wake"] = "deep-set"
-    """`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: a network per pair of types, summed up;
-    `wake`: the closed form, by least squares"""
+    set, `composed.safetensors` and `composed.json`, `pairwise.safetensors` and `pairwise.json`,
+    `wake.json` and its report `wake-fit.json`"""
+    model: Model = "deep-set"
+    """`deep-set`: Neural-Swarm2, eq. 10; `composed`: a wake and a network per pair of types, joined
+    so that any number stays physical; `pairwise`: a network per pair of types, summed up; `wake`:
+    the closed form, by least squares"""
     mode: Mode = "anchored"
     """`anchored`: for environments, with offsets subtracted, window, clamp and anchor;
     `measured`: the paper's form on the labels as they are, every neighbour seen"""

@@ -8,6 +8,7 @@ of a row feels nothing.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +16,7 @@ import torch
 from torch import nn
 
 from swarm_envs.interactions.field import INTERACTION_VOLUME
+from swarm_envs.training.force_model.composed import Composed
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import (
     DeepSet,
@@ -32,6 +34,10 @@ from swarm_envs.training.interaction_rows.calibration import (
 )
 from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
 from swarm_envs.vehicles import GRAM_FORCE
+
+FALL_SPEED = 1.5
+"""A drone at this speed or above is out of control, m/s. In the published flights it falls: its
+label, -40 g on average, says that the rotors no longer give the thrust of the command."""
 
 
 class Treated(NamedTuple):
@@ -67,7 +73,30 @@ def treat(rows: InteractionRows, config: FitConfig) -> Treated:
     free = subtract_offsets(rows, offsets)
     vertical_g = drag[rows.ego_type, 2] * rows.velocity[:, 2] / GRAM_FORCE
     target = free.with_vertical_force(free.force_g[:, 2] + vertical_g)
+    if config.model == "composed":
+        target = _with_horizontal_force(target, drag, is_calibrated(config))
     return Treated(rows, target, offsets, drag)
+
+
+def _with_horizontal_force(
+    rows: InteractionRows, drag: FloatArray, calibrated: bool
+) -> InteractionRows:
+    """Rows with their horizontal labels free of drag and offsets, too.
+
+    Offsets are those of attitude, by the rule of the vertical ones.
+    """
+    force = rows.force_g.copy()
+    for axis in (0, 1):
+        if calibrated:
+            force[:, axis] -= estimate_offsets(rows, axis).of(rows)
+        force[:, axis] += drag[rows.ego_type, axis] * rows.velocity[:, axis] / GRAM_FORCE
+    return replace(rows, force_g=force)
+
+
+def flown(rows: InteractionRows) -> InteractionRows:
+    """Rows without the training rows of drones that fall (`FALL_SPEED`)."""
+    speed = np.linalg.norm(rows.velocity, axis=1)
+    return rows.select(rows.validation | (speed < FALL_SPEED))
 
 
 def check_rows(rows: InteractionRows) -> None:
@@ -177,6 +206,8 @@ def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
         _silence(*(network.network_of(a, b) for a in types for b in silent))
         _silence(*(network.network_of(a, b) for a, b in unknown))
         return said + [never_together(a, b) + "it does not push it" for a, b in unknown]
+    if isinstance(network, Composed):
+        return said + _silence_composed(network, pairs, felt)
     assert isinstance(network, DeepSet)
     _silence(*(network.rho[name] for name in silent))
     if network.spec.torque:
@@ -194,6 +225,19 @@ def silence_unseen(network: ForceNetwork, rows: InteractionRows) -> list[str]:
         for name in quiet
     ]
     return said + silenced + guessed
+
+
+def _silence_composed(network: Composed, pairs: BoolArray, felt: list[bool]) -> list[str]:
+    """The same of a composed model; what is said of pairs of types."""
+    types, said = network.types, []
+    _silence(*(network.own[k] for k, seen in enumerate(felt) if not seen))
+    for i, a in enumerate(types):
+        for j, b in enumerate(types):
+            if not pairs[i, j]:
+                network.silence(i, j)
+                _silence(network.network_of(a, b))
+                said += [never_together(a, b) + "it does not push it"] if felt[j] else []
+    return said
 
 
 def shown_pairs(rows: InteractionRows) -> BoolArray:

@@ -17,6 +17,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from swarm_envs.interactions.composed import AXIS_RADIUS
+from swarm_envs.interactions.field import LOWEST_HEIGHT, ONSET, UNITS_OF_OWN, UNITS_OF_PAIR
+from swarm_envs.training.force_model.composed import Composed
 from swarm_envs.training.force_model.network import (
     EVERYWHERE,
     Batch,
@@ -147,6 +150,8 @@ def lipschitz_bound(network: ForceNetwork) -> LipschitzBound:
     sqrt(K L^2 + M^2). A network without a finite input range has no bound with a window: infinity.
     The hard cut-off is no Lipschitz function: infinity too.
     """
+    if isinstance(network, Composed):
+        return _composed_bound(network)
     if isinstance(network, PairwiseSum):
         outer, pairs = 1.0, [network.network_of(a, b) for a in network.types for b in network.types]
         grounds = list(network.environment.values())
@@ -159,6 +164,51 @@ def lipschitz_bound(network: ForceNetwork) -> LipschitzBound:
     if network.spec.anchor_height_m is not None:
         ground *= 2.0  # both the force and the baseline move with the velocity
     return LipschitzBound(pair, math.hypot(pair, ground), math.hypot(math.sqrt(2.0) * pair, ground))
+
+
+def _composed_bound(network: Composed) -> LipschitzBound:
+    """The bound of a composed model.
+
+    The norm that joins pushes has slope 1 in each of them, the mitigation is at most 1, and changes
+    with height by M / h exp(-0.07 m / h) of what pushes. Near the axis of a wake, v_r and v_t
+    change with position by the relative speed over the radius of the axis.
+    """
+    edge, steep, largest = _window_slope(network), 0.0, 0.0
+    for i in range(len(network.types)):
+        for j in range(len(network.types)):
+            slope, top = _push_bounds(network, i, j)
+            steep, largest = max(steep, slope), max(largest, top)
+    _, lost, height = (float(value.detach()) for value in network.joined_by())
+    by_height = lost / height * math.exp(-LOWEST_HEIGHT / height) * largest
+    ground = max(spectral_product(module) for module in network.own) / min(UNITS_OF_OWN)
+    if network.spec.anchor_height_m is not None:
+        ground *= 2.0
+    pair = steep + edge * largest if edge else steep
+    return LipschitzBound(
+        pair,
+        math.hypot(pair, ground + by_height),
+        math.hypot(math.sqrt(2.0) * pair, ground + 2.0 * by_height),
+    )
+
+
+@torch.no_grad()
+def _push_bounds(network: Composed, upper: int, lower: int) -> tuple[float, float]:
+    """Bounds of the slope, g per unit of input, and of the size, g, of one pair's push."""
+    amplitude, start, spread, decay = (float(value) for value in network.wake(upper, lower))
+    delay, module = float(network.delay()[upper]), network.pair[upper * len(network.types) + lower]
+    units, product = torch.tensor(UNITS_OF_PAIR), spectral_product(module)
+    high = network.pair_high
+    speed = math.sqrt(2.0) * float(high[3])
+    shift = delay * max(speed, float(high[2]))  # of the axis, by depth and by the wind
+    inputs = [1.0 + shift, 1.0, speed / AXIS_RADIUS * (1.0 + shift) + 1.0, 1.0]
+    inputs.insert(2, inputs[2])
+    steepness = product * math.hypot(*(x / float(u) for x, u in zip(inputs, units, strict=True)))
+    beside = amplitude * math.exp(-0.5) / start * (1.0 + shift)
+    below = amplitude * (0.25 / ONSET + spread * (decay + 2.0 / math.e) / start)
+    centre = float(module(torch.zeros(1, len(units), dtype=high.dtype))[0, 0].abs())
+    farthest = [float(torch.linalg.vector_norm(high[:2])), float(high[2]), *[float(high[3])] * 2]
+    radius = math.hypot(*(x / float(u) for x, u in zip([*farthest, float(high[5])], units)))
+    return steepness + math.hypot(beside, below), amplitude + centre + product * radius
 
 
 def _windowed(network: ForceNetwork, module: nn.Module) -> float:

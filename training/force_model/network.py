@@ -35,8 +35,9 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 __all__ = ["InputRange"]
 
-NetworkKind = Literal["deep-set", "pairwise"]
-"""`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: the sum over pairs, `pairwise.PairwiseSum`."""
+NetworkKind = Literal["deep-set", "pairwise", "composed"]
+"""`deep-set`: Neural-Swarm2, eq. 10; `pairwise`: the sum over pairs, `PairwiseSum`; `composed`:
+pushes of pairs that are joined, `composed.Composed`."""
 
 _FIRST_WIDTH = 25  # of phi's first hidden layer
 _WIDTH = 40  # of every other hidden layer
@@ -421,8 +422,3 @@ class PairwiseSum(ForceNetwork):
                     value = self.network_of(above, below)(inputs) * weight[chosen, None]
                     force = force.index_add(0, chosen // slots, value)
         return force
-
-
-def build(spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> ForceNetwork:
-    """Make the network of a spec, with torch's default initialisation."""
-    return PairwiseSum(spec, dtype) if spec.kind == "pairwise" else DeepSet(spec, dtype)

@@ -27,6 +27,7 @@ from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mod
 from swarm_envs.training.force_model.labels import (
     Treated,
     check_rows,
+    flown,
     is_calibrated,
     measured_range,
     silence_unseen,
@@ -83,12 +84,18 @@ def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
 
 
 WEIGHTS = {
+    "composed": "composed.safetensors",
     "deep-set": "learned.safetensors",
     "pairwise": "pairwise.safetensors",
     "wake": "wake.json",
 }
 """File of the fitted model, by kind; `swarm_envs.interactions.load` reads it."""
-REPORTS = {"deep-set": "learned.json", "pairwise": "pairwise.json", "wake": "wake-fit.json"}
+REPORTS = {
+    "composed": "composed.json",
+    "deep-set": "learned.json",
+    "pairwise": "pairwise.json",
+    "wake": "wake-fit.json",
+}
 """File of the report, by kind."""
 CHECKPOINT = "checkpoint.safetensors"
 """File that a killed training continues from."""
@@ -107,7 +114,7 @@ def fit(config: FitConfig) -> FitReport:
             `config.out` holds a finished fit of other data or options.
     """
     began = time.perf_counter()
-    given, config = config, with_mode_defaults(config, config.mode)
+    given, config = config, with_mode_defaults(config, config.mode, config.model)
     calibrated = is_calibrated(config)
     rows, logs = read_data(config.data, config.logs, config.progress, calibrated, config.torque)
     check_rows(rows)
@@ -144,14 +151,21 @@ def fit(config: FitConfig) -> FitReport:
     return report
 
 
+def training_recipe(config: FitConfig) -> FitConfig:
+    """How a network is trained: one that stands for phi and rho may be as steep as both."""
+    if config.model == "deep-set":
+        return config
+    return dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+
+
 def _network(treated: Treated, config: FitConfig, provenance: dict[str, object]) -> _Fitted:
     spec = network_spec(treated.rows, config)
     checkpoint = config.out / CHECKPOINT
-    recipe = config
-    if spec.kind == "pairwise":  # one network stands for phi and rho: as steep as both together
-        recipe = dataclasses.replace(config, max_spectral_norm=config.max_spectral_norm**2)
+    target = flown(treated.target) if spec.kind == "composed" else treated.target
     with scalar_writer(config.tensorboard) as watch:
-        run = train_taught(treated.target, spec, recipe, checkpoint, config.progress, watch)
+        run = train_taught(
+            target, spec, training_recipe(config), checkpoint, config.progress, watch
+        )
     with torch.no_grad():
         run.network.drag.copy_(torch.from_numpy(treated.drag))
     path = config.out / WEIGHTS[config.model]
@@ -178,7 +192,8 @@ def _wake(treated: Treated, config: FitConfig, provenance: dict[str, object]) ->
 
 def network_spec(rows: InteractionRows, config: FitConfig) -> DeepSetSpec:
     """The function that a fit looks for."""
-    kind: NetworkKind = "pairwise" if config.model == "pairwise" else "deep-set"
+    assert config.model != "wake"
+    kind: NetworkKind = config.model
     spec = DeepSetSpec(
         rows.types, hidden=config.hidden, layers=config.layers, kind=kind, torque=config.torque
     )

@@ -28,6 +28,7 @@ from safetensors import safe_open
 from torch import Tensor
 from tqdm import tqdm
 
+from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import (
     Examples,
     batches_per_epoch,
@@ -40,7 +41,7 @@ from swarm_envs.training.force_model.export import write_safetensors
 from swarm_envs.training.force_model.force_fit_config import TrainConfig as TrainConfig
 from swarm_envs.training.force_model.force_fit_config import with_mode_defaults
 from swarm_envs.training.force_model.lipschitz import random_inputs, slope_penalty
-from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork, build
+from swarm_envs.training.force_model.network import Batch, DeepSetSpec, ForceNetwork
 from swarm_envs.training.force_model.optimisers import FlatWeights, Soap, hold_spectral_norms
 from swarm_envs.training.interaction_rows import InteractionRows
 from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS, FloatArray
@@ -215,7 +216,7 @@ def train(
     configuration = _configuration(rows, spec, config, taught)
     if checkpoint is not None and checkpoint.exists():
         load_checkpoint(checkpoint, run, configuration)
-    examples, checks = _split(rows, config, spec.torque, taught)
+    examples, checks = _split(rows, config, spec, taught)
     total = total_steps(config, len(examples.label))
     batches = batches_per_epoch(len(examples.label), config.batch_size)
     loss_sum, order = 0.0, None
@@ -267,9 +268,10 @@ def _configuration(
 
 
 def _split(
-    rows: InteractionRows, config: TrainConfig, torque: bool, taught: FloatArray | None
+    rows: InteractionRows, config: TrainConfig, spec: DeepSetSpec, taught: FloatArray | None
 ) -> tuple[Examples, dict[str, tuple[Batch, Tensor]]]:
     """What is trained on, and what is held out: the validation blocks, and early validation."""
+    torque, horizontal = spec.torque, spec.kind == "composed"
     chosen, held_out = ~rows.validation, {"validation": rows.validation}
     if config.early_validation:
         chosen, early = inner_split(rows, config.early_validation, config.seed, config.early_held)
@@ -278,7 +280,7 @@ def _split(
     weight = type_weights(training, config.balance)
     if taught is not None:
         training = training.with_vertical_force(taught[chosen])
-    examples = Examples(to_batch(training), targets(training, torque), weight)
+    examples = Examples(to_batch(training), targets(training, torque, horizontal), weight)
     parts = {name: rows.select(mask) for name, mask in held_out.items()}
     return examples, {name: (to_batch(part), targets(part)) for name, part in parts.items()}
 
@@ -393,7 +395,8 @@ def train_taught(
         name = f"teacher {number} of {config.teachers}"
         own = teacher_config(config, number)
         run = train(_for_teachers(rows, config), spec, own, path, progress, name=name)
-        answers += symmetric_mean(run.network, to_batch(rows)).double().numpy() / config.teachers
+        answer = predict if config.symmetry == "none" else symmetric_mean
+        answers += answer(run.network, to_batch(rows)).double().numpy() / config.teachers
     taught = config.label_share * rows.force_g[:, 2] + (1.0 - config.label_share) * answers
     first = torch.nn.utils.parameters_to_vector(run.network.parameters()).detach()
     lesson = Lesson(taught, first)

@@ -61,6 +61,9 @@ ROTOR_DEPTH_M = 0.03
 GROUND_REFERENCE_M = 0.07
 """Height at which the ground effect is G: the lowest that was measured."""
 
+MOST_ROWS = 100_000
+"""Training rows that the least squares look at, drawn at random: they take a minute."""
+
 WakeVelocity = Literal["relative", "neighbor"]
 """Which velocity tilts the wake: the neighbour's relative to the drone, or its own."""
 
@@ -269,7 +272,7 @@ def _least_squares(
     return np.asarray(result.x)
 
 
-def _drawn(rows: InteractionRows, count: int, seed: int) -> InteractionRows:
+def draw_rows(rows: InteractionRows, seed: int, count: int = MOST_ROWS) -> InteractionRows:
     """So many training rows, drawn at random."""
     training = np.flatnonzero(~rows.validation)
     rng = np.random.default_rng(seed)
@@ -317,10 +320,6 @@ def description(
     }
 
 
-MOST_ROWS = 100_000
-"""Training rows that the least squares look at, drawn at random: they take a minute."""
-
-
 @dataclass(frozen=True)
 class CompiledForce:
     """A model of `swarm_envs.interactions`, as `evaluate.ForceFunction` asks for one."""
@@ -358,7 +357,7 @@ def fit_wake_model(
         what a user must know.
     """
     target = treated.target
-    drawn = _drawn(target, MOST_ROWS, config.seed)
+    drawn = draw_rows(target, config.seed)
     fitted = _variant(target, drawn, "neighbor")
     error = {"tilted by neighbor velocity": fitted.errors.overall}
     content = description(fitted, target.types, treated.drag, error)
@@ -378,7 +377,7 @@ def write_wake(config: WakeFitConfig) -> dict[str, object]:
     began = time.perf_counter()
     rows = read_rows(config.data)
     treated = treat(rows, FitConfig(data=config.data, out=config.out, model="wake"))
-    drawn = _drawn(treated.target, config.rows, config.seed)
+    drawn = draw_rows(treated.target, config.seed, config.rows)
     velocities: tuple[WakeVelocity, ...] = ("relative", "neighbor")
     fits = [_variant(treated.target, drawn, velocity) for velocity in velocities]
     best = fits[1]  # tilted by the neighbour's velocity, which the kernels compute

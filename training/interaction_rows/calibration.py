@@ -18,7 +18,14 @@ import numpy as np
 
 from swarm_envs.training.interaction_rows.rows import BoolArray, FloatArray, InteractionRows
 
-__all__ = ["NO_OFFSETS", "RULE", "Offsets", "estimate_offsets", "quiet_rows", "subtract_offsets"]
+__all__ = [
+    "NO_OFFSETS",
+    "RULE",
+    "Offsets",
+    "estimate_offsets",
+    "quiet_rows",
+    "subtract_offsets",
+]
 
 QUIET_HEIGHT_M = 0.3
 """A row below this height is not quiet, m."""
@@ -83,8 +90,8 @@ def quiet_rows(rows: InteractionRows, max_speed: float = QUIET_SPEED) -> BoolArr
     return np.asarray(alone & slow & aloft, dtype=np.bool_)
 
 
-def estimate_offsets(rows: InteractionRows) -> Offsets:
-    """Estimate offsets from quiet training rows by the rule of `RULE`.
+def estimate_offsets(rows: InteractionRows, axis: int = 2) -> Offsets:
+    """Estimate offsets from quiet training rows by the rule of `RULE`, along x, y or z.
 
     Raises:
         ValueError: a vehicle has no quiet training row.
@@ -99,10 +106,10 @@ def estimate_offsets(rows: InteractionRows) -> Offsets:
                 "calibration offset cannot be estimated; add such rows, leave the vehicle out, or "
                 "fit without offsets if its labels are exact"
             )
-        usual = float(np.median(own.force_g[:, 2]))
+        usual = float(np.median(own.force_g[:, axis]))
         vehicles[int(vehicle)] = usual
         for flight in np.unique(own.flight):
-            labels = own.force_g[own.flight == flight, 2]
+            labels = own.force_g[own.flight == flight, axis]
             share = len(labels) / (len(labels) + PRIOR_ROWS)
             drift = float(np.median(labels)) - usual
             flights[int(vehicle), int(flight)] = usual + share * drift

@@ -23,7 +23,7 @@ def swarm(robots, rng, height=1.0):
     return np.concatenate((position, rng.normal(0.0, 0.5, position.shape)), axis=2)
 
 
-@pytest.mark.parametrize("name", ["learned", "wake", "none"])
+@pytest.mark.parametrize("name", ["learned", "learned-v0", "wake", "none"])
 @pytest.mark.parametrize("height", [0.6, 1.5])
 def test_the_jacobian_is_that_of_differences(name, height):
     model, team = load(name), parse_team("SLS*L")
@@ -38,7 +38,7 @@ def test_the_jacobian_is_that_of_differences(name, height):
 
 
 def test_unwindowed_and_unanchored_deep_sets_are_differentiated_too():
-    model, team = load("learned"), parse_team("SLL")
+    model, team = load("learned-v0"), parse_team("SLL")
     window = np.array([LATERAL_REACH, LATERAL_REACH, VERTICAL_REACH, VERTICAL_REACH])
     field = model.field._replace(window=window, anchor_height=0.0)
     field = field._replace(pair_range=unlimited(6), environment_range=unlimited(4))
@@ -60,14 +60,17 @@ def test_a_drone_out_of_reach_changes_no_force_but_its_drag():
     assert not jacobian[:, 1, :, :3].any()
 
 
-def test_the_jacobian_is_that_of_torch(tmp_path):
+@pytest.mark.parametrize("kind", ["deep-set", "composed"])
+def test_the_jacobian_is_that_of_torch(kind, tmp_path):
     """A random network, written by the trainer and read as a model; autograd is the truth."""
     torch = pytest.importorskip("torch")
+    from swarm_envs.training.force_model.composed import build
     from swarm_envs.training.force_model.export import save_network
-    from swarm_envs.training.force_model.network import DeepSet, DeepSetSpec
+    from swarm_envs.training.force_model.network import DeepSetSpec
 
     torch.manual_seed(0)
-    network = DeepSet(DeepSetSpec(types=("S", "L")), torch.float64)
+    spec = DeepSetSpec(types=("S", "L"), input_range=None, kind=kind)
+    network = build(spec, torch.float64)
     network.drag[:, 2] = torch.tensor([0.01, 0.03])
     save_network(tmp_path / "random.safetensors", network)
     model, states = load(tmp_path / "random.safetensors"), swarm(3, np.random.default_rng(5), 0.7)
@@ -76,7 +79,9 @@ def test_the_jacobian_is_that_of_torch(tmp_path):
     whole = torch.cat((whole[:, :1], moving[:, None], whole[:, 2:]), dim=1)
     vertical = network.force_g(whole[..., :3], whole[..., 3:], ("S", "L", "S")) * GRAM_FORCE
     jacobian = force_jacobian(model, parse_team("SLS"), states, 1)
+    rtol, atol, share = (1e-6, 1e-10, 1.0) if kind == "deep-set" else (1e-4, 1e-6, 0.98)  # kinks
     for drone in range(3):
         (truth,) = torch.autograd.grad(vertical[:, drone].sum(), moving, retain_graph=True)
         assert truth.abs().max() > 1e-4
-        np.testing.assert_allclose(jacobian[:, drone, 2], truth.numpy(), rtol=1e-6, atol=1e-10)
+        near = np.isclose(jacobian[:, drone, 2], truth.numpy(), rtol=rtol, atol=atol)
+        assert near.mean() >= share

@@ -1,0 +1,191 @@
+"""The composed model, written out in numpy: pushes of pairs that are joined."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from safetensors.numpy import save_file
+
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.field import fade_weight
+from swarm_envs.state import FloatArray
+from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle
+from tests.helpers.drawn_networks import drawn
+
+TYPES = ("A", "B")
+FULL, END, TOP, EDGE = 0.25, 0.35, 0.8, 1.1
+WINDOW = {"lateral_m": [FULL, END], "vertical_m": [TOP, EDGE]}
+FAST, FASTER = 1.0, 1.2
+RANGE = {
+    "pair": [[-END, -END, -1.0, -FAST, -FAST, -FASTER], [END, END, 1.0, FAST, FAST, FASTER]],
+    "environment": [[-1.6, -0.6, -0.6, -1.0], [-0.07, 0.6, 0.6, 1.0]],
+}
+DRAG, ANCHOR = 0.02, 0.6
+Tensors = dict[str, FloatArray]
+
+
+def written(path: Path, **changes: Any) -> Tensors:
+    """A random model in a file, and its tensors; `changes` are of tensors by name."""
+    rng, tensors = np.random.default_rng(3), {f"drag.{t}": np.full(3, DRAG) for t in TYPES}
+    networks = {f"pair.{other}.{own}": (5, 7, 5, 2) for other in TYPES for own in TYPES}
+    networks |= {f"environment.{t}": (3, 7, 5, 1) for t in TYPES}
+    tensors |= drawn(networks, rng)
+    for other in TYPES:
+        tensors[f"delay.{other}"] = rng.uniform(0.1, 0.3, 1)
+        for own in TYPES:
+            tensors[f"wake.{other}.{own}"] = rng.uniform([5, 0.04, 0.01, 1], [25, 0.08, 0.05, 3])
+    tensors["joining"] = np.array([1.3, 0.8, 0.1])
+    tensors |= changes
+    note = {"format": "composed-1", "types": TYPES, "anchor_height_m": ANCHOR}
+    note |= {"window": WINDOW, "input_range": RANGE}
+    save_file(tensors, path, metadata={"swarm_envs": json.dumps(note)})
+    return tensors
+
+
+def team_of(kinds: list[str]) -> list[Vehicle]:
+    small = vars(VEHICLES["S"])
+    return [Vehicle(**{**small, "token": t, "interaction_type": t}) for t in kinds]
+
+
+def network(tensors: Tensors, name: str, x: FloatArray) -> FloatArray:
+    for k in range(3):
+        x = tensors[f"{name}.{k}.weight"] @ (np.maximum(x, 0.0) if k else x)
+        x = x + tensors[f"{name}.{k}.bias"]
+    return x
+
+
+def fade(distance: float, full: float, end: float) -> float:
+    u = np.clip((distance - full) / (end - full), 0.0, 1.0)
+    return float(1 - 10 * u**3 + 15 * u**4 - 6 * u**5)
+
+
+def pair_push(
+    tensors: Tensors, upper: str, lower: str, p: FloatArray, v: FloatArray, wind: FloatArray
+) -> tuple[float, FloatArray]:
+    """Push of one neighbour, g, and its horizontal part, g."""
+    weight = fade(float(np.hypot(*p[:2])), FULL, END) * fade(abs(p[2]), TOP, EDGE)
+    axis = p[:2] - wind[:2] * max(p[2], 0.0) * tensors[f"delay.{upper}"][0]
+    towards = axis / np.sqrt(axis @ axis + 0.04**2)
+    radial = towards @ v[:2]
+    across = np.sqrt(max(v[:2] @ v[:2] - radial**2, 0.0))
+    r, dz = min(np.hypot(*axis), np.hypot(END, END)), np.clip(p[2], -1.0, 1.0)
+    speeds = [np.clip(radial, -FAST, FAST), min(across, FAST), np.clip(v[2], -FASTER, FASTER)]
+    inputs = np.array([r, dz, *speeds]) / [0.2, 0.5, 0.5, 0.5, 0.5]
+    correction, lean = network(tensors, f"pair.{upper}.{lower}", inputs)
+    amplitude, start, spread, decay = tensors[f"wake.{upper}.{lower}"]
+    width = start + spread * max(dz, 0.0)
+    wake = amplitude * (start / width) ** decay * np.exp(-0.5 * (r / width) ** 2)
+    push = weight * max(wake / (1.0 + np.exp(-dz / 0.03)) + correction, 0.0)
+    return push, push * np.clip(lean, -1.0, 1.0) * towards
+
+
+def alone(tensors: Tensors, own: str, height: float, v: FloatArray) -> float:
+    inputs = [np.clip(-height, -1.6, -0.07), min(np.hypot(*v[:2]), 0.6), np.clip(-v[2], -1.0, 1.0)]
+    return float(network(tensors, f"environment.{own}", np.array(inputs) / [0.2, 0.5, 0.5])[0])
+
+
+@pytest.mark.parametrize("drones", [1, 3, 26])
+def test_forces_are_those_of_the_formula(drones: int, tmp_path: Path) -> None:
+    path = tmp_path / "composed.safetensors"
+    tensors, rng = written(path), np.random.default_rng(drones)
+    position = rng.uniform([-0.3, -0.3, 0.05], [0.3, 0.3, 1.6], (drones, 3))
+    velocity = rng.normal(0.0, 0.5, (drones, 3))
+    kinds = [TYPES[k % 3 % 2] for k in range(drones)]
+    found = load(path).forces(position[None], velocity[None], team_of(kinds))[0]
+    q, lost, height = tensors["joining"]
+    for i, own in enumerate(kinds):
+        force, z = np.zeros(3), position[i, 2]
+        if z < ANCHOR:
+            force[2] += alone(tensors, own, z, velocity[i])
+            force[2] -= alone(tensors, own, ANCHOR, velocity[i])
+        pushes, sideways = [0.0], np.zeros(2)
+        for j in set(range(drones)) - {i}:
+            p, v = position[j] - position[i], velocity[j] - velocity[i]
+            push, part = pair_push(tensors, kinds[j], own, p, v, velocity[j])
+            pushes.append(push)
+            sideways += part
+        down = np.sum(np.power(pushes, q)) ** (1.0 / q)
+        down *= 1.0 - lost * np.exp(-max(z, 0.07) / height)
+        force[2] -= down
+        force[:2] += sideways * down / max(sum(pushes), 1e-30)
+        expected = force * GRAM_FORCE - DRAG * velocity[i]
+        np.testing.assert_allclose(found[i], expected, rtol=0, atol=1e-12)
+
+
+def turned(vector: FloatArray, angle: float, mirror: bool) -> FloatArray:
+    c, s = np.cos(angle), np.sin(angle)
+    matrix = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    return vector @ (matrix @ np.diag([1.0, -1.0 if mirror else 1.0, 1.0])).T
+
+
+@pytest.mark.parametrize("mirror", [False, True])
+def test_forces_turn_with_the_swarm(mirror: bool, tmp_path: Path) -> None:
+    """The drawn model, and the one that ships."""
+    written(tmp_path / "composed.safetensors")
+    rng = np.random.default_rng(4)
+    position = rng.uniform([-0.3, -0.3, 0.05], [0.3, 0.3, 1.6], (50, 4, 3))
+    velocity = rng.normal(0.0, 0.5, position.shape)
+    own = load(tmp_path / "composed.safetensors"), team_of(list("ABBA"))
+    shipped: tuple[InteractionModel, str] = load("learned"), "SLLS"
+    for model, team in (own, shipped):
+        force = model.forces(position, velocity, team)
+        assert np.abs(force[..., :2]).max() > 1e-3
+        for angle in rng.uniform(0.0, 2.0 * np.pi, 5):
+            p, v = turned(position, angle, mirror), turned(velocity, angle, mirror)
+            found = model.forces(p, v, team)
+            np.testing.assert_allclose(found, turned(force, angle, mirror), rtol=0, atol=1e-12)
+
+
+def test_the_horizontal_force_is_smooth_through_the_axis() -> None:
+    """It changes its sign there, and the vertical force has its greatest size about there."""
+    across = np.linspace(-0.02, 0.02, 401)
+    position = np.zeros((401, 2, 3))
+    position[:, 0, 0], position[:, :, 2] = across, [1.0, 1.3]
+    force = load("learned").forces(position, np.zeros_like(position), "LL")[:, 0, 0]
+    assert force[200] == 0.0
+    np.testing.assert_allclose(force, -force[::-1], atol=1e-15)
+    assert np.abs(np.diff(force)).max() < 0.5 * GRAM_FORCE  # per tenth of a millimetre
+
+
+def test_no_weight_is_below_nothing() -> None:
+    """Rounding at the edge of the window would make a power of a negative push: not a number."""
+    distance = END - np.geomspace(1e-9, 1e-3, 5000)
+    weight = np.array([fade_weight(d, FULL, END) for d in distance])
+    assert (weight >= 0.0).all()
+    assert (weight == 0.0).any()
+
+
+DAMAGES: dict[str, tuple[dict[str, Any], str]] = {
+    "q below 1": ({"joining": np.array([0.9, 0.5, 0.1])}, "q must be at least 1"),
+    "no height": ({"joining": np.array([1.1, 0.5, 0.0])}, "h above 0"),
+    "more than all": ({"joining": np.array([1.1, 1.5, 0.1])}, "M at most 1"),
+    "a shape": ({"joining": np.ones(2)}, "must be 3 numbers"),
+    "no width": ({"wake.A.B": np.array([9.0, 0.0, 0.1, 1.0])}, "without width"),
+    "negative": ({"wake.A.B": np.array([-9.0, 0.1, 0.1, 1.0])}, "not negative"),
+    "delay": ({"delay.B": np.array([-0.1])}, "must be 1 numbers that are not negative"),
+    "not finite": ({"delay.B": np.array([np.nan])}, "not finite"),
+    "widths": ({"pair.A.A.0.weight": np.ones((7, 6))}, "maps 6 to 2 numbers"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_files_are_refused(damage: str, tmp_path: Path) -> None:
+    changes, message = DAMAGES[damage]
+    written(tmp_path / "composed.safetensors", **changes)
+    with pytest.raises(ValueError, match=message):
+        load(tmp_path / "composed.safetensors")
+
+
+@pytest.mark.parametrize("missing", ["wake.B.A", "delay.A", "joining", "pair.A.B.1.weight"])
+def test_a_missing_tensor_is_refused(missing: str, tmp_path: Path) -> None:
+    path = tmp_path / "composed.safetensors"
+    tensors = written(path)
+    del tensors[missing]
+    note = {"format": "composed-1", "types": TYPES, "window": WINDOW, "input_range": RANGE}
+    save_file(tensors, path, metadata={"swarm_envs": json.dumps(note)})
+    with pytest.raises(ValueError, match="damaged"):
+        load(path)

@@ -1,0 +1,252 @@
+"""Comparison of force models on whole flights: `python -m swarm_envs.training.force_model.compare`.
+
+Every model is fitted once for each fold, to the flights outside of it, and predicts those inside.
+Folds are drawn from the flights of each scenario, or of each set of scenarios that share a flight.
+Two models are compared by the difference of their squared errors on the same rows. Rows of a flight
+are far from independent, so the interval of the difference is that of a bootstrap over flights.
+
+Labels are treated alike for all models and folds: calibration offsets are those of the quiet rows
+of each flight, the held-out ones included, since they belong to the measurement, not to the air.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from swarm_envs.arguments import Range, Seed, typed, typed_options
+from swarm_envs.files import write_json, written_whole
+from swarm_envs.training.flight_logs.log_options import LogOptions
+from swarm_envs.training.force_model.fit_data import data_sha256, read_data
+from swarm_envs.training.force_model.force_fit_config import FitConfig, Model, with_mode_defaults
+from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
+from swarm_envs.training.force_model.pipeline import network_spec, training_recipe
+from swarm_envs.training.force_model.train import predict, to_batch, train_taught
+from swarm_envs.training.force_model.wake_fit import draw_rows, fit_wake, wake_force_g, wake_rows
+from swarm_envs.training.interaction_rows.rows import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    InteractionRows,
+)
+from swarm_envs.training.provenance import differing, json_ready
+
+DRAWS = 2000
+"""Bootstrap samples of flights."""
+
+
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class CompareConfig:
+    """What to compare, on which flights."""
+
+    data: Path
+    """flight logs, a table of rows, or a folder of them, as `swarm-envs fit` takes them"""
+    out: Path
+    """folder for what every model said of the flights that it has not seen: a comparison that was
+    stopped goes on from there"""
+    models: tuple[Model, ...] = ("composed", "deep-set", "wake")
+    """the models; the first is compared with each of the others"""
+    folds: Annotated[int, Range(2)] = 5
+    """parts of the flights, each held out once"""
+    seed: Seed = 0
+    """of the folds, the fits and the bootstrap"""
+    progress: bool = True
+    """show a progress bar"""
+    json: Path | None = None
+    """write the comparison to this file too"""
+    logs: LogOptions = LogOptions()
+    """how flight logs become rows"""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Mean squared error of one model less that of another on the same rows, g^2."""
+
+    model: str
+    """The one."""
+    other: str
+    """The other."""
+    rows: str
+    """Which rows: `all`, or `flown`, those without drones that fall."""
+    mean: float
+    """The difference; below zero, the one is better."""
+    low: float
+    """Lower end of the interval that holds 95 % of the bootstrap's differences."""
+    high: float
+    """Its upper end."""
+
+
+@dataclass(frozen=True)
+class ModelComparison:
+    """Errors of models on flights that they have not seen."""
+
+    flights: int
+    """How many flights there are."""
+    rows: int
+    """How many rows."""
+    errors: dict[str, dict[str, float]]
+    """Mean squared error by model, g^2: of `all` rows, of those `flown`, and of each scenario."""
+    differences: list[Difference]
+    """Of the first model from each other."""
+    config: object
+    """What was compared."""
+    data_sha256: str
+    """SHA-256 of the data."""
+
+    def lines(self) -> list[str]:
+        """What the command prints."""
+        found = [f"{self.rows} rows of {self.flights} flights; mean squared errors, g^2"]
+        for model, errors in self.errors.items():
+            found.append(
+                f"{model}: {errors['all']:.2f}, below {FALL_SPEED:g} m/s {errors['flown']:.2f}"
+            )
+        for d in self.differences:
+            found.append(
+                f"{d.model} less {d.other}, {d.rows} rows: {d.mean:+.2f} ({d.low:+.2f} to "
+                f"{d.high:+.2f} in 95 % of draws of flights)"
+            )
+        return found
+
+
+def flight_folds(rows: InteractionRows, folds: int, seed: int) -> IntArray:
+    """Which fold each row's flight is in, (R,); flights of the same scenarios are spread evenly.
+
+    Raises:
+        ValueError: there are fewer flights than folds.
+    """
+    flights, index = np.unique(rows.flight, return_inverse=True)
+    if len(flights) < folds:
+        raise ValueError(
+            f"there are {len(flights)} flights for {folds} folds; give more flights or fewer folds"
+        )
+    kinds = [tuple(np.unique(rows.scenario[rows.flight == f]).tolist()) for f in flights]
+    rng, chosen, dealt = np.random.default_rng(seed), np.zeros(len(flights), dtype=np.int64), 0
+    for kind in sorted(set(kinds)):
+        same = rng.permutation([k for k, own in enumerate(kinds) if own == kind])
+        chosen[same] = (dealt + np.arange(len(same))) % folds
+        dealt += len(same)
+    return chosen[index.reshape(-1)]
+
+
+def paired_difference(
+    one: FloatArray, other: FloatArray, flight: IntArray, seed: int
+) -> tuple[float, float, float]:
+    """Mean difference of squared errors (R,), and the ends of its 95 % interval over flights."""
+    index = np.unique(flight, return_inverse=True)[1].reshape(-1)
+    total, count = np.bincount(index, one - other), np.bincount(index)
+    drawn = np.random.default_rng(seed).integers(len(count), size=(DRAWS, len(count)))
+    means = total[drawn].sum(axis=1) / count[drawn].sum(axis=1)
+    low, high = np.quantile(means, [0.025, 0.975])
+    return float(total.sum() / count.sum()), float(low), float(high)
+
+
+@typed
+def compare(config: CompareConfig) -> ModelComparison:
+    """Fit every model to each part of the flights, and compare them on the rest.
+
+    Raises:
+        FileNotFoundError: there is no data.
+        ValueError: there are too few flights, or `config.out` holds another comparison.
+    """
+    rows, _ = read_data(config.data, config.logs, config.progress)
+    rows = dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_))
+    fold, digest = flight_folds(rows, config.folds, config.seed), data_sha256(config.data)
+    _check_same(config, digest)
+    label, squared = np.zeros(len(rows)), {model: np.zeros(len(rows)) for model in config.models}
+    parts = [(model, k) for model in config.models for k in range(config.folds)]
+    for model, k in tqdm(parts, disable=not config.progress, unit="fit"):
+        target, held_out = _target(rows, model, config), fold == k
+        label = target.force_g[:, 2]
+        path = config.out / f"{model}-{k}.npy"
+        if not path.is_file():
+            said = _predicted(dataclasses.replace(target, validation=held_out), model, config)
+            with written_whole(path) as partial, partial.open("wb") as stream:
+                np.save(stream, said[held_out])
+        squared[model][held_out] = (np.load(path) - label[held_out]) ** 2
+    return _compared(rows, squared, config, digest)
+
+
+def _check_same(config: CompareConfig, digest: str) -> None:
+    """Keep what the parts in a folder were made of; refuse a folder of other ones."""
+    path, aside = config.out / "comparison.json", ("data", "out", "json", "progress")
+    options = json.loads(json.dumps(json_ready(config)))
+    made = {k: v for k, v in options.items() if k not in aside} | {"data_sha256": digest}
+    if path.is_file():
+        differences = differing(json.loads(path.read_text(encoding="utf-8")), made)
+        if differences:
+            raise ValueError(
+                f"{str(path)!r} is of another comparison: {differences}; choose another folder or "
+                "delete that one"
+            )
+    config.out.mkdir(parents=True, exist_ok=True)
+    write_json(path, made)
+
+
+def _fit_config(model: Model, config: CompareConfig) -> FitConfig:
+    given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
+    return with_mode_defaults(given, given.mode, model)
+
+
+def _target(rows: InteractionRows, model: Model, config: CompareConfig) -> InteractionRows:
+    return treat(rows, _fit_config(model, config)).target
+
+
+def _predicted(target: InteractionRows, model: Model, config: CompareConfig) -> FloatArray:
+    """Vertical force of every row, (R,) gram-force, by a model fitted to the training rows."""
+    options = _fit_config(model, config)
+    if model == "wake":
+        fitted = fit_wake(draw_rows(target, config.seed), "neighbor")
+        return wake_force_g(fitted, wake_rows(target, "neighbor"))
+    known = flown(target) if model == "composed" else target
+    run = train_taught(
+        known, network_spec(target, options), training_recipe(options), progress=False
+    )
+    return predict(run.network, to_batch(target)).double().numpy()
+
+
+def _compared(
+    rows: InteractionRows, squared: dict[Model, FloatArray], config: CompareConfig, digest: str
+) -> ModelComparison:
+    speed = np.linalg.norm(rows.velocity, axis=1)
+    subsets: dict[str, BoolArray] = {
+        "all": np.ones(len(rows), dtype=np.bool_),
+        "flown": speed < FALL_SPEED,
+    }
+    named = {name: rows.scenario == k for k, name in enumerate(rows.scenario_names)}
+    errors = {
+        str(model): {
+            name: float(own[use].mean()) for name, use in (subsets | named).items() if use.any()
+        }
+        for model, own in squared.items()
+    }
+    first, *others = config.models
+    differences = [
+        Difference(
+            first,
+            other,
+            name,
+            *paired_difference(
+                squared[first][use], squared[other][use], rows.flight[use], config.seed
+            ),
+        )
+        for other in others
+        for name, use in subsets.items()
+    ]
+    flights = len(np.unique(rows.flight))
+    found = ModelComparison(flights, len(rows), errors, differences, json_ready(config), digest)
+    if config.json is not None:
+        write_json(config.json, json_ready(found))
+    return found
+
+
+if __name__ == "__main__":
+    wanted = tyro.cli(CompareConfig, description="Compare force models on flights held out whole.")
+    print(*compare(wanted).lines(), sep="\n")  # noqa: T201

@@ -1,0 +1,224 @@
+"""The composed model for training: pushes of pairs that are joined; see `interactions.composed`.
+
+    push_ij = w_ij max(0, wake_ij + n_ij(r, dz, v_r, v_t, v_dz))
+    f_z = g_i(-z, |v_xy|, -v_z) - (1 - M exp(-z/h)) (sum_j push_ij^q)^(1/q)
+
+The closed form `wake_ij` and the network n_ij, which corrects it, are fitted together, and with
+them the delay of the wakes, q, M and h. A second output of n_ij, read from the same hidden units,
+says how the push leans towards the axis of the wake. It learns from the horizontal labels and
+changes nothing of the vertical fit: the force that it turns is taken as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from torch import Tensor, nn
+
+from swarm_envs.interactions.composed import AXIS_RADIUS
+from swarm_envs.interactions.field import LOWEST_HEIGHT, ONSET, UNITS_OF_OWN, UNITS_OF_PAIR
+from swarm_envs.training.force_model.network import (
+    Batch,
+    DeepSet,
+    DeepSetSpec,
+    ForceNetwork,
+    PairwiseSum,
+    fade,
+    layers,
+    perceptron,
+)
+
+HIGHEST_DECAY = 3.0
+"""The exponent p of a wake stays below it: left free it runs to values that say nothing."""
+_PAIR_WIDTHS = (len(UNITS_OF_PAIR), 32, 32, 2)
+_OWN_WIDTHS = (len(UNITS_OF_OWN), 16, 16, 1)
+_START = {"amplitude": 20.0, "width": 0.06, "spread": 0.03}  # g, m, 1
+_TINY = 1e-12  # keeps derivatives of roots and powers finite at zero
+
+
+class Composed(ForceNetwork):
+    """A wake and a network for each pair of types, a network per type alone, and how they join."""
+
+    def __init__(self, spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> None:
+        """Begin with the same wake for every pair, and networks that correct it by little.
+
+        Args:
+            spec: types, window, clamp and anchor; sizes have no meaning here.
+            dtype: float32 for training, float64 for checks.
+        """
+        super().__init__(spec, dtype)
+        count = len(spec.types)
+        names = [f"{a}>{b}" for a in spec.types for b in spec.types]
+        self.pair = nn.ModuleList([perceptron(_PAIR_WIDTHS, dtype) for _ in names])
+        self.own = nn.ModuleList([perceptron(_OWN_WIDTHS, dtype) for _ in spec.types])
+        with torch.no_grad():
+            for network in self.pair:
+                last = layers(network)[-1]
+                last.weight.mul_(0.1)
+                last.bias.zero_()
+        start = torch.tensor([_START[k] for k in ("amplitude", "width", "spread")], dtype=dtype)
+        wake = torch.cat([start.log(), torch.zeros(1, dtype=dtype)])
+        self.wakes = nn.ParameterList([nn.Parameter(wake.clone()) for _ in names])
+        self.delays = nn.Parameter(torch.full((count,), 0.2, dtype=dtype).log())
+        self.joining = nn.Parameter(torch.tensor([0.2, 0.05, 0.05], dtype=dtype).log())
+
+    def wake(self, upper: int, lower: int) -> Tensor:
+        """Numbers of a pair's wake: A (g), w0 (m), S, p."""
+        raw = self.wakes[upper * len(self.types) + lower]
+        return torch.cat([raw[:3].exp(), HIGHEST_DECAY * torch.sigmoid(raw[3:])])
+
+    def delay(self) -> Tensor:
+        """Seconds per metre by which the wake of each type trails behind it, (T,)."""
+        return self.delays.exp()
+
+    def joined_by(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Exponent q, share M of downwash lost at the ground, and its height h, m."""
+        q, kept, height = self.joining.exp()
+        return 1.0 + q, 1.0 / (1.0 + kept), height
+
+    def wake_tensors(self) -> dict[str, Tensor]:
+        """Return what a weights file holds beside networks and drag, by name."""
+        count, names = len(self.types), self.types
+        pairs = [(i, j) for i in range(count) for j in range(count)]
+        found = {f"wake.{names[i]}.{names[j]}": self.wake(i, j) for i, j in pairs}
+        found |= {f"delay.{names[i]}": self.delay()[i : i + 1] for i in range(count)}
+        return found | {"joining": torch.stack(self.joined_by())}
+
+    def set_wake_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """Set what `wake_tensors` says."""
+        for k, raw in enumerate(self.wakes):
+            upper, lower = (self.types[n] for n in divmod(k, len(self.types)))
+            wake = tensors[f"wake.{upper}.{lower}"]
+            raw.copy_(torch.cat([wake[:3].log(), torch.logit(wake[3:] / HIGHEST_DECAY)]))
+        self.delays.copy_(torch.cat([tensors[f"delay.{name}"] for name in self.types]).log())
+        q, lost, height = tensors["joining"]
+        self.joining.copy_(torch.stack([q - 1.0, 1.0 / lost - 1.0, height]).log())
+
+    def silence(self, upper: int, lower: int) -> None:
+        """Let one type push another by nothing."""
+        with torch.no_grad():
+            self.wakes[upper * len(self.types) + lower][0] = -torch.inf
+
+    def named_networks(self) -> dict[str, nn.Module]:
+        """Return its perceptrons by the names that they have in a weights file."""
+        names = [f"pair.{a}.{b}" for a in self.types for b in self.types]
+        own = [f"environment.{name}" for name in self.types]
+        return dict(zip(names + own, [*self.pair, *self.own], strict=True))
+
+    def network_of(self, neighbor: str, ego: str) -> nn.Module:
+        """Return the perceptron that corrects the push of one type on another."""
+        return self.named_networks()[f"pair.{neighbor}.{ego}"]
+
+    def heads(self, batch: Batch) -> Tensor:
+        """Force of every row, (R, 3) gram-force: vertical, then in x and y."""
+        q, lost, height = self.joined_by()
+        powers, pairs = self._pairs(batch, q)
+        some = powers > 0.0
+        together = torch.where(some, powers.clamp(min=_TINY**2) ** (1.0 / q), 0.0)
+        z = (-batch.environment[:, 0]).clamp(min=LOWEST_HEIGHT)
+        down = together * (1.0 - lost * torch.exp(-z / height))
+        sideways = pairs[:, :2] * (down / pairs[:, 2].clamp(min=_TINY**2)).detach()[:, None]
+        return torch.cat([(self._alone(batch) - down)[:, None], sideways], dim=1)
+
+    def _alone(self, batch: Batch) -> Tensor:
+        environment, aloft = self.anchored(batch.environment)
+        force = self._own(batch.ego_type, environment)
+        return force if aloft is None else force - self._own(batch.ego_type, aloft)
+
+    def _own(self, ego_type: Tensor, environment: Tensor) -> Tensor:
+        known = self.clamped(environment)
+        speed = _length(environment[:, 1:3]).clamp(max=float(self.environment_high[1]))
+        inputs = torch.stack([known[:, 0], speed, known[:, 3]], dim=1)
+        inputs = inputs / inputs.new_tensor(UNITS_OF_OWN)
+        force = inputs.new_zeros(len(inputs))
+        for index, network in enumerate(self.own):
+            chosen = torch.nonzero(ego_type == index).squeeze(1)
+            if len(chosen):
+                force = force.index_add(0, chosen, network(inputs[chosen])[:, 0])
+        return force
+
+    def window(self, pair: Tensor) -> Tensor:
+        """Weight w of pairs (..., 6) by the distance beside and below."""
+        assert self.spec.window is not None
+        lateral, vertical = self.spec.window
+        weight = fade(_length(pair[..., :2]), *lateral) * fade(pair[..., 2].abs(), *vertical)
+        return weight.clamp(min=0.0)  # rounding at the edge
+
+    def _pairs(self, batch: Batch, q: Tensor) -> tuple[Tensor, Tensor]:
+        """Sums over each row's neighbours: of push^q (R,), and of x, y, down (R, 3)."""
+        rows, slots = batch.pair_type.shape
+        pair = batch.pair.reshape(rows * slots, 6)
+        weight = self.window(pair)
+        kind = torch.where(weight > 0, batch.pair_type.reshape(-1), -1)
+        ego = batch.ego_type.repeat_interleave(slots)
+        powers, sums = pair.new_zeros(rows), pair.new_zeros(rows, 3)
+        for upper in range(len(self.types)):
+            for lower in range(len(self.types)):
+                chosen = torch.nonzero((kind == upper) & (ego == lower)).squeeze(1)
+                if len(chosen) == 0:
+                    continue
+                row = chosen // slots
+                wind = pair[chosen, 3:5] - batch.environment[row, 1:3]
+                push, lean = self._push(upper, lower, pair[chosen], wind, weight[chosen])
+                powers = powers.index_add(0, row, push.clamp(min=_TINY) ** q)
+                vector = torch.cat([push.detach()[:, None] * lean, push[:, None]], dim=1)
+                sums = sums.index_add(0, row, vector)
+        return powers, sums
+
+    def _push(
+        self, upper: int, lower: int, pair: Tensor, wind: Tensor, weight: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Push of every pair (P,) and how it leans (P, 2); `wind` is the upper's velocity."""
+        inputs, towards = self.turned(pair, wind, self.delay()[upper])
+        network = self.pair[upper * len(self.types) + lower]
+        assert isinstance(network, nn.Sequential)
+        hidden = network[:-1](inputs / inputs.new_tensor(UNITS_OF_PAIR))
+        last = layers(network)[-1]
+        correction = nn.functional.linear(hidden, last.weight[:1], last.bias[:1])[:, 0]
+        lean = nn.functional.linear(hidden.detach(), last.weight[1:], last.bias[1:])
+        push = torch.relu(self._wake_of(upper, lower, inputs) + correction) * weight
+        return push, lean.clamp(-1.0, 1.0) * towards.detach()
+
+    def _wake_of(self, upper: int, lower: int, inputs: Tensor) -> Tensor:
+        amplitude, start, spread, decay = self.wake(upper, lower)
+        r, dz = inputs[:, 0], inputs[:, 1]
+        width = start + spread * dz.clamp(min=0.0)
+        shape = torch.exp(-0.5 * (r / width) ** 2) * torch.sigmoid(dz / ONSET)
+        return amplitude * (start / width) ** decay * shape
+
+    def turned(self, pair: Tensor, wind: Tensor, delay: Tensor) -> tuple[Tensor, Tensor]:
+        """Inputs of a pair's network (P, 5), in SI units, and the way to the axis (P, 2)."""
+        known = pair.clamp(self.pair_low, self.pair_high)
+        axis = pair[:, :2] - wind * (pair[:, 2:3].clamp(min=0.0) * delay)
+        velocity, fastest = pair[:, 3:5], float(self.pair_high[3])
+        square = (axis * axis).sum(dim=1)
+        towards = axis / torch.sqrt(square + AXIS_RADIUS**2)[:, None]
+        radial = (towards * velocity).sum(dim=1)
+        rest = (velocity * velocity).sum(dim=1) - radial * radial
+        farthest = float(torch.linalg.vector_norm(self.pair_high[:2]))
+        inputs = [
+            _root(square).clamp(max=farthest),
+            known[:, 2],
+            radial.clamp(-fastest, fastest),
+            _root(rest).clamp(max=fastest),
+            known[:, 5],
+        ]
+        return torch.stack(inputs, dim=1), towards
+
+
+def _length(vector: Tensor) -> Tensor:
+    """Length of vectors (..., 2)."""
+    return _root((vector * vector).sum(dim=-1))
+
+
+def _root(square: Tensor) -> Tensor:
+    """Square root, with a derivative at zero."""
+    return torch.sqrt(square.clamp(min=_TINY**2))
+
+
+def build(spec: DeepSetSpec, dtype: torch.dtype = torch.float32) -> ForceNetwork:
+    """Make the network of a spec, with the weights from which training starts."""
+    if spec.kind == "composed":
+        return Composed(spec, dtype)
+    return PairwiseSum(spec, dtype) if spec.kind == "pairwise" else DeepSet(spec, dtype)
