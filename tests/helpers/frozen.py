@@ -470,7 +470,7 @@ def _flights() -> dict[str, Any]:
         "forces, learned, float32": ForcesAlone(
             lambda: load("learned-v0").with_precision("float32")
         ),
-            lambda: load("learned-v0").with_precision("float32")
+        "forces, wake": ForcesAlone(lambda: load("wake")),
         "forces, pairwise": ForcesAlone(pairwise_model),
     }
 
