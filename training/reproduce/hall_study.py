@@ -199,9 +199,10 @@ def _plot(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
             ]
             names = [w.replace(", ", ",\n") for w in dict.fromkeys(row["world"] for row in own)]
             draw_numbered_bars(axis, names, series)
-            label_axis(
-                axis, f"Forces: {truth}", "", "Worst height error, median (cm)", grid="y", legend=9
-            )
+            axis.set_ylim(0.1, 100.0)
+            axis.legend(fontsize=9, ncols=len(_SIDES), loc="upper center")
+            title = "Worst height error, median (cm)"
+            label_axis(axis, f"Forces: {truth}", "", title, grid="y")
 
 
 HALL = Study(
