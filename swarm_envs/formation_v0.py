@@ -3,8 +3,9 @@
     from swarm_envs import formation_v0
     env = formation_v0.parallel_env()
 
-The force model that is called `learned` here, and is the default, is `learned-v0`. Use this version
-to compare with results of release 0.1.0; use `formation_v1` for everything else.
+The force model that is called `learned` here, and is the default, is `learned-v0`, and the integral
+of the tracking controller is bounded by 0.05 m. Use this version to compare with results of release
+0.1.0; use `formation_v1` for everything else.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ class FormationTaskV0(FormationTask):
     """Version 0 of the task."""
 
     name = "formation_v0"
+    velocity_integral_limit = 0.05
 
 
 @typed_options

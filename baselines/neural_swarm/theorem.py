@@ -145,7 +145,7 @@ def clamped_radius(
 def integral_force(config: ControllerConfig, mass: float) -> float:
     """Largest force of the clamped integral along one axis, K_v Gamma times the clamp, N."""
     gains = config.gains
-    return mass * gains.velocity * gains.integral * config.velocity_integral_limit
+    return mass * gains.velocity * gains.integral * config.integral_limit
 
 
 # ---- The plant that the theorem assumes, under this package's position controller

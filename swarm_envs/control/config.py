@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GAINS",
+    "INTEGRAL_LIMIT",
     "MID",
     "ControllerConfig",
     "Indi",
@@ -21,6 +22,10 @@ __all__ = [
     "PositionGains",
     "gains",
 ]
+
+INTEGRAL_LIMIT = 0.7
+"""Default of `velocity_integral_limit`, m: 9 % of the weight, three standard deviations of what a
+drone in the world `"hall"` cannot know (of a large one 2.7 % as a force, 1.4 % of its thrust)."""
 
 STEP = 1.0 / 240.0
 """Length of one controller step, which is one physics step, s."""
@@ -190,12 +195,11 @@ class ControllerConfig:
     desired_rate_cutoff_hz: Annotated[float, POSITIVE] = 10.0
     """Cut-off of the low-pass on the desired body rate, Hz."""
 
-    velocity_integral_limit: Annotated[float, POSITIVE] = 0.05
+    velocity_integral_limit: Annotated[float, POSITIVE] | None = None
     """Largest |integral of the velocity error| per axis, m: anti-windup. It gives at most
-    (K_v / m) Gamma_v m limit of force, with the default gains 0.22 g for a small drone and 0.43 g
-    for a large one: trim. The integral takes 1 / Gamma_v = 2 s, longer than a wake is crossed, and
-    pushes a drone past its goal with what it has gathered there. What is larger is the task of
-    `adaptation`."""
+    (K_v / m) Gamma_v m limit of force. None: 0.7 m, with the default gains 3.0 g for a small drone
+    and 6.0 g for a large one, which holds the errors of mass and thrust of the world `"hall"`; in
+    version 0 of the tasks 0.05 m."""
     rate_integral_limit: Annotated[float, POSITIVE] = 0.2
     """Largest |integral of the body-rate error| per axis, rad: anti-windup."""
     min_vertical_thrust_fraction: Annotated[float, Range(0.0, 1.0, above=True, below=True)] = 0.2
@@ -209,6 +213,12 @@ class ControllerConfig:
                 f"feedforward is {model!r:.80}, but must be an InteractionModel, such "
                 "as load('learned'), or None"
             )
+
+    @property
+    def integral_limit(self) -> float:
+        """`velocity_integral_limit`, or its default, m."""
+        limit = self.velocity_integral_limit
+        return float(INTEGRAL_LIMIT if limit is None else limit)
 
 
 def low_pass_blend(cutoff_hz: float, step: float) -> float:
@@ -239,7 +249,6 @@ _SAME = (
     "rate_yaw",
     "rate_integral_tilt",
     "rate_integral_yaw",
-    "velocity_integral_limit",
     "rate_integral_limit",
     "min_vertical_thrust_fraction",
 )
@@ -257,6 +266,7 @@ def gains(config: ControllerConfig, dt: float = STEP) -> dict[str, object]:
     return {
         **{name: float(getattr(config, name)) for name in _SAME},
         "step": float(dt),
+        "velocity_integral_limit": config.integral_limit,
         "position_gain": float(config.gains.position),
         "velocity_gain": float(config.gains.velocity),
         "integral_gain": float(config.gains.integral),

@@ -155,6 +155,9 @@ class SwarmCore:
             **task.motion.settings(),
             "noise": (0.0,) * 4 if ranges is None else ranges.noise,
         }
+        controller = config.controller
+        if controller is None or controller.velocity_integral_limit is None:
+            rules["velocity_integral_limit"] = task.velocity_integral_limit
         for name, value in rules.items():
             self.settings[name] = value
 

@@ -11,6 +11,7 @@ from typing import Annotated, NamedTuple, Self
 import numpy as np
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, typed
+from swarm_envs.control.config import INTEGRAL_LIMIT
 from swarm_envs.errors import check_array
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
@@ -125,6 +126,8 @@ class Task(ABC):
     """Weight of each reward term; a term left out has none."""
     reward_names: tuple[str, ...]
     """Names of the T reward terms."""
+    velocity_integral_limit: float = INTEGRAL_LIMIT
+    """Of controllers that leave theirs to the task, m; see `ControllerConfig`."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
     """A kernel that writes the bounded terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""

@@ -123,7 +123,7 @@ def test_belief_and_adaptation_together_beat_either(adaptation):
         test = replace(swap_test("L2S", SHORT, "wake"), randomization=wrong)
         belief = load("learned")
         alone = worst_cm(test, belief, None), worst_cm(test, None, adaptation)
-        assert worst_cm(test, belief, adaptation) < 0.6 * min(alone)
+        assert worst_cm(test, belief, adaptation) < 0.7 * min(alone)
 
 
 @pytest.mark.skipif(not bullet_available(), reason="needs pybullet")

@@ -16,7 +16,7 @@ import numpy.typing as npt
 import pytest
 from scipy.spatial.transform import Rotation
 
-from swarm_envs.control.config import GAINS, ControllerConfig
+from swarm_envs.control.config import GAINS, INTEGRAL_LIMIT, ControllerConfig
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics import BatchPhysics
@@ -152,6 +152,7 @@ def push_overshoot(limit: float) -> float:
 
 def test_a_long_push_does_not_wind_the_integral_up() -> None:
     assert push_overshoot(0.05) < 0.01
+    assert 0.05 < push_overshoot(INTEGRAL_LIMIT) < 0.3
     assert push_overshoot(1e6) > 1.0
 
 

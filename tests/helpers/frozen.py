@@ -368,7 +368,7 @@ def _flights() -> dict[str, Any]:
     """Every flight by its name: batches, single environments, Bullet, then parts alone."""
     start = np.array([[-0.5, 0.0, 1.0], [0.5, 0.1, 1.1], [0.0, 0.6, 0.9]])
     near = start + np.array([0.12, 0.0, 0.05])
-    wake = ControllerConfig(feedforward=load("wake"))
+    wake = ControllerConfig(feedforward=load("wake"), velocity_integral_limit=0.05)
     everything = {"randomization": EVERYTHING, "battery": BatteryModel(), "controller": wake}
     everything |= {"team": "LSS*", "force_rate": 80, "horizon_s": 0.5}
     box, column = Box((-0.2, -0.2, 0.0), (0.2, 0.2, 0.6)), Column((0.6, 0.6), 0.1, 2.0)
@@ -464,7 +464,7 @@ def _flights() -> dict[str, Any]:
         "BatchPhysics, 7 x 5": PhysicsAlone("batch", "LSS*SL", 7),
         "BulletPhysics, 1 x 2": PhysicsAlone("bullet", "LS", 1),
         "BulletPhysics, 2 x 5": PhysicsAlone("bullet", "LSS*SL", 2, seeds=(1,)),
-        "tracking": TrackingAlone(ControllerConfig()),
+        "tracking": TrackingAlone(ControllerConfig(velocity_integral_limit=0.05)),
         "tracking with compensation": TrackingAlone(wake, seeds=(1,)),
         "forces, learned": ForcesAlone(lambda: load("learned-v0")),
         "forces, learned, float32": ForcesAlone(
