@@ -317,9 +317,10 @@ offsets by flight taken out, and changes nothing of the vertical fit.
 
 SOAP {c["learning_rate"]}, cosine to zero, {c["epochs"]:g} passes in batches of {c["batch_size"]},
 seed {c["seed"]}, mean squared error; after each step every weight matrix whose spectral norm
-exceeds {c["max_spectral_norm"]:g}^2 is scaled down to it. Tried on whole flights and left out, for
-they gain nothing or lose: noise on the neighbours' positions, weights by type, four teachers, the
-upper drone's own speed as further inputs.
+exceeds {c["max_spectral_norm"]:g}^2 is scaled down to it. Left out after
+short trials on some of the flights: noise on the neighbours' positions together with weights by
+type, four teachers, the upper drone's own speed as further inputs (0.1 g^2 better in an early
+variant). Not tried: a history of the neighbours' states, and their thrust.
 """
 
 
