@@ -1,12 +1,19 @@
 """RTH3D: labelled multi-robot path planning on 3-D grids (Guo, Feng, Yu, IROS 2022).
 
 `plan` makes a `GridPlan`, `validate` checks one by other code, `max_density` says how many robots
-the guaranteed methods take, `make_instance` draws instances of `FAMILIES`.
+the highways carry, `make_instance` draws instances of `FAMILIES`.
 """
 
-from swarm_envs.baselines.rth3d.grid import FAMILIES, GridInstance, building_columns, make_instance
+from swarm_envs.baselines.rth3d.grid import (
+    FAMILIES,
+    GridInstance,
+    NoPlanExists,
+    PlanNotFound,
+    building_columns,
+    make_instance,
+)
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanTimeout
-from swarm_envs.baselines.rth3d.grid_planning import METHODS, PlanNotFound, plan
+from swarm_envs.baselines.rth3d.grid_planning import METHODS, plan
 from swarm_envs.baselines.rth3d.grid_validation import ValidationReport, validate
 from swarm_envs.baselines.rth3d.rubik import max_density
 
@@ -15,6 +22,7 @@ __all__ = [
     "METHODS",
     "GridInstance",
     "GridPlan",
+    "NoPlanExists",
     "PlanNotFound",
     "PlanTimeout",
     "ValidationReport",

@@ -14,34 +14,14 @@ from itertools import count as _count_up
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.rth3d.grid import Array, Shape, Vertices
+from swarm_envs.baselines.rth3d.grid import Array, NoHighways, Vertices
+from swarm_envs.baselines.rth3d.ways import STAY, Neighbors
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
-Neighbors = npt.NDArray[np.int32]
-"""(V, 7) the neighbours of each vertex: x - 1, x + 1, y - 1, y + 1, z - 1, z + 1, and itself; -1
-where there is none."""
-
-STAY = 6
-"""The direction of a wait, after those of the six edges."""
 _UNUSED = -1
 _MOST_NODES = 2**29
 _FAR = 2**30
-
-
-def neighbor_table(shape: Shape, obstacles: BoolArray) -> Neighbors:
-    """The neighbours of every vertex, none across the border or into an obstacle."""
-    vertex = np.arange(np.prod(shape), dtype=np.int32).reshape(shape)
-    vertex = np.where(obstacles, np.int32(-1), vertex)
-    wide = np.pad(vertex, 1, constant_values=-1)
-    inner = slice(1, -1)
-    found = np.empty((*shape, 7), dtype=np.int32)
-    for axis in range(3):
-        for end, shifted in enumerate((slice(0, -2), slice(2, None))):
-            index = tuple(shifted if k == axis else inner for k in range(3))
-            found[..., 2 * axis + end] = wide[index]
-    found[..., STAY] = vertex
-    return found.reshape(-1, 7)
 
 
 @kernel
@@ -275,7 +255,7 @@ def balance(
         a quarter at most.
 
     Raises:
-        ValueError: the sinks cannot be reached, or only in more steps than a flow may have.
+        NoHighways: the sinks cannot be reached, or only in more steps than a flow may have.
     """
     flow = _Flow(table, starts, sinks)
     for steps in _count_up():
@@ -284,7 +264,7 @@ def balance(
         if steps == 0 or (steps > 8 and steps % (steps // 5)):
             continue
         if 2 * (steps + 1) * flow.total > _MOST_NODES:
-            raise ValueError(
+            raise NoHighways(
                 f"after {flow.steps} steps {int(flow.pending.sum())} robots still find no slot; "
                 "the starts or goals are too unevenly spread over so large a grid"
             )

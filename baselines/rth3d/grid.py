@@ -6,14 +6,16 @@ A vertex (x, y, z) of a grid of shape (m1, m2, m3) has the number (x m2 + y) m3 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, fields
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import Seed, typed
+from swarm_envs.baselines.rth3d.cuts import cut_bound
+from swarm_envs.baselines.rth3d.ways import FAR, neighbor_table, shortest_ways
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray
 
@@ -32,6 +34,18 @@ _LONGEST_SIDE = 32767  # paths are int16
 _MOST_VERTICES = 2**28  # a flow over several steps numbers them in int32
 
 
+class PlanNotFound(RuntimeError):
+    """A method without guarantee has found no plan."""
+
+
+class NoHighways(ValueError):
+    """The highways of RTH3D do not fit an instance: other methods may."""
+
+
+class NoPlanExists(PlanNotFound, ValueError):
+    """The instance has no plan: proven, whatever the method."""
+
+
 @typed
 @dataclass(frozen=True, eq=False)
 class GridInstance:
@@ -46,15 +60,64 @@ class GridInstance:
     obstacles: BoolArray
     """(m1, m2, m3), True where nobody may be."""
 
-    @property
+    def fields(self) -> dict[str, Any]:
+        """Shape, starts, goals and obstacles by name."""
+        return {field.name: getattr(self, field.name) for field in fields(GridInstance)}
+
+    @cached_property
+    def lengths(self) -> npt.NDArray[np.int32]:
+        """(n,) length of each robot's shortest way, around obstacles.
+
+        Raises:
+            NoPlanExists: obstacles cut a robot off from its goal.
+        """
+        if not breaks_pattern(self.obstacles):
+            return _pattern_lengths(self)
+        table = neighbor_table(self.shape, self.obstacles)
+        found = shortest_ways(table, *(numbers(p, self.shape) for p in (self.starts, self.goals)))
+        cut_off = np.flatnonzero(found == FAR)
+        if len(cut_off):
+            i = int(cut_off[0])
+            raise NoPlanExists(
+                f"no plan exists: robot {i} cannot get from {_text(self.starts[i])} to "
+                f"{_text(self.goals[i])}: obstacles are between; move them, or one of the two"
+            )
+        return found
+
+    @cached_property
     def lower_bound(self) -> int:
-        """Largest Manhattan distance of a robot to its goal: no plan's makespan is below."""
-        return int(np.abs(self.starts - self.goals).sum(axis=1).max())
+        """Steps that no plan can do without.
+
+        The longest of the robots' shortest ways, or more where many have to go through a plane
+        with few openings (see `cut_bound`).
+
+        Raises:
+            NoPlanExists: obstacles cut a robot off from its goal.
+        """
+        longest = int(self.lengths.max())
+        detours = breaks_pattern(self.obstacles) != ""
+        table = neighbor_table(self.shape, self.obstacles) if detours else None
+        return cut_bound(self.starts, self.goals, self.obstacles, longest, table)
 
     @property
     def density(self) -> float:
         """Robots per vertex, those of obstacles included, as the paper counts."""
         return len(self.starts) / float(np.prod(self.shape))
+
+
+def _pattern_lengths(instance: GridInstance) -> npt.NDArray[np.int32]:
+    """(n,) lengths of shortest ways among columns of the pattern: Manhattan, or two more.
+
+    It is two more where a column stands in the one row, or column, that both vertices share.
+    """
+    columns = np.asarray(instance.obstacles.any(axis=2), dtype=np.int32)
+    found = np.abs(instance.starts - instance.goals).sum(axis=1, dtype=np.int32)
+    for axis in (0, 1):
+        before = np.cumsum(columns, axis=axis)
+        same = instance.starts[:, 1 - axis] == instance.goals[:, 1 - axis]
+        first, last = (before[p[:, 0], p[:, 1]] for p in (instance.starts, instance.goals))
+        found += np.where(same & (first != last), np.int32(2), np.int32(0))
+    return found
 
 
 def numbers(points: npt.NDArray[np.integer], shape: Shape) -> Vertices:
@@ -110,24 +173,32 @@ def check_pattern(obstacles: BoolArray) -> None:
     """Refuse obstacles other than whole columns at (3i + 1, 3j + 1) (Sec. V-A).
 
     Raises:
-        ValueError: naming the first vertex that breaks the pattern.
+        NoHighways: naming the first vertex that breaks the pattern.
     """
+    wrong = breaks_pattern(obstacles)
+    if wrong:
+        raise NoHighways(f"{wrong}, or take method='auto'")
+
+
+def breaks_pattern(obstacles: BoolArray) -> str:
+    """Which vertex breaks the pattern first, and the rule; empty if none does."""
     columns: BoolArray = np.asarray(obstacles.any(axis=2))
     outside = columns.copy()
     outside[1::3, 1::3] = False
     if outside.any():
         x, y = (int(k) for k in np.argwhere(outside)[0])
-        raise ValueError(
+        return (
             f"there is an obstacle at x = {x}, y = {y}, but obstacles may only stand at x = 3i + 1,"
             " y = 3j + 1, so that there are lanes beside them; move them there"
         )
     gaps = columns[:, :, None] & ~obstacles
     if gaps.any():
         x, y, z = (int(k) for k in np.argwhere(gaps)[0])
-        raise ValueError(
+        return (
             f"the obstacle at x = {x}, y = {y} leaves z = {z} free, but an obstacle must fill its "
             "column from bottom to top; fill it"
         )
+    return ""
 
 
 def check_vertices(

@@ -74,7 +74,7 @@ class GridAgent(PlannedAgent[SplineFlight]):
         spacing: (x, y, z) of the grid, m, wide enough that drones keep 1.5 times the sum of their
             radii whatever the plan, or it is refused; None for 0.4 m, or more for large drones, and
             a quarter more in height.
-        method: as for `plan`; None for `auto`, and `pibt` where there are obstacles.
+        method: as for `plan`.
         controller: configuration of the tracking loop; None for its default, which
             assumes no interaction force.
         share: of the time that a stage lasts, in which it is flown where limits allow.
@@ -86,7 +86,7 @@ class GridAgent(PlannedAgent[SplineFlight]):
     def __init__(
         self,
         spacing: tuple[_Metres, _Metres, _Metres] | None = None,
-        method: str | None = None,
+        method: str = "auto",
         controller: ControllerConfig | None = None,
         share: Annotated[float, Range(0.0, 1.0, above=True)] = 0.7,
     ) -> None:
@@ -119,13 +119,12 @@ class GridAgent(PlannedAgent[SplineFlight]):
         spacing = _usual_spacing(task) if self._spacing is None else np.array(self._spacing)
         lattice = _lattice(task, spacing)
         free = _free(task, lattice)
-        method = self._method or ("auto" if free.all() else "pibt")
         found = plan(
             lattice.near(starts, free),
             lattice.near(goals, free),
             lattice.shape,
             obstacles=None if free.all() else ~free,
-            method=method,
+            method=self._method,
             seed=seed,
         )
         points = lattice.origin + lattice.spacing * found.paths

@@ -54,6 +54,8 @@ class PlanningClock:
     """By `time.monotonic`."""
     watch: Callable[[str], None] | None = None
     """Called with the name of each phase when it begins."""
+    configurations: int | None = None
+    """How many the complete search makes at most; None for its default."""
     phases: list[PhaseRecord] = field(default_factory=list)
     """The phases so far."""
 
@@ -106,12 +108,12 @@ class GridPlan(GridInstance):
     method: str
     """What was asked for."""
     winner: str
-    """What the paths are by: of `auto`, "pibt", "rth3d-lba" or "pibt, then rth3d-lba"."""
+    """What the paths are by: of `auto`, "pibt", "rth3d-lba", "pibt, then rth3d-lba" or "lacam"."""
     seed: int
     """Of the planner."""
     bound: int | None
-    """What the makespan is guaranteed not to exceed, given the steps of balancing; None for PIBT,
-    which has none."""
+    """What the makespan is guaranteed not to exceed, given the steps of balancing; None for PIBT
+    and LaCAM*, which have none."""
     before_compaction: int | None
     """Makespan of RTH3D's phases one after another; None if the paths are not by it alone."""
     phases: tuple[PhaseRecord, ...]
@@ -207,7 +209,7 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
         paths=paths,
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
         valid=bool(report),
-        **vars(instance),
+        **instance.fields(),
         **{name: about[name] for name in _KEPT},
     )
 

@@ -1,4 +1,4 @@
-"""`plan`, and its four methods: two that always succeed, PIBT with restarts, the best of both.
+"""`plan` and its methods: RTH3D, PIBT with restarts, a complete search, and the best of them.
 
 What is shorter than a plan that is known already is found whether that plan is known or not: the
 knowledge only ends attempts that cannot get below it, and only after the last step from which
@@ -17,17 +17,26 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import POSITIVE_S, Seed, typed
+from swarm_envs.arguments import POSITIVE_S, Count, Seed, typed
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
+    NoHighways,
+    NoPlanExists,
+    PlanNotFound,
     check_instance,
-    check_pattern,
     numbers,
     points,
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanningClock, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_validation import follow_paths, validate
+from swarm_envs.baselines.rth3d.lacam import (
+    Lacam,
+    after_a_plan,
+    most_configurations,
+    stride,
+)
+from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
 from swarm_envs.baselines.rth3d.pibt import Pibt
 from swarm_envs.baselines.rth3d.rubik import Highways, balance_both, choose_highways, shuffle
 from swarm_envs.compiled import announce_compilation
@@ -135,10 +144,6 @@ class _Solution:
         return len(self.paths) - 1
 
 
-class PlanNotFound(RuntimeError):
-    """A method without guarantee has found no plan."""
-
-
 Solver = Callable[[GridInstance, int, PlanningClock], _Solution]
 """Finds paths from an instance, a seed and a clock."""
 
@@ -200,7 +205,7 @@ def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
-            "try another seed, or method='auto', which has one up to max_density(shape, obstacles)"
+            "try another seed, or method='auto', which goes on where pibt gives up"
         )
     return _Solution(search.best, "pibt", None)
 
@@ -230,9 +235,58 @@ def _improve(
     return min(known, _finish_stalled(instance, search, clock), key=lambda found: found.makespan)
 
 
+def _search_part(part: GridInstance, seed: int, clock: PlanningClock) -> Paths:
+    """The best plan of LaCAM* for robots that all can get to each other."""
+    count = len(part.starts)
+    most = clock.configurations or most_configurations(count, part.lower_bound)
+    lacam = Lacam(part, seed)
+    while not lacam.exhausted and lacam.made < most:
+        if clock.remaining <= 0 or lacam.steps == part.lower_bound:
+            break
+        first = lacam.steps is None
+        lacam.run(min(most, lacam.made + stride(count)))
+        if first and lacam.steps is not None and clock.configurations is None:
+            most = after_a_plan(count, lacam.made)
+    if lacam.steps is not None:
+        return lacam.paths()
+    if lacam.exhausted:
+        raise NoPlanExists(
+            f"no plan exists: the search has tried all that {count} robots can do, from robot at "
+            f"{part.starts[0].tolist()} on ({lacam.made} configurations)"
+        )
+    clock.check("lacam")
+    raise PlanNotFound(
+        f"lacam has found no plan within {lacam.made} configurations of {count} robots, and has "
+        "not shown that there is none; try another seed, or more configurations"
+    )
+
+
+def _solve_lacam(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """LaCAM*, in each connected part of the grid by itself; then every move as early as it can."""
+    parts = connected_parts(instance)
+    check_order(instance, parts)
+    with clock.phase("lacam") as record:
+        found = [_search_part(part.instance, seed, clock) for part in parts]
+        steps = max(len(paths) for paths in found)
+        whole = np.tile(numbers(instance.starts, instance.shape), (steps, 1))
+        for part, paths in zip(parts, found, strict=True):
+            whole[: len(paths), part.robots] = paths
+            whole[len(paths) :, part.robots] = paths[-1]
+        whole = compact(whole, int(np.prod(instance.shape)))
+        record(len(whole) - 1)
+    return _Solution(whole, "lacam", None)
+
+
 def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
-    """The best of RTH3D-LBA, PIBT, and RTH3D-LBA from where PIBT has stalled."""
-    found = sure = _solve_rth3d_lba(instance, seed, clock)
+    """The best of RTH3D-LBA, PIBT, and RTH3D-LBA from where PIBT has stalled.
+
+    Where the highways do not fit, the best of LaCAM* and PIBT.
+    """
+    try:
+        sure = _solve_rth3d_lba(instance, seed, clock)
+    except NoHighways:
+        return _solve_off_highways(instance, seed, clock)
+    found = sure
     if sure.makespan > instance.lower_bound:
         with suppress(PlanTimeout):
             found = _improve(instance, seed, clock, sure)
@@ -240,10 +294,31 @@ def _solve_auto(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
     return replace(found, bound=min(bounds))
 
 
+def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock) -> _Solution:
+    """LaCAM* if it finds a plan, and what PIBT finds that is shorter."""
+    found, failed = None, None
+    try:
+        found = _solve_lacam(instance, seed, clock)
+    except NoPlanExists:
+        raise
+    except PlanNotFound as error:
+        failed = error
+    known = None if found is None else found.makespan
+    if known is None or known > instance.lower_bound:
+        search = _search(instance, seed, clock, known)
+        if search.best is not None:
+            found = _Solution(search.best, "pibt", None)
+    if found is None:
+        assert failed is not None
+        raise failed
+    return found
+
+
 METHODS: Mapping[str, Solver] = {
     "rth3d": partial(_rth3d, bounded=False),
     "rth3d-lba": _solve_rth3d_lba,
     "pibt": _solve_pibt,
+    "lacam": _solve_lacam,
     "auto": _solve_auto,
 }
 """Every method by its name."""
@@ -259,6 +334,7 @@ def plan(
     seed: Seed = 0,
     time_limit: Annotated[float, POSITIVE_S] | None = None,
     watch: Callable[[str], None] | None = None,
+    configurations: Count | None = None,
 ) -> GridPlan:
     """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
 
@@ -266,30 +342,34 @@ def plan(
         starts: (n, 3) integers, all different: the vertices (x, y, z) that the robots start at.
         goals: (n, 3) integers, all different: where each must get.
         shape: (m1, m2, m3), or (m1, m2) with (n, 2) starts and goals.
-        obstacles: booleans of that shape, True on whole columns at x = 3i + 1, y = 3j + 1, or for
-            `"pibt"` anywhere; or None.
+        obstacles: booleans of that shape, True anywhere, or for `"rth3d"` and `"rth3d-lba"` on
+            whole columns at x = 3i + 1, y = 3j + 1; or None.
         method: `"rth3d"` (any matchings) and `"rth3d-lba"` (small shifts) always succeed up to
             `max_density(shape, obstacles)`; `"pibt"` takes any density and promises nothing;
-            `"auto"` is the best of the last two.
-        seed: of PIBT's choices; the others make none. The same seed gives the same plan, unless a
-            time limit cuts it short.
+            `"lacam"` takes any, too, and given enough configurations finds the shortest plan, or
+            shows that none exists; `"auto"` is the best of `"rth3d-lba"` and `"pibt"`, or where the
+            former does not fit, of `"lacam"` and `"pibt"`.
+        seed: of the choices of PIBT and LaCAM*; the others make none. The same seed gives the same
+            plan, unless a time limit cuts it short.
         time_limit: seconds after which no further phase begins.
         watch: called with the name of each phase when it begins.
+        configurations: how many LaCAM* makes at most in each connected part of the grid, with a
+            plan or without. None: up to 1,000,000 without a plan, or what fits into 0.8 GB; after
+            a plan as many again, and 1,000 at least (fewer for more than 1,000 robots).
 
     Returns:
         A plan that `validate` has found feasible.
 
     Raises:
         ValueError: the instance is none, or not one for the method; the message says why.
+        NoPlanExists: the instance has no plan, which is proven; a ValueError and a PlanNotFound.
         PlanTimeout: the time ended before there was a valid plan.
-        PlanNotFound: `"pibt"` has found none.
+        PlanNotFound: none was found, though there may be one.
     """
     instance = check_instance(starts, goals, shape, obstacles)
     solver = METHODS[check_name("method", method, METHODS)]
-    if method != "pibt":
-        check_pattern(instance.obstacles)
     deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
-    clock = PlanningClock(deadline, watch)
+    clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
     if instance.lower_bound == 0:
         solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
@@ -319,5 +399,5 @@ def _result(
         before_compaction=solution.before_compaction,
         phases=tuple(clock.phases),
         valid=bool(report),
-        **vars(instance),
+        **instance.fields(),
     )

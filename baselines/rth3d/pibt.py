@@ -8,25 +8,24 @@ been at its goal. There is no guarantee that all ever arrive.
 
 from __future__ import annotations
 
-from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from swarm_envs.baselines.rth3d.compaction import Paths
-from swarm_envs.baselines.rth3d.grid import Array, GridInstance, check_pattern, numbers
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, breaks_pattern, numbers
+from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table, ways_to
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
 _Ints = npt.NDArray[np.int32]
-_MOST_WAYS = 200_000_000  # lengths that are kept at most, four bytes each
-_FAR = 1 << 20  # stands for no way
+_MOST_WAYS = 250_000_000  # lengths that are kept at most, four bytes each
 
 
-class _Terrain(NamedTuple):
+class Terrain(NamedTuple):
+    """The grid, and how far it is to the goals."""
+
     at: _Ints  # (V, 3) coordinates of each vertex
     sides: _Ints  # (3,) the shape
     strides: _Ints  # (3,) differences of the numbers of neighbours along each axis
@@ -35,47 +34,49 @@ class _Terrain(NamedTuple):
     ways: _Ints
     along_x: _Ints  # (m1, m2) obstacles at smaller or equal x in the same row
     along_y: _Ints  # (m1, m2) obstacles at smaller or equal y in the same column
+    table: Neighbors  # (V, 7) neighbours, or (0, 7) where all vertices have three and more
 
 
-def _ways_to_goals(instance: GridInstance) -> npt.NDArray[np.int32]:
-    """(n, V) length of the shortest way from each vertex to each goal, by breadth-first search.
-
-    None, (0, 0), where obstacles follow the pattern.
+def survey(instance: GridInstance) -> Terrain:
+    """The terrain of an instance.
 
     Raises:
-        ValueError: it would not fit into memory, or no way leads from a start to its goal.
+        NoPlanExists: obstacles cut a robot off from its goal.
+        ValueError: the lengths of ways would not fit into memory.
     """
-    with suppress(ValueError):
-        check_pattern(instance.obstacles)
+    walls, (_, m2, m3) = instance.obstacles, instance.shape
+    columns = np.asarray(walls.any(axis=2), dtype=np.int32)
+    table = neighbor_table(instance.shape, walls)
+    narrow = bool(((table[:, :6] >= 0).sum(axis=1)[table[:, 6] >= 0] < 3).any())
+    return Terrain(
+        np.ascontiguousarray(np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T),
+        np.array(instance.shape, dtype=np.int32),
+        np.array([m2 * m3, m3, 1], dtype=np.int32),
+        walls.ravel() if walls.any() else np.zeros(0, dtype=bool),
+        _ways_to_goals(instance, table),
+        np.cumsum(columns, axis=0, dtype=np.int32),
+        np.cumsum(columns, axis=1, dtype=np.int32),
+        table if narrow else table[:0],
+    )
+
+
+def _ways_to_goals(instance: GridInstance, table: Neighbors) -> _Ints:
+    """(n, V) length of the shortest way from each vertex to each goal.
+
+    None, (0, 0), where obstacles follow the pattern.
+    """
+    if not breaks_pattern(instance.obstacles):
         return np.zeros((0, 0), dtype=np.int32)
-    count, free = len(instance.goals), ~instance.obstacles
-    if count * free.size > _MOST_WAYS:
+    count, total = len(instance.goals), len(table)
+    if count * total > _MOST_WAYS:
         raise ValueError(
-            f"obstacles off the pattern need the ways of {count} robots on {free.size} vertices, "
+            f"obstacles off the pattern need the ways of {count} robots on {total} vertices, "
             f"but at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
         )
-    vertex = np.arange(free.size).reshape(instance.shape)
-    edges = []
-    for axis in range(3):
-        low, high = np.moveaxis(vertex, axis, 0)[:-1], np.moveaxis(vertex, axis, 0)[1:]
-        open_ = np.moveaxis(free, axis, 0)[:-1] & np.moveaxis(free, axis, 0)[1:]
-        edges.append(np.stack([low[open_], high[open_]]))
-    first, second = np.concatenate(edges, axis=1)
-    graph = csr_matrix((np.ones(len(first)), (first, second)), shape=(free.size,) * 2)
-    goals = numbers(instance.goals, instance.shape)
-    ways = dijkstra(graph, directed=False, indices=goals, unweighted=True)
-    starts = numbers(instance.starts, instance.shape)
-    closed = np.flatnonzero(np.isinf(ways[np.arange(count), starts]))
-    if len(closed):
-        i = int(closed[0])
-        raise ValueError(
-            f"robot {i} cannot get from {instance.starts[i].tolist()} to "
-            f"{instance.goals[i].tolist()}: obstacles are between; move them, or one of the two"
-        )
-    return np.asarray(np.where(np.isinf(ways), _FAR, ways), dtype=np.int32)
+    return ways_to(table, numbers(instance.goals, instance.shape))
 
 
-class _Robots(NamedTuple):
+class Robots(NamedTuple):
     """The robots, and memory for their decisions."""
 
     where: _Ints  # (n, 7) where each robot is now, its goal, and its row of `ways`
@@ -88,7 +89,8 @@ class _Robots(NamedTuple):
     taken: _Ints  # (V,) who has taken it for the next step
     next: _Ints  # (n,) the vertex taken by each robot, or -1
     queue: _Ints  # (n,) robots by urgency
-    # (n, 10) robots that wait for an answer: who, number of vertices tried, of all, and these
+    # (n, 11) robots that wait for an answer: who, number of vertices tried, of all, these, and
+    # who is pulled along, or -1
     asked: _Ints
     counts: _Ints  # How many robots have each urgency
     keys: _Ints  # (7,) by which choices are sorted
@@ -100,14 +102,14 @@ _INCREMENT = 1442695040888963407
 
 
 @kernel
-def _draw(random: Array) -> int:
+def draw(random: Array) -> int:
     """30 random bits."""
     random[0] = random[0] * _MULTIPLIER + _INCREMENT
     return (random[0] >> 33) & 0x3FFFFFFF
 
 
 @kernel
-def _distance(terrain: _Terrain, x: int, y: int, z: int, where: Array) -> int:
+def distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
     """Length of a shortest path; two more than the Manhattan distance where a column is between."""
     if terrain.ways.shape[0] > 0:
         vertex = x * terrain.strides[0] + y * terrain.strides[1] + z * terrain.strides[2]
@@ -124,7 +126,7 @@ def _distance(terrain: _Terrain, x: int, y: int, z: int, where: Array) -> int:
 
 @kernel
 def _ask(
-    terrain: _Terrain, robots: _Robots, at: Array, robot: int, first: int, entry: Array, lost: bool
+    terrain: Terrain, robots: Robots, at: Array, robot: int, first: int, entry: Array, lost: bool
 ) -> None:
     """Sort a robot's choices: near its goal, off the way of `first`, free ones, at random.
 
@@ -134,13 +136,13 @@ def _ask(
     """
     entry[0], entry[1] = robot, 0
     where, here = robots.where[robot], at[robot]
-    bits = _draw(robots.random)
+    bits = draw(robots.random)
     keys, kept = robots.keys, 0
-    away = _distance(terrain, where[0], where[1], where[2], where)
+    away = distance(terrain, where[0], where[1], where[2], where)
     wander = lost and bits >> 28 == 0 and away > 0
     goal, ahead = robots.where[first], 0
     if first != robot:
-        ahead = _distance(terrain, where[0], where[1], where[2], goal)
+        ahead = distance(terrain, where[0], where[1], where[2], goal)
     for k in range(7):
         x, y, z = where[0], where[1], where[2]
         vertex = here
@@ -162,8 +164,8 @@ def _ask(
             continue
         key = (bits >> 4 * k) & 15
         if not wander:
-            key += 64 * _distance(terrain, x, y, z, where)
-        if ahead > 0 and _distance(terrain, x, y, z, goal) < ahead:
+            key += 64 * distance(terrain, x, y, z, where)
+        if ahead > 0 and distance(terrain, x, y, z, goal) < ahead:
             key += 32
         if robots.now[vertex] >= 0 and k < 6:
             key += 16
@@ -175,12 +177,130 @@ def _ask(
         keys[place] = key
         entry[3 + place] = vertex
         kept += 1
-    entry[2] = kept
+    entry[2], entry[10] = kept, -1
+    if terrain.table.shape[0] > 0 and not wander:
+        _back_out(terrain, robots, at, robot, entry)
 
 
 @kernel
-def _decide(terrain: _Terrain, robots: _Robots, at: Array, robot: int, lost: bool) -> None:
-    """Settle the next vertex of a robot and of all whom it pushes away."""
+def _back_out(terrain: Terrain, robots: Robots, at: Array, robot: int, entry: Array) -> None:
+    """Have a robot go where it wants least, if it takes that to change places with another."""
+    kept = entry[2]
+    if kept < 2 or entry[3] == at[robot]:
+        return
+    entry[10] = _to_pull(terrain, robots, at, robot, entry[3])
+    if entry[10] >= 0:
+        for k in range(kept // 2):
+            entry[3 + k], entry[2 + kept - k] = entry[2 + kept - k], entry[3 + k]
+
+
+@kernel
+def _way(terrain: Terrain, robots: Robots, robot: int, vertex: int) -> int:
+    """Length of the shortest way of a robot from a vertex to its goal."""
+    x, y, z = terrain.at[vertex, 0], terrain.at[vertex, 1], terrain.at[vertex, 2]
+    return distance(terrain, x, y, z, robots.where[robot])
+
+
+@kernel
+def _onward(terrain: Terrain, robots: Robots, back: int, here: int) -> tuple[int, int]:
+    """Number of ways on from `here`, but `back`, and the last of them.
+
+    A dead end whose robot is at its goal is none: that robot need not move.
+    """
+    ways, last = 0, -1
+    for k in range(6):
+        u = terrain.table[here, k]
+        if u < 0 or u == back:
+            continue
+        sides, who = 0, robots.now[u]
+        for j in range(6):
+            if terrain.table[u, j] >= 0:
+                sides += 1
+        if sides > 1 or who < 0 or _way(terrain, robots, who, u) > 0:
+            ways += 1
+            last = u
+    return ways, last
+
+
+@kernel
+def _must_swap(
+    terrain: Terrain, robots: Robots, pusher: int, puller: int, first: int, second: int
+) -> bool:
+    """Whether a robot that pushes another along a passage would never get past it.
+
+    They stand at `first` and `second`, or would.
+    """
+    while _way(terrain, robots, pusher, second) < _way(terrain, robots, pusher, first):
+        ways, onward = _onward(terrain, robots, first, second)
+        if ways >= 2:
+            return False
+        if ways == 0:
+            break
+        first, second = second, onward
+    ahead = _way(terrain, robots, pusher, first)
+    return _way(terrain, robots, puller, first) < _way(terrain, robots, puller, second) and (
+        ahead == 0 or _way(terrain, robots, pusher, second) < ahead
+    )
+
+
+@kernel
+def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool:
+    """Whether two robots get past each other if the one at `second` goes on, followed by the other.
+
+    It does where the passage ends at a branch.
+    """
+    begin = first
+    while second != begin:
+        ways, onward = _onward(terrain, robots, first, second)
+        if ways >= 2:
+            return True
+        if ways == 0:
+            return False
+        first, second = second, onward
+    return False
+
+
+@kernel
+def _to_pull(terrain: Terrain, robots: Robots, at: Array, robot: int, aim: int) -> int:
+    """Who must follow a robot that wants to be at `aim`, backwards to where both can pass; or -1.
+
+    The swap of Okumura, "Improving LaCAM for Scalable Eventually Optimal Multi-Agent Pathfinding"
+    (IJCAI 2023), Sec. 4: with who is in the way, or with who comes from behind towards `aim`.
+    """
+    here = at[robot]
+    if not _may_swap(terrain, robots, aim, here):
+        return -1
+    other = robots.now[aim]
+    ask = other >= 0 and robots.next[other] < 0
+    if ask and _must_swap(terrain, robots, robot, other, here, aim):
+        return int(other)
+    for k in range(6):
+        u = terrain.table[here, k]
+        if u < 0 or u == aim:
+            continue
+        other = robots.now[u]
+        if other >= 0 and _must_swap(terrain, robots, other, robot, here, aim):
+            return int(other)
+    return -1
+
+
+@kernel
+def _pull(robots: Robots, at: Array, depth: int) -> None:
+    """Have those follow who are to be pulled along, where the pullers go away as they wish."""
+    for k in range(depth, -1, -1):
+        entry = robots.asked[k]
+        here, other = at[entry[0]], entry[10]
+        if other >= 0 and entry[1] == 1 and robots.next[other] < 0 and robots.taken[here] < 0:
+            robots.next[other] = here
+            robots.taken[here] = other
+
+
+@kernel
+def settle_next(terrain: Terrain, robots: Robots, at: Array, robot: int, lost: bool) -> bool:
+    """Settle the next vertex of a robot and of all whom it pushes away; whether that went well.
+
+    It always does if none of them had its vertex settled before by others.
+    """
     depth = 0
     _ask(terrain, robots, at, robot, robot, robots.asked[0], lost)
     while depth >= 0:
@@ -210,40 +330,48 @@ def _decide(terrain: _Terrain, robots: _Robots, at: Array, robot: int, lost: boo
             depth -= 1
             continue
         if settled:
-            return
+            _pull(robots, at, depth)
+            return True
+    return False
 
 
 @kernel
-def _sort(terrain: _Terrain, robots: _Robots, at: Array) -> int:
+def _sort(terrain: Terrain, robots: Robots, at: Array) -> int:
     """Queue the robots by urgency; return the longest way that is left."""
     count = at.shape[0]
     longest, top = 0, robots.counts.shape[0] - 1
-    robots.counts[:] = 0
     for i in range(count):
         where = robots.where[i]
         for axis in range(3):
             where[axis] = terrain.at[at[i], axis]
-        left = _distance(terrain, where[0], where[1], where[2], where)
+        left = distance(terrain, where[0], where[1], where[2], where)
         robots.away[i] = robots.away[i] // 2 if left == 0 else robots.away[i] + 1
         longest = max(longest, left)
         robots.urgency[i] = top - min(left + robots.away[i], top)
-        robots.counts[robots.urgency[i]] += 1
-    total = 0
-    for k in range(top + 1):
-        total += robots.counts[k]
-        robots.counts[k] = total - robots.counts[k]
-    begin = _draw(robots.random) % count
-    for k in range(count):
-        i = robots.order[k + begin - count if k + begin >= count else k + begin]
-        robots.queue[robots.counts[robots.urgency[i]]] = i
-        robots.counts[robots.urgency[i]] += 1
+    line_up(robots, draw(robots.random) % count)
     return longest
 
 
 @kernel
+def line_up(robots: Robots, begin: int) -> None:
+    """Queue the robots by urgency; of equals, `order` decides, from its place `begin` on."""
+    count, top, total = robots.queue.shape[0], robots.counts.shape[0] - 1, 0
+    robots.counts[:] = 0
+    for i in range(count):
+        robots.counts[robots.urgency[i]] += 1
+    for k in range(top + 1):
+        total += robots.counts[k]
+        robots.counts[k] = total - robots.counts[k]
+    for k in range(count):
+        i = robots.order[k + begin - count if k + begin >= count else k + begin]
+        robots.queue[robots.counts[robots.urgency[i]]] = i
+        robots.counts[robots.urgency[i]] += 1
+
+
+@kernel
 def _run_pibt(
-    terrain: _Terrain,
-    robots: _Robots,
+    terrain: Terrain,
+    robots: Robots,
     paths: Array,
     begin: int,
     end: int,
@@ -275,7 +403,7 @@ def _run_pibt(
                 robots.next[i] = at[i]
                 robots.taken[at[i]] = i
             else:
-                _decide(terrain, robots, at, i, lost)
+                settle_next(terrain, robots, at, i, lost)
         for i in range(count):
             robots.now[at[i]] = -1
         for i in range(count):
@@ -288,22 +416,11 @@ class Pibt:
     """PIBT on one instance, which may go on from any step of what it has planned."""
 
     def __init__(self, instance: GridInstance, most_steps: int) -> None:
-        walls, (_, m2, m3) = instance.obstacles, instance.shape
-        columns = np.asarray(walls.any(axis=2), dtype=np.int32)
-        vertex = np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T
-        self.terrain = _Terrain(
-            np.ascontiguousarray(vertex),
-            np.array(instance.shape, dtype=np.int32),
-            np.array([m2 * m3, m3, 1], dtype=np.int32),
-            walls.ravel() if walls.any() else np.zeros(0, dtype=bool),
-            _ways_to_goals(instance),
-            np.cumsum(columns, axis=0, dtype=np.int32),
-            np.cumsum(columns, axis=1, dtype=np.int32),
-        )
+        self.terrain = survey(instance)
         self.instance = instance
         self.paths: Paths = np.empty((most_steps + 1, len(instance.starts)), dtype=np.int32)
         self.paths[0] = numbers(instance.starts, instance.shape)
-        self.robots = _robots(instance, most_steps)
+        self.robots = new_robots(instance, most_steps)
         self.reached = 0
 
     def shuffle(self, generator: np.random.Generator) -> None:
@@ -325,10 +442,11 @@ class Pibt:
             away[:] = np.where(self.paths[t] == goal, away // 2, away + 1)
 
 
-def _robots(instance: GridInstance, most_steps: int) -> _Robots:
+def new_robots(instance: GridInstance, most_steps: int) -> Robots:
+    """The robots of an instance at their starts, told apart by up to `most_steps` of urgency."""
     count, total = len(instance.starts), int(np.prod(instance.shape))
     integers = {name: np.zeros(count, dtype=np.int32) for name in ("urgency", "away", "queue")}
-    return _Robots(
+    return Robots(
         where=np.hstack([instance.starts, instance.goals, np.arange(count)[:, None]]).astype(
             np.int32
         ),
@@ -337,7 +455,7 @@ def _robots(instance: GridInstance, most_steps: int) -> _Robots:
         now=np.full(total, -1, dtype=np.int32),
         taken=np.full(total, -1, dtype=np.int32),
         next=np.full(count, -1, dtype=np.int32),
-        asked=np.empty((count, 10), dtype=np.int32),
+        asked=np.empty((count, 11), dtype=np.int32),
         counts=np.zeros(most_steps + sum(instance.shape) + 3, dtype=np.int32),
         random=np.zeros(1, dtype=np.int64),
         **integers,

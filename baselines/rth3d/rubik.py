@@ -27,10 +27,11 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.rth3d.balancing import balance, neighbor_table
+from swarm_envs.baselines.rth3d.balancing import balance
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
+    NoHighways,
     Shape,
     Vertices,
     check_obstacles,
@@ -49,6 +50,7 @@ from swarm_envs.baselines.rth3d.shuffles import (
     write_long_shift,
     write_shift,
 )
+from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.state import BoolArray
 
 CELL = 3
@@ -114,23 +116,22 @@ def choose_highways(instance: GridInstance) -> Highways:
     """The order of the axes whose shuffles are the shortest, of those that carry all robots.
 
     Raises:
-        ValueError: none does; the message says how many they would carry.
+        NoHighways: none does; the message says how many they would carry.
     """
     check_pattern(instance.obstacles)
     found = _highways(instance.shape, instance.obstacles)
     count, most = len(instance.starts), max(h.capacity for h in found)
     if most == 0:
-        raise ValueError(
+        raise NoHighways(
             f"the grid of shape {instance.shape} is too thin: highways need two sides of at least "
-            "3 vertices, upright ones where there are obstacles; method='pibt' needs none"
+            "3 vertices, upright ones where there are obstacles; method='auto' needs none"
         )
     able = [highways for highways in found if highways.capacity >= count]
     if not able:
-        raise ValueError(
+        raise NoHighways(
             f"there are {count} robots, a density of {instance.density:.4f}, but the highways of a "
             f"grid of shape {instance.shape} carry {most} at most (density "
-            f"{most / np.prod(instance.shape):.4f}); take fewer, or method='pibt', which promises "
-            "nothing"
+            f"{most / np.prod(instance.shape):.4f}); take fewer, or method='auto'"
         )
     return min(able, key=lambda h: (h.length, -h.capacity, h.shape[2]))
 

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @command_options
 @dataclass(frozen=True, kw_only=True)
 class PlanOptions:
-    """Plan paths for robots on a grid that each have a goal of their own, by RTH3D and PIBT.
+    """Plan paths for robots on a grid that each have a goal of their own: RTH3D, PIBT, LaCAM*.
 
     Draws an instance of a family, plans, validates, and prints the makespan and what bounds it.
     """
@@ -32,9 +32,9 @@ class PlanOptions:
     family: str = "uniform"
     """uniform, quasi-random, mirror, rings, blocks, small-blocks, buildings, quasi-buildings"""
     method: str = "auto"
-    """rth3d, rth3d-lba, pibt, or auto, the best of the last two"""
+    """rth3d, rth3d-lba, pibt, lacam, or auto, the best of those that fit"""
     seed: Seed = 0
-    """of the instance and of pibt"""
+    """of the instance, of pibt and of lacam"""
     time_limit_s: Annotated[float, POSITIVE_S] | None = None
     """seconds after which no further phase of planning begins"""
     out: Path | None = None

@@ -164,7 +164,10 @@ GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
     rest_to_rest: {"start": STARTS, "goal": GOALS, "duration": 1.0, "t": 0.5},
     ramped_line: {"start": STARTS, "goal": GOALS, "duration": 1.0, "t": 0.5, "ramp": 0.2},
     error_ball: {"gains": PositionGains(1.5, 2.5, 0.5), "mass": 0.03, "error_rate": 0.1},
-    rth3d.plan: {**PLAN, "obstacles": None, "method": "auto", "seed": 0, "time_limit": None},
+    rth3d.plan: {
+        **{**PLAN, "obstacles": None, "method": "auto", "seed": 0, "time_limit": None},
+        **{"configurations": None},
+    },
     rth3d.validate: {"paths": [CORNERS, CORNERS], **PLAN, "goals": CORNERS, "obstacles": None},
     rth3d.max_density: {"shape": (6, 6, 6), "obstacles": None},
     rth3d.building_columns: {"shape": (6, 6, 6)},

@@ -9,9 +9,11 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+from scipy.ndimage import label
 
 from swarm_envs.baselines.rth3d import FAMILIES, GridInstance, make_instance, max_density
-from swarm_envs.baselines.rth3d.grid import building_columns
+from swarm_envs.baselines.rth3d.grid import building_columns, check_instance
+from swarm_envs.state import BoolArray
 
 
 def load_checker(shared: Path) -> Callable[..., dict]:
@@ -54,3 +56,30 @@ def random_instance(seed: int) -> GridInstance:
             continue
         count = most if generator.random() < 0.3 else int(generator.integers(1, most + 1))
         return make_instance(family, shape, count, seed)
+
+
+def maze(side: int, generator: np.random.Generator) -> BoolArray:
+    """(side, side, 1) walls, one vertex thick, of a maze with one way between any two places."""
+    walls = np.ones((side, side, 1), dtype=bool)
+    walls[1, 1] = False
+    stack = [np.array([1, 1])]
+    while stack:
+        here = stack[-1]
+        steps = 2 * generator.permutation([(1, 0), (-1, 0), (0, 1), (0, -1)])
+        for there in here + steps:
+            if there.min() > 0 and there.max() < side and walls[tuple(there)]:
+                walls[tuple(there)] = walls[tuple((here + there) // 2)] = False
+                stack.append(there)
+                break
+        else:
+            stack.pop()
+    return walls
+
+
+def between(walls: BoolArray, count: int, generator: np.random.Generator) -> GridInstance:
+    """Random starts and goals in the largest connected part of the free vertices."""
+    names = label(~walls)[0]
+    largest = 1 + int(np.argmax(np.bincount(names.ravel())[1:]))
+    free = np.argwhere(names == largest)
+    starts, goals = (generator.permutation(free)[:count] for _ in range(2))
+    return check_instance(starts, goals, walls.shape, walls)

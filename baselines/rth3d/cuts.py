@@ -1,0 +1,78 @@
+"""How long robots take to go through a plane: no two use one of its edges in the same step.
+
+Of N robots that are a steps or more from a plane with m open edges, and whose goals are b steps or
+more behind it, the first goes through after a steps, the last not before ceil(N / m) more, and then
+has b steps to go. In a step an edge takes one robot, whichever way it goes, because swaps are none.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, ways_to_any
+from swarm_envs.state import BoolArray
+
+_Ints = npt.NDArray[np.int32]
+
+
+def cut_bound(
+    starts: _Ints, goals: _Ints, obstacles: BoolArray, longest: int, table: Neighbors | None
+) -> int:
+    """The largest lower bound of all planes across an axis, or the longest way, if that is larger.
+
+    Args:
+        starts: (n, 3) vertices.
+        goals: (n, 3) vertices; each can be reached.
+        obstacles: (m1, m2, m3) where nobody may be.
+        longest: the longest of the robots' shortest ways.
+        table: neighbours, to search the ways to planes; None to take straight ones.
+    """
+    best = longest
+    for axis in range(3):
+        first, last = starts[:, axis], goals[:, axis]
+        low, high = np.minimum(first, last), np.maximum(first, last)
+        side = obstacles.shape[axis]
+        crossing = np.cumsum(np.bincount(low, minlength=side) - np.bincount(high, minlength=side))
+        free = np.moveaxis(~obstacles, axis, 0)
+        for c in np.flatnonzero(crossing):
+            opening = free[c] & free[c + 1]
+            steps = -(-int(crossing[c]) // int(opening.sum()))
+            if steps + longest - 1 <= best or (table is None and steps + side - 2 <= best):
+                continue  # whoever goes through has fewer steps than its way before and behind
+            robots = (low <= c) & (c < high)
+            before, behind = (
+                _from_plane(p[robots], axis, int(c), opening, obstacles.shape, table)
+                for p in (starts, goals)
+            )
+            best = max(best, _staggered(before, behind, int(opening.sum())))
+    return best
+
+
+def _from_plane(
+    points: _Ints,
+    axis: int,
+    c: int,
+    opening: BoolArray,
+    shape: tuple[int, ...],
+    table: Neighbors | None,
+) -> _Ints:
+    """(k,) steps from each point (k, 3) to the plane between `c` and `c + 1`, on its own side."""
+    left = points[:, axis] <= c
+    if table is None:
+        return np.where(left, c - points[:, axis], points[:, axis] - c - 1).astype(np.int32)
+    vertex = np.moveaxis(table[:, STAY].reshape(shape), axis, 0)
+    here = np.ravel_multi_index(tuple(points.T), shape)
+    sides = [ways_to_any(table, vertex[k][opening])[here] for k in (c, c + 1)]
+    return np.where(left, *sides).astype(np.int32)
+
+
+def _staggered(before: _Ints, behind: _Ints, edges: int) -> int:
+    """The bound by the farthest robots, however far and in front or behind that is."""
+    a, row = np.unique(before, return_inverse=True)
+    b, column = np.unique(behind, return_inverse=True)
+    count = np.zeros((len(a), len(b)), dtype=np.int64)
+    np.add.at(count, (row, column), 1)
+    farther = count[::-1, ::-1].cumsum(axis=0).cumsum(axis=1)[::-1, ::-1]
+    bound = a[:, None] + -(-farther // edges) + b
+    return int(bound[farther > 0].max())

@@ -1,0 +1,465 @@
+"""LaCAM*: a complete search over configurations, whose steps are PIBT's.
+
+A configuration says where all robots are. The search goes into depth: from the configuration on
+top of a stack it makes one more that can follow in a step, by PIBT under constraints. Constraints
+say where some robots go; they grow one robot at a time, breadth-first, so that in the end every
+configuration that can follow has been made. If there is a plan, it is found; if the stack runs
+empty without one, none exists. After the first plan the search goes on to shorter ones: whatever
+can no longer lead to one is left out, and where a configuration turns out to be nearer to the
+starts, so do all those behind it. The last plan before the stack runs empty is the shortest.
+
+Most urgent is who has not been at its goal for long, and of those who began together, who began far
+away. Unlike with the slacks of `pibt`, one robot leads until it arrives, as narrow passages need.
+
+Okumura, "LaCAM: Search-Based Algorithm for Quick Multi-Agent Pathfinding" (AAAI 2023), "Improving
+LaCAM for Scalable Eventually Optimal Multi-Agent Pathfinding" (IJCAI 2023).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.baselines.rth3d.compaction import Paths
+from swarm_envs.baselines.rth3d.grid import Array, GridInstance, numbers
+from swarm_envs.baselines.rth3d.pibt import (
+    Robots,
+    Terrain,
+    distance,
+    draw,
+    line_up,
+    new_robots,
+    settle_next,
+    survey,
+)
+from swarm_envs.compiled import kernel
+
+_Ints = npt.NDArray[np.int32]
+_Longs = npt.NDArray[np.int64]
+
+_MOST_ENTRIES = 100_000_000  # of configurations, robots times configurations: 0.8 GB
+_MOST = 1_000_000  # configurations that are made without a plan, if that is not too much memory
+_MORE_ENTRIES = 1_000_000  # that are made after the first plan, `_MORE` configurations at most
+_MORE = 1000
+_GLANCE = 250_000  # entries between two looks at the clock
+_RESTART = 1000  # one known configuration in so many sends the search back to the starts
+_SLACK = 1000  # steps beyond the longest way after which no robot gets more urgent
+_EXHAUSTED, _ENDED, _FULL = 0, 1, 2  # why `_search` has returned
+
+_TOP, _NODES, _CONSTRAINTS, _EDGES, _MADE, _GOAL, _LOADED = range(7)
+_PARENT, _WHO, _TO, _DEPTH, _NEXT = range(5)
+
+
+class _Nodes(NamedTuple):
+    """The configurations that have been found, numbered from 0, the starts."""
+
+    at: _Ints  # (M, n) where each robot is
+    away: _Ints  # (M, n) for how many configurations each has not been at its goal
+    parent: _Ints  # (M,) the configuration before, or -1
+    steps: _Ints  # (M,) from the starts, by the parents
+    left: _Ints  # (M,) longest way left to a robot
+    hash: _Longs  # (M,)
+    above: _Ints  # (M,) on the stack, or -1
+    below: _Ints  # (M,) likewise
+    stacked: npt.NDArray[np.bool_]  # (M,) whether it is on the stack
+    first: _Ints  # (M,) the first of its constraints that have not been tried, or -1
+    last: _Ints  # (M,)
+    edge: _Ints  # (M,) the last edge that leads on from it, or -1
+    queue: _Ints  # (M,) work
+
+
+class _Pools(NamedTuple):
+    """What the configurations refer to, and the state of the search."""
+
+    constraints: _Ints  # (L, 5) parent, who, to which vertex, how many with its parents, next
+    edges: _Ints  # (E, 2) the configuration that it leads to, the edge before
+    table: _Ints  # (H,) configurations by hash, or -1; H is a power of two, more than 2 M
+    state: _Longs  # (7,) top of the stack, three counts, made, the goals or -1, who is loaded
+
+
+@kernel
+def _hash(at: Array) -> int:
+    found = np.int64(1469598103934665603)
+    for i in range(at.shape[0]):
+        found = (found ^ np.int64(at[i])) * np.int64(1099511628211)
+        found ^= found >> 29
+    return found  # type: ignore[return-value]  # numba's integers
+
+
+@kernel
+def _place(nodes: _Nodes, table: Array, at: Array, code: int) -> int:
+    """The place of a configuration in the hash table, empty if it is new."""
+    mask = table.shape[0] - 1
+    place = code & mask
+    while table[place] >= 0:
+        node = table[place]
+        if nodes.hash[node] == code:
+            same = True
+            for i in range(at.shape[0]):
+                if nodes.at[node, i] != at[i]:
+                    same = False
+                    break
+            if same:
+                break
+        place = (place + 1) & mask
+    return int(place)
+
+
+@kernel
+def _fill_table(nodes: _Nodes, pools: _Pools) -> None:
+    """Enter all configurations into an empty hash table."""
+    for node in range(pools.state[_NODES]):
+        pools.table[_place(nodes, pools.table, nodes.at[node], nodes.hash[node])] = node
+
+
+@kernel
+def _unstack(nodes: _Nodes, state: Array, node: int) -> None:
+    if not nodes.stacked[node]:
+        return
+    above, below = nodes.above[node], nodes.below[node]
+    if above >= 0:
+        nodes.below[above] = below
+    else:
+        state[_TOP] = below
+    if below >= 0:
+        nodes.above[below] = above
+    nodes.stacked[node] = False
+
+
+@kernel
+def _stack(nodes: _Nodes, state: Array, node: int) -> None:
+    """Put a configuration on top of the stack, wherever it was."""
+    _unstack(nodes, state, node)
+    top = state[_TOP]
+    nodes.above[node], nodes.below[node] = -1, top
+    if top >= 0:
+        nodes.above[top] = node
+    state[_TOP] = node
+    nodes.stacked[node] = True
+
+
+@kernel
+def _constrain_more(
+    nodes: _Nodes, pools: _Pools, node: int, parent: int, who: int, to: int
+) -> None:
+    """Add a constraint that waits to be tried; a parent of -1 stands for none at all."""
+    new = pools.state[_CONSTRAINTS]
+    pools.state[_CONSTRAINTS] += 1
+    entry = pools.constraints[new]
+    entry[_PARENT], entry[_WHO], entry[_TO], entry[_NEXT] = parent, who, to, -1
+    entry[_DEPTH] = 0 if parent < 0 else pools.constraints[parent, _DEPTH] + 1
+    if nodes.first[node] < 0:
+        nodes.first[node] = new
+    else:
+        pools.constraints[nodes.last[node], _NEXT] = new
+    nodes.last[node] = new
+
+
+@kernel
+def _add_edge(nodes: _Nodes, pools: _Pools, node: int, to: int) -> None:
+    new = pools.state[_EDGES]
+    pools.state[_EDGES] += 1
+    pools.edges[new, 0], pools.edges[new, 1] = to, nodes.edge[node]
+    nodes.edge[node] = new
+
+
+@kernel
+def _add_node(
+    terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, parent: int, code: int
+) -> int:
+    """Keep a new configuration, which stands at the end of `nodes.at`, and stack it."""
+    new = int(pools.state[_NODES])
+    pools.state[_NODES] += 1
+    at, longest = nodes.at[new], 0
+    for i in range(at.shape[0]):
+        x, y, z = terrain.at[at[i], 0], terrain.at[at[i], 1], terrain.at[at[i], 2]
+        left = distance(terrain, x, y, z, robots.where[i])
+        longest = max(longest, left)
+        before = 0 if parent < 0 else nodes.away[parent, i]
+        nodes.away[new, i] = 0 if left == 0 else before + 1
+    nodes.parent[new], nodes.hash[new], nodes.left[new] = parent, code, longest
+    nodes.steps[new] = 0 if parent < 0 else nodes.steps[parent] + 1
+    nodes.first[new] = nodes.edge[new] = -1
+    nodes.stacked[new] = False
+    _constrain_more(nodes, pools, new, -1, -1, -1)
+    _stack(nodes, pools.state, new)
+    pools.table[_place(nodes, pools.table, at, code)] = new
+    if longest == 0:
+        pools.state[_GOAL] = new
+    return new
+
+
+@kernel
+def _load(terrain: Terrain, robots: Robots, nodes: _Nodes, before: int, node: int) -> None:
+    """Let the robots stand as a configuration says, and queue them; always in the same order."""
+    at, top = nodes.at[node], robots.counts.shape[0] - 1
+    if before >= 0:
+        for i in range(at.shape[0]):
+            robots.now[nodes.at[before, i]] = -1
+    for i in range(at.shape[0]):
+        robots.now[at[i]] = i
+        where = robots.where[i]
+        for axis in range(3):
+            where[axis] = terrain.at[at[i], axis]
+        robots.urgency[i] = top - min(nodes.away[node, i], top)
+    line_up(robots, 0)
+
+
+@kernel
+def _constrain(robots: Robots, pools: _Pools, at: Array, constraint: int) -> bool:
+    """Settle what the constraints say; whether that is possible."""
+    while pools.constraints[constraint, _PARENT] >= 0:
+        entry = pools.constraints[constraint]
+        who, to = entry[_WHO], entry[_TO]
+        other = robots.now[to]
+        if robots.taken[to] >= 0:
+            return False
+        if other >= 0 and other != who and robots.next[other] == at[who]:
+            return False  # they would swap
+        robots.next[who] = to
+        robots.taken[to] = who
+        constraint = entry[_PARENT]
+    return True
+
+
+@kernel
+def _branch(
+    terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: int, constraint: int
+) -> None:
+    """Constrain one robot more, in each way there is, in random order."""
+    depth = pools.constraints[constraint, _DEPTH]
+    if depth >= robots.queue.shape[0]:
+        return
+    who, choices, kept = robots.queue[depth], robots.keys, 0
+    where, here = robots.where[who], nodes.at[node, who]
+    for k in range(7):
+        vertex = here
+        if k < 6:
+            axis, step = k >> 1, 2 * (k & 1) - 1
+            to = where[axis] + step
+            if to < 0 or to >= terrain.sides[axis]:
+                continue
+            vertex += step * terrain.strides[axis]
+            if terrain.walls.shape[0] > 0 and terrain.walls[vertex]:
+                continue
+        other = draw(robots.random) % (kept + 1)
+        choices[kept] = choices[other]
+        choices[other] = vertex
+        kept += 1
+    for k in range(kept):
+        _constrain_more(nodes, pools, node, constraint, who, choices[k])
+
+
+@kernel
+def _follow(terrain: Terrain, robots: Robots, at: Array) -> bool:
+    """Have PIBT settle all who are not yet; whether it can."""
+    top = robots.counts.shape[0] - 1
+    for k in range(at.shape[0]):
+        i = robots.queue[k]
+        if robots.next[i] >= 0:
+            continue
+        if robots.urgency[i] == top and robots.taken[at[i]] < 0:  # at its goal, and may stay
+            robots.next[i] = at[i]
+            robots.taken[at[i]] = i
+        elif not settle_next(terrain, robots, at, i, False):
+            return False
+    return True
+
+
+@kernel
+def _shorten(nodes: _Nodes, pools: _Pools, begin: int) -> None:
+    """Bring forward what follows a configuration, where it is nearer to the starts now."""
+    nodes.queue[0] = begin
+    head, tail = 0, 1
+    while head < tail:
+        node = nodes.queue[head]
+        head += 1
+        edge, steps = nodes.edge[node], nodes.steps[node] + 1
+        while edge >= 0:
+            to = pools.edges[edge, 0]
+            if steps < nodes.steps[to]:
+                nodes.steps[to], nodes.parent[to] = steps, node
+                nodes.queue[tail] = to
+                tail += 1
+                goal = pools.state[_GOAL]
+                if goal < 0 or steps + nodes.left[to] < nodes.steps[goal]:
+                    _stack(nodes, pools.state, to)
+            edge = pools.edges[edge, 1]
+
+
+@kernel
+def _make(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: int) -> None:
+    """Make one more configuration that can follow, if the next constraint allows one."""
+    at, count = nodes.at[node], nodes.at.shape[1]
+    constraint = nodes.first[node]
+    nodes.first[node] = pools.constraints[constraint, _NEXT]
+    pools.state[_MADE] += 1
+    for i in range(count):
+        robots.next[i] = -1
+    made = _constrain(robots, pools, at, constraint)
+    if made:
+        _branch(terrain, robots, nodes, pools, node, constraint)
+        made = _follow(terrain, robots, at)
+    new = nodes.at[pools.state[_NODES]]
+    for i in range(count):
+        if robots.next[i] >= 0:
+            robots.taken[robots.next[i]] = -1
+        new[i] = robots.next[i]
+    if made:
+        _keep(terrain, robots, nodes, pools, node)
+
+
+@kernel
+def _keep(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, node: int) -> None:
+    """Add the configuration at the end of `nodes.at`, or if it is known, go on from there."""
+    new = nodes.at[pools.state[_NODES]]
+    code = _hash(new)
+    known = pools.table[_place(nodes, pools.table, new, code)]
+    if known < 0:
+        _add_edge(nodes, pools, node, _add_node(terrain, robots, nodes, pools, node, code))
+        return
+    _add_edge(nodes, pools, node, known)
+    if nodes.steps[node] + 1 < nodes.steps[known]:
+        _shorten(nodes, pools, node)
+    again = 0 if draw(robots.random) % _RESTART == 0 else known
+    _stack(nodes, pools.state, again)
+
+
+@kernel
+def _search(terrain: Terrain, robots: Robots, nodes: _Nodes, pools: _Pools, most: int) -> int:
+    """Make configurations until there are `most`, the stack is empty, or the memory is full.
+
+    It also ends where a plan is found that is shorter than the one before.
+    """
+    state = pools.state
+    known = state[_GOAL]
+    while state[_TOP] >= 0:
+        node, goal = state[_TOP], state[_GOAL]
+        if goal != known or state[_MADE] >= most:
+            return _ENDED
+        late = goal >= 0 and nodes.steps[node] + nodes.left[node] >= nodes.steps[goal]
+        if late or nodes.first[node] < 0:
+            _unstack(nodes, state, node)
+            continue
+        full = state[_NODES] + 1 >= nodes.at.shape[0]
+        full = full or state[_CONSTRAINTS] + 8 >= pools.constraints.shape[0]
+        if full or state[_EDGES] + 1 >= pools.edges.shape[0]:
+            return _FULL
+        if state[_LOADED] != node:
+            _load(terrain, robots, nodes, state[_LOADED], node)
+            state[_LOADED] = node
+        _make(terrain, robots, nodes, pools, node)
+    return _EXHAUSTED
+
+
+class Lacam:
+    """The search on one instance; it may be gone on with.
+
+    Nothing in it depends on time: the same seed makes the same configurations in the same order.
+    """
+
+    def __init__(self, instance: GridInstance, seed: int) -> None:
+        count = len(instance.starts)
+        generator = np.random.default_rng(seed)
+        self._terrain = survey(instance)
+        self._robots = new_robots(instance, instance.lower_bound + _SLACK)
+        order = generator.permutation(count)
+        far_first = np.argsort(-instance.lengths[order], kind="stable")
+        self._robots.order[:] = order[far_first]
+        self._robots.random[0] = generator.integers(2**62)
+        room = max(16, min(1024, 4 * _MORE_ENTRIES // count))
+        self._nodes = _new_nodes(room, count)
+        self._pools = _Pools(
+            constraints=np.empty((8 * room, 5), dtype=np.int32),
+            edges=np.empty((2 * room, 2), dtype=np.int32),
+            table=np.full(_table_size(room), -1, dtype=np.int32),
+            state=np.array([-1, 0, 0, 0, 0, -1, -1], dtype=np.int64),
+        )
+        self._nodes.at[0] = numbers(instance.starts, instance.shape)
+        code = _hash(self._nodes.at[0])
+        _add_node(self._terrain, self._robots, self._nodes, self._pools, -1, code)
+        self.exhausted = False
+        """Whether nothing is left to be tried: the plan is the shortest, or there is none."""
+
+    @property
+    def made(self) -> int:
+        """How many configurations have been made or tried to make."""
+        return int(self._pools.state[_MADE])
+
+    @property
+    def steps(self) -> int | None:
+        """The makespan of the best plan so far, or None."""
+        goal = int(self._pools.state[_GOAL])
+        return None if goal < 0 else int(self._nodes.steps[goal])
+
+    def run(self, most: int) -> None:
+        """Go on until `most` configurations have been made, or there is a first plan."""
+        while True:
+            why = _search(self._terrain, self._robots, self._nodes, self._pools, most)
+            if why != _FULL:
+                break
+            self._grow()
+        self.exhausted = why == _EXHAUSTED
+
+    def _grow(self) -> None:
+        """Double the memory that is full."""
+        nodes, pools = self._nodes, self._pools
+        if pools.state[_NODES] + 1 >= len(nodes.at):
+            self._nodes = _Nodes(*(_doubled(array) for array in nodes))
+            table = np.full(_table_size(len(self._nodes.at)), -1, dtype=np.int32)
+            pools = pools._replace(table=table)
+            _fill_table(self._nodes, pools)
+        if pools.state[_CONSTRAINTS] + 8 >= len(pools.constraints):
+            pools = pools._replace(constraints=_doubled(pools.constraints))
+        if pools.state[_EDGES] + 1 >= len(pools.edges):
+            pools = pools._replace(edges=_doubled(pools.edges))
+        self._pools = pools
+
+    def paths(self) -> Paths:
+        """(T + 1, n) vertices of the best plan so far."""
+        chain, node = [], int(self._pools.state[_GOAL])
+        while node >= 0:
+            chain.append(node)
+            node = int(self._nodes.parent[node])
+        return np.ascontiguousarray(self._nodes.at[chain[::-1]])
+
+
+def _new_nodes(room: int, count: int) -> _Nodes:
+    kinds: dict[str, Any] = {"hash": np.int64, "stacked": np.bool_}
+    shapes = {"at": (room, count), "away": (room, count)}
+    arrays: list[Array] = [
+        np.empty(shapes.get(name, (room,)), kinds.get(name, np.int32)) for name in _Nodes._fields
+    ]
+    return _Nodes(*arrays)
+
+
+def _doubled(array: Array) -> Array:
+    return np.concatenate([array, np.empty_like(array)])
+
+
+def _table_size(room: int) -> int:
+    return 1 << (2 * room).bit_length()
+
+
+def most_configurations(count: int, bound: int) -> int:
+    """Configurations that are made by default before the first plan: at most 1,000,000.
+
+    Fewer for more than 100 robots, as many as fit into 0.8 GB, but enough for a plan of twice the
+    lower bound.
+    """
+    return max(min(_MOST, _MOST_ENTRIES // count), 2 * bound + 100)
+
+
+def after_a_plan(count: int, made: int) -> int:
+    """Configurations in all, once a plan has been found: twice as many, or 1,000 more.
+
+    For more than 1,000 robots that number is smaller.
+    """
+    return made + max(made, min(_MORE, _MORE_ENTRIES // count))
+
+
+def stride(count: int) -> int:
+    """Configurations that are made between two looks at the clock."""
+    return max(1, _GLANCE // count)

@@ -1,0 +1,88 @@
+"""Connected parts of a grid, and what their shape forbids."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import label
+
+from swarm_envs.baselines.rth3d.grid import GridInstance, NoPlanExists, Vertices, numbers
+from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table
+from swarm_envs.state import IntArray
+
+
+class Part(NamedTuple):
+    """A connected part of the grid in which somebody has to move."""
+
+    vertices: Vertices
+    """(V',) its vertices."""
+    robots: IntArray
+    """(n',) the robots in it."""
+    instance: GridInstance
+    """Those robots on the whole grid."""
+
+
+def connected_parts(instance: GridInstance) -> list[Part]:
+    """The connected parts of the free vertices where not every robot is at its goal.
+
+    Raises:
+        NoPlanExists: a robot's start and goal are in different parts.
+    """
+    assert instance.lengths.max() > 0  # which raises if a robot cannot get to its goal
+    names = label(~instance.obstacles)[0].ravel()
+    home = names[numbers(instance.starts, instance.shape)]
+    moving = np.unique(home[instance.lengths > 0])
+    found = []
+    for name in moving:
+        robots = np.flatnonzero(home == name)
+        part = instance
+        if len(robots) < len(home):
+            part = GridInstance(
+                instance.shape, instance.starts[robots], instance.goals[robots], instance.obstacles
+            )
+        found.append(Part(np.flatnonzero(names == name).astype(np.int32), robots, part))
+    return found
+
+
+def check_order(instance: GridInstance, parts: Sequence[Part]) -> None:
+    """Refuse changes of order along lines and around rings, where nobody can pass anybody.
+
+    Raises:
+        NoPlanExists: naming the robots, and where.
+    """
+    table = neighbor_table(instance.shape, instance.obstacles)
+    for part in parts:
+        sides = (table[part.vertices, :6] >= 0).sum(axis=1)
+        if sides.max() > 2:
+            continue
+        ends = part.vertices[sides == 1]
+        line = _in_line(table, int(ends[0] if len(ends) else part.vertices[0]))
+        place = np.zeros(len(table), dtype=np.int64)
+        place[line] = np.arange(len(line))
+        first, last = (
+            part.robots[np.argsort(place[numbers(p[part.robots], instance.shape)])]
+            for p in (instance.starts, instance.goals)
+        )
+        if not len(ends):
+            last = np.roll(last, -int(np.flatnonzero(last == first[0])[0]))
+        wrong = np.flatnonzero(first != last)
+        if len(wrong):
+            shape = "line" if len(ends) else "ring"
+            raise NoPlanExists(
+                f"no plan exists: on a {shape} of {len(line)} vertices nobody can pass anybody, "
+                f"but robots {first[wrong[0]]} and {last[wrong[0]]} would have to; give them goals "
+                "in the order of their starts"
+            )
+
+
+def _in_line(table: Neighbors, begin: int) -> list[int]:
+    """Vertices that have at most two neighbours each, one after another."""
+    line, before = [begin], -1
+    while True:
+        onward = [int(u) for u in table[line[-1], :6] if u >= 0 and u != before]
+        if not onward or onward[0] == begin:
+            return line
+        before = line[-1]
+        line.append(onward[0])

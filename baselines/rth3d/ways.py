@@ -1,0 +1,90 @@
+"""Neighbours on a grid, and the lengths of shortest ways among obstacles of any shape."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray
+
+_Ints = npt.NDArray[np.int32]
+Neighbors = npt.NDArray[np.int32]
+"""(V, 7) the neighbours of each vertex: x - 1, x + 1, y - 1, y + 1, z - 1, z + 1, and itself; -1
+where there is none."""
+
+STAY = 6
+"""The direction of a wait, after those of the six edges."""
+FAR = 1 << 20
+"""Stands for the length of a way where there is none."""
+
+
+def neighbor_table(shape: tuple[int, int, int], obstacles: BoolArray) -> Neighbors:
+    """The neighbours of every vertex, none across the border or into an obstacle."""
+    vertex = np.arange(np.prod(shape), dtype=np.int32).reshape(shape)
+    vertex = np.where(obstacles, np.int32(-1), vertex)
+    wide = np.pad(vertex, 1, constant_values=-1)
+    inner = slice(1, -1)
+    found = np.empty((*shape, 7), dtype=np.int32)
+    for axis in range(3):
+        for end, shifted in enumerate((slice(0, -2), slice(2, None))):
+            index = tuple(shifted if k == axis else inner for k in range(3))
+            found[..., 2 * axis + end] = wide[index]
+    found[..., STAY] = vertex
+    return found.reshape(-1, 7)
+
+
+@kernel
+def _spread(table: _Ints, goals: _Ints, start: int, way: _Ints, queue: _Ints) -> None:
+    """Breadth-first search from goals, all different, until it has found the start (-1: all)."""
+    way[:] = FAR
+    for k in range(goals.shape[0]):
+        way[goals[k]] = 0
+        queue[k] = goals[k]
+    head, tail = 0, goals.shape[0]
+    while head < tail:
+        v = queue[head]
+        head += 1
+        if v == start:
+            return
+        for k in range(6):
+            u = table[v, k]
+            if u >= 0 and way[u] == FAR:
+                way[u] = way[v] + 1
+                queue[tail] = u
+                tail += 1
+
+
+@kernel
+def _spread_all(table: _Ints, goals: _Ints, ways: _Ints, queue: _Ints) -> None:
+    for i in range(goals.shape[0]):
+        _spread(table, goals[i : i + 1], -1, ways[i], queue)
+
+
+@kernel
+def _measure(table: _Ints, starts: _Ints, goals: _Ints, found: _Ints, work: _Ints) -> None:
+    for i in range(goals.shape[0]):
+        _spread(table, goals[i : i + 1], starts[i], work[0], work[1])
+        found[i] = work[0, starts[i]]
+
+
+def ways_to(table: Neighbors, goals: _Ints) -> _Ints:
+    """(n, V) length of the shortest way from each vertex to each goal (n,); `FAR` without one."""
+    total = len(table)
+    ways = np.empty((len(goals), total), dtype=np.int32)
+    _spread_all(table, goals, ways, np.empty(total, dtype=np.int32))
+    return ways
+
+
+def shortest_ways(table: Neighbors, starts: _Ints, goals: _Ints) -> _Ints:
+    """(n,) length of the shortest way from each start (n,) to its goal (n,); `FAR` without one."""
+    found = np.empty(len(goals), dtype=np.int32)
+    _measure(table, starts, goals, found, np.empty((2, len(table)), dtype=np.int32))
+    return found
+
+
+def ways_to_any(table: Neighbors, goals: _Ints) -> _Ints:
+    """(V,) length of the shortest way from each vertex to the nearest of goals (k,)."""
+    way, queue = np.empty((2, len(table)), dtype=np.int32)
+    _spread(table, goals, -1, way, queue)
+    return way

@@ -1,0 +1,237 @@
+"""LaCAM*: complete, and in the end optimal, beside a search over all configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+
+import numpy as np
+import pytest
+from scipy.sparse.csgraph import shortest_path
+
+from swarm_envs.baselines.rth3d import (
+    NoPlanExists,
+    PlanNotFound,
+    PlanTimeout,
+    balancing,
+    make_instance,
+    plan,
+    validate,
+)
+from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, numbers, points
+from swarm_envs.baselines.rth3d.lacam import Lacam
+from swarm_envs.baselines.rth3d.ways import neighbor_table
+from tests.baselines.rth3d.cases import between, load_checker, maze
+
+
+def solve(instance: GridInstance, method: str = "lacam", **options):
+    facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
+    return plan(*facts, method=method, **options)
+
+
+def shortest_makespan(instance: GridInstance) -> int | None:
+    """By breadth-first search over all configurations; None if there is no plan."""
+    steps = [
+        [int(u) for u in row if u >= 0]
+        for row in neighbor_table(instance.shape, instance.obstacles)
+    ]
+    start, goal = (
+        tuple(numbers(p, instance.shape).tolist()) for p in (instance.starts, instance.goals)
+    )
+    known, level, count = {start}, [start], 0
+    while level:
+        if goal in known:
+            return count
+        following = []
+        for here in level:
+            for there in product(*(steps[v] for v in here)):
+                moves = set(zip(here, there, strict=True))
+                swap = any(u != v and (v, u) in moves for u, v in moves)
+                if len(set(there)) == len(there) and not swap and there not in known:
+                    known.add(there)
+                    following.append(there)
+        level, count = following, count + 1
+    return None
+
+
+def tiny_instance(seed: int) -> GridInstance:
+    """Up to four robots on at most nine vertices, some of them obstacles."""
+    generator = np.random.default_rng(seed)
+    while True:
+        shape = [(2, 2, 2), (3, 3, 1), (3, 2, 1), (5, 2, 1), (6, 1, 1), (2, 1, 3)][seed % 6]
+        walls = generator.random(shape) < generator.choice([0.0, 0.2, 0.35])
+        free = np.argwhere(~walls)
+        if len(free) >= 2:
+            count = int(generator.integers(1, min(4, len(free)) + 1))
+            starts, goals = (generator.permutation(free)[:count] for _ in range(2))
+            return check_instance(starts, goals, shape, walls)
+
+
+def test_it_finds_the_shortest_plan_or_shows_that_there_is_none():
+    found = {True: 0, False: 0}
+    for seed in range(72):
+        instance = tiny_instance(seed)
+        best = shortest_makespan(instance)
+        found[best is not None] += 1
+        if best is None:
+            for method in ("lacam", "auto"):
+                with pytest.raises(NoPlanExists, match="no plan exists"):
+                    solve(instance, method, seed=seed)
+            continue
+        assert solve(instance, seed=seed, configurations=1_000_000).makespan == best
+        for method in ("lacam", "auto"):
+            assert instance.lower_bound <= best <= solve(instance, method, seed=seed).makespan
+    assert min(found.values()) >= 15
+
+
+def test_plans_get_shorter_with_more_configurations_and_do_not_depend_on_pauses():
+    instance = between(maze(11, np.random.default_rng(4)), 4, np.random.default_rng(4))
+    whole, paused = Lacam(instance, 0), Lacam(instance, 0)
+    lengths = []
+    for most in range(0, 200_000, 500):
+        paused.run(most)
+        lengths.append(paused.steps or 1_000_000)
+        if paused.exhausted:
+            break
+    while not whole.exhausted and whole.made < paused.made:
+        whole.run(paused.made)
+    assert paused.paths().tobytes() == whole.paths().tobytes()
+    assert lengths == sorted(lengths, reverse=True) and lengths[-1] < lengths[1]
+    assert validate(
+        points(whole.paths(), instance.shape),
+        *(instance.starts, instance.goals, instance.shape, instance.obstacles),
+    )
+
+
+def mazes(seed: int) -> Iterator[GridInstance]:
+    generator = np.random.default_rng(seed)
+    yield between(maze(31, generator), 1, generator)
+    for count in (5, 10, 20):
+        yield between(maze(17, generator), count, generator)
+
+
+def holes(seed: int) -> Iterator[GridInstance]:
+    """Walls with few one-vertex holes, 60 robots."""
+    generator = np.random.default_rng(seed)
+    for count in (1, 2, 4):
+        walls = np.zeros((24, 12, 6), dtype=bool)
+        walls[12] = True
+        walls[12].flat[generator.permutation(72)[:count]] = False
+        yield between(walls, 60, generator)
+
+
+def clutter(seed: int) -> Iterator[GridInstance]:
+    generator = np.random.default_rng(seed)
+    for share in (0.1, 0.2, 0.3):
+        for shape, count in (((32, 32, 1), 100), ((64, 64, 1), 400), ((24, 12, 6), 300)):
+            yield between(generator.random(shape) < share, count, generator)
+
+
+def crowds(seed: int) -> Iterator[GridInstance]:
+    for density in (0.4, 0.6, 0.8, 0.9, 0.95):
+        yield make_instance("uniform", (12, 9, 6), int(648 * density), seed)
+
+
+@pytest.mark.parametrize("family", [mazes, holes, clutter, crowds])
+@pytest.mark.parametrize("method", ["lacam", "auto"])
+def test_it_solves_what_pibt_alone_does_not(family, method, shared_data):
+    checker = load_checker(shared_data)
+    for instance in family(0):
+        found = solve(instance, method)
+        vertices = numbers(found.paths, found.shape)
+        facts = (found.shape, found.starts, found.goals, found.obstacles)
+        assert checker(vertices, *facts)["ok"]
+        assert instance.lower_bound <= found.makespan
+
+
+def test_on_a_line_and_around_a_ring_nobody_passes_anybody():
+    line = np.ones((200, 3, 1), dtype=bool)
+    line[:, 1] = False
+    ends = np.array([[0, 1, 0], [199, 1, 0]])
+    for method in ("lacam", "auto"):
+        with pytest.raises(NoPlanExists, match=r"a line of 200 vertices .* robots 0 and 1 would"):
+            plan(ends, ends[::-1], line.shape, line, method=method)
+    walls = np.zeros((5, 5, 1), dtype=bool)
+    walls[1:4, 1:4] = True
+    ring = np.array([[0, 0], [0, 4], [4, 4], [4, 0]])
+    assert plan(ring, np.roll(ring, 1, axis=0), (5, 5), walls).makespan == 4
+    with pytest.raises(NoPlanExists, match="a ring of 16 vertices"):
+        plan(ring, ring[[1, 0, 2, 3]], (5, 5), walls)
+
+
+def test_rooms_are_searched_one_by_one():
+    """That robots in a small room are stuck is found at once, whoever is elsewhere."""
+    walls = np.zeros((12, 8, 4), dtype=bool)
+    walls[4] = True
+    free = np.argwhere(~walls)
+    crowd = free[free[:, 0] > 4]
+    starts, goals = (np.random.default_rng(k).permutation(crowd)[:150] for k in (0, 1))
+    corner = np.array([[0, 0, 0], [3, 7, 3]])
+    found = plan(np.vstack([starts, corner]), np.vstack([goals, corner[::-1]]), walls.shape, walls)
+    assert validate(found.paths, found.starts, found.goals, walls.shape, walls)
+    walls[:4] = True
+    walls[0, :3, 0] = walls[0, 1, 1] = False  # a T, full
+    full = np.argwhere(~walls[:4])
+    with pytest.raises(NoPlanExists, match="all that 4 robots can do"):
+        plan(np.vstack([starts, full]), np.vstack([goals, full[[1, 0, 2, 3]]]), walls.shape, walls)
+
+
+def test_what_was_not_found_in_time_may_exist():
+    instance = next(holes(0))
+    with pytest.raises(PlanNotFound, match="within 20 configurations") as error:
+        solve(instance, configurations=20)
+    assert not isinstance(error.value, NoPlanExists)
+    with pytest.raises(PlanTimeout):
+        solve(instance, time_limit=1e-9)
+
+
+def test_auto_falls_back_where_balancing_is_too_large(monkeypatch):
+    monkeypatch.setattr(balancing, "_MOST_NODES", 10)
+    instance = make_instance("mirror", (12, 6, 3), seed=0)
+    with pytest.raises(ValueError, match="too unevenly spread"):
+        solve(instance, "rth3d-lba")
+    assert solve(instance, "auto").winner in ("pibt", "lacam")
+
+
+@pytest.mark.parametrize("family", ["buildings", "uniform", "clutter"])
+def test_the_lower_bound_is_the_longest_shortest_way(family):
+    for seed in range(5):
+        if family == "clutter":
+            generator = np.random.default_rng(seed)
+            instance = between(generator.random((9, 7, 5)) < 0.3, 8, generator)
+        else:
+            instance = make_instance(family, (8, 9, 3), 20, seed)
+        table = neighbor_table(instance.shape, instance.obstacles)
+        graph = np.zeros((len(table), len(table)))
+        for v, row in enumerate(table):
+            graph[v, row[:6][row[:6] >= 0]] = 1.0
+        starts, goals = (numbers(p, instance.shape) for p in (instance.starts, instance.goals))
+        ways = shortest_path(graph, unweighted=True, indices=goals)
+        assert instance.lengths.tolist() == ways[np.arange(len(goals)), starts].tolist()
+
+
+def test_no_plan_is_shorter_than_what_planes_let_through():
+    """Robots in a block behind a hole of one vertex: they go through one after another."""
+    for seed in range(0, 72, 2):
+        instance = tiny_instance(seed)
+        best = shortest_makespan(instance)
+        if best is not None:
+            assert instance.lower_bound <= best
+    walls = np.zeros((7, 3, 3), dtype=bool)
+    walls[3] = True
+    walls[3, 1, 1] = False
+    left = np.argwhere(np.ones((3, 3, 3), dtype=bool))
+    instance = check_instance(left, left + np.array([4, 0, 0]), walls.shape, walls)
+    assert instance.lengths.max() == 8
+    assert instance.lower_bound == 28  # 27 through the hole, and a last step
+    assert solve(instance, "auto").makespan >= 28
+
+
+def test_where_two_thirds_change_places_the_middle_bounds_the_plan():
+    """Packed ends of a corridor: both directions share the edges between them."""
+    starts = np.argwhere(np.ones((12, 2, 2), dtype=bool))
+    starts = starts[(starts[:, 0] < 5) | (starts[:, 0] > 6)]
+    goals = starts + np.where(starts[:, :1] < 5, 7, -7) * np.array([1, 0, 0])
+    instance = check_instance(starts, goals, (12, 2, 2))
+    assert instance.lengths.max() == 7
+    assert instance.lower_bound == 12  # 40 robots over 4 edges, one step before and one behind
