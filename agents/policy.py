@@ -36,11 +36,12 @@ from swarm_envs.agents.networks import (
 )
 from swarm_envs.agents.protocol import Actions, Observations, check_requirements
 from swarm_envs.envs.actions import ACTIONS
+from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.observation import Float32Array, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.errors import check_integer, check_name
-from swarm_envs.files import written_whole
+from swarm_envs.files import parse_note, written_whole
 from swarm_envs.vehicles import VEHICLES
 
 __all__ = [
@@ -64,6 +65,8 @@ _BEFORE = {
     "swarm-envs-policy-2": {"fewest"},
 }
 """Formats that are read, though no longer written: what their notes do not say."""
+MOST_DRONES = 10_000
+"""Largest team that a policy can have been trained for."""
 LARGEST = 1e4
 """No weight of a policy that was trained comes near it; one beyond it was damaged."""
 
@@ -166,9 +169,9 @@ class PolicyNote:
                 f"{self.features!r}, but types are named only in typed features"
             )
         check_integer("fewest", self.fewest, 1)
-        check_integer("drones", self.drones, self.fewest)
-        check_integer("decision_rate", self.decision_rate, 1)
-        check_integer("num_neighbors", self.num_neighbors, 0)
+        check_integer("drones", self.drones, self.fewest, MOST_DRONES)
+        options = {name: getattr(self, name) for name in ("decision_rate", "num_neighbors")}
+        EnvConfig(**options)
 
 
 @dataclass(frozen=True)
@@ -269,9 +272,7 @@ def _read(path: Path) -> tuple[dict[str, Float32Array], dict[str, Any]]:
         metadata = file.metadata() or {}
         names = file.keys()  # the file itself cannot be iterated
         tensors = {name: np.asarray(file.get_tensor(name), np.float32) for name in names}
-    note = json.loads(metadata.get("swarm_envs", "{}"))
-    if not isinstance(note, dict):
-        raise ValueError(f"its note is {note!r:.80}, not a JSON object")
+    note = parse_note(metadata.get("swarm_envs", "{}"))
     _check_numbers(tensors)
     return tensors, note
 

@@ -17,7 +17,7 @@ from swarm_envs.envs.view import View
 from swarm_envs.errors import unknown_name
 from swarm_envs.viewing.record import Recorder, Recording
 
-__all__ = ["AT_ONCE", "check_options_agree", "flies_batches", "fly_batch"]
+__all__ = ["AT_ONCE", "BatchAgent", "check_options_agree", "flies_batches", "fly_batch"]
 
 Observations = Mapping[str, npt.NDArray[np.float32]]
 """What every agent observes, by its name."""

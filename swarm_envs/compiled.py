@@ -28,7 +28,14 @@ import numba
 import numpy as np
 from numba.extending import register_jitable
 
-__all__ = ["announce_compilation", "entry_point", "equation", "kernel", "part"]
+__all__ = [
+    "announce_compilation",
+    "entry_point",
+    "equation",
+    "kernel",
+    "kernel_folder",
+    "part",
+]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -144,11 +151,16 @@ def announce_compilation(entry: Callable[..., Any]) -> None:
 
 def _folder(function: Callable[..., Any]) -> Path | None:
     """Folder for the cached kernels of the module that defines a function, if there can be one."""
-    base = _base(str(numba.config.CACHE_DIR or ""))
+    base = kernel_folder()
     file = Path(function.__code__.co_filename)
     if base is None or not file.is_file():  # such as a function that was typed at a prompt
         return None
     return _prepared(base, function.__module__, file.absolute())
+
+
+def kernel_folder() -> Path | None:
+    """Folder that holds the kernels of all modules; None where none can be written."""
+    return _base(str(numba.config.CACHE_DIR or ""))
 
 
 @cache
@@ -165,7 +177,8 @@ def _base(chosen: str) -> Path | None:
 def _can_write(folder: Path) -> bool:
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"a full disk, or a limit, lets files be made and not written")
     except OSError:
         return False
     return True

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TextIO
 from zlib import crc32
 
-__all__ = ["claimed", "pyarrow", "write_json", "write_table", "written_whole"]
+__all__ = ["claimed", "parse_note", "pyarrow", "write_json", "write_table", "written_whole"]
 
 try:
     import fcntl
@@ -73,6 +73,21 @@ def write_json(path: Path, content: object) -> None:
     """
     with written_whole(path) as partial:
         partial.write_text(json.dumps(content, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def parse_note(text: str) -> dict[str, Any]:
+    """The JSON object that a file of weights carries as its note.
+
+    Raises:
+        ValueError: it is no object, no JSON, or nested too deeply to be read.
+    """
+    try:
+        note = json.loads(text)
+    except RecursionError:
+        raise ValueError("its note is nested too deeply to be read") from None
+    if not isinstance(note, dict):
+        raise ValueError(f"its note is {note!r:.80}, not a JSON object")
+    return note
 
 
 @contextmanager

@@ -29,6 +29,7 @@ from swarm_envs.agents.policy import (
 )
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.interactions.weights_file import load_weights
 
 NOTE = PolicyNote("swap_v0", 3, "acceleration", 10, 2, fewest=2)
 
@@ -153,6 +154,10 @@ def rewrite(path: Path, **changes: object) -> None:
         ({"action": "ctbr"}, "do not lead from 52 features to the 4 numbers"),
         ({"num_neighbors": 3}, "do not lead from 69 features"),
         ({"drones": 0}, "drones is 0"),
+        ({"drones": 10**9}, "drones is 1000000000, but must be at most 10,000"),
+        ({"decision_rate": 10**9}, "decision_rate is 1000000000, but must be 240 over an integer"),
+        ({"num_neighbors": 10**9}, "num_neighbors is 1000000000"),
+        ({"provenance": "deep"}, "is damaged"),
         ({"weights_sha256": "0" * 64}, "are not those that were written"),
     ],
 )
@@ -163,6 +168,14 @@ def test_a_note_that_does_not_hold_is_refused(tmp_path, changes, why):
     with pytest.raises(ValueError, match=re.escape(why)) as refused:
         read_policy(path)
     assert str(path) in str(refused.value)
+
+
+def test_a_note_that_is_nested_without_end_is_refused(tmp_path):
+    path, tensors = tmp_path / FILE, {"a": np.zeros(1, np.float32)}
+    save_file(tensors, path, metadata={"swarm_envs": "[" * 100_000})
+    for read in (read_policy, load_weights):
+        with pytest.raises(ValueError, match="nested too deeply"):
+            read(path)
 
 
 def test_damage_is_named(tmp_path):

@@ -1,28 +1,26 @@
 """`swarm-envs grade`: the files of a whole course, each in a process of its own, and its points.
 
 What a file is worth is one number that `swarm-envs evaluate` reports, or the error of its force
-model; points rise linearly from one value of it to another. See `docs/assignments/`.
+model; points rise linearly from one value of it to another. Environment, judge and table are the
+grader's: a work gives it actions, and nothing else. See `docs/assignments/`.
 """
 
 from __future__ import annotations
 
 import csv
 import glob
-import json
-import os
-import signal
-import subprocess
-import sys
-import tempfile
+import select
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
 
 from swarm_envs.arguments import POSITIVE_S, Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, command_options
+
+if TYPE_CHECKING:
+    from swarm_envs.commands.grading.remote import RemoteWork
 
 Name = Literal["controller", "force-model", "swap"]
 """Assignments by name."""
@@ -38,8 +36,8 @@ class Assignment:
     """Its value that is worth nothing."""
     full: float
     """Its value, or better, that is worth 100 points."""
-    flown: tuple[str, ...] = ()
-    """Arguments of `swarm-envs evaluate`; empty where nothing is flown."""
+    flown: Mapping[str, Any] = field(default_factory=dict)
+    """Options of `swarm-envs evaluate`; empty where nothing is flown."""
 
     def points(self, report: Mapping[str, Any]) -> float:
         """Points from 0 to 100; in flights, times the share of episodes without a crash."""
@@ -57,14 +55,14 @@ ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
             metric="worst_height_error_m",
             zero=0.08,
             full=0.01,
-            flown=("--task", "swap", "--layout", "stacked", "--drones", "3"),
+            flown={"task": "swap", "layout": "stacked", "drones": 3},
         ),
         "force-model": Assignment(metric="explained", zero=0.3, full=0.9),
         "swap": Assignment(
             metric="success_rate",
             zero=0.50,
             full=0.95,
-            flown=("--task", "swap", "--layout", "random", "--drones", "4"),
+            flown={"task": "swap", "layout": "random", "drones": 4},
         ),
     }
 )
@@ -116,6 +114,9 @@ def run_grade(options: GradeOptions) -> int:
     """
     from tqdm import tqdm
 
+    _check_system()
+    from swarm_envs.commands.grading.remote import package_state
+
     if options.out is not None:
         check_file("--out", options.out, (".csv",))
     if options.data is not None:
@@ -124,9 +125,12 @@ def run_grade(options: GradeOptions) -> int:
     grades: list[_Grade] = []
     try:
         for work in tqdm(works, desc="grading", unit="file"):
-            grades.append(_grade(work, options, assignment))
+            before = package_state()
+            grades.append(_grade(work, works, options, assignment))
             if options.out is not None:
                 _write(options.out, assignment, grades)
+            if package_state() != before:
+                raise Misuse(f"{work!r} has changed the package; install it anew, and grade again")
     except KeyboardInterrupt:
         print(_table(assignment, grades))
         raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None
@@ -136,19 +140,44 @@ def run_grade(options: GradeOptions) -> int:
     return sum(bool(grade.error) for grade in grades)
 
 
+def _check_system() -> None:
+    """Say once what this system does not keep a work from.
+
+    Raises:
+        Misuse: it has no pipes that can be polled.
+    """
+    if not hasattr(select, "poll"):
+        raise Misuse("works are graded on Linux or macOS; on Windows, in its Linux subsystem")
+    from swarm_envs.commands.grading.confinement import probe
+
+    for missing in probe().missing:
+        print(f"a work is not confined as it should be here: {missing}")
+
+
 class _Grade(NamedTuple):
     work: str
     points: float
     value: float | None
     error: str
     privileged: bool
+    copied: str
+
+    @property
+    def notes(self) -> str:
+        """What the table says beside the number."""
+        stars = " *" if self.privileged else ""
+        return stars + (f" * flies as {self.copied}" if self.copied else "")
 
 
-def _grade(work: str, options: GradeOptions, assignment: Assignment) -> _Grade:
-    report = _report(work, options, assignment)
-    error, value = report.get("error", ""), report.get(assignment.metric)
+def _grade(work: str, works: list[str], options: GradeOptions, assignment: Assignment) -> _Grade:
+    """Grade one work; whatever goes wrong with it is its own."""
+    from swarm_envs.commands.grading.text import printable
+
+    name, report = printable(work), _report(work, works, options, assignment)
+    error, value = printable(report.get("error", "")), report.get(assignment.metric)
     points = 0.0 if error else assignment.points(report)
-    return _Grade(work, points, value, error, bool(report.get("privileged", False)))
+    stars = bool(report.get("privileged", False)), str(report.get("copied", ""))
+    return _Grade(name, points, value, error, *stars)
 
 
 def _expanded(works: list[str]) -> list[str]:
@@ -183,78 +212,74 @@ def _check_rows(path: Path) -> None:
         )
 
 
-def _report(work: str, options: GradeOptions, assignment: Assignment) -> dict[str, Any]:
-    """What a process of its own says of a student's work; or, under `error`, why it has not."""
-    with tempfile.TemporaryDirectory(prefix="swarm-envs-grade-") as folder:
-        out = Path(folder) / "report.json"
-        command = [sys.executable, "-m", *_arguments(work, options, assignment, out)]
-        try:
-            code, said = _ended(command, options.limit_s)
-        except subprocess.TimeoutExpired:
-            return {"error": f"took longer than {options.limit_s:g} s"}
-        if not out.is_file():
-            last = (said.strip() or "no message").splitlines()[-1]
-            return {"error": f"ended with exit code {code}: {last}"}
-        report: dict[str, Any] = json.loads(out.read_text(encoding="utf-8"))
-    agent = report.get("agents", [{}])[0]
-    return {**report, **agent}
+def _report(
+    work: str, works: list[str], options: GradeOptions, assignment: Assignment
+) -> dict[str, Any]:
+    """What the grader finds of a work; or, under `error`, why it has no points."""
+    from swarm_envs.commands.grading.confinement import Limits
+    from swarm_envs.commands.grading.remote import opened
+
+    limits = Limits(work_s=options.limit_s)
+    what = "fly" if assignment.flown else "fit"
+    try:
+        with opened(work, what, works, limits) as (process, made):
+            if options.data is not None:
+                from swarm_envs.commands.grade_force import grade_model
+
+                return grade_model(process, options.data)
+            return _flown(work, process, made, options, assignment)
+    except Exception as error:  # a stranger's work may fail in any way, and the next is graded
+        known = isinstance(error, RuntimeError)
+        return {"error": str(error) if known else f"{type(error).__name__}: {error}"}
 
 
-def _ended(command: list[str], limit_s: float) -> tuple[int, str]:
-    """Run a command; its exit code and what it said. What it has begun ends with it."""
-    with subprocess.Popen(
-        command,
-        env={**os.environ, "TQDM_DISABLE": "1"},  # its last line shall say what went wrong
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        errors="replace",
-        start_new_session=True,
-    ) as process:
-        try:
-            said = process.communicate(timeout=limit_s)[1]
-        finally:
-            _kill_group(process)
-            process.wait()
-    return process.returncode, said
+def _flown(
+    work: str,
+    process: RemoteWork,
+    made: Mapping[str, Any],
+    options: GradeOptions,
+    assignment: Assignment,
+) -> dict[str, Any]:
+    """The scores of `swarm-envs evaluate`, and who has helped the work."""
+    from swarm_envs import make
+    from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds, score_episodes
+    from swarm_envs.agents.protocol import check_options_agree
+    from swarm_envs.commands.evaluate import EvaluateOptions
+    from swarm_envs.commands.fly import find_task
+    from swarm_envs.commands.grading.copies import copied_acts, copied_files
+    from swarm_envs.commands.grading.remote import remote_agent
 
-
-def _kill_group(process: subprocess.Popen[str]) -> None:
-    if not hasattr(os, "killpg"):  # Windows: the process alone
-        process.kill()
-        return
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-
-
-def _arguments(
-    work: str, options: GradeOptions, assignment: Assignment, out: Path
-) -> tuple[str, ...]:
-    """What Python runs as a module, and its arguments."""
-    if not assignment.flown:
-        module = "swarm_envs.commands.grade_force"
-        return (module, work, str(options.data), str(out))
-    count = ("--episodes", str(options.episodes), "--seed", str(options.seed))
-    flown = (*assignment.flown, *count, "--agent", work, "--json", str(out))
-    return ("swarm_envs", "evaluate", *flown)
+    setting = EvaluateOptions(**assignment.flown)
+    agent, given = remote_agent(process, made), setting.setting()
+    check_options_agree(agent, given)
+    env = make(find_task(setting.task), **{**given, **agent.requires})
+    try:
+        seeds = frozen_seeds(options.seed, options.episodes)
+        scores = score_episodes([*evaluate_agent(env, agent, seeds)])
+        copied = copied_files(work) or copied_acts(env, agent.kept)
+    finally:
+        env.close()
+    return {**scores, "privileged": agent.asked, "copied": copied}
 
 
 def _table(assignment: Assignment, grades: list[_Grade]) -> str:
     width = max(map(len, ["work", *(grade.work for grade in grades)]))
     lines = [f"{'work'.ljust(width)}  points  {assignment.metric}"]
-    for work, points, value, error, privileged in grades:
-        said = f"FAILED: {error}" if error else ("-" if value is None else f"{value:.4g}")
-        lines.append(f"{work.ljust(width)}  {points:6.1f}  {said}{' *' if privileged else ''}")
+    for grade in grades:
+        value = "-" if grade.value is None else f"{grade.value:.4g}"
+        said = f"FAILED: {grade.error}" if grade.error else value
+        lines.append(f"{grade.work.ljust(width)}  {grade.points:6.1f}  {said}{grade.notes}")
     if any(grade.privileged for grade in grades):
         lines.append("* sees the true state")
     return "\n" + "\n".join(lines)
 
 
 def _write(path: Path, assignment: Assignment, grades: list[_Grade]) -> None:
+    from swarm_envs.commands.grading.text import cell
     from swarm_envs.files import written_whole
 
     with written_whole(path) as whole, whole.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["work", "points", assignment.metric, "error", "privileged"])
-        writer.writerows(grades)
+        writer.writerow(["work", "points", assignment.metric, "error", "privileged", "copied"])
+        for work, points, value, error, *stars in grades:
+            writer.writerow([cell(work), points, value, cell(error), *stars])

@@ -1,17 +1,17 @@
-"""Fit one student's force model and say how good it is; `swarm-envs grade` runs it as a process."""
+"""The score of a student's force model: fitted and asked in its process, judged in the grader's."""
 
 from __future__ import annotations
 
 import dataclasses
-import sys
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swarm_envs.agents.registry import load_class
-from swarm_envs.files import write_json
+from swarm_envs.commands.grading.messages import Array
+from swarm_envs.commands.grading.remote import RemoteWork
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows
+from swarm_envs.training.interaction_rows.rows import ROW_ARRAYS
 
 
 def score(predicted: Any, held_out: InteractionRows) -> dict[str, float]:
@@ -38,22 +38,33 @@ def score(predicted: Any, held_out: InteractionRows) -> dict[str, float]:
     }
 
 
-def grade(work: str, data: Path) -> dict[str, Any]:
+def grade_model(work: RemoteWork, data: Path) -> dict[str, float]:
     """Fit a student's model to the training rows of a table, and score it on the others.
 
+    Its process is given no label of a held-out row.
+
+    Args:
+        work: its process.
+        data: the table.
+
     Returns:
-        As `score`; or `error`, why there is none.
+        As `score`.
+
+    Raises:
+        WorkFailed: it failed.
+        ValueError: what it predicts is not one finite number a row.
     """
     rows = read_rows(data)
     held_out = rows.select(rows.validation)
-    try:
-        model = load_class(work)()
-        model.fit(rows.select(~rows.validation))
-        unknown = dataclasses.replace(held_out, force_g=np.zeros_like(held_out.force_g))
-        return dict(score(model.predict(unknown), held_out))
-    except (Exception, SystemExit) as error:
-        return {"error": f"{type(error).__name__}: {error}"}
+    work.ask("fit", *_packed(rows.select(~rows.validation)))
+    unknown = np.zeros_like(held_out.force_g)
+    hidden = dataclasses.replace(held_out, force_g=unknown, torque=None)
+    _, given = work.ask("predict", *_packed(hidden), most=8 * len(held_out))
+    return score(given[0] if len(given) == 1 else np.zeros(0), held_out)
 
 
-if __name__ == "__main__":
-    write_json(Path(sys.argv[3]), grade(sys.argv[1], Path(sys.argv[2])))
+def _packed(rows: InteractionRows) -> tuple[dict[str, Any], list[Array]]:
+    """Rows as header and arrays of a message."""
+    names = [name for name in (*ROW_ARRAYS, "torque") if getattr(rows, name) is not None]
+    header = {"names": names, "types": rows.types, "scenario_names": rows.scenario_names}
+    return header, [getattr(rows, name) for name in names]

@@ -10,7 +10,6 @@ A in gram-force, w0 in m, S, p; `delay.<type>` (1,) in s/m, `joining` (3,): q, M
 
 from __future__ import annotations
 
-import json
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,7 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from swarm_envs.errors import check_array
+from swarm_envs.files import parse_note
 from swarm_envs.interactions.field import (
     COMPOSED,
     LATERAL_REACH,
@@ -83,9 +83,7 @@ def read_tensors(path: Path) -> tuple[dict[str, FloatArray], dict[str, Any]]:
         metadata = file.metadata() or {}
         names = file.keys()  # the file itself cannot be iterated
         tensors = {name: np.asarray(file.get_tensor(name), np.float64) for name in names}
-    notes = json.loads(metadata.get("swarm_envs", "{}"))
-    if not isinstance(notes, dict):
-        raise ValueError(f"its note is {notes!r:.80}, not a JSON object")
+    notes = parse_note(metadata.get("swarm_envs", "{}"))
     if notes.get("format") not in KINDS:
         raise ValueError(f"its format is {notes.get('format')!r}")
     for name, tensor in tensors.items():

@@ -1,0 +1,140 @@
+"""What ships, recognised in a work: by its weights, its source, and by what it does."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+from collections.abc import Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarm_envs.agents import load
+from swarm_envs.agents.policy import PolicyAgent, read_policy
+from swarm_envs.agents.registry import SHIPPED
+from swarm_envs.commands.grading.messages import Array
+from swarm_envs.commands.grading.remote import path_of
+from swarm_envs.envs.observation import Float32Array, observation_layout
+from swarm_envs.envs.parallel import SwarmParallelEnv
+
+ALIKE = 0.1
+"""Root mean square difference of actions that are the same but for a disguise, over their own root
+mean square."""
+_NOBODYS = ("hover", "random")  # whoever does nothing has not copied it
+_LARGEST = 1 << 26  # bytes of a file that is looked at
+
+
+def copied_files(name: str) -> str:
+    """Name of the shipped agent whose weights or source are in a work's files; "" for none."""
+    path = path_of(name)
+    if path.suffix == ".py" and path.is_file() and (found := _copied_source(path)):
+        return found
+    folder = path if path.is_dir() else path.parent
+    beside = [path] if path.suffix == ".safetensors" else sorted(folder.glob("*.safetensors"))
+    for file in beside:
+        if file.is_file() and file.stat().st_size < _LARGEST and (found := _copied_weights(file)):
+            return found
+    return ""
+
+
+def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]]) -> str:
+    """Name of the shipped agent that acts alike on the same rows; "" for none.
+
+    Args:
+        env: in which the work flew.
+        kept: its decisions: rows (..., N, row width), and actions (..., N, width).
+    """
+    if not kept:
+        return ""
+    rows = np.concatenate([each.reshape(-1, each.shape[-1]) for each, _ in kept])
+    acts = np.concatenate([each.reshape(-1, each.shape[-1]) for _, each in kept])
+    for name in SHIPPED:
+        if name not in _NOBODYS and _alike(name, env, rows, acts):
+            return name
+    return ""
+
+
+def _alike(name: str, env: SwarmParallelEnv, rows: Float32Array, acts: Array) -> bool:
+    """Whether a shipped agent that acts by rows alone gives the same actions (R, width)."""
+    agent: Any = _shipped(name)
+    mode = env.core.mode.name
+    if not hasattr(agent, "act_batch") or agent.requires.get("action", mode) != mode:
+        return False
+    if isinstance(agent, PolicyAgent):
+        rows = _for_neighbors(rows, env, agent.policy.note.num_neighbors)
+    else:
+        agent.reset(env, 0)
+    own = np.asarray(agent.act_batch(rows), np.float64)
+    size = float(np.sqrt(np.mean(np.square(own))))
+    return float(np.sqrt(np.mean(np.square(own - acts)))) <= ALIKE * size
+
+
+def _for_neighbors(rows: Float32Array, env: SwarmParallelEnv, count: int) -> Float32Array:
+    """Rows (R, width) as they are where so many neighbours are observed, and no obstacles.
+
+    Farther ones are left out; those that nobody observed are not there.
+    """
+    places = {field.name: field.where for field in env.observation_layout}
+    layout = observation_layout(count)
+    found = np.zeros((len(rows), layout[-1].where.stop), np.float32)
+    for field in layout:
+        if field.name in places:
+            found[:, field.where] = rows[:, places[field.name]]
+    return found
+
+
+@cache
+def _shipped(name: str) -> Any:
+    return load(name)
+
+
+@cache
+def _shipped_weights() -> dict[str, str]:
+    """Names of shipped policies by the digests of their weights."""
+    agents = {name: _shipped(name) for name, path in SHIPPED.items() if "agents.policy" in path}
+    return {agent.digest: name for name, agent in agents.items()}
+
+
+def _copied_weights(file: Path) -> str:
+    try:
+        return _shipped_weights().get(read_policy(file).digest, "")
+    except (ValueError, OSError, RecursionError, MemoryError):
+        return ""  # no policy, or none that could fly
+
+
+@cache
+def _shipped_sources() -> dict[str, str]:
+    """Names of shipped agents by what their classes say."""
+    found: dict[str, str] = {}
+    for name, place in SHIPPED.items():
+        module, _, path = place.partition(":")
+        kind = getattr(importlib.import_module(module), path.partition(".")[0])
+        if inspect.isclass(kind) and name not in _NOBODYS:
+            for said in _classes(ast.parse(inspect.getsource(kind))):
+                found.setdefault(said, name)
+    return found
+
+
+def _copied_source(file: Path) -> str:
+    try:
+        classes = [*_classes(ast.parse(file.read_bytes()))]
+    except (SyntaxError, ValueError, OSError, RecursionError, MemoryError):
+        return ""
+    return next((_shipped_sources()[said] for said in classes if said in _shipped_sources()), "")
+
+
+def _classes(tree: ast.Module) -> Iterator[str]:
+    """What each class of a source says, but for its name, comments and docstrings."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            for part in ast.walk(node):
+                if isinstance(part, ast.ClassDef | ast.FunctionDef):
+                    part.body = [line for line in part.body if not _is_text(line)]
+            yield "\n".join(ast.dump(part) for part in node.body)
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)

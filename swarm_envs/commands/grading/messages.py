@@ -1,0 +1,163 @@
+"""Messages between the grader and the process of a work: a small header, and raw numbers.
+
+A message is 12 bytes (`SWRM`, and the lengths of header and numbers, little-endian), a header in
+JSON, and the arrays that the header lists, one after another. Nothing in it can become code. What
+is longer than allowed, or does not fit what it says of itself, is refused before it is read.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import select
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+_PREFIX = struct.Struct("<4sII")
+_MAGIC = b"SWRM"
+MOST_HEADER = 1 << 16
+"""Bytes of a header."""
+MOST_NUMBERS = 1 << 31
+"""Bytes of the numbers of a message to the work, which the grader alone sends."""
+_TYPES = {"f4": np.float32, "f8": np.float64, "i8": np.int64, "b1": np.bool_}
+_CHUNK = 1 << 20
+
+Array = npt.NDArray[Any]
+"""Numbers of one of four types: float32, float64, int64, truth values."""
+
+
+class BadMessage(ValueError):
+    """What was received is no message."""
+
+
+class TooLate(RuntimeError):
+    """The other side did not take or give a message in time."""
+
+
+class Channel:
+    """Sends messages over one file descriptor and receives them over another.
+
+    Args:
+        source: to read from.
+        sink: to write to.
+    """
+
+    def __init__(self, source: int, sink: int) -> None:
+        self._source, self._sink = source, sink
+        os.set_blocking(source, False)
+        os.set_blocking(sink, False)
+
+    def send(
+        self, header: Mapping[str, Any], arrays: Sequence[Array] = (), until: float = math.inf
+    ) -> None:
+        """Write a message.
+
+        Args:
+            header: what JSON can say.
+            arrays: of the four types.
+            until: time of `time.monotonic` at which to give up, s.
+
+        Raises:
+            TooLate: the other side did not take it in time.
+            OSError: there is no other side.
+        """
+        arrays = [np.ascontiguousarray(array) for array in arrays]
+        listed = [[array.dtype.str.lstrip("<|"), array.shape] for array in arrays]
+        head = json.dumps({**header, "arrays": listed}).encode()
+        numbers = b"".join(array.tobytes() for array in arrays)
+        left = memoryview(_PREFIX.pack(_MAGIC, len(head), len(numbers)) + head + numbers)
+        while left:
+            _wait(self._sink, select.POLLOUT, until)
+            left = left[os.write(self._sink, left[:_CHUNK]) :]
+
+    def receive(
+        self, most: int = MOST_NUMBERS, until: float = math.inf
+    ) -> tuple[dict[str, Any], list[Array]]:
+        """Read a message: its header and its arrays.
+
+        Args:
+            most: bytes that its numbers may be.
+            until: time of `time.monotonic` at which to give up, s.
+
+        Raises:
+            BadMessage: it is longer, or no message.
+            TooLate: it did not come in time.
+            EOFError: there is no other side.
+        """
+        magic, length, size = _PREFIX.unpack(self._read(_PREFIX.size, until))
+        if magic != _MAGIC or length > MOST_HEADER or size > most:
+            raise BadMessage(f"begins with {magic!r} and {length} + {size} bytes")
+        header = _header(self._read(length, until))
+        return header, _arrays(header.get("arrays"), self._read(size, until))
+
+    def _read(self, count: int, until: float) -> bytes:
+        parts: list[bytes] = []
+        while count:
+            _wait(self._source, select.POLLIN, until)
+            part = os.read(self._source, min(count, _CHUNK))
+            if not part:
+                raise EOFError("the other side has ended")
+            parts.append(part)
+            count -= len(part)
+        return b"".join(parts)
+
+
+def _wait(descriptor: int, event: int, until: float) -> None:
+    """Wait until a descriptor can be read or written."""
+    poll = select.poll()
+    poll.register(descriptor, event)
+    left = until - time.monotonic()
+    # A wait of 10 s at most: the system's counter of milliseconds has an end.
+    while not poll.poll(max(0.0, min(left, 10.0)) * 1e3):
+        left = until - time.monotonic()
+        if left <= 0.0:
+            raise TooLate("no message in time")
+
+
+def _header(text: bytes) -> dict[str, Any]:
+    try:
+        header = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BadMessage(f"its header cannot be read: {type(error).__name__}") from error
+    if not isinstance(header, dict) or not isinstance(header.get("kind"), str):
+        raise BadMessage("its header is no object with a kind")
+    return header
+
+
+def _arrays(listed: Any, numbers: bytes) -> list[Array]:
+    if not isinstance(listed, list) or len(listed) > 64:
+        raise BadMessage("its header lists no arrays")
+    arrays: list[Array] = []
+    start = 0
+    for entry in listed:
+        kind, shape = _checked(entry)
+        count = math.prod(shape)
+        stop = start + count * np.dtype(kind).itemsize
+        if stop > len(numbers):
+            raise BadMessage("its numbers are fewer than its header says")
+        arrays.append(np.frombuffer(numbers, kind, count, start).reshape(shape).copy())
+        start = stop
+    if start != len(numbers):
+        raise BadMessage("its numbers are more than its header says")
+    return arrays
+
+
+def _checked(entry: Any) -> tuple[type, list[int]]:
+    fits = (
+        isinstance(entry, list)
+        and len(entry) == 2
+        and isinstance(entry[0], str)
+        and entry[0] in _TYPES
+        and isinstance(entry[1], list)
+        and len(entry[1]) <= 4
+        and all(type(size) is int and 0 <= size < 1 << 32 for size in entry[1])
+    )
+    if not fits:
+        raise BadMessage("its header lists what is no array")
+    return _TYPES[entry[0]], entry[1]

@@ -1,0 +1,360 @@
+"""A work as the grader sees it: an agent that answers from a process of its own."""
+
+from __future__ import annotations
+
+import math
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import swarm_envs
+from swarm_envs.agents import Actions, Observations
+from swarm_envs.commands.grading.confinement import (
+    Confined,
+    Limits,
+    Protections,
+    guarded,
+    probe,
+    tasks_of_this_user,
+)
+from swarm_envs.commands.grading.messages import Array, BadMessage, Channel, TooLate
+from swarm_envs.commands.grading.requirements import from_plain
+from swarm_envs.commands.grading.text import printable
+from swarm_envs.commands.grading.views import pack_view
+from swarm_envs.compiled import kernel_folder
+from swarm_envs.envs.observation import Float32Array
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.view import View
+from swarm_envs.vehicles import team_string
+
+KEPT = 256
+"""Decisions of a work that are kept, to be compared with those of agents that ship."""
+_MODULE = "swarm_envs.commands.grading.child"
+_SPARE = 1 << 20  # bytes by which an answer may be too long and still be understood
+
+
+class WorkFailed(RuntimeError):
+    """A work raised, answered nonsense, took too long or ended. The message says which."""
+
+
+class WorkRefused(ValueError):
+    """A work raised a ValueError, which in `reset` refuses an episode."""
+
+
+class RemoteWork:
+    """A work in its process, which is asked and answers. Make one with `opened`.
+
+    Args:
+        process: where it runs.
+        limits: on it.
+    """
+
+    def __init__(self, process: Confined, limits: Limits) -> None:
+        self._process, self._limits = process, limits
+        self._channel = Channel(*process.descriptors)
+        self._left_s = limits.work_s
+        self._known: set[str] = set()
+        self._why = ""
+
+    def tell(self, header: Mapping[str, Any]) -> None:
+        """Send the first message, which is not answered yet."""
+        self._exchange(lambda until: self._channel.send(header, (), until), math.inf)
+
+    def ask(
+        self,
+        kind: str,
+        header: Mapping[str, Any] | None = None,
+        arrays: Sequence[Array] = (),
+        most: int = 0,
+        questions: Mapping[str, Callable[[dict[str, Any]], Any]] | None = None,
+    ) -> tuple[dict[str, Any], list[Array]]:
+        """Ask, and wait for the answer. Only this waiting counts against the work's time.
+
+        Args:
+            kind: of what is asked; "" for the answer to the first message.
+            header: what is said with it.
+            arrays: likewise.
+            most: bytes of the answer's numbers.
+            questions: what it may ask back, by kind: header and arrays of the reply.
+
+        Raises:
+            WorkFailed: it failed.
+            WorkRefused: it raised a ValueError.
+        """
+        decides = kind in ("act", "batch") and kind in self._known
+        limit = self._limits.decision_s if decides else math.inf
+
+        def converse(until: float) -> tuple[dict[str, Any], list[Array]]:
+            if kind:
+                self._channel.send({"kind": kind, **(header or {})}, arrays, until)
+            while True:
+                answer, given = self._channel.receive(most + _SPARE, until)
+                reply = (questions or {}).get(answer["kind"])
+                if reply is None:
+                    return answer, given
+                said, shown = reply(answer)
+                self._channel.send(said, shown, until)
+
+        answer, given = self._exchange(converse, limit)
+        if answer["kind"] == "error":
+            words = printable(str(answer.get("words")))
+            raise WorkRefused(words) if answer.get("refused") is True else WorkFailed(words)
+        if kind in ("act", "batch"):
+            if not self._known:  # from here on nothing is compiled
+                self._left_s = self._limits.work_s
+            self._known.add(kind)
+        return answer, given
+
+    def _exchange(self, converse: Callable[[float], Any], limit: float) -> Any:
+        """Talk until it is over, or too late; then the work is ended, and says no more."""
+        if self._why:
+            raise WorkFailed(self._why)
+        begun = time.monotonic()
+        try:
+            return converse(begun + min(limit, self._left_s))
+        except TooLate:
+            slow = f"a decision took longer than {limit:g} s"
+            whole = f"took longer than {self._limits.work_s:g} s"
+            self._end(slow if limit < self._left_s else whole)
+        except BadMessage as error:
+            self._end(f"answered nonsense: {error}")
+        except (EOFError, OSError):
+            self._end("")
+        finally:
+            self._left_s -= time.monotonic() - begun
+        raise WorkFailed(self._why)
+
+    def _end(self, why: str) -> None:
+        # Whose pipe is closed is about to end, and to say why.
+        code, said = self._process.end(0.0 if why else 1.0)
+        self._why = printable(why or f"ended with exit code {code}: {said or 'no message'}")
+
+
+@contextmanager
+def opened(
+    name: str,
+    what: str,
+    others: Sequence[str] = (),
+    limits: Limits | None = None,
+    protections: Protections | None = None,
+) -> Iterator[tuple[RemoteWork, dict[str, Any]]]:
+    """Start the process of a work, and end it and all that it began.
+
+    Args:
+        name: of the work, as of `swarm_envs.agents.load`.
+        what: `fly`, or `fit` for a force model.
+        others: names of all works; it sees none of these.
+        limits: on it; None for the usual.
+        protections: what the system offers; None to find out.
+
+    Returns:
+        The work, and what it says of itself; nothing of it is checked.
+
+    Raises:
+        WorkFailed: it cannot be made.
+    """
+    limits, offered = limits or Limits(), protections or probe()
+    name = absolute(name)
+    kernels = kernel_folder()
+    with tempfile.TemporaryDirectory(prefix="swarm-envs-grade-") as folder, guarded():
+        scratch = Path(folder).resolve()
+        process = Confined(_MODULE, _import_paths(), scratch, offered)
+        try:
+            work = RemoteWork(process, limits)
+            work.tell(
+                {
+                    "kind": "begin",
+                    "what": what,
+                    "work": name,
+                    "scratch": str(scratch),
+                    "limits": limits,
+                    "tasks": tasks_of_this_user(),
+                    "mounts": bool(offered.unshare),
+                    "landlock": offered.landlock,
+                    "readable": [*_readable(offered), *files_of(name, others)],
+                    "kernels": None if kernels is None else str(kernels),
+                }
+            )
+            try:
+                made, _ = work.ask("")
+            except WorkRefused as error:
+                raise WorkFailed(str(error)) from error
+            yield work, made
+        finally:
+            with suppress(OSError):
+                process.end()
+
+
+def absolute(name: str) -> str:
+    """A work's name with the whole path of its file or folder."""
+    path, colon, rest = name.rpartition(":") if ".py:" in name else (name, "", "")
+    return f"{Path(path).resolve()}{colon}{rest}" if Path(path).exists() else name
+
+
+def path_of(name: str) -> Path:
+    """File or folder of a work."""
+    return Path(name.rpartition(":")[0] if ".py:" in name else name)
+
+
+def files_of(name: str, others: Sequence[str]) -> list[str]:
+    """What a work may read of its own: its folder, or its file where others lie in the folder."""
+    path = path_of(name)
+    if not path.exists():
+        return []
+    folder = path.parent if path.is_file() else path
+    rest = [path_of(absolute(other)) for other in others if path_of(absolute(other)) != path]
+    shared = any(folder in other.parents for other in rest)
+    return [str(path if shared else folder)]
+
+
+def package_state() -> dict[str, tuple[int, ...]]:
+    """What changes if anybody changes the package's sources and weights, by file.
+
+    The time of a file's last change of any kind cannot be set by a user.
+    """
+    package = Path(swarm_envs.__file__).parent
+    parts = [package, *(part for part in package.iterdir() if part.is_symlink())]
+    files = [file for part in parts for file in part.resolve().rglob("*.*")]
+    kept = (".py", ".safetensors", ".json")
+    stats = {str(file): file.stat() for file in files if file.suffix in kept}
+    return {file: (s.st_ino, s.st_size, s.st_ctime_ns) for file, s in stats.items()}
+
+
+def _import_paths() -> list[str]:
+    """Where the work imports from: the package, and what is installed."""
+    installed = [path for path in sys.path if _is_installed(path)]
+    return [str(Path(swarm_envs.__file__).parents[1]), *installed]
+
+
+def _is_installed(path: str) -> bool:
+    roots = {sys.prefix, sys.base_prefix}
+    beneath = any(Path(root) in Path(path).parents for root in roots)
+    return beneath or Path(path).name in ("site-packages", "dist-packages")
+
+
+def _readable(offered: Protections) -> list[str]:
+    """What every work may read."""
+    package = Path(swarm_envs.__file__).parent
+    parts = [str(part.resolve()) for part in (package, *package.iterdir()) if part.is_dir()]
+    system = ["/usr", "/bin", "/lib", "/lib64", "/etc", "/sys/devices/system", "/dev/urandom"]
+    process = "/proc" if offered.own_processes else "/proc/cpuinfo"
+    installed = [path for path in sys.path if _is_installed(path)]
+    return [*parts, *installed, *system, process, sys.prefix, sys.base_prefix, "/dev/zero"]
+
+
+class RemoteAgent:
+    """A work that flies, as an agent of the grader.
+
+    Args:
+        work: its process.
+        made: what it says of itself.
+
+    Raises:
+        ValueError: it requires what it may not.
+        TypeError: likewise.
+    """
+
+    def __init__(self, work: RemoteWork, made: Mapping[str, Any]) -> None:
+        self.requires: Mapping[str, Any] = from_plain(made.get("requires"))
+        self.privileged = made.get("privileged") is True
+        self.asked = self.privileged
+        """Whether it has asked for the truth."""
+        self.kept: list[tuple[Float32Array, Array]] = []
+        """Some of its decisions: rows (..., N, row width), and actions (..., N, width)."""
+        self._work = work
+        self._resets = self._decisions = 0
+        self._rng = np.random.default_rng(0)
+        self._env: SwarmParallelEnv | None = None
+
+    def reset(self, env: SwarmParallelEnv, seed: int) -> None:
+        """Prepare the work for an episode; of its seed it learns nothing, it is given another."""
+        self._env = env
+        if not self._resets:  # the seed is of the episode, which the work does not know
+            self._rng = np.random.default_rng(seed)
+        core = env.core
+        header = {"seed": self._resets, "task": core.task.name}
+        self._resets += 1
+        self._ask("reset", {**header, "team": team_string(core.task.team)}, [], 0)
+
+    def act(self, observations: Observations, view: View | None) -> Actions:
+        """The work's actions for what its drones observe."""
+        env = self._env
+        assert env is not None
+        rows = env.core.rows[0].copy()
+        shape = (1, len(observations), env.core.mode.width)
+        actions = self._ask("act", {}, [rows], 8 * math.prod(shape), shape)
+        self._keep(rows, actions[0])
+        return dict(zip(observations, actions[0], strict=True))
+
+    def _ask(
+        self,
+        kind: str,
+        header: Mapping[str, Any],
+        arrays: list[Array],
+        most: int,
+        shape: tuple[int, ...] | None = None,
+    ) -> Array:
+        questions = {"view": self._show_view, "reference": self._show_reference}
+        _, given = self._work.ask(kind, header, arrays, most, questions)
+        if shape is None:
+            return np.zeros(0)
+        if len(given) != 1 or given[0].dtype != np.float64:
+            raise WorkFailed("answered nonsense: no array of actions")
+        if kind == "act" and given[0].shape != shape:
+            raise WorkFailed(f"answered actions of shape {given[0].shape}, not {shape}")
+        return given[0]
+
+    def _show_view(self, header: Mapping[str, Any]) -> tuple[dict[str, Any], list[Array]]:
+        self.asked = True
+        assert self._env is not None
+        said, arrays = pack_view(self._env.view)
+        return {"kind": "view", **said}, arrays
+
+    def _show_reference(self, header: Mapping[str, Any]) -> tuple[dict[str, Any], list[Array]]:
+        self.asked = True
+        assert self._env is not None
+        when = header.get("time")
+        if not isinstance(when, float) or not math.isfinite(when):
+            raise BadMessage("it asks for the reference at no time")
+        return {"kind": "reference"}, list(self._env.view.reference(when))
+
+    def _keep(self, rows: Float32Array, actions: Array) -> None:
+        """Keep decisions of all flights evenly: which, no work can foresee."""
+        self._decisions += 1
+        place = int(self._rng.integers(self._decisions))
+        if len(self.kept) < KEPT:
+            self.kept.append((rows, actions.copy()))
+        elif place < KEPT:
+            self.kept[place] = rows, actions.copy()
+
+
+class RemoteBatchAgent(RemoteAgent):
+    """A work that flies many episodes at once."""
+
+    def act_batch(self, rows: Float32Array) -> Float32Array:
+        """The work's actions for the rows of many teams."""
+        assert self._env is not None
+        width = self._env.core.mode.width
+        shape = (*rows.shape[:-1], width)
+        actions: Any = self._ask("batch", {}, [rows], 8 * math.prod(shape), shape)
+        self._keep(rows, actions)
+        return actions
+
+
+def remote_agent(work: RemoteWork, made: Mapping[str, Any]) -> RemoteAgent:
+    """A work as an agent, by what it says of itself.
+
+    Raises:
+        WorkFailed: it requires what it may not.
+    """
+    kind = RemoteBatchAgent if made.get("batched") is True else RemoteAgent
+    try:
+        return kind(work, made)
+    except (ValueError, TypeError) as error:
+        raise WorkFailed(printable(f"cannot be flown: {error}")) from error
