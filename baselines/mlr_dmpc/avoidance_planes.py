@@ -5,8 +5,8 @@ to it, has all of it behind; a plan that stays `margin` before the plane stays t
 obstacle. The present plan, `margin` off or more at every sample, satisfies its own planes: as for
 other drones, it stays feasible when it is shifted (Theorem 1 with planes in place of trajectories).
 
-Between samples nothing is checked: at speed v a drone moves v T_c / 2 from the nearer one, so the
-margin should hold that beside the drone's own radius, or T_c be finer.
+Of obstacles nothing is checked between samples: at speed v a drone moves v T_c / 2 from the nearer
+one, so the margin should hold that beside the drone's own radius, or T_c be finer.
 
 Half-spaces out of reach within the horizon are left out. Every plan that satisfies (13b)-(13e) lies
 in the boxes of `reachable_boxes` at the samples:
@@ -101,7 +101,7 @@ def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig)
             neighbors.positions,
             neighbors.concurrent,
             config.inverse_scaling,
-            config.distance_m + SPARE_M,
+            config.sampled_distance_m + SPARE_M,
             config.turn_rad,
             config.turn_share,
         )

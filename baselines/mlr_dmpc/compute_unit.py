@@ -29,7 +29,7 @@ from swarm_envs.baselines.mlr_dmpc.trajectory import (
     NOBODY,
     Trajectory,
     least_distances,
-    sampled_positions,
+    positions_from,
 )
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned
 from swarm_envs.baselines.mlr_dmpc.unit_planner import (
@@ -230,7 +230,7 @@ class ComputeUnit:
             concurrent = other in chosen
             if info.trackers[other].missing:
                 found = None
-                if self._trusted and not concurrent:
+                if self._trusted and not concurrent and self._config.planes == "fixed":
                     found = guaranteed_planes(info, drone, own, other, round_, self._config)
                 if found is None:
                     report.doing = "lacks another"
@@ -274,16 +274,17 @@ class ComputeUnit:
         """Trajectories that can be true; None if a joining drone must wait.
 
         What is flown keeps its distance, so whatever does not keep it from what this drone surely
-        flies is not flown. A drone that is not in the air yet proves nothing.
+        flies is not flown. A drone that is not in the air yet proves nothing. It is from t(k+1) on,
+        a sample before those of its plan.
         """
         info, start = self.information, round_ + 1
-        least = self._config.distance_m - _CONTRADICTION
-        mine = sampled_positions(own, start, self._config)
+        least = self._config.sampled_distance_m - _CONTRADICTION
+        mine = positions_from(own, start, self._config)
         kept: list[OtherTrajectory] = []
         if not others:
             return kept
         theirs = np.stack(
-            [sampled_positions(other.trajectory, start, self._config) for other in others]
+            [positions_from(other.trajectory, start, self._config) for other in others]
         )
         gaps = least_distances(mine, theirs, self._config)
         for other, near in zip(others, gaps < least, strict=True):

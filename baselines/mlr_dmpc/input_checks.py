@@ -44,11 +44,12 @@ def checked_points(
 def _check_apart(what: str, points: FloatArray, config: MlrDmpcConfig) -> None:
     gap = np.linalg.norm((points[:, None] - points) * config.inverse_scaling, axis=-1)
     np.fill_diagonal(gap, np.inf)
-    if gap.min() < config.distance_m:
+    if gap.min() < config.sampled_distance_m:
         i, j = sorted(int(k) for k in np.unravel_index(np.argmin(gap), gap.shape))
         raise ValueError(
             f"{what}[{i}] and {what}[{j}] are {gap.min():.3f} m apart when heights are divided by "
-            f"{config.scaling[2] / config.scaling[0]:g}, but drones keep {config.distance_m} m: "
+            f"{config.scaling[2] / config.scaling[0]:g}, but drones keep "
+            f"{config.sampled_distance_m:.4f} m at samples, so as to keep {config.distance_m} m: "
             "move them apart"
         )
 

@@ -37,6 +37,12 @@ class MembershipView(NamedTuple):
     """Compute units that plan, ascending."""
     drones: frozenset[int]
     """Drones that are planned for and avoided."""
+    gone: frozenset[int] = frozenset()
+    """Drones that have said that they have left the air."""
+
+    def covers(self, earlier: MembershipView) -> bool:
+        """Whether no drone of an earlier view is forgotten: each is in this one, or has left."""
+        return earlier.drones <= self.drones | self.gone
 
     def leader(self, round_: int) -> int:
         """Who says in a round which drones are planned in the next one."""
@@ -65,7 +71,7 @@ class DroneState(NamedTuple):
     identity: Identity
     """Of the trajectory that it flies in this round."""
     lock: ViewId
-    """The highest view that it has heard; it accepts plans of no other."""
+    """The view that it has locked to; it accepts plans of no other."""
     target: FloatArray
     """(3,) where it wants to go, m, as the message carries it."""
     kinematics: FloatArray
@@ -158,7 +164,8 @@ class Codec:
     def __init__(self, num_drones: int, num_units: int, config: MlrDmpcConfig) -> None:
         self._config, self._num_units = config, num_units
         self._id_bytes = 1 if num_drones <= 254 else 2
-        self._mask_bytes = (math.ceil(num_units / 8), math.ceil(num_drones / 8))
+        drone_bytes = math.ceil(num_drones / 8)
+        self._mask_bytes = (math.ceil(num_units / 8), drone_bytes, drone_bytes)
         # Plans with more jerks than the reference's need larger slots.
         self._slot_bytes = SLOT_BYTES + max(0, _trajectory_bytes(config) - _TRAJECTORY_BYTES)
         lower, upper = np.array(config.box)
@@ -167,6 +174,27 @@ class Codec:
         limits = np.array([config.speed_limit, config.acceleration_limit])[:, None]
         self._lower[1:] *= limits
         self._span[1:] *= limits
+
+    def check_units(self, hovering: Trajectory) -> None:
+        """Refuse more compute units than a message can name.
+
+        What a message cannot do without: the selection, three donated slots and a relayed
+        trajectory, such as one that hovers.
+
+        Raises:
+            ValueError: that does not fit into a slot.
+        """
+        units = self._num_units
+        fullest = UnitMessage(
+            MessageKind.RELAY, 0, 0, ViewId(0, 0), 0, hovering, (0,) * units, donations=(0, 0, 0)
+        )
+        over = len(self.pack(fullest)) - self._slot_bytes
+        if over > 0:
+            raise ValueError(
+                f"compute_units is {units}, but a slot of {self._slot_bytes} bytes has no room to "
+                f"name the drones of more than {units - math.ceil(over / self._id_bytes)}: use "
+                "fewer units"
+            )
 
     def carried(self, kinematics: FloatArray) -> FloatArray:
         """(n, 3) position (and velocity, acceleration) as 16 bit carry them, within bounds."""
@@ -237,7 +265,7 @@ class Codec:
         for missing in message.missing:
             out += self._ids((missing.drone,)) + _packed_identity(missing.identity)
         if message.members is not None:
-            for ids, size in zip((message.members.units, message.members.drones), self._mask_bytes):
+            for ids, size in zip(message.members[1:], self._mask_bytes, strict=True):
                 out += sum(1 << i for i in ids).to_bytes(size, "little")
         if message.trajectory is not None:
             out += self._ids((message.drone,))
@@ -263,10 +291,12 @@ class Codec:
         found["missing"] = tuple(Missing(i, _unpacked_identity(d, round_)) for i, d in wanted)
         if head >> 3 & 1:
             masks = [int.from_bytes(reader.read(size), "little") for size in self._mask_bytes]
-            units, drones = (
+            units, drones, gone = (
                 [i for i in range(bits.bit_length()) if bits >> i & 1] for bits in masks
             )
-            found["members"] = MembershipView(view, tuple(units), frozenset(drones))
+            found["members"] = MembershipView(
+                view, tuple(units), frozenset(drones), frozenset(gone)
+            )
         if kind is not MessageKind.EMPTY:
             (found["drone"],) = self._read_ids(reader, 1)
             sent = Identity(round_ + 1, unit) if kind is MessageKind.PLAN else None

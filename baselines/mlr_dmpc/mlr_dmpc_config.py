@@ -7,7 +7,7 @@ soft_near_m=0.8, turn_rad=0.0` all are.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -48,9 +48,9 @@ class MlrDmpcConfig:
     """For how long each jerk lasts (T_s), s."""
     state_sampling_s: Annotated[float, POSITIVE_S] = 0.2
     """Between the instants at which bounds of the state hold (T_b), s."""
-    collision_sampling_s: Annotated[float, POSITIVE_S] = 0.1
-    """Between the instants at which distances are kept (T_c), s; finer ones close the gap between
-    samples, at a cost."""
+    collision_sampling_s: Annotated[float, POSITIVE_S] = 0.025
+    """Between the instants at which plans are checked for distance (T_c), s. Published: 0.1, which
+    would ask for 0.14 m more at samples; see `sampled_distance_m`."""
     position_weight: Annotated[float, POSITIVE] = 1.0
     """Of the squared distance to the target at the end of the plan, 1/m^2."""
     path_weight: Annotated[float, NOT_NEGATIVE] = 0.3
@@ -71,7 +71,7 @@ class MlrDmpcConfig:
     box: tuple[Corner, Corner] = ((-2.0, -2.0, 0.3), (2.0, 2.0, 3.0))
     """Lower and upper corner of where drones may fly, m."""
     distance_m: Annotated[float, POSITIVE_M] = 0.25
-    """Least scaled distance between references (d_hat_min), m."""
+    """Least scaled distance between references, at any time, m."""
     scaling: tuple[_Factor, _Factor, _Factor] = (1.0, 1.0, 6.0)
     """Diagonal of Theta: distances are divided by it, so drones stay further off vertically."""
     soft_m: Annotated[float, NOT_NEGATIVE] = 0.7
@@ -91,7 +91,7 @@ class MlrDmpcConfig:
     deadlock_m: Annotated[float, NOT_NEGATIVE] = 0.1
     """Nor is one whose plan ends this near its target, m."""
     contact_factor: Annotated[float, Range(1.0)] = 1.1
-    """Drones within this many times `distance_m` touch."""
+    """Drones within this many times `sampled_distance_m` touch."""
     deadlock_residual: Annotated[float, NOT_NEGATIVE] = 0.1
     """Share of the pull to the target that contacts need not balance."""
     detour_range_m: Annotated[float, POSITIVE_M] = 0.6
@@ -104,6 +104,11 @@ class MlrDmpcConfig:
     """For how many rounds they make room."""
     detour_pause_rounds: Annotated[int, Range(0)] = 5
     """For how many more rounds they then fly on, whoever waits."""
+    planes: Literal["fixed", "relinearised"] = "fixed"
+    """Where a plan keeps clear of drones that are not planned in the same round: `fixed` behind
+    planes between what both fly, as published, or `relinearised` around its own solution, again
+    until that stays (Lemma 3 asks for the distance alone). The latter arrives sooner, but takes
+    longer to solve, and what is lost stops more plans: no promise holds (Lemma 9)."""
     turn_rad: Annotated[float, NOT_NEGATIVE] = 0.4
     """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
     from above, rad: two that meet head on then pass on the right. This is for two drones; see
@@ -153,6 +158,24 @@ class MlrDmpcConfig:
     def samples_per_round(self) -> int:
         """By how many collision samples a plan is older after a round."""
         return round(self.round_s / self.collision_sampling_s)
+
+    @property
+    def sampled_distance_m(self) -> float:
+        """What is kept at samples (d_hat_min), so that `distance_m` is between them (24), (26), m.
+
+        For the scaled difference r of two references, let V and A bound |r'| and |r''|. Between two
+        samples, T_c apart, r is at most A T_c^2 / 8 off its chord, which is at most V T_c long. A
+        chord of that length whose ends keep the distance h keeps sqrt(h^2 - (V T_c / 2)^2).
+
+        Bounds hold at state samples, T_b apart. Between them a speed exceeds its own by at most
+        j T_b^2 / 8 and an acceleration by at most j T_b / 2, where j bounds the jerk.
+        """
+        step, gap = self.collision_sampling_s, self.state_sampling_s
+        relative = 2.0 * float(np.linalg.norm(self.inverse_scaling))
+        speed = relative * (self.speed_limit + self.jerk_limit * gap**2 / 8.0)
+        acceleration = relative * (self.acceleration_limit + self.jerk_limit * gap / 2.0)
+        least = self.distance_m + acceleration * step**2 / 8.0
+        return float(np.hypot(least, speed * step / 2.0))
 
     @property
     def inverse_scaling(self) -> FloatArray:

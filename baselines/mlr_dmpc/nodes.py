@@ -45,12 +45,14 @@ class Drone:
         self,
         index: int,
         start: Trajectory,
-        lock: ViewId,
+        view: MembershipView,
         config: MlrDmpcConfig,
         codec: Codec,
         airborne: bool = True,
     ) -> None:
-        self.index, self.flying, self.lock = index, start, lock
+        self.index, self.flying = index, start
+        self.view = view
+        """That to which it is locked: no plan of another one is accepted."""
         self.airborne = airborne
         """Whether it is in the air."""
         self.gone = False
@@ -74,7 +76,7 @@ class Drone:
             self.index,
             round_,
             self.flying.identity,
-            self.lock,
+            self.view.id,
             target,
             kinematics,
             joining=not self.airborne and not self.gone,
@@ -86,7 +88,7 @@ class Drone:
         """Its trajectory, in the slots that it was given, by slot."""
         kind, drone, plan = MessageKind.ANSWER, self.index, self.flying
         return {
-            unit: UnitMessage(kind, round_, unit, self.lock, drone, plan, donations=rest)
+            unit: UnitMessage(kind, round_, unit, self.view.id, drone, plan, donations=rest)
             for (unit, granted), rest in self._granted.items()
             if granted == round_
         }
@@ -97,23 +99,37 @@ class Drone:
             return False
         plan = message.trajectory
         assert plan is not None
-        if message.view < self.lock or plan.identity.start_round != message.round + 1:
+        if message.view != self._follows(message).id:
+            return False
+        if plan.identity.start_round != message.round + 1:
             return False
         here = state_at(self.flying, message.round + 1, self._config)
         return bool(np.abs(plan.state - here).max() <= _CONTINUOUS)
+
+    def _follows(self, message: Any) -> MembershipView:
+        """The view to which it is locked after a message (Lemma 5, docs/mlr-dmpc/proof.md).
+
+        A higher one is followed only if it forgets no drone of the present one: else drones of the
+        present one could still be planned for by units that do not know of the others.
+        """
+        new: MembershipView | None = message.members
+        if new is None or new.id <= self.view.id or not new.covers(self.view):
+            return self.view
+        return new
 
     def receive(self, inbox: Inbox[Any]) -> Trajectory | None:
         """Take in a round's messages; the plan that it accepts, flown from the next round on."""
         accepted = None
         self._granted = {key: one for key, one in self._granted.items() if key[1] > inbox.round}
         said = [m for m in inbox.slots.values() if m.kind is not MessageKind.ANSWER]
-        self.lock = max([self.lock, *(message.view for message in said)])
+        for message in sorted(said, key=lambda one: one.view):
+            self.view = self._follows(message)
         for message in said:
             for ahead, drone in enumerate(message.donations, start=1):
                 if drone == self.index:
                     rest = message.donations[ahead:]
                     self._granted[message.unit, inbox.round + ahead] = rest
-            if message.view == self.lock and self.accepts(message):
+            if self.accepts(message):
                 accepted = message.trajectory
         if self.gone:
             return None
@@ -236,10 +252,11 @@ class RecoveryNodes(SwarmNodes):
         joins: Mapping[int, int],
     ) -> None:
         codec = Codec(len(hovers), options.num_units, options.config)
+        codec.check_units(hovers[0])
         members = frozenset(range(len(hovers))) - joins.keys()
         self._view = MembershipView(ViewId(0, 0), tuple(range(options.num_units)), members)
         drones = [
-            Drone(i, one, self._view.id, options.config, codec, i not in joins)
+            Drone(i, one, self._view, options.config, codec, i not in joins)
             for i, one in enumerate(hovers)
         ]
         super().__init__(drones, targets, options, codec)

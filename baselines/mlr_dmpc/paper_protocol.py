@@ -17,6 +17,7 @@ from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
 from swarm_envs.baselines.mlr_dmpc.messages import (
     NONE,
     Codec,
+    MembershipView,
     ViewId,
     pack_trajectory,
     unpack_trajectory,
@@ -274,9 +275,8 @@ class PaperNodes(SwarmNodes):
         if joins:
             raise ValueError(f"drones {sorted(joins)} join, which only recovery=True can handle")
         codec = Codec(len(hovers), options.num_units, options.config)
-        drones = [
-            PaperDrone(i, one, ViewId(0, 0), options.config, codec) for i, one in enumerate(hovers)
-        ]
+        nobody = MembershipView(ViewId(0, 0), (), frozenset())
+        drones = [PaperDrone(i, one, nobody, options.config, codec) for i, one in enumerate(hovers)]
         self._hovers = hovers if informed else []
         super().__init__(drones, targets, options, codec)
 

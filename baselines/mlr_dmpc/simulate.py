@@ -76,6 +76,8 @@ class MlrDmpcResult:
     """Least scaled distance at the collision samples, m."""
     unreachable: tuple[Unreachable, ...]
     """Targets that other drones rest on."""
+    deaf: tuple[int, ...]
+    """Drones that accepted none of at least the last 20 plans for them: they hear nothing."""
     reports: tuple[SwarmRound, ...]
     """What happened in each round."""
     log: tuple[RoundLog[Any], ...]
@@ -89,6 +91,7 @@ REFERENCE_RATE = 100.0
 """Samples of the reference positions per second."""
 _DAY_S = 86_400
 _TOLERANCE = 1e-6
+_DEAF_PLANS = 20
 _SETTLED_ROUNDS = 35  # after so many rounds at rest a drone is taken to stay
 
 
@@ -204,7 +207,7 @@ class _FlightRecorder:
         gap = np.where(np.isnan(gap), np.inf, gap)
         gap[np.arange(len(gap)), np.arange(len(gap))] = np.inf
         self._least = min(self._least, float(gap.min()))
-        for i, j, s in np.argwhere(gap < config.distance_m - _TOLERANCE):
+        for i, j, s in np.argwhere(gap < config.sampled_distance_m - _TOLERANCE):
             if i < j:
                 time = self.swarm.round * config.round_s + float(self._coarse[s])
                 self._violations.append(Violation(time, int(i), int(j), float(gap[i, j, s])))
@@ -240,7 +243,7 @@ class _FlightRecorder:
                 continue
             for other in rest:
                 apart = (end_position(other.flying, config) - target) * config.inverse_scaling
-                if other is not drone and np.linalg.norm(apart) < config.distance_m:
+                if other is not drone and np.linalg.norm(apart) < config.sampled_distance_m:
                     out.append(Unreachable(drone.index, other.index))
         return tuple(out)
 
@@ -271,9 +274,21 @@ class _FlightRecorder:
             float(pairs.min()),
             self._least,
             self.unreachable(),
+            _deaf(self.reports),
             tuple(self.reports),
             tuple(swarm.log),
         )
+
+
+def _deaf(reports: list[SwarmRound]) -> tuple[int, ...]:
+    """Drones that did not accept the last plans that were sent to them."""
+    missed: dict[int, int] = {}
+    for report in reports:
+        for unit in report.units:
+            if unit.planned is not None and unit.planned.accepted:
+                heard = unit.drone in report.accepted
+                missed[unit.drone] = 0 if heard else missed.get(unit.drone, 0) + 1
+    return tuple(sorted(drone for drone, count in missed.items() if count >= _DEAF_PLANS))
 
 
 def _arrivals(errors: FloatArray, near: float) -> FloatArray:

@@ -83,7 +83,7 @@ class MlrDmpcSwarm:
 
     Raises:
         ValueError: starts or targets outside the box or too close to each other, more units than
-            drones, or options that are none.
+            drones or than messages can name, or options that are none.
     """
 
     def __init__(

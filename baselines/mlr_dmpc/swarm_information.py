@@ -81,19 +81,18 @@ class _Absences:
 class Membership:
     """The view of one compute unit, which starts or comes back in round `since`."""
 
-    def __init__(
-        self, unit: int, view: MembershipView, num_units: int, num_drones: int, since: int
-    ) -> None:
+    def __init__(self, unit: int, view: MembershipView, num_units: int, since: int) -> None:
         self.view = view
         self.adopted = since
         """Round at which the view was adopted."""
-        self._unit, self._num_drones, self._since = unit, num_drones, since
+        self._unit, self._since = unit, since
         self._highest = view.id
         self._absences = _Absences(num_units)
         self.joining: set[int] = set()
         """Drones that have said that they are not in the air yet."""
         self.gone: set[int] = set()
         """Drones that have said that they have left the air."""
+        self._heard_of = set(view.drones)
         self._behind_since: int | None = None
         self._others_behind = False
         self._retry = since + LISTENING_ROUNDS
@@ -111,8 +110,11 @@ class Membership:
         before = self.view
         for message in inbox.slots.values():
             self._highest = max(self._highest, message.view)
-            if message.members is not None and message.members.id > self.view.id:
-                self._adopt(message.members, inbox.round + 1)
+            if message.members is not None:
+                self._heard_of |= message.members.drones
+                self.gone |= message.members.gone
+                if message.members.id > self.view.id:
+                    self._adopt(message.members, inbox.round + 1)
         self._others_behind = any(m.view < self.view.id for m in inbox.slots.values()) or any(
             state.lock < self.view.id for state in inbox.states
         )
@@ -132,8 +134,8 @@ class Membership:
         if self._unit not in self.view.units:
             return round_ >= self._retry and self._proposed(round_)
         gone = {unit for unit in self.view.units if self._absences.gone(unit)}
-        joining, left = self.joining - self.view.drones, self.gone & self.view.drones
-        if not (gone or joining or left):
+        new, left = self._heard_of - self.view.drones - self.gone, self.gone & self.view.drones
+        if not (gone or new or left):
             return False
         first = min((u for u in self.view.units if u not in gone), default=self._unit)
         return first == self._unit and self._proposed(round_)
@@ -150,28 +152,38 @@ class Membership:
 
     def _note(self, state: DroneState) -> None:
         self._highest = max(self._highest, state.lock)
-        for mark, drones in ((state.joining, self.joining), (state.gone, self.gone)):
-            if mark:
-                drones.add(state.drone)
-            else:
-                drones.discard(state.drone)
+        self._heard_of.add(state.drone)
+        if state.gone:
+            self.gone.add(state.drone)
+        if state.joining:
+            self.joining.add(state.drone)
+        else:
+            self.joining.discard(state.drone)
 
     def _propose_blindly(self, round_: int) -> bool:
-        """Nobody says who belongs to a higher view: after a while, claim every drone there is."""
+        """Nobody says who belongs to a higher view: after a while, claim all drones heard of.
+
+        Drones follow only if none of theirs is forgotten.
+        """
         waiting = self._behind_since
         if waiting is None or round_ - waiting < _LONE_ROUNDS:
             return False
         self._behind_since = None
-        return self._proposed(round_, frozenset(range(self._num_drones)))
+        return self._proposed(round_)
 
-    def _proposed(self, round_: int, drones: frozenset[int] | None = None) -> bool:
+    def _proposed(self, round_: int) -> bool:
+        """Adopt a view with everybody, of an identity that was never used before.
+
+        Lemma 6 of docs/mlr-dmpc/proof.md.
+        Epochs grow by at least one with each proposal, and in a round r none is above r + 1. So a
+        unit that comes back uses none that it may have used before.
+        """
         units = {unit for unit in self.view.units if not self._absences.gone(unit)} | {self._unit}
         units |= {unit for unit in range(self._absences.count) if self._absences.present(unit)}
-        if drones is None:
-            drones = (self.view.drones | self.joining) - self.gone
-        id_ = ViewId(self._highest.epoch + 1, self._unit)
+        id_ = ViewId(max(self._highest.epoch, self._since) + 1, self._unit)
         self._retry = round_ + 2 * (self._retry - self._since)
-        self._adopt(MembershipView(id_, tuple(sorted(units)), drones), round_)
+        drones, gone = frozenset(self._heard_of - self.gone), frozenset(self.gone)
+        self._adopt(MembershipView(id_, tuple(sorted(units)), drones, gone), round_)
         self._highest = id_
         return True
 
@@ -198,7 +210,7 @@ class SwarmInformation:
         since: int = 0,
     ) -> None:
         self.unit, self._config = unit, config
-        self.membership = Membership(unit, view, num_units, len(targets), since)
+        self.membership = Membership(unit, view, num_units, since)
         self.trackers = [InformationTracker() for _ in targets]
         self.targets = np.array(targets)
         self.donated: dict[tuple[int, int], int] = {}
@@ -362,8 +374,13 @@ def guaranteed_planes(
     round_: int,
     config: MlrDmpcConfig,
 ) -> HalfSpaces | None:
-    """Half-spaces that keep drone i clear of drone j's unknown plans, if any (round k)."""
+    """Half-spaces that keep drone i clear of drone j's unknown plans, if any (round k).
+
+    None are known for a drone that is not in the air: who planned for j has not minded its hover.
+    """
     if info.void(drone, round_) or info.void(other, round_):
+        return None
+    if drone in info.membership.joining:
         return None
     tracker = info.trackers[other]
     parents: list[Trajectory] = []

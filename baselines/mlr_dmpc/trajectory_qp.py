@@ -24,7 +24,7 @@ from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
 )
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import Condensed, condensed, solver
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, end_position
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 
@@ -156,7 +156,9 @@ _BOUND_MARGIN = 2e-5
 _BOUND_ROUNDING = 2e-6
 _ROW_ROUNDING = 1e-6
 _FIRST_SLACK = 0.1
-_STRIDE = 3
+_STRIDE_S = 0.3
+_RELINEARISATIONS = 6  # most programs of a plan after the first
+_SETTLED_M = 0.02  # the end of a plan moves less: it is not solved again
 _BROKEN = -1e-7
 _MOST_PROGRAMS = 30
 _NEGLIGIBLE_WEIGHT = 1e-9
@@ -184,6 +186,8 @@ class Program:
     """(B, 3) of the bounded quantities of an accepted plan."""
     accepted_upper: FloatArray
     """(B, 3) likewise."""
+    stride: int
+    """Samples from one half-space of a trajectory to the next in the first programs."""
 
 
 def program(
@@ -193,8 +197,12 @@ def program(
     target: FloatArray,
     config: MlrDmpcConfig,
     planes: Sequence[HalfSpaces] = (),
+    around: Trajectory | None = None,
 ) -> Program:
     """The program of a plan from where `own` will be at the start of a round.
+
+    Planes to drones that are not planned in the same round are those of `around`, a plan from then
+    on that keeps its distances, if there is one; the rows then are as wide as that needs.
 
     No row asks for all that the plan that is flown gives, so that plan stays feasible, although its
     state is rounded at the new start. As an instant is planned for at most every second round of
@@ -204,7 +212,11 @@ def program(
     since = config.round_s * (start_round - own.identity.start_round)
     state = own.states(np.array([since]))[0].astype(np.float32).astype(np.float64)
     positions, bounded = _samples_left(own, since, fixed)
-    parts = [voronoi_planes(positions, neighbors, config), *planes]
+    between = voronoi_planes(positions, neighbors, config)
+    if around is not None:
+        positions, bounded = _samples_left(around, 0.0, fixed)
+        between = _relinearised(between, positions, neighbors, config)
+    parts = [between, *planes]
     spaces = HalfSpaces(*(np.concatenate(arrays) for arrays in zip(*parts)))
     slack = np.einsum("rsi,si->rs", spaces.normals, positions) - spaces.offsets
     offset = np.array(state)
@@ -226,6 +238,19 @@ def program(
         spaces.offsets + np.minimum(-TOLERANCE / 2, slack),
         np.minimum(fixed.lower - TOLERANCE, bounded),
         np.maximum(fixed.upper + TOLERANCE, bounded),
+        max(round(_STRIDE_S / config.collision_sampling_s), 1),
+    )
+
+
+def _relinearised(
+    flown: HalfSpaces, positions: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig
+) -> HalfSpaces:
+    """The planes of what is flown where both drones need the same one, else those of positions."""
+    around = voronoi_planes(positions, neighbors, config)
+    both = neighbors.concurrent[:, None]
+    return HalfSpaces(
+        np.where(both[..., None], flown.normals, around.normals),
+        np.where(both, flown.offsets, around.offsets),
     )
 
 
@@ -298,12 +323,13 @@ class RowGeneration:
         return len(self._active)
 
     def _run(self) -> None:
-        self._add(self._problem.shifted, _FIRST_SLACK, _STRIDE)
+        stride = self._problem.stride
+        self._add(self._problem.shifted, _FIRST_SLACK, stride)
         for programs in range(1, _MOST_PROGRAMS + 1):
             if not self._solve():
                 self.failure = "the solver found no plan"
                 return
-            if not self._add(self.z, _BROKEN, _STRIDE if programs == 1 else 1):
+            if not self._add(self.z, _BROKEN, stride if programs == 1 else 1):
                 self.failure = ""
                 return
 
@@ -369,27 +395,53 @@ def plan_trajectory(
         The plan if every constraint holds as it will be sent, rounded to float32; else `own`.
     """
     begin = time.thread_time()
-    fixed = condensed(config)
-    problem = program(own, start_round, neighbors, target, config, planes)
-    found = RowGeneration(problem, solver_name)
-    trajectory, reason = own, found.failure
-    if not reason:
-        jerk = fixed.jerks.at(problem.state, found.z)
-        jerk[-1] = 0.0
-        identity = Identity(start_round, compute_unit)
-        plan = Trajectory(identity, problem.state, jerk, config.input_sampling_s)
-        reason = broken(plan, problem, fixed)
-        trajectory = plan if reason == ACCEPTED else own
+    identity = Identity(start_round, compute_unit)
+    situation = own, start_round, neighbors, target, config, planes
+    problem = program(*situation)
+    first = _solve(problem, solver_name, identity, config)
+    solve_ms, best = first.solve_ms, first
+    again = config.planes == "relinearised" and not neighbors.concurrent.all()
+    for _ in range(_RELINEARISATIONS if again and first.reason == ACCEPTED else 0):
+        found = _solve(program(*situation, best.plan), solver_name, identity, config)
+        solve_ms += found.solve_ms
+        if found.reason != ACCEPTED:
+            break
+        ends = end_position(found.plan, config) - end_position(best.plan, config)
+        best = found
+        if np.abs(ends).max() < _SETTLED_M:
+            break
+    accepted = first.reason == ACCEPTED
     return Planned(
-        trajectory,
-        reason == ACCEPTED,
-        reason,
+        best.plan if accepted else own,
+        accepted,
+        first.reason,
         problem.shifted_slack,
-        found.solve_ms,
+        solve_ms,
         1e3 * (time.thread_time() - begin),
-        found.num_rows,
+        best.num_rows,
         problem.in_reach,
     )
+
+
+class _Solution(NamedTuple):
+    """A program's optimum as a plan."""
+
+    plan: Trajectory  # as it would be sent
+    reason: str  # `accepted`, or why not
+    solve_ms: float  # in the solver
+    num_rows: int  # of the last program
+
+
+def _solve(
+    problem: Program, solver_name: str, identity: Identity, config: MlrDmpcConfig
+) -> _Solution:
+    fixed = condensed(config)
+    found = RowGeneration(problem, solver_name)
+    jerk = fixed.jerks.at(problem.state, found.z)
+    jerk[-1] = 0.0
+    plan = Trajectory(identity, problem.state, jerk, config.input_sampling_s)
+    reason = found.failure or broken(plan, problem, fixed)
+    return _Solution(plan, reason, found.solve_ms, found.num_rows)
 
 
 def broken(plan: Trajectory, problem: Program, fixed: Condensed) -> str:

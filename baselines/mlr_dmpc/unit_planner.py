@@ -45,7 +45,7 @@ def deadlocked(
     length = np.linalg.norm(pull, axis=1)
     still = speeds <= config.deadlock_speed
     gap = np.linalg.norm((ends[:, None] - ends) * config.inverse_scaling, axis=-1)
-    touches = still & (gap <= config.contact_factor * config.distance_m)
+    touches = still & (gap <= config.contact_factor * config.sampled_distance_m)
     np.fill_diagonal(touches, False)
     out = np.zeros(len(ends), dtype=bool)
     for i in np.flatnonzero(still & (length > config.deadlock_m)):
@@ -70,7 +70,7 @@ def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
 def _walls(point: FloatArray, config: MlrDmpcConfig) -> FloatArray:
     """(K, 3) inward normals of the faces of the box that a point (3,) touches."""
     lower, upper = np.array(config.box)
-    near = (config.contact_factor - 1.0) * config.distance_m
+    near = (config.contact_factor - 1.0) * config.sampled_distance_m
     normals = np.eye(3)
     return np.concatenate([normals[point - lower <= near], -normals[upper - point <= near]])
 
@@ -156,7 +156,7 @@ def _yields(swarm: SwarmSnapshot, stuck: BoolArray, config: MlrDmpcConfig) -> Bo
     ahead = np.einsum("ijk,jk->ij", between, left) > 0.5 * gap * distance
     closing = np.einsum("ijk,ik->ij", between, swarm.velocities) < 0.0
     meets = np.einsum("ijk,ik->ij", between, left) < -0.5 * gap * distance[:, None]
-    at_home = distance <= 0.9 * config.distance_m
+    at_home = distance <= 0.9 * config.sampled_distance_m
     out = stuck & (gap < config.detour_range_m) & (ahead | closing | meets)
     out &= (distance[:, None] <= distance) & ~at_home[:, None]
     tie = distance[:, None] == distance

@@ -59,7 +59,7 @@ def keep_clear(swarm: MlrDmpcSwarm, report: SwarmRound) -> None:
         for one in may:
             apart = (others - sampled_positions(one, swarm.round + 1, config)) / config.scaling
             least = np.linalg.norm(apart, axis=-1).min(initial=np.inf)
-            assert least >= config.distance_m - 1e-6
+            assert least >= config.sampled_distance_m - 1e-6
     for unit in report.units:
         assert unit.planned is None or unit.planned.shifted_slack >= -1e-6
 

@@ -15,11 +15,11 @@ from swarm_envs.baselines.mlr_dmpc.input_checks import (
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 
 CONFIG = MlrDmpcConfig()
-GAP = CONFIG.distance_m
+GAP = CONFIG.sampled_distance_m
 
 
 def test_points_may_stand_in_the_corners_and_just_apart() -> None:
-    points = np.array([*CONFIG.box, [0.0, 0.0, 1.0], [GAP, 0.0, 1.0], [0.0, 0.0, 1.0 + 6 * GAP]])
+    points = np.array([*CONFIG.box, [0.0, 0.0, 1.0], [GAP, 0.0, 1.0], [0.0, 0.0, 1.001 + 6 * GAP]])
     found = checked_points("starts", points, CONFIG, 5)
     np.testing.assert_array_equal(found, points)
     assert found is not points
@@ -35,8 +35,8 @@ def test_points_may_stand_in_the_corners_and_just_apart() -> None:
         ([[0.0, 0.0, 1.0], [np.nan, 0.0, 1.0]], "not finite"),
         ([[0.0, 0.0, 1.0], [0.0, 2.001, 1.0]], r"starts\[1\] = \[0.0, 2.001, 1.0\] is outside"),
         ([[0.0, 0.0, 0.299], [0.0, 9.0, 1.0]], r"starts\[0\] = .* is outside"),
-        ([[0.0, 0.0, 1.0], [GAP - 1e-3, 0.0, 1.0]], r"\[0\] and starts\[1\] are 0.249 m apart"),
-        ([[0.0, 0.0, 1.0], [0.0, 0.0, 2.494]], r"are 0.249 m .* divided by 6, .* keep 0.25 m"),
+        ([[0.0, 0.0, 1.0], [GAP - 1e-3, 0.0, 1.0]], r"\[0\] and starts\[1\] are 0.260 m apart"),
+        ([[0.0, 0.0, 1.0], [0.0, 0.0, 2.56]], r"are 0.260 m .* divided by 6, .* keep 0.2614 m"),
     ],
 )
 def test_other_points_are_refused(points: Any, reason: str) -> None:

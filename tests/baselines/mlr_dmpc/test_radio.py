@@ -72,7 +72,9 @@ def random_message(rng: np.random.Generator, drones: int, units: int) -> UnitMes
         donations=tuple(int(i) for i in ids)[: int(rng.integers(4))] if not carries else (),
         missing=missing[: int(rng.integers(4))] if not answer else (),
         complete=bool(rng.random() < 0.5) and not answer,
-        members=MembershipView(view, tuple(range(units)), everyone) if not answer else None,
+        members=MembershipView(view, tuple(range(units)), everyone, everyone)
+        if not answer
+        else None,
     )
 
 

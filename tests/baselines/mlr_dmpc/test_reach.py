@@ -73,4 +73,4 @@ def test_the_reach_is_not_vast():
     low, high = reachable_boxes(state, fixed.lower, fixed.upper, WIDE)
     assert (high - low)[:, 0].max() < 10.0
     assert np.all(np.diff(high[:20, 0]) >= 0.0)
-    assert high[0, 0] == pytest.approx(5.0 * 0.1**3 / 6, abs=2e-6)
+    assert high[0, 0] == pytest.approx(5.0 * WIDE.collision_sampling_s**3 / 6, abs=2e-6)

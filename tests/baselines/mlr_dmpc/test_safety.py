@@ -17,7 +17,7 @@ from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.nodes import RecoveryNodes
 from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound, UnitOutage
-from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, sampled_positions
+from swarm_envs.baselines.mlr_dmpc.trajectory import Trajectory, positions_from
 from swarm_envs.files import write_json
 from swarm_envs.state import FloatArray
 from tests.helpers.mlr_rounds import scattered
@@ -76,8 +76,8 @@ class Instance:
             Jam(first_round=a, last_round=b, senders=s, receivers=r) for a, b, s, r in self.jams
         )
         return MlrDmpcSwarm(
-            scattered(self.drones, config, rng, config.distance_m + 0.02, PLACE),
-            scattered(self.drones, config, rng, config.distance_m + 0.02, PLACE),
+            scattered(self.drones, config, rng, config.sampled_distance_m + 0.01, PLACE),
+            scattered(self.drones, config, rng, config.sampled_distance_m + 0.01, PLACE),
             config=config,
             compute_units=self.units,
             trigger=self.trigger,
@@ -106,7 +106,7 @@ class Instance:
         """Fly it, and note all that is broken."""
         swarm, findings = self.swarm(), Findings()
         for _ in range(self.rounds):
-            before = [(drone.flying, drone.lock) for drone in swarm.nodes.drones]
+            before = [(drone.flying, drone.view.id) for drone in swarm.nodes.drones]
             report = swarm.run_round()
             findings.check(swarm, report, before)
         return findings
@@ -147,12 +147,12 @@ class Findings:
         owner, paths = [], []
         for drone, may in enumerate(swarm.may_fly):
             owner += [drone] * len(may)
-            paths += [sampled_positions(one, round_ + 1, config) for one in may]
+            paths += [positions_from(one, round_ + 1, config) for one in may]
         gap = distances(np.array(paths), config)
         gap[np.equal.outer(owner, owner)] = np.inf
         least = float(gap.min(initial=np.inf))
         self.least = min(self.least, least)
-        if least < config.distance_m - TOLERANCE:
+        if least < config.sampled_distance_m - TOLERANCE:
             i, j = np.unravel_index(np.argmin(gap), gap.shape)
             self.broken.append(
                 f"round {round_}: drones {owner[i]} and {owner[j]} may come to {least:.6f} m"
@@ -295,5 +295,5 @@ def test_two_thousand_random_instances_are_safe():
         assert not found.broken, (instance, found.broken[:5])
         plans, failures = plans + found.plans, failures + found.failures
         least = min(least, found.least)
-    assert least >= 0.25 - 1e-6
+    assert least >= MlrDmpcConfig().sampled_distance_m - TOLERANCE
     assert failures < 1e-3 * plans

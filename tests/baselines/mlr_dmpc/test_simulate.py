@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.mlr_dmpc.formations import circle_swap
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
 from swarm_envs.baselines.mlr_dmpc.simulate import simulate
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, UnitOutage
@@ -156,3 +157,53 @@ def test_bad_input_is_refused_with_the_reason(changes, reason):
     good = {"starts": FAR, "targets": FAR[::-1], "compute_units": 1, "duration_s": 5.0}
     with pytest.raises(ValueError, match=reason):
         simulate(**{**good, **changes})
+
+
+def test_distances_are_kept_between_samples_too():
+    """Theorem 2, for drones that cross at full speed; the least distance is the polynomials'."""
+    starts, targets = circle_swap(8, 1.5, 1.0)
+    config = MlrDmpcConfig(turn_rad=0.0, soft_m=0.0)
+    flown = simulate(starts, targets, seed=2, duration_s=8.0, config=config)
+    scaled = flown.reference_positions * config.inverse_scaling
+    apart = np.linalg.norm(scaled[:, :, None] - scaled[:, None], axis=-1)
+    seen = float((apart + 9.0 * np.eye(8)).min())
+    assert seen < 0.28, "they do meet"
+    assert config.distance_m <= flown.least_distance_m <= seen
+    assert flown.least_sampled_distance_m >= config.sampled_distance_m - 1e-6
+
+
+def test_planes_around_the_plan_itself_bring_drones_there_sooner_and_as_far_apart():
+    config = MlrDmpcConfig(planes="relinearised")
+    fixed = simulate(*circle_swap(16, 1.5, 1.0), 1)
+    flown = simulate(*circle_swap(16, 1.5, 1.0), 1, config=config)
+    assert fixed.arrival_time_s is not None and flown.arrival_time_s is not None
+    assert flown.arrival_time_s < 0.6 * fixed.arrival_time_s
+    assert flown.least_distance_m >= config.distance_m
+    assert flown.least_sampled_distance_m >= config.sampled_distance_m - 1e-6
+    assert flown.least_shifted_slack_m >= -1e-6 and not flown.violations
+
+
+@pytest.mark.parametrize("step", [0.1, 0.05, 0.025])
+def test_what_samples_keep_is_enough_for_the_fastest_crossing(step):
+    """Two that cross at the largest relative speed, a quarter of whose way is between samples."""
+    config = MlrDmpcConfig(collision_sampling_s=step)
+    speed = 2.0 * config.speed_limit * np.sqrt(2.0 + 1.0 / 36.0)
+    aside = np.sqrt(config.sampled_distance_m**2 - (speed * step / 2.0) ** 2)
+    assert aside >= config.distance_m
+    assert aside <= config.distance_m * (1.0 + 2.0 * step), "nor is it wasteful"
+
+
+def test_a_drone_that_hears_nothing_is_reported():
+    deaf = LossModel(jams=(Jam(first_round=0, last_round=500, receivers="drone 2"),))
+    flown = simulate(SIX, OPPOSITE, 2, loss=deaf, duration_s=20.0)
+    assert flown.deaf == (2,) and np.isnan(flown.arrival_times_s[2])
+    assert simulate(SIX, OPPOSITE, 2, loss=0.1, duration_s=20.0).deaf == ()
+
+
+def test_more_units_than_messages_can_name_are_refused_at_once():
+    side = np.arange(16.0)
+    points = np.stack(np.meshgrid(side, side, [1.0]), axis=-1).reshape(-1, 3)
+    config = MlrDmpcConfig(box=((-1.0, -1.0, 0.3), (16.0, 16.0, 3.0)))
+    with pytest.raises(ValueError, match=r"compute_units is 16, .* drones of more than 7: use"):
+        MlrDmpcSwarm(points, points, compute_units=16, config=config)
+    MlrDmpcSwarm(points, points, compute_units=7, config=config).run_round()

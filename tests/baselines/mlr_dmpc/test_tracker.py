@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,18 @@ from swarm_envs.baselines.mlr_dmpc.information_tracker import (
     InformationTracker,
     SeparationGuarantee,
 )
+from swarm_envs.baselines.mlr_dmpc.messages import (
+    Codec,
+    DroneState,
+    MembershipView,
+    MessageKind,
+    UnitMessage,
+    ViewId,
+)
+from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.nodes import Drone
+from swarm_envs.baselines.mlr_dmpc.radio import Inbox
+from swarm_envs.baselines.mlr_dmpc.swarm_information import Membership
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, hover
 
 REST = hover(np.array([0.0, 0.0, 1.0]), 3, 0.2)
@@ -125,3 +139,44 @@ def test_a_struck_plan_is_none(heard: InformationTracker) -> None:
     heard.strike(plan.identity)
     heard.strike(plan.identity)
     assert heard.sole is REST
+
+
+A, B = ViewId(1, 0), ViewId(1, 1)
+
+
+def announced(id_: ViewId, drones: set[int], gone: Set[int] = frozenset()) -> UnitMessage:
+    view = MembershipView(id_, (0, 1), frozenset(drones), frozenset(gone))
+    return UnitMessage(MessageKind.EMPTY, 3, id_.proposer, id_, members=view)
+
+
+def locked(*messages: UnitMessage) -> ViewId:
+    """What a drone is locked to that hears these, one a round; deployed were drones 0 and 1."""
+    view = MembershipView(ViewId(0, 0), (0, 1), frozenset({0, 1}))
+    config = MlrDmpcConfig()
+    drone = Drone(0, REST, view, config, Codec(4, 2, config))
+    for round_, message in enumerate(messages):
+        drone.receive(Inbox(round_, [], {message.unit: message}))
+    return drone.view.id
+
+
+def test_a_drone_follows_no_view_that_forgets_a_drone() -> None:
+    """Else units of the new view plan, not knowing drone 2, while those of the old plan for it."""
+    assert locked(announced(A, {0, 1, 2})) == A
+    assert locked(announced(A, {0, 1, 2}), announced(B, {0, 1})) == A
+    assert locked(announced(A, {0, 1, 2}), announced(B, {0, 1}, gone={2})) == B
+    assert locked(announced(B, {0, 1}), announced(A, {0, 1, 2})) == B
+    assert locked(announced(A, {0, 1, 2})._replace(members=None)) == ViewId(0, 0)
+
+
+def test_a_unit_that_comes_back_proposes_no_view_of_a_name_that_it_has_used() -> None:
+    """Before it died it may have proposed another one of which it no longer knows."""
+    start = MembershipView(ViewId(0, 0), (0, 1), frozenset({0, 1}))
+    states = [DroneState(2, 9, REST.identity, start.id, np.zeros(3), np.zeros((1, 3)), True)]
+    proposed = []
+    for since in (0, 5):
+        membership = Membership(0, start, 2, since)
+        membership.update(Inbox(9, states, {}), frozenset({0, 1}))
+        assert membership.propose(10)
+        assert membership.view.drones == {0, 1, 2}
+        proposed.append(membership.view.id)
+    assert len(set(proposed)) == 2

@@ -103,10 +103,10 @@ def assert_holds(plan: Trajectory, case: Situation, config: MlrDmpcConfig) -> No
         normal = (old - other) / scale
         length = np.linalg.norm(normal, axis=1)
         if not concurrent:
-            assert (gap >= config.distance_m - 1e-6).all()
+            assert (gap >= config.sampled_distance_m - 1e-6).all()
         elif config.turn_rad == 0.0:
             along = np.sum(normal * (new - (old + other) / 2) / scale, axis=1) / length
-            assert (along >= config.distance_m / 2 - 5e-7).all()
+            assert (along >= config.sampled_distance_m / 2 - 5e-7).all()
     p, v, a = np.moveaxis(plan.states(np.arange(1.0, 16.0) * config.state_sampling_s), 1, 0)
     lower, upper = np.array(config.box)
     assert (p >= lower - 2e-6).all() and (p <= upper + 2e-6).all()
@@ -156,7 +156,7 @@ def test_two_that_are_planned_at_once_keep_their_distance(seed, turn):
         for k, one in enumerate(at):
             for other in at[:k]:
                 gap = np.linalg.norm((one - other) * config.inverse_scaling, axis=1)
-                assert gap.min() >= config.distance_m - 1e-6
+                assert gap.min() >= config.sampled_distance_m - 1e-6
         swarm.run_round()
 
 
@@ -166,7 +166,7 @@ def test_what_cannot_be_solved_leaves_what_is_flown():
     at = np.concatenate([at, at * [-1.0, 1.0, 1.0]])
     near = Neighbors(at, np.array([1, 2]), np.array([False, False]))
     planned = plan_trajectory(own, 1, 0, near, np.array([1.0, 0.0, 1.0]), CONFIG)
-    assert planned.shifted_slack == pytest.approx(-0.15, abs=5e-6)
+    assert planned.shifted_slack == pytest.approx(0.1 - CONFIG.sampled_distance_m, abs=5e-6)
     after = planned.trajectory.positions(condensed(CONFIG).collision_times)
     assert (np.abs(after[:, 0]) <= 1e-6).all(), "between the two, neither may come nearer"
 
