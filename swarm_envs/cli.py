@@ -206,6 +206,7 @@ EXAMPLES: Mapping[str, str] = {
     "curriculum": "--quick --out runs/curriculum",
     "train": "--layout random --algo ppo --drones 4 --steps 3000000 --out runs/a",
     "train-sweep": "--seeds 0 1 2 --set drones=4 --compare hidden=64,64 hidden=32,32 --out runs/b",
+    "fit --residual": "--data flights --out runs/residual",
     "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
     "export trajectory": "flight/trajectory.parquet --out real --tolerance 0.01",
     "export policy": "--policy swap-ppo --out policy.h",

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode, load
 from swarm_envs.agents.evaluation import (
     TIMED,
@@ -89,7 +89,7 @@ def test_the_report_is_what_the_episodes_were(tmp_path, capsys):
     assert (line["privileged"], detour["privileged"]) == (False, True)
     assert line["collision_rate"] == line["collision_rate_by_kind"]["drone"] == 1.0
     assert (line["success_rate"], detour["success_rate"]) == (0.0, 1.0)
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         num_drones=2, layout="circle", physics="batch", **load("detour").requires
     )
     flown = [fly_episode(env, load("detour"), seed) for seed in frozen_seeds(7, 5)]
@@ -192,7 +192,7 @@ def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
 def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     agent, seeds = load(name), frozen_seeds(3, TIMED + 5)
     options = {**agent.requires, "num_drones": 4, "horizon_s": 2.0, "physics": "batch"}
-    env = swap_v0.parallel_env(**options)
+    env = swap_v1.parallel_env(**options)
     kept = {seeds[-3]: {"seed": seeds[-3], "metrics": {"flown": "before"}, "act_us": []}}
     calls: list[tuple[Episode, ...]] = []
     episodes = list(evaluate_agent(env, agent, seeds, kept, lambda *new: calls.append(new)))

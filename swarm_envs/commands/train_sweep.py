@@ -139,7 +139,7 @@ def train_one(
 
 def _judged(config: RlConfig, task: str, episodes: int, seed: int) -> dict[str, float]:
     """Measures on the seeds for reporting, as they were written, if of this policy and seeds."""
-    from swarm_envs.training.rl.recipes import RECIPES, evaluate_policy, with_recipe
+    from swarm_envs.training.rl.recipes import evaluate_policy, recipe_of, with_recipe
 
     policy, path = read_policy(config.out / FILE), config.out / SCORES
     about = {"episodes": episodes, "seed": seed, "policy": policy.digest, "version": __version__}
@@ -148,7 +148,7 @@ def _judged(config: RlConfig, task: str, episodes: int, seed: int) -> dict[str, 
         if all(written.get(name) == value for name, value in about.items()):
             found: dict[str, float] = written["measured"]
             return found
-    layouts = RECIPES[task].evaluation_layouts(str(with_recipe(config, task).layout))
+    layouts = recipe_of(task).evaluation_layouts(str(with_recipe(config, task).layout))
     options = {"interactions": config.interactions}
     seeds = frozen_seeds(seed, episodes)
     measured = evaluate_policy(policy, task, layouts, seeds, options, config.teams)

@@ -98,7 +98,7 @@ def torch_forces(dtype: str, position: Array, velocity: Array, team: str) -> Cal
     from swarm_envs.training.force_model import load_network
 
     torch.set_num_threads(1)
-    weights = resources.files("swarm_envs.interactions").joinpath("weights/learned.safetensors")
+    weights = resources.files("swarm_envs.interactions").joinpath("weights/learned-v0.safetensors")
     with resources.as_file(weights) as path:
         network = load_network(path).to(getattr(torch, dtype))
     p, v = (torch.from_numpy(a).to(getattr(torch, dtype)) for a in (position, velocity))
@@ -130,7 +130,7 @@ def force_row(way: str, dtype: str, num_envs: int, num_drones: int, repetitions:
     if way == "torch" and importlib.util.find_spec("torch") is None:
         return row | {"value": None, "note": "not installed"}
     position, velocity = states(num_envs, num_drones)
-    team, model = team_of(num_drones), load("learned").with_precision(dtype)
+    team, model = team_of(num_drones), load("learned-v0").with_precision(dtype)
     calls: dict[str, Callable[[], Callable[[], Any]]] = {
         "kernel": lambda: kernel_forces(model, position, velocity, team),
         "forces": lambda: partial(model.forces, position, velocity, team),

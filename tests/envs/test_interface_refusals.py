@@ -148,7 +148,7 @@ def test_unknown_agents():
 
 @pytest.mark.parametrize("make", [swarm_envs.make, make_joint, make_solo, make_vector])
 def test_unknown_tasks(make):
-    with pytest.raises(ValueError, match="unknown task 'swop_v0'; did you mean 'swap_v1'"):
+    with pytest.raises(ValueError, match="unknown task 'swop_v0'; did you mean 'swap_v0'"):
         make("swop_v0")
 
 

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v1
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent, flights, load_belief
 from swarm_envs.baselines.neural_swarm.flights import FlightTest, fly, swap_test
@@ -28,7 +28,7 @@ def test_it_flies_what_the_agent_flies_in_the_environment(compensated):
     agent = TrackingAgent.compensated() if compensated else TrackingAgent()
     controller = agent.requires["controller"]
     found = fly(swap_test("SL2S", SHORT), controller, SEEDS)
-    env = swap_v0.parallel_env(
+    env = swap_v1.parallel_env(
         team="SL2S", layout="stacked", stacked=SHORT, physics="batch", horizon_s=3.5,
         end_on_success=False, **agent.requires,
     )  # fmt: skip

@@ -240,7 +240,9 @@ def straight(swap, planner):
 
 def by_hand(team, planner, seed):
     """The cell of a trial whose plan is made by hand."""
-    track = track_plan(straight(draw_swap(team, seed), planner), parse_team(team), load("learned"))
+    track = track_plan(
+        straight(draw_swap(team, seed), planner), parse_team(team), load("learned-v0")
+    )
     about = {"scenario": team, "planner": planner, "seed": seed}
     return {**about, "model_plant": measure_track(track, parse_team(team))}
 

@@ -237,7 +237,7 @@ def swap(name: str, before: float, after: float, p_value: float) -> dict[str, An
 
 def test_swaps_stand_beside_the_paper_s_medians():
     cases = [swap("L2S", 16.0, 0.5, 0.03), swap("S2S", 9.0, 9.5, 0.4)]
-    air = {"truth": {"name": "wake"}, "cases": cases}
+    air = {"truth": {"name": "wake"}, "world": "ideal", "cases": cases}
     rows = claims_of("neural-swarm2/figure-8", {"truths": [air]}, quick=True)
     without, with_ = (rows[f"`wake` air, L2S: error {side}, cm"] for side in ("without", "with"))
     assert (without.ours, without.agreement, with_.agreement) == (16.0, "agrees", "explained")
@@ -248,7 +248,7 @@ def test_swaps_stand_beside_the_paper_s_medians():
 
 
 def test_a_larger_error_than_the_paper_s_is_not_explained_by_calmer_air():
-    air = {"truth": {"name": "wake"}, "cases": [swap("L2S", 17.0, 12.0, 0.03)]}
+    air = {"truth": {"name": "wake"}, "world": "ideal", "cases": [swap("L2S", 17.0, 12.0, 0.03)]}
     rows = claims_of("neural-swarm2/figure-8", {"truths": [air]})
     assert rows["`wake` air, L2S: error with, cm"].agreement == "unexplained"
 

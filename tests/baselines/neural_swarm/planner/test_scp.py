@@ -43,7 +43,10 @@ def test_a_colliding_guess_becomes_a_plan_that_keeps_everything(model: str, plan
     problem = swap(model, plane)
     guess = straight_lines(problem)
     assert check_plan(problem, guess).distance_ratio < 1.0
-    refined = refine(problem, guess if plane == "xyz" else bent(problem), np.random.default_rng(0))
+    free = (
+        plane == "xyz" and model == "none"
+    )  # the force is symmetric: a straight guess is a saddle
+    refined = refine(problem, guess if free else bent(problem), np.random.default_rng(0))
     assert refined.converged
     check = check_plan(problem, refined.trajectories)
     assert check.shortcomings() == ()
