@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import os
 import struct
@@ -19,6 +20,7 @@ import pytest
 import swarm_envs
 from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import main
+from swarm_envs.commands import grade
 from swarm_envs.training.interaction_rows import save_rows
 from tests.helpers.wake_rows import wake_rows
 
@@ -497,7 +499,10 @@ class Peeks(Agent):
 """
 
 
-def test_what_ships_and_who_looks_at_the_truth_is_starred(tmp_path, capsys):
+def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path, capsys):
+    four = {"task": "swap", "layout": "random", "drones": 4}  # as many as `swap-ppo` flies
+    swap = dataclasses.replace(ASSIGNMENTS["swap"], flown=four)
+    monkeypatch.setattr(grade, "ASSIGNMENTS", {"swap": swap})
     work, table, stolen = tmp_path / "swap.py", tmp_path / "grades.csv", tmp_path / "weights"
     work.write_text(STOLEN, encoding="utf-8")
     stolen.mkdir()
