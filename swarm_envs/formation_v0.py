@@ -16,6 +16,8 @@ from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import task_views
 from swarm_envs.formation_v1 import FormationOptions
 from swarm_envs.tasks.formation import FormationTask
+from swarm_envs.tasks.rewards import write_terms_v0
+from swarm_envs.tasks.swap import REWARD_WEIGHTS_V0
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,7 @@ class FormationTaskV0(FormationTask):
 
     name = "formation_v0"
     velocity_integral_limit = 0.05
+    write_reward_terms = staticmethod(write_terms_v0)
 
 
 @typed_options
@@ -32,6 +35,7 @@ class FormationV0Options(FormationOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
+    default_weights = REWARD_WEIGHTS_V0
     task_type = FormationTaskV0
 
 

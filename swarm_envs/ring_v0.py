@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import task_views
 from swarm_envs.ring_v1 import RingOptions
-from swarm_envs.tasks.ring import RingTask
+from swarm_envs.tasks.rewards import write_terms_v0
+from swarm_envs.tasks.ring import REWARD_WEIGHTS_V0, RingTask
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class RingTaskV0(RingTask):
 
     name = "ring_v0"
     velocity_integral_limit = 0.05
+    write_reward_terms = staticmethod(write_terms_v0)
 
 
 @typed_options
@@ -32,6 +34,7 @@ class RingV0Options(RingOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
+    default_weights = REWARD_WEIGHTS_V0
     task_type = RingTaskV0
 
 

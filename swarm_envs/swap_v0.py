@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import task_views
 from swarm_envs.swap_v1 import SwapOptions
-from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.tasks.rewards import write_terms_v0
+from swarm_envs.tasks.swap import REWARD_WEIGHTS_V0, SwapTask
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class SwapTaskV0(SwapTask):
 
     name = "swap_v0"
     velocity_integral_limit = 0.05
+    write_reward_terms = staticmethod(write_terms_v0)
 
 
 @typed_options
@@ -32,6 +34,7 @@ class SwapV0Options(SwapOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
+    default_weights = REWARD_WEIGHTS_V0
     task_type = SwapTaskV0
 
 

@@ -60,10 +60,17 @@ class TaskOptions(EnvConfig, ABC):
 
     learned: ClassVar[str] = "learned"
     """The force model that `interactions="learned"` means in this version of the task."""
+    default_weights: ClassVar[Mapping[str, float]]
+    """Weight of each reward term that is not given."""
 
     @abstractmethod
     def make_task(self) -> Task:
         """The task that is flown."""
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each reward term."""
+        return {**self.default_weights, **(self.reward_weights or {})}
 
     @property
     def vehicles(self) -> Team:

@@ -204,7 +204,7 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
         "progress": 0.0,
         "at_goal": 0.0,
-        "tracking": 3.0,
+        "tracking": 0.25,
         "effort": -0.1,
         "proximity": -4.0,
         "crash": -1.0,
@@ -212,6 +212,8 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     }
 )
 """Default weight of each reward term; see `swarm_envs.tasks.rewards.write_terms`."""
+REWARD_WEIGHTS_V0: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "tracking": 3.0})
+"""Those of version 0, where `tracking` is a share of the clock."""
 
 
 def ring_team(num_drones: int) -> Team:

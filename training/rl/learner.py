@@ -209,6 +209,9 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
     """
     recipe = recipe_of(task)
     given = {**recipe.reward_weights, "crash": -config.crash}
+    if not task.endswith("_v0"):  # later versions count these by the second
+        assert config.horizon_s is not None  # the recipe has one
+        given |= {name: given[name] / config.horizon_s for name in ("at_goal", "tracking")}
     found = batch_of(
         task,
         **recipe.layouts[str(config.layout)],

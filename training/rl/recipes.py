@@ -35,8 +35,8 @@ from swarm_envs.tasks.base import Placement, Task
 from swarm_envs.tasks.formation import FormationTask, nearest_places
 from swarm_envs.tasks.motion import REST, Motion
 from swarm_envs.tasks.placing import WALL_MARGIN, derangement, draw_apart
-from swarm_envs.tasks.ring import REWARD_WEIGHTS as RING_REWARDS
-from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
+from swarm_envs.tasks.ring import REWARD_WEIGHTS_V0 as RING_REWARDS
+from swarm_envs.tasks.swap import REWARD_WEIGHTS_V0, SwapTask
 from swarm_envs.training.rl.rl_config import RlConfig
 
 __all__ = ["RECIPES", "choosing_seeds", "evaluate_policy", "recipe_of", "with_recipe"]
@@ -184,8 +184,9 @@ class Recipe:
     """of those options of `RlConfig` that are None unless they are given"""
     evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """layouts on which the policy of a layout is evaluated; itself alone where nothing is said"""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """of the reward in training; those of proximity and of a crash come from the options"""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS_V0)
+    """of the reward in training; those of proximity and of a crash come from the options, and
+    those of `at_goal` and `tracking` are for a whole clock, in every version"""
     curriculum: Callable[[Task, RlConfig], Task] = lambda task, _: task
     """the task that is flown in training, made from the layout's"""
     features: str = GOAL
