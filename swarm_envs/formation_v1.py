@@ -99,7 +99,7 @@ class FormationOptions(TaskOptions):
             travel_s=self.travel_s,
             turn_rad=turn_rad,
             reward_weights=self.weights,
-            obstacles=tuple(self.obstacles),
+            obstacles=self.standing,
         )
 
     def _mission(self) -> dict[str, Any]:

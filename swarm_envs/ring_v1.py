@@ -67,7 +67,7 @@ class RingOptions(TaskOptions):
             team=self.vehicles,
             rings=self.rings,
             reward_weights=self.weights,
-            obstacles=tuple(self.obstacles),
+            obstacles=self.standing,
         )
 
 

@@ -75,7 +75,7 @@ class SwapOptions(TaskOptions):
             stacked=self.stacked or StackedLayout(),
             circle=self.circle or CircleLayout(),
             reward_weights=self.weights,
-            obstacles=tuple(self.obstacles),
+            obstacles=self.standing,
         )
 
 

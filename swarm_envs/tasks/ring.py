@@ -212,8 +212,6 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     }
 )
 """Default weight of each reward term; see `swarm_envs.tasks.rewards.write_terms`."""
-REWARD_WEIGHTS_V0: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "tracking": 3.0})
-"""Those of version 0, where `tracking` is a share of the clock."""
 
 
 def ring_team(num_drones: int) -> Team:

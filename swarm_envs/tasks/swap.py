@@ -40,7 +40,6 @@ from swarm_envs.vehicles import Team
 
 __all__ = [
     "REWARD_WEIGHTS",
-    "REWARD_WEIGHTS_V0",
     "CircleLayout",
     "Layout",
     "StackedLayout",
@@ -67,8 +66,6 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
 )
 """Default weight of each reward term; see `write_terms`. Success is worth 30 s at the goal, or a
 stage of a formation more than its 6 s there, so that lingering does not pay."""
-REWARD_WEIGHTS_V0: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
-"""Those of version 0, where `at_goal` is a share of the clock."""
 
 
 @typed
