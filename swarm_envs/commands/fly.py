@@ -29,8 +29,8 @@ _FILES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions(CrewOptions):
-    """What is flown, and in which air."""
+class EpisodeFields:
+    """What is flown: these come first in the help."""
 
     task: str = "swap"
     """what is flown: `swap`, or with its version, `swap_v1`"""
@@ -44,6 +44,11 @@ class EpisodeOptions(CrewOptions):
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeOptions(CrewOptions, EpisodeFields):
+    """What is flown, and in which air."""
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""

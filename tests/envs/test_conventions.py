@@ -26,8 +26,9 @@ def test_a_row_an_agent_is_the_same_flight(mode):
         "swarm_envs/Swap-v1", num_envs=2, autoreset_mode=mode, per_agent=True, **OPTIONS
     )
     assert rows.num_envs == 6
+    width = len(make("swap_v1", **OPTIONS).reset(seed=0)[0]["drone_0"])
     assert rows.single_action_space.shape == (3,)
-    assert rows.observation_space.shape == (6, rows.unwrapped.core.rows.shape[-1])
+    assert rows.observation_space.shape == (6, width)
     assert rows.metadata["autoreset_mode"] is teams.metadata["autoreset_mode"]
     seen, _ = teams.reset(seed=5)
     own, _ = rows.reset(seed=5)
