@@ -30,6 +30,7 @@ from swarm_envs.interactions.base import PRECISIONS
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.physics.base import FORCE_BOUNDS_G, MOST_ENVIRONMENTS
+from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
@@ -66,6 +67,9 @@ class EnvConfig:
     model."""
     action: Annotated[str, OneOf(tuple(ACTIONS))] = "acceleration"
     """What actions mean: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
+    clip_actions: bool = False
+    """Whether actions outside of [-1, 1] are clipped, as Gaussian policies want it, not refused;
+    those that are not finite are refused in any case."""
     decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """Actions per second: 240 over an integer."""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
@@ -89,14 +93,19 @@ class EnvConfig:
     """The clock: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_team"
+    """What touching a drone, floor, wall or obstacle does. `end_team`: it ends the episode of the
+    whole team. `end_pair`: it ends that of the drones that touch; the others fly on without them.
+    `bounce`: drones bounce off and fly on; only tumbling ends a drone's episode."""
     world: Annotated[str, OneOf(WORLDS)] | Hall = "ideal"
     """`ideal`: forces, rotors and states are what the equations say. `hall`: as in a hall with
     motion capture, with force that no model knows, and a state that drones must estimate. Or a
     `swarm_envs.hall.Hall` with numbers of your own."""
     battery: BatteryModel | None = None
     """How batteries empty and weaken the rotors; None for batteries that never do."""
-    randomization: Randomization | None = None
-    """What differs from episode to episode beside the task; None for nothing."""
+    randomization: Randomization | str | None = None
+    """What differs from episode to episode beside the task; None for nothing. Text says it, too,
+    such as `mass=0.9:1.1,thrust=0.95:1.05`."""
     deterministic: bool = False
     """Whether every interface must give the same flight to the last bit. On one engine they always
     do, whatever the number of environments and threads, and whatever the precision of the force
@@ -111,7 +120,7 @@ class EnvConfig:
         for token, bound in self.force_bounds_g.items():
             name = f"force_bounds_g[{token!r}]"
             check_value(name, bound, Annotated[float, Range(0.0, above=True, unit="gram-force")])
-        ranges = self.randomization
+        ranges = self.ranges
         if ranges is not None and ranges.battery != SAME and self.battery is None:
             raise ValueError(
                 f"Randomization.battery is {ranges.battery}, but these batteries never "
@@ -122,6 +131,11 @@ class EnvConfig:
                 f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "
                 "with noise of its own; leave it 0 and give world=Hall(position_noise_m=...)"
             )
+
+    @property
+    def ranges(self) -> Randomization | None:
+        """What is randomised; None for nothing."""
+        return Randomization.of(self.randomization)
 
     @property
     def hall(self) -> Hall | None:

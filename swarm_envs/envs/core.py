@@ -55,6 +55,11 @@ class StepResult(NamedTuple):
     """(E,) ended by a crash or by success."""
     truncated: BoolArray
     """(E,) ended by the clock."""
+    active: BoolArray
+    """(E, N) which drones have flown this decision; the others' own episodes ended before it: their
+    rewards, terms and observations are 0, and their actions are not used."""
+    ended: BoolArray
+    """(E, N) whose own episode was terminated in this decision, alone or with the team's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +123,7 @@ class SwarmCore:
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
-        ranges = config.randomization
+        ranges = self.ranges = config.ranges
         self._noisy = ranges is not None and ranges.noisy
         sensed = self._noisy or config.hall is not None
         drones = self.world.drones
@@ -144,7 +149,7 @@ class SwarmCore:
         """Complete the settings by what the task and the options say of episodes."""
         task, config = self.task, self.config
         clock = task.episode_s if config.horizon_s is None else config.horizon_s
-        ranges = config.randomization
+        ranges = config.ranges
         rules = {
             **success_rules(task.success),
             "bounded": self.mode.bounded,
@@ -178,7 +183,7 @@ class SwarmCore:
             entry_point(task.write_reference, *state),
             entry_point(judge, actions, *state),
             entry_point(task.write_reward_terms, drones, environments, settings, terms),
-            entry_point(weigh, terms, self._weights, flown, rewards),
+            entry_point(weigh, terms, self._weights, drones, flown, rewards),
             entry_point(write_observations, 0, 0, flown, *self._observed[0]),
         )
 
@@ -230,9 +235,9 @@ class SwarmCore:
         for e, placement in self._draw(task, begun.tolist(), seeds, given).items():
             self._fly_task(e, task)
             place(self.world, e, placement)
-        if self.config.randomization is not None:
+        if self.ranges is not None:
             for e in begun.tolist():
-                draw_vehicles(self.generators[e], self.config.randomization, e, self.world)
+                draw_vehicles(self.generators[e], self.ranges, e, self.world)
         if self.physics.hall is not None:
             for e in begun.tolist():
                 self.physics.hall.draw(self.generators[e], e, self.world)
@@ -253,7 +258,7 @@ class SwarmCore:
         """
         mode, kernels, flown = self.mode, self._kernels, self._flown
         drones, environments, goals, settings = everything = self._state
-        asked = as_actions(mode, actions, self._shape)
+        asked = as_actions(mode, actions, self._shape, self.config.clip_actions)
         if not kernels.apply(mode.code, asked, mode.limit, drones, environments, settings, flown):
             check_actions(mode, asked)
         rewards: FloatArray = np.empty(drones.shape)
@@ -262,11 +267,11 @@ class SwarmCore:
         def finish(first: int, last: int, thread: int) -> None:
             """Judge, weigh and observe what has been flown."""
             state, decided = everything, asked
-            scored = (terms, self._weights, flown, rewards)
+            scored = (terms, self._weights, drones, flown, rewards)
             if last - first < self.num_envs:
                 here = slice(first, last)
                 state = (drones[here], environments[here], goals[here], settings)
-                scored = (terms[:, here], self._weights, flown[here], rewards[here])
+                scored = (terms[:, here], self._weights, state[0], flown[here], rewards[here])
                 decided = asked[here]
             kernels.refer(*state)
             kernels.judge(decided, *state)
@@ -275,8 +280,10 @@ class SwarmCore:
             self._observe(first, last, flown, thread)
 
         self.physics.fly(self._substeps, flown, finish)
-        terminated, truncated = environments["terminated"], environments["truncated"]
-        return StepResult(self.rows, rewards, terms, terminated.copy(), truncated.copy())
+        terminated, truncated = environments["terminated"].copy(), environments["truncated"].copy()
+        active = flown[:, None] & (drones["active"] + drones["crashed"] > 0.0)
+        ended = active & (terminated[:, None] | (drones["active"] == 0.0))
+        return StepResult(self.rows, rewards, terms, terminated, truncated, active, ended)
 
     def set_reward_weights(self, weights: Mapping[str, float]) -> None:
         """Weigh reward terms otherwise from the next step on: for curricula of trainers.
@@ -293,11 +300,11 @@ class SwarmCore:
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
         """What environment `e`'s episode is judged by, so far; see `swarm_envs.envs.judge`."""
-        return metrics(self.world, self.task, [e])[0]
+        return self.metrics_of([e])[0]
 
     def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:
         """The same of several environments, in their order."""
-        return metrics(self.world, self.task, environments)
+        return metrics(self.world, self.task, environments, self.config.on_contact)
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
@@ -329,8 +336,8 @@ class SwarmCore:
             )
         self.physics.interactions.type_indices(team)
         self.physics.feedforward.type_indices(team)
-        if self.config.randomization is not None:
-            self.config.randomization.check_team(team)
+        if self.ranges is not None:
+            self.ranges.check_team(team)
         return self.task.with_team(team)
 
     def _fly_task(self, e: int, task: Task) -> None:
@@ -412,6 +419,7 @@ class SwarmCore:
             "team": tuple(vehicle.token for vehicle in self.task.team),
             "physics": self.physics.name,
             "action": self.config.action,
+            "on_contact": self.config.on_contact,
             "world": "ideal" if self.physics.hall is None else "hall",
             "num_neighbors": self.config.num_neighbors,
             "num_obstacles": self.num_obstacles,
@@ -442,7 +450,7 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         ValueError: randomised vehicles could not fly.
         ImportError: Bullet is asked for, and not there.
     """
-    gusts, ranges = None, config.randomization
+    gusts, ranges = None, config.ranges
     if ranges is not None:
         ranges.check_team(task.team)
         gusts = (ranges.gust_acceleration, ranges.gust_time_s)
@@ -461,4 +469,5 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         threads=config.threads_for(num_envs * len(task.team)),
         num_stages=task.num_stages,
         force_bounds_g=config.force_bounds_g,
+        on_contact=config.on_contact,
     )
