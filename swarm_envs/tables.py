@@ -171,6 +171,8 @@ _HALL = (
     Field("residual_quiet", (), "N", None, "Its standard deviation where no force is modelled."),
     Field("residual_more", (), "N", None, "What it grows by where that force is large."),
     Field("residual_half", (), "N", None, "Modelled force at which it has grown by half of that."),
+    Field("residual_alone", (), "N", None, "Its standard deviation where nobody is near."),
+    Field("company", (), "", 0.0, "1 if another drone was in the interaction volume."),
     Field("force_offset", (), "N", None, "Constant vertical force that no model knows."),
     Field("frame_phase", (), "", None, "Share of a frame's time since the last one arrived."),
     Field("position_error", (3,), "m", 0.0, "Error of the estimated position."),

@@ -23,6 +23,7 @@ from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.motion import ORBITS
@@ -76,9 +77,9 @@ class MlrDmpcAgent:
         """Compute units, drones and radio of the episode; None before the first."""
 
     @classmethod
-    def compensated(cls) -> MlrDmpcAgent:
-        """The agent over the controller of Neural-Swarm2, which feeds `load_belief()` forward."""
-        return cls(controller=ControllerConfig(feedforward=load_belief()))
+    def compensated(cls, belief: InteractionModel | None = None) -> MlrDmpcAgent:
+        """The agent over Neural-Swarm2's controller, by default with `load_belief()`."""
+        return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Begin with everybody hovering; the seed draws which messages are lost.

@@ -35,6 +35,7 @@ from swarm_envs.physics.contact import (
 from swarm_envs.physics.hall_lanes import (
     disturb,
     estimate,
+    find_company,
     load_hall,
     store_hall,
     use_estimate,
@@ -317,6 +318,8 @@ def fly(  # noqa: C901  # one step, on one screen
                     gather(due, size, compensated, work, scratch)
                     swarm_forces(air, due, size, scratch)
                     spread(due, size, compensated, environments, work, scratch)
+                    if hall is not None:
+                        find_company(due, size, work.due, work.blocks, scratch)
                 if gusty is not None and phases & CONTROL:
                     for place in range(count):
                         environment = environments[members[place]]
