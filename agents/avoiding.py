@@ -32,7 +32,7 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
-__all__ = ["Cruise", "CruiseAgent", "Roundabout", "RoundaboutAgent"]
+__all__ = ["TUNED", "Avoidance"]
 
 
 @typed
@@ -53,17 +53,17 @@ class Cruise:
 class Roundabout:
     """What a drone does where several ways meet."""
 
-    turn_rad: Annotated[float, Range(0.0, np.pi / 2, unit="rad")] = 0.7
+    turn_rad: Annotated[float, Range(0.0, np.pi / 2, unit="rad")] = 0.889
     """By how much it steers to the right at most."""
-    full: Annotated[float, POSITIVE] = 2.0
+    full: Annotated[float, POSITIVE] = 1.96
     """Neighbours beyond the first that make it steer so much."""
-    near_m: Annotated[float, POSITIVE_M] = 0.5
+    near_m: Annotated[float, POSITIVE_M] = 0.644
     """Distance below which two straight ways meet, m."""
-    ahead_s: Annotated[float, POSITIVE_S] = 1.5
+    ahead_s: Annotated[float, POSITIVE_S] = 1.51
     """How far ahead ways are looked at, s."""
-    slower: Annotated[float, Range(0.0, 1.0)] = 0.4
+    slower: Annotated[float, Range(0.0, 1.0)] = 0.253
     """Share of the cruise speed that it gives up at most."""
-    climb_m: Annotated[float, NOT_NEGATIVE] = 0.4
+    climb_m: Annotated[float, NOT_NEGATIVE] = 0.46
     """How far above or below its way it flies at most, by its heading, m."""
 
 
@@ -180,11 +180,32 @@ class Avoidance:
 
 TUNED: Mapping[str, Avoidance] = MappingProxyType(
     {
-        "fast-line": Avoidance(),
+        "fast-line": Avoidance(
+            safety=Safety(
+                margin_m=0.11,
+                horizon_s=0.45,
+                response_s=0.103,
+                rate=9.48,
+                share=0.759,
+                downwash=1.67,
+                aside_m=0.0419,
+            )
+        ),
         "orca": Avoidance(
             safety=Safety(rate=4.0, response_s=0.0, horizon_s=2.0, downwash=1.0, margin_m=0.12)
         ),
-        "roundabout": Avoidance(safety=Safety(margin_m=0.16), roundabout=Roundabout()),
+        "roundabout": Avoidance(
+            cruise=Cruise(position_gain=8.4),
+            safety=Safety(
+                margin_m=0.134,
+                horizon_s=0.394,
+                response_s=0.126,
+                rate=8.73,
+                downwash=1.15,
+                aside_m=0.0269,
+            ),
+            roundabout=Roundabout(),
+        ),
     }
 )
 """The agents that ship, by name, with their numbers."""

@@ -29,13 +29,12 @@ from swarm_envs.agents.protocol import AT_ONCE, fly_batch
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.envs.core import SwarmCore
 
-__all__ = ["CASES", "TuneOptions", "tune_agent"]
-
 CASES = (("random", 4), ("random", 8), ("random", 16), ("random", 32), ("circle", 4),
          ("circle", 8), ("circle", 12), ("circle", 16))  # fmt: skip
 """Layout and number of drones of what a candidate flies."""
 _SPREAD = 0.2
 """Standard deviation of the logarithm of what a number is multiplied by."""
+_CLOCK_S = 12.0
 _OF_TIME, _OF_NEAR_MISSES = 0.02, 0.2
 """What a second and a share of near misses cost, as shares of success."""
 
@@ -63,16 +62,19 @@ def value_of(candidate: Avoidance, seeds: Sequence[int], cases: Sequence[tuple[s
 
 def _value(candidate: Avoidance, seeds: Sequence[int], layout: str, drones: int) -> float:
     agent = candidate.agent()
-    setting = {"layout": layout, "num_drones": drones, "physics": "batch", "horizon_s": 12.0}
+    setting = {"layout": layout, "num_drones": drones, "physics": "batch", "horizon_s": _CLOCK_S}
     env = make("swap_v1", **{**setting, **agent.requires})
     env.reset(seed=seeds[0])
-    agent.reset(env, seeds[0])
+    try:
+        agent.reset(env, seeds[0])
+    except ValueError:  # it refuses, so it has none
+        return -_OF_TIME * _CLOCK_S
     core = SwarmCore(env.core.task, env.core.config, min(AT_ONCE, len(seeds)))
     flown = fly_batch(core, agent.act_batch, seeds)
     env.close()
     won = [m["time_to_goal_s"] for m in flown if m["success"]]
     near = sum(m["near_misses"] > 0 for m in flown)
-    took = float(np.mean(won)) if won else 12.0
+    took = float(np.mean(won)) if won else _CLOCK_S
     return (len(won) - _OF_NEAR_MISSES * near) / len(flown) - _OF_TIME * took
 
 
@@ -86,9 +88,7 @@ def numbers_of(candidate: Avoidance) -> dict[str, dict[str, float]]:
     }
 
 
-def with_numbers(
-    candidate: Avoidance, numbers: Mapping[str, Mapping[str, float]]
-) -> Avoidance:
+def with_numbers(candidate: Avoidance, numbers: Mapping[str, Mapping[str, float]]) -> Avoidance:
     """A candidate with other numbers.
 
     Raises:

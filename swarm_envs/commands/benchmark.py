@@ -31,8 +31,9 @@ class BenchmarkOptions:
     agents: list[str] = field(default_factory=lambda: ["*"])
     """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
-    tasks: list[str] = field(default_factory=lambda: ["*"])
-    """ids of tasks, such as `swap-circle-4-v1`, or patterns of them, in quotes"""
+    tasks: list[str] = field(default_factory=lambda: ["*-v2"])
+    """ids of tasks, such as `swap-circle-4-v2`, or patterns of them, in quotes; `*-v1` are those of
+    release 0.1.0"""
     episodes: Count | None = None
     """of every agent on every task; by default those of the tables, more where they are cheap"""
     quick: bool = False

@@ -191,7 +191,10 @@ def _families(
             failed = status == "failed"
             reached = np.zeros(1) if failed else np.array([row["score"] for row in part])
             agents.setdefault(cell.loaded.name, []).append(reached)
-    labels = {cell.task.task: LABELS[cell.task.score] for cell in cells}
+    measured: dict[str, set[str]] = {}
+    for cell in cells:
+        measured.setdefault(cell.task.task, set()).add(cell.task.score)
+    labels = {k: LABELS[min(v) if len(v) == 1 else "mixed"] for k, v in measured.items()}
     standings: dict[str, Any] = {}
     profiles: dict[str, Any] = {}
     for family, agents in scores.items():
