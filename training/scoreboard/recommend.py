@@ -2,7 +2,8 @@
 
     python -m swarm_envs.training.scoreboard.recommend DIR
 
-Tasks are those of version 2 in the ideal world and the usual air; see `swarm_envs.agents.recommended`.
+Tasks are those of version 2 in the ideal world and the usual air; see
+`swarm_envs.agents.recommended`.
 """
 
 from __future__ import annotations
