@@ -5,8 +5,8 @@ most the cruise speed, and fly behind a `swarm_envs.agents.SafetyFilter`:
 
 - `fast-line` asks for no more than that.
 - `orca` (van den Berg et al., Reciprocal n-body collision avoidance, 2011) is the same law behind a
-  filter whose rate is about kd and that predicts no response: its inequalities on accelerations are then
-  ORCA's half-spaces of velocities, n . (v' - v) >= -share h.
+  filter whose rate is about kd and that predicts no response: its inequalities on accelerations
+  are then ORCA's half-spaces of velocities, n . (v' - v) >= -share h.
 - `roundabout` counts the neighbours whose straight way comes near its own at about the same time.
   Where there is more than one it steers to the right, slows down, and takes a height that follows
   from its heading, so that ways that cross in one point become a roundabout on several floors.

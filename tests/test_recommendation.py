@@ -26,13 +26,13 @@ def test_the_best_agent_succeeds(task, drones):
 
 
 def test_it_is_as_it_was_asked_for():
-    learned = recommended("swap", num_drones=4, learned=True)
-    assert isinstance(load(learned), PolicyAgent)
+    learned = load(recommended("swap", num_drones=4, learned=True))
+    assert isinstance(getattr(learned, "agent", learned), PolicyAgent)
     assert not load(recommended("swap", num_drones=8, privileged=False)).privileged
     assert load(recommended("swap", num_drones=8, privileged=True)).privileged
     assert recommended("swap", num_drones=16, layout="circle", privileged=False) == "roundabout"
     assert recommended("swap", num_drones=500, privileged=False) == "roundabout"
-    with pytest.raises(ValueError, match="learned=True flies 'swap' with 500 drones.*roundabout"):
+    with pytest.raises(ValueError, match=r"learned=True flies 'swap' with 500 drones.*roundabout"):
         recommended("swap", num_drones=500, learned=True)
     with pytest.raises(ValueError, match=r"no task 'swop'; it has swap, ring, formation"):
         recommended("swop", num_drones=2)
@@ -59,6 +59,8 @@ def test_recommendations_follow_from_the_board():
         task["id"] = task["id"].replace("-v1", "-v2")
     for cell in content["cells"]:
         cell["task"] = cell["task"].replace("-v1", "-v2")
+        if cell["status"] == "flown":
+            cell["values"]["score"] = cell["values"]["success_rate"]
     rows = recommendations(Board(content))
     plain = [t["id"] for t in content["tasks"] if t["id"] in TASKS]
     assert [row["drones"] for row in rows] == [TASKS[name].drones for name in plain]

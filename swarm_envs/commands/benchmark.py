@@ -126,23 +126,17 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
     return len(problems) + sum(cell["status"] == "failed" for cell in content["cells"])
 
 
-def _results(path: Path) -> dict[str, Any]:
-    from swarm_envs.training.scoreboard.results import read_results
-
-    try:
-        return read_results(path)
-    except (FileNotFoundError, ValueError) as error:
-        raise Misuse(str(error)) from error
-
-
 def _verify(path: Path) -> int:
     """Say what is wrong with a results file; return how much."""
-    from swarm_envs.training.scoreboard.results import problems_of
+    from swarm_envs.training.scoreboard.results import verify_results
 
     count = 0
-    for problem in problems_of(_results(path)):
-        count += 1
-        print(f"WRONG {problem}", flush=True)
+    try:
+        for problem in verify_results(path):
+            count += 1
+            print(f"WRONG {problem}", flush=True)
+    except (FileNotFoundError, ValueError) as error:
+        raise Misuse(str(error)) from error
     print(f"{path}: {f'{count} problems' if count else 'verified'}")
     return count
 
@@ -156,8 +150,8 @@ def _join(paths: list[Path], out: Path) -> int:
 
     check_folder("--out", out)
     try:
-        content = join_results({str(path): _results(path) for path in paths})
-    except ValueError as error:
+        content = join_results(paths)
+    except (FileNotFoundError, ValueError) as error:
         raise Misuse(str(error)) from error
     with claimed(out):
         write_json(out / FILE, content)

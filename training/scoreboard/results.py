@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from swarm_envs.agents import load
-from swarm_envs.agents.evaluation import fly_seed, frozen_seeds, source_digest
+from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds, source_digest
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.training.scoreboard.board import FILE, Board
 from swarm_envs.training.scoreboard.metrics import (
@@ -28,6 +28,8 @@ from swarm_envs.training.scoreboard.metrics import (
 from swarm_envs.training.scoreboard.roster import episodes_of
 from swarm_envs.training.scoreboard.standings import RESULTS, Reached, families_of
 from swarm_envs.training.scoreboard.tasks import SEED, TASKS, digest, make_scored
+
+__all__ = ["join_results", "verify_results"]
 
 Content = dict[str, Any]
 """What a `scores.json` holds."""
@@ -54,13 +56,18 @@ def read_results(path: Path) -> Content:
     return content
 
 
-def problems_of(content: Content, again: int = 2) -> Iterator[str]:
+def verify_results(path: Path, again: int = 2) -> Iterator[str]:
     """What is wrong with a results file, a sentence each; nothing, if it can be trusted.
 
     Args:
-        content: of the file.
+        path: of the file, or of the folder that holds it.
         again: episodes of every agent that ships and every task that are flown again.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it is no results file.
     """
+    content = read_results(path)
     if content["manifest"].get("seed") != SEED:
         yield f"its seed is {content['manifest'].get('seed')}, but the benchmark's is {SEED}"
         return
@@ -143,9 +150,11 @@ def _flown_again(
         return
     env = make_scored(task.environment, {**task.setting, **agent.requires})
     seeds = frozen_seeds(SEED, len(rows))
-    for k in rng.choice(len(rows), min(again, len(rows)), replace=False).tolist():
+    chosen = rng.choice(len(rows), min(again, len(rows)), replace=False).tolist()
+    flown = evaluate_agent(env, agent, [seeds[k] for k in chosen], refusals=True)
+    for k, episode in zip(chosen, flown, strict=True):
         best = fastest_times(task, [seeds[k]])[seeds[k]] if task.score == "time" else None
-        row = row_of(task, name, k, fly_seed(env, agent, seeds[k], refusals=True), best)
+        row = row_of(task, name, k, episode, best)
         if not _same({key: row[key] for key in RESULTS}, rows[k]):
             yield f"episode {k} comes out otherwise: {row['success']}, {row['score']:.4f} here"
     env.close()
@@ -162,15 +171,17 @@ def _same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
-def join_results(contents: Mapping[str, Content]) -> Content:
+def join_results(paths: Sequence[Path]) -> Content:
     """One results file of several: of what two have of the same agent, the first's.
 
     Args:
-        contents: of the files, by a name; another agent of the same name is called by both.
+        paths: of the files; another agent of the same name is called by its file too.
 
     Raises:
-        ValueError: they flew other tasks under the same id, or other seeds.
+        FileNotFoundError: there is no such file.
+        ValueError: one is no results file, or they flew other tasks by the same id, or other seeds.
     """
+    contents = {str(path): read_results(path) for path in paths}
     tasks: dict[str, Any] = {}
     agents: dict[str, Any] = {}
     cells: dict[tuple[str, str], Any] = {}
