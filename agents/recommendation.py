@@ -21,15 +21,12 @@ __all__ = ["FILE", "recommended"]
 
 FILE = "recommended.json"
 """Its name, in the folder of the agents."""
-Row = Mapping[str, Any]
-"""A task of the benchmark: `task`, `layout`, `drones`, and `agents` by name, the best first, each
-with `success`, `score`, `learned` and `privileged`."""
 
 
 @cache
-def _rows() -> list[Row]:
+def _rows() -> list[Mapping[str, Any]]:
     text = resources.files("swarm_envs.agents").joinpath(FILE).read_text(encoding="utf-8")
-    rows: list[Row] = json.loads(text)["tasks"]
+    rows: list[Mapping[str, Any]] = json.loads(text)["tasks"]
     return rows
 
 
@@ -60,37 +57,32 @@ def recommended(
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
             message says who flies something near.
     """
-    rows = _of_task(task, layout)
-    row = _row_for(rows, num_drones)
+    agents = _agents_for(task, layout, num_drones)
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
-    fine = [name for name, about in row["agents"].items() if named.items() <= about.items()]
-    for name in fine:
-        if _takes(name, num_drones):
+    for name, about in agents.items():
+        if named.items() <= about.items() and _takes(name, num_drones):
             return name
     said = " and ".join(f"{name}={value}" for name, value in named.items())
-    others = ", ".join(row["agents"]) or "none"
     raise ValueError(
         f"no shipped agent with {said or 'any property'} flies {task!r} with {num_drones} drones; "
-        f"others that do: {others}"
+        f"others that do: {', '.join(agents) or 'none'}"
     )
 
 
-def _of_task(task: str, layout: str | None) -> list[Row]:
+def _agents_for(task: str, layout: str | None, num_drones: int) -> Mapping[str, Mapping[str, Any]]:
+    """The agents of the row of as many drones, else of the next larger number, or the largest."""
     family = task_family(task)
     rows = [row for row in _rows() if row["task"] == family]
     if not rows:
         known = ", ".join(dict.fromkeys(row["task"] for row in _rows()))
         raise ValueError(f"the benchmark has no task {task!r}; it has {known}")
-    found = [row for row in rows if row["layout"] == layout]
-    return found or [row for row in rows if row["layout"] == rows[0]["layout"]]
-
-
-def _row_for(rows: list[Row], num_drones: int) -> Row:
-    """The row of as many drones, else of the next larger number, else of the largest."""
-    enough = [row for row in rows if row["drones"] >= num_drones]
-    drones = min(row["drones"] for row in enough) if enough else max(r["drones"] for r in rows)
-    return next(row for row in rows if row["drones"] == drones)
+    like = layout if layout in {row["layout"] for row in rows} else rows[0]["layout"]
+    rows = sorted((row for row in rows if row["layout"] == like), key=lambda row: row["drones"])
+    agents: Mapping[str, Any] = next(
+        (row for row in rows if row["drones"] >= num_drones), rows[-1]
+    )["agents"]
+    return agents
 
 
 def _takes(name: str, num_drones: int) -> bool:

@@ -21,7 +21,7 @@ from swarm_envs.agents.recommendation import FILE
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.files import written_whole
 from swarm_envs.training.scoreboard.board import Board, read
-from swarm_envs.training.scoreboard.tasks import TASKS, ScoredTask
+from swarm_envs.training.scoreboard.tasks import TASKS
 
 LEAST_SUCCESS = 0.5
 """Who succeeds less often is recommended to nobody."""
@@ -31,7 +31,7 @@ _ELSEWHERE = {"world", "randomization", "team", "physics", "interactions", "obst
 
 def recommendations(board: Board) -> list[dict[str, Any]]:
     """For each plain task of a benchmark, the shipped agents that succeed, the best first."""
-    plain = [task for task in map(_scored, board.tasks) if task is not None]
+    known = [TASKS[task.id] for task in board.tasks if task.id in TASKS]
     return [
         {
             "task": task_family(task.environment),
@@ -39,48 +39,33 @@ def recommendations(board: Board) -> list[dict[str, Any]]:
             "drones": task.drones,
             "agents": _agents(board, task.id),
         }
-        for task in plain
+        for task in known
+        if task.certificate and not _ELSEWHERE & set(task.options)
     ]
-
-
-def _scored(task: Any) -> ScoredTask | None:
-    """The row of the table, if it is a plain task of version 2."""
-    found = TASKS.get(task.id)
-    plain = found is not None and found.certificate and not _ELSEWHERE & set(found.options)
-    return found if plain else None
 
 
 def _agents(board: Board, task: str) -> dict[str, dict[str, Any]]:
     """What is said of each shipped agent that succeeds, by its name, the best first."""
     found = {}
     for name, about in board.agents.items():
-        cell = board.pairs.get((task, name))
-        if name.removesuffix(FILTER) not in SHIPPED or cell is None or cell["status"] != "flown":
+        cell = board.pairs.get((task, name), {"status": "unsupported"})
+        if name.removesuffix(FILTER) not in SHIPPED or cell["status"] != "flown" or cell["reason"]:
             continue
-        success, score = (cell["values"][key]["value"] for key in ("success_rate", "score"))
-        if success >= LEAST_SUCCESS and not cell["reason"]:
+        values = {key: cell["values"][key]["value"] for key in ("success_rate", "score")}
+        agent = load(name)
+        inner = agent.agent if isinstance(agent, SafetyFilter) else agent
+        if values["success_rate"] >= LEAST_SUCCESS:
             found[name] = {
-                "success": round(success, 4),
-                "score": round(score, 4),
-                "learned": _is_learned(name),
+                "success": round(values["success_rate"], 4),
+                "score": round(values["score"], 4),
+                "learned": isinstance(inner, PolicyAgent),
                 "privileged": about["privileged"],
             }
     best = sorted(found, key=lambda name: (-found[name]["success"], -found[name]["score"]))
     return {name: found[name] for name in best}
 
 
-def _is_learned(name: str) -> bool:
-    agent = load(name)
-    return isinstance(agent.agent if isinstance(agent, SafetyFilter) else agent, PolicyAgent)
-
-
-def write_recommendations(board: Board, path: Path) -> None:
-    """Write them, a line a task."""
-    lines = ",\n".join(json.dumps(row) for row in recommendations(board))
-    with written_whole(path) as partial:
-        partial.write_text(f'{{"tasks": [\n{lines}\n]}}\n', encoding="utf-8")
-
-
 if __name__ == "__main__":
-    (folder,) = sys.argv[1:]
-    write_recommendations(read(Path(folder)), Path(swarm_envs.agents.__file__).parent / FILE)
+    lines = ",\n".join(json.dumps(row) for row in recommendations(read(Path(sys.argv[1]))))
+    with written_whole(Path(swarm_envs.agents.__file__).parent / FILE) as partial:
+        partial.write_text(f'{{"tasks": [\n{lines}\n]}}\n', encoding="utf-8")

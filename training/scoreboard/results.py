@@ -111,30 +111,21 @@ def _rows(results: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _inside(cell: Mapping[str, Any]) -> Iterator[str]:
     """Where a cell contradicts itself, the tables, or what can be reached at all."""
     task, rows = TASKS[cell["task"]], _rows(cell["results"])
+    shapes = task.score == "shapes"  # where an episode may score without success
     wanted = episodes_of(cell["agent"], task)
     if len(rows) < wanted:
         yield f"{len(rows)} episodes, but the benchmark flies {wanted}"
     fastest = fastest_times(task, frozen_seeds(SEED, len(rows))) if task.score == "time" else {}
     for k, (row, best) in enumerate(zip(rows, fastest.values() or [None] * len(rows), strict=True)):
-        if not 0.0 <= row["score"] <= 1.0 or (row["score"] > 0.0) > row["success"] + _shapes(task):
+        if not 0.0 <= row["score"] <= 1.0 or (row["score"] > 0.0) > (row["success"] or shapes):
             yield f"episode {k} cannot score {row['score']}"
         timed = best is not None and row["success"]
         told = best / max(best, row["makespan_s"] or 0.0) if timed else row["score"]
         if abs(row["score"] - told) > _CLOSE:
             yield f"episode {k} scores {row['score']}, but its time gives {told}"
-    for name in ("success_rate", "score"):
-        if not _same(_summary(rows, name), cell["values"][name]):
-            yield f"its {name} does not follow from its episodes"
-
-
-def _shapes(task: Any) -> bool:
-    """Whether an episode may score without success."""
-    return bool(task.score == "shapes")
-
-
-def _summary(rows: Sequence[Mapping[str, Any]], name: str) -> Any:
-    metric = next(metric for metric in METRICS if metric.name == name)
-    return value_of_metric(metric, list(map(dict, rows)), [])
+    for metric in METRICS[:2]:  # success and score
+        if not _same(value_of_metric(metric, rows, []), cell["values"][metric.name]):
+            yield f"its {metric.name} does not follow from its episodes"
 
 
 def _flown_again(

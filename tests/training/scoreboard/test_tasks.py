@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import pytest
 
-from swarm_envs.agents.evaluation import frozen_seeds
+from swarm_envs.agents import load
+from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.physics import bullet_available
 from swarm_envs.training.scoreboard import tasks
@@ -126,6 +127,18 @@ def test_every_task_of_version_2_has_a_certificate():
         name, _, clock_s = task.certificate.partition("@")
         assert (name in SHIPPED) == task.id.endswith("-v2")
         assert not clock_s or float(clock_s) > task.clock_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in TASKS if name.endswith("-v2")])
+def test_the_certificate_solves_its_task(name):
+    task = TASKS[name]
+    agent_name, _, clock_s = task.certificate.partition("@")
+    agent, longer = load(agent_name), {"horizon_s": float(clock_s)} if clock_s else {}
+    env = make_scored(task.environment, {**task.setting, **longer, **agent.requires})
+    flown = [*evaluate_agent(env, agent, frozen_seeds(SEED, 20), timed=1)]
+    env.close()
+    assert sum(each["metrics"]["success"] for each in flown) >= 0.95 * len(flown)
 
 
 def test_every_agent_that_ships_is_in_the_roster():
