@@ -24,6 +24,9 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "hover": "swarm_envs.agents.scripted:HoverAgent",
         "random": "swarm_envs.agents.scripted:RandomAgent",
         "straight-line": "swarm_envs.agents.scripted:StraightLineAgent",
+        "fast-line": "swarm_envs.agents.avoiding:fast_line",
+        "orca": "swarm_envs.agents.avoiding:orca",
+        "roundabout": "swarm_envs.agents.avoiding:roundabout",
         "tracking": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent",
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
@@ -80,7 +83,10 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
         inner = name.removesuffix(FILTER)
         if inner.endswith(FILTER):
             raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
-        return SafetyFilter(load_agent(inner, environment))
+        agent = load_agent(inner, environment)
+        if isinstance(agent, SafetyFilter):
+            raise ValueError(f"name is {name!r}, but {inner!r} flies behind a filter already")
+        return SafetyFilter(agent)
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
         return _make(name, importlib.import_module(module), path, environment)

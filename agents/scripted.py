@@ -88,6 +88,8 @@ class StraightLineAgent:
         {"action": "acceleration", "observation": "flat", "decision_rate": 48}
     )
     privileged = False
+    straight = True
+    """Whether it flies straight to its goal wherever others are."""
 
     def __init__(self) -> None:
         self._goal = self._velocity = slice(0)

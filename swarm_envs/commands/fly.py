@@ -67,15 +67,17 @@ class FlyOptions(EpisodeOptions):
     A crash in flight is a result, not a failure of the command.
     """
 
-    agent: str = "tracking"
-    """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
+    agent: str | None = None
+    """who flies, by default the best for the task by the benchmark: hover, random, straight-line,
+    fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also
     -compensated), tracking-adaptive, tracking-compensated-adaptive, neural-swarm-planner, swap-ppo,
     swap-ppo-8, formation-ppo, ring-ppo, the folder of a trained policy, or path/to/file.py:Class;
     with +filter at its end behind a safety filter"""
     seed: Seed = 0
     """of the episode and the agent"""
     out: Path | None = None
-    """folder for flight.json, trajectory.parquet, replay.html and flight.mp4, all four"""
+    """folder for flight.json, trajectory.parquet, replay.html and flight.mp4: all four, but for
+    what needs an extra that is not installed"""
     video: Path | None = None
     """write a film, .mp4 or .gif"""
     replay: Path | None = None
@@ -95,13 +97,20 @@ def run_fly(options: FlyOptions) -> None:
         ValueError: the agent failed in flight.
     """
     files = output_files(options, _FILES)
+    for option in [name for name in files if getattr(options, name) is None]:  # of --out
+        try:
+            _check_writers({option: files[option]})
+        except ImportError as error:
+            print(f"leaves out {files.pop(option).name}: {error}")
     _check_writers(files)
     try:
-        agent, env = prepare(options.agent, options, find_task(options.task))
+        task = find_task(options.task)
+        name = options.agent or _best_agent(options, task)
+        agent, env = prepare(name, options, task)
     except (ValueError, TypeError, FileNotFoundError) as error:
         raise Misuse(str(error)) from error
     try:
-        recording = _fly(env, agent, options)
+        recording = _fly(env, agent, name, options)
     finally:
         env.close()
     _print_summary(recording, agent)
@@ -157,7 +166,20 @@ def find_task(name: str) -> str:
     return versions[-1] if versions else check_name("task", name, TASKS)
 
 
-def _fly(env: SwarmParallelEnv, agent: Agent, options: FlyOptions) -> Recording:
+def _best_agent(options: EpisodeOptions, task: str) -> str:
+    """Who flies a task best, as it was asked for.
+
+    Raises:
+        ValueError: the benchmark knows nobody; the message says who flies something near.
+    """
+    from swarm_envs.agents import recommended
+    from swarm_envs.vehicles import parse_team
+
+    drones = options.drones if options.team is None else len(parse_team(options.team))
+    return recommended(task, num_drones=drones, layout=options.layout)
+
+
+def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
     from tqdm import tqdm
 
     from swarm_envs.agents import record_episode
@@ -166,15 +188,26 @@ def _fly(env: SwarmParallelEnv, agent: Agent, options: FlyOptions) -> Recording:
     with tqdm(total=total, desc="flight", unit="decision", mininterval=0.5) as bar:
         try:
             recording = record_episode(
-                env, agent, options.seed, watch=lambda _: bar.update(), name=options.agent
+                env, agent, options.seed, watch=lambda _: bar.update(), name=name
             )
             bar.total = bar.n  # it may have ended before the clock
             return recording
         except Exception as error:
-            if ":" in options.agent:  # whoever wrote the file needs to see where it failed
+            if ":" in name:  # whoever wrote the file needs to see where it failed
                 traceback.print_exc()
             what = f"{type(error).__name__}: {error}"
-            raise ValueError(f"agent {options.agent!r} failed in flight: {what}") from error
+            refused = env.agents and env.view.time == 0.0 and isinstance(error, ValueError)
+            what += _other_agent(options, env.core.task.name, name) if refused else ""
+            raise ValueError(f"agent {name!r} failed in flight: {what}") from error
+
+
+def _other_agent(options: FlyOptions, task: str, name: str) -> str:
+    """A clause that says who flies what an agent refused, if the benchmark knows somebody."""
+    try:
+        best = _best_agent(options, task)
+    except ValueError:
+        return ""
+    return f"; the agent {best!r} flies this" if best != name else ""
 
 
 def _print_summary(recording: Recording, agent: Agent) -> None:

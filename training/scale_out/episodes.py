@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from swarm_envs import make
 from swarm_envs.agents import Agent
 from swarm_envs.agents.evaluation import (
     TIMED,
@@ -34,6 +33,7 @@ from swarm_envs.agents.registry import FILTER, SHIPPED, load_agent
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.files import written_whole
 from swarm_envs.training.scale_out.jobs import Job, WorkerPool
+from swarm_envs.training.scoreboard.tasks import make_scored
 
 __all__ = ["AgentEpisodes", "EvaluationSpec", "evaluate_distributed"]
 
@@ -225,7 +225,7 @@ def _at_hand(key: str) -> tuple[Agent, SwarmParallelEnv]:
         agent, task, setting, files = json.loads(key)
         received = {name: str(receive(file)) for name, file in files.items()}
         made = _load(agent, task)
-        _prepared[key] = made, make(task, **{**setting, **received, **made.requires})
+        _prepared[key] = made, make_scored(task, {**setting, **received, **made.requires})
     return _prepared[key]
 
 

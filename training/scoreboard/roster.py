@@ -49,6 +49,11 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "random": Place("random", "Draws every action evenly: what chance is worth.", 2, 0.0005),
         "straight-line": Place("straight line", "A PD law to the goal, whoever is in the way."),
         "straight-line+filter": Place("straight line + filter", _FILTERED),
+        "fast-line": Place("fast line", "A faster PD law, behind the filter.", 1, 0.0015),
+        "orca": Place("ORCA", "Reciprocal velocity obstacles.", 1, 0.0015),
+        "roundabout": Place(
+            "roundabout", "Where several ways meet: right, slower, on several floors.", 1, 0.0015
+        ),
         "tracking": Place("tracking", "The controller of Neural-Swarm2, uncompensated.", 2),
         "tracking-compensated": Place("tracking, compensated", _COMPENSATED, 2),
         "tracking-adaptive": Place("tracking, adaptive", _ADAPTIVE, 2),
