@@ -261,6 +261,7 @@ SETTINGS = (
     Field("gusty", (), "", None, "Whether there are gusts.", np.bool_),
     Field("bounded", (), "", None, "Whether actions lie in [-1, 1].", np.bool_),
     Field("tracks", (), "", None, "Whether the reference is to be kept to.", np.bool_),
+    Field("exchanges", (), "", None, "Whether drones may take each other's goals.", np.bool_),
     Field("end_on_success", (), "", None, "Whether success ends the episode.", np.bool_),
     Field("arena", (2, 3), "m", None, "Corners of the walls."),
     Field("gust_kept", (), "", None, "Share of a gust that is left after a physics step."),

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import kernel, part
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.state import FloatArray
-from swarm_envs.tables import Records, World
+from swarm_envs.tables import Record, Records, World
 from swarm_envs.tasks.base import NEAR_MISS, Success, Task, TrackingSuccess
 from swarm_envs.tasks.motion import REST, stage_at
 from swarm_envs.vehicles import GRAM_FORCE
@@ -31,10 +31,36 @@ def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]
         radius, hold_s, settle_s = success.radius, success.hold_s, 0.0
     return {
         "tracks": isinstance(success, TrackingSuccess),
+        "exchanges": isinstance(success, Success) and not success.named,
         "success_radius": float(radius),
         "hold_s": float(hold_s),
         "settle_s": float(settle_s),
     }
+
+
+@part
+def is_near(drone: Record, goal: FloatArray, radius: float) -> bool:
+    """Whether a drone is nearer to a goal (3,) than a radius, m."""
+    x, y, z = drone.position[0] - goal[0], drone.position[1] - goal[1], drone.position[2] - goal[2]
+    return x * x + y * y + z * z < radius * radius  # type: ignore[no-any-return]
+
+
+@kernel
+def exchange_goals(drones: Records, goals: FloatArray, radius: float) -> None:
+    """Give drones (N,) that have come to another's goal (N, 3) that goal, and the other theirs.
+
+    Who stands at its own goal, nearer than the radius, m, keeps it.
+    """
+    for i in range(drones.shape[0]):
+        for j in range(drones.shape[0]):
+            own, other = drones[i], drones[j]
+            if is_near(own, own.goal, radius) or is_near(other, other.goal, radius):
+                continue
+            if is_near(own, other.goal, radius):
+                own.arrival = other.arrival = np.inf
+                for k in range(3):
+                    own.goal[k], other.goal[k] = other.goal[k], own.goal[k]
+                    goals[i, k], goals[j, k] = own.goal[k], other.goal[k]
 
 
 @kernel
@@ -61,6 +87,8 @@ def judge(
         if not environment.running:
             continue
         time, crashed, worst, since = environment.time, False, 0.0, 0.0
+        if rules.exchanges:
+            exchange_goals(drones[e], goals[e, environment.stage], rules.success_radius)
         scores = time >= rules.settle_s
         environment.scored += scores
         for i in range(size):
