@@ -46,7 +46,7 @@ class ColumnsOptions(AirOptions):
     """Options of an environment with columns."""
 
     num_drones: NumDrones | None = None  # type: ignore[assignment]  # None: the layout's
-    """N drones, an even number, if no team is given; None: 8 in `stack`, 6 in `sprint`."""
+    """N drones, if no team is given; None: 8 in `stack`, 6 in `sprint`."""
     layout: Annotated[str, OneOf(tuple(COLUMN_LAYOUTS))] = "stack"
     """What has to be done: `stack` or `sprint`."""
     gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] | None = None

@@ -45,7 +45,7 @@ class DeliveryOptions(AirOptions):
     """Options of a delivery environment."""
 
     num_drones: NumDrones = 7
-    """N drones, 3 to 9, if no team is given: three couriers, the others hover."""
+    """N drones, at most 9, if no team is given: three couriers, the others hover."""
 
     @property
     def vehicles(self) -> Team:

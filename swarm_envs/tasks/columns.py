@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, POSITIVE_S, Interval, typed
-from swarm_envs.state import FloatArray
+from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.base import Placement, Success, Task
 from swarm_envs.tasks.motion import LINES, Motion
 from swarm_envs.tasks.obstacles import Obstacle
@@ -30,7 +30,7 @@ from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_t
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["COLUMN_LAYOUTS", "ColumnsTask", "column_team"]
+__all__ = ["COLUMN_LAYOUTS", "ColumnsTask", "column_team", "in_columns"]
 
 COLUMN_LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
@@ -59,9 +59,13 @@ def column_team(layout: str, num_drones: int | None) -> Team:
     """
     if layout == "stack":
         return parse_team("S" * (num_drones or 8))
-    half = (num_drones or 6) // 2
-    column = "L" + "S*" * (half - 1)
-    return parse_team(column + column + "S*" * ((num_drones or 6) % 2))
+    sizes = map(len, in_columns(num_drones or 6))
+    return parse_team("".join("L" + "S*" * (size - 1) for size in sizes if size))
+
+
+def in_columns(num_drones: int) -> list[IntArray]:
+    """Indices of the drones of the first and of the second column."""
+    return np.array_split(np.arange(num_drones), 2)
 
 
 @typed
@@ -70,7 +74,7 @@ class ColumnsTask(Task):
     """Gather in two columns. The defaults are those of `stack`; see the module."""
 
     team: Team
-    """The drones, an even number; the first half of them start at the first column."""
+    """The drones; the first half of them, rounded up, start at the first column."""
     gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.36, 0.42)
     """Range of the vertical distance between places, m."""
     payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] = (0.008, 0.012)
@@ -99,20 +103,16 @@ class ColumnsTask(Task):
     def __post_init__(self) -> None:
         """Refuse teams and gaps of which no columns can be made."""
         check_reward_weights(self.reward_weights, self.reward_names)
-        n, widest = len(self.team), max(vehicle.radius for vehicle in self.team)
-        if n % 2:
-            raise ValueError(
-                f"columns have {n} drones, but two columns of the same height need an even number"
-            )
+        size, widest = len(in_columns(len(self.team))[0]), max(v.radius for v in self.team)
         if self.gap_m[0] <= 2.0 * widest:
             raise ValueError(
                 f"gap_m begins at {self.gap_m[0]} m, but these drones touch at {2 * widest:.3f} m; "
                 "use a larger gap"
             )
-        top, ceiling = self.lowest_m + self.gap_m[1] * (n // 2 - 1), self.arena[1, 2] - widest
+        top, ceiling = self.lowest_m + self.gap_m[1] * (size - 1), self.arena[1, 2] - widest
         if top > ceiling:
             raise ValueError(
-                f"columns of {n // 2} drones from {self.lowest_m} m with gaps of up to "
+                f"columns of {size} drones from {self.lowest_m} m with gaps of up to "
                 f"{self.gap_m[1]} m reach {top:.2f} m, but must stay below {ceiling:.2f} m; use "
                 "fewer drones or a smaller gap_m"
             )
@@ -135,19 +135,19 @@ class ColumnsTask(Task):
         """
         if goal is not None:
             raise ValueError("a goal is given, but in columns goals are places; give a start")
-        half, team = len(self.team) // 2, list(self.team)
+        n, team = len(self.team), list(self.team)
         gap, turn = rng.uniform(*self.gap_m), rng.uniform(0.0, 2 * np.pi)
         payload = rng.uniform(*self.payload_kg)
-        goals, beside = np.empty((2, half, 3)), np.zeros((2, half, 3))
-        for c in range(2):
-            side = (c - 0.5) * self.apart_m
-            goals[c, :, :2] = side * np.cos(turn), side * np.sin(turn)
-            goals[c, :, 2] = self.lowest_m + gap * rng.permutation(half)
-            angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * rng.permutation(half) / half
-            beside[c, :, 0] = self.beside_m * np.cos(angle)
-            beside[c, :, 1] = self.beside_m * np.sin(angle)
-            for i in (c * half + rng.permutation(half)[: half // 2]).tolist():
+        places, beside = np.empty((n, 3)), np.zeros((n, 3))
+        for side, column in zip((-0.5, 0.5), in_columns(n), strict=True):
+            size = len(column)
+            places[column, 0] = side * self.apart_m * np.cos(turn)
+            places[column, 1] = side * self.apart_m * np.sin(turn)
+            places[column, 2] = self.lowest_m + gap * rng.permutation(size)
+            angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * rng.permutation(size) / max(size, 1)
+            beside[column, 0] = self.beside_m * np.cos(angle)
+            beside[column, 1] = self.beside_m * np.sin(angle)
+            for i in rng.permutation(column)[: size // 2].tolist():
                 team[i] = replace(team[i], mass=team[i].mass + payload)
-        places = goals.reshape(-1, 3)
-        begin = places + beside.reshape(-1, 3) if start is None else start
+        begin = places + beside if start is None else start
         return Placement(begin, places[None], float(self.travel_s), team=tuple(team))

@@ -45,7 +45,7 @@ class DeliveryTask(Task):
     """Dock below others, again and again. See the module."""
 
     team: Team
-    """Three couriers; then those that hover, two above each dock, at most six."""
+    """Three couriers, or fewer; then those that hover, two above each dock, at most six."""
     radius_m: Annotated[float, POSITIVE_M] = 0.8
     """Radius of the circle of docks, m."""
     height_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.092, 0.102)
@@ -72,10 +72,10 @@ class DeliveryTask(Task):
     def __post_init__(self) -> None:
         """Refuse teams for which there are no docks, and ways that take longer than a stage."""
         check_reward_weights(self.reward_weights, self.reward_names)
-        if not DOCKS <= len(self.team) <= 3 * DOCKS:
+        if len(self.team) > 3 * DOCKS:
             raise ValueError(
-                f"delivery has {len(self.team)} drones, but needs {DOCKS} couriers and at most "
-                f"{2 * DOCKS} drones above docks; use {DOCKS} to {3 * DOCKS} drones"
+                f"delivery has {len(self.team)} drones, but room for {DOCKS} couriers and two "
+                f"drones above each of {DOCKS} docks; use at most {3 * DOCKS}"
             )
         if self.travel_s > self.stage_s:
             raise ValueError(
@@ -116,13 +116,14 @@ class DeliveryTask(Task):
         dock = self.radius_m * round_about + np.array([0.0, 0.0, height])
         covered, first = rng.permutation(DOCKS), rng.permutation(DOCKS)
         turn = 1 if rng.random() < 0.5 else -1
-        begin, goals = np.empty((n, 3)), np.empty((self.stages, n, 3))
-        begin[:DOCKS] = _OUTSIDE * self.radius_m * round_about[first]
-        begin[:DOCKS, 2] = _START_HEIGHT_M
+        begin = np.empty((n, 3))
+        couriers = slice(min(n, DOCKS))
+        begin[couriers] = (_OUTSIDE * self.radius_m * round_about[first])[couriers]
+        begin[couriers, 2] = _START_HEIGHT_M
         for k in range(n - DOCKS):
             begin[DOCKS + k] = dock[covered[k // 2]]
             begin[DOCKS + k, 2] += above + _SECOND_M * (k % 2)
-        goals[:] = begin
+        goals = np.repeat(begin[None], self.stages, axis=0)
         for stage in range(self.stages):
-            goals[stage, :DOCKS] = dock[(first + turn * stage) % DOCKS]
+            goals[stage, couriers] = dock[(first + turn * stage) % DOCKS][couriers]
         return Placement(begin if start is None else start, goals, float(self.travel_s))
