@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "ACTIVE",
     "ADAPTATION_END",
     "BLOCK_TYPE",
     "BODY_END",
@@ -201,7 +202,10 @@ _EPISODE = (
     Field("last_distance", (), "m", 0.0, "The same one decision earlier."),
     Field("tracking_error", (), "m", 0.0, "Distance to the reference."),
     Field("effort", (), "", 0.0, "Mean square of the action; 0 where actions are unbounded."),
-    Field("crashed", (), "", 0.0, "1 if the drone collided, left the arena or tumbled."),
+    Field("crashed", (), "", 0.0, "1 if it collided, left the arena or tumbled in this decision."),
+    Field("active", (), "", 1.0, "1 while the drone flies, 0 once its own episode has ended."),
+    Field("touching", (), "", 0.0, "Sum of the codes of what was touched in this decision."),
+    Field("hurt", (), "", 0.0, "The same of the whole episode; see `swarm_envs.envs.judge`."),
     Field("least_separation", (), "m", np.inf, "Smallest distance to another drone so far."),
     Field("least_clearance", (), "", np.inf, "The same over the sum of radii."),
     Field("least_obstacle_clearance", (), "", np.inf, "The same of obstacles, over the radius."),
@@ -263,6 +267,8 @@ SETTINGS = (
     Field("tracks", (), "", None, "Whether the reference is to be kept to.", np.bool_),
     Field("exchanges", (), "", None, "Whether drones may take each other's goals.", np.bool_),
     Field("end_on_success", (), "", None, "Whether success ends the episode.", np.bool_),
+    Field("ends_team", (), "", None, "Whether contact ends the episode of the team.", np.bool_),
+    Field("bounces", (), "", None, "Whether drones bounce off what they touch.", np.bool_),
     Field("arena", (2, 3), "m", None, "Corners of the walls."),
     Field("gust_kept", (), "", None, "Share of a gust that is left after a physics step."),
     Field("gust_strength", (), "m/s^2", None, "Standard deviation of the gusts."),
@@ -372,6 +378,8 @@ ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
 """Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
 HALL_END = ADAPTATION_END + _columns(_HALL)
 """Columns from `ADAPTATION_END` to this one belong to the world "hall"."""
+ACTIVE = int(dict(DRONE_TYPE.fields or ())["active"][1]) // 8
+"""Column that says whether a drone still flies."""
 
 
 LINE = 64

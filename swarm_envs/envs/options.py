@@ -15,7 +15,7 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
 from swarm_envs.arguments import OneOf, Option, Range, options_of
-from swarm_envs.envs.config import MOST_OBSERVED, WORLDS, EnvConfig
+from swarm_envs.envs.config import MOST_OBSERVED, ON_CONTACT, WORLDS, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_name
 from swarm_envs.hall import Hall
@@ -93,6 +93,8 @@ class AirOptions(TaskOptions):
     observe_load: bool = True
     """Whether a drone observes what thrust it and its neighbours have to spare, their mass and
     their charge."""
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    """What touching something does: see `EnvConfig`."""
     world: Annotated[str, OneOf(WORLDS)] | Hall = "hall"
     """As in a hall with motion capture; or `ideal`, or a `swarm_envs.hall.Hall`."""
 
