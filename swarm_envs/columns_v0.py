@@ -22,8 +22,9 @@ other drone has. All places are seen as the goals of the neighbours. `sprint`: e
 
 **Rewards** (per drone, weights in `ColumnsTask.reward_weights`): as in swap.
 
-**End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or success;
-truncated by the clock, after 6 s in `stack` and 1.95 s in `sprint`.
+**End.** Who touches a drone, the floor, a wall or an obstacle, or tumbles (150 rad/s), has ended,
+and the others fly on: see `on_contact`. Terminated when nobody is left, or at success; truncated by
+the clock, after 6 s in `stack` and 1.95 s in `sprint`.
 
 **Versions.** v0: the first.
 """

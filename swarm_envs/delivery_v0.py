@@ -22,8 +22,9 @@ next begins, after 2.2 s; success when all three were, without a collision.
 **Rewards** (per drone, weights in `DeliveryTask.reward_weights`): as in swap; `success` is one over
 the number of stages, for each that is reached.
 
-**End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or success;
-truncated by the clock, after 6.6 s.
+**End.** Who touches a drone, the floor, a wall or an obstacle, or tumbles (150 rad/s), has ended,
+and the others fly on: see `on_contact`. Terminated when nobody is left, or at success; truncated by
+the clock, after 6.6 s.
 
 **Versions.** v0: the first.
 """

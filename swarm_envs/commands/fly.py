@@ -35,25 +35,32 @@ class EpisodeOptions:
     """what is flown: `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task, such as `random` or `stacked`; its default if not given"""
-    drones: Count = 4
-    """number of small drones, if no team is given"""
+    drones: Count | None = None
+    """number of drones, if no team is given; if not given either, 4 in swap, ring and formation,
+    and the task's own in others"""
     team: str | None = None
     """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     physics: str | None = None
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    world: Literal["ideal", "hall"] = "ideal"
-    """`ideal`, or `hall`: with force that no model knows, and an estimated state"""
+    world: Literal["ideal", "hall"] | None = None
+    """`ideal`, or `hall`: with force that no model knows, and an estimated state; the task's if not
+    given"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
-        team = {"num_drones": self.drones} if self.team is None else {"team": self.team}
+        from swarm_envs import task_family
+
+        drones = self.drones
+        if drones is None and task_family(self.task) in ("swap", "ring", "formation"):
+            drones = 4
+        team = {"num_drones": drones} if self.team is None else {"team": self.team}
         names = ("layout", "physics", "interactions", "world", "force_rate", "horizon_s")
         given = {name: getattr(self, name, None) for name in names}
-        return {**team, **{name: value for name, value in given.items() if value is not None}}
+        return {name: v for name, v in {**team, **given}.items() if v is not None}
 
 
 @command_options
@@ -66,7 +73,8 @@ class FlyOptions(EpisodeOptions):
 
     agent: str = "tracking"
     """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
-    -compensated), tracking-adaptive, tracking-compensated-adaptive, neural-swarm-planner, swap-ppo,
+    -compensated), tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive,
+    air-aware, neural-swarm-planner, swap-ppo,
     swap-ppo-8, formation-ppo, ring-ppo, the folder of a trained policy, or path/to/file.py:Class;
     with +filter at its end behind a safety filter"""
     seed: Seed = 0

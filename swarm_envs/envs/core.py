@@ -321,7 +321,17 @@ class SwarmCore:
         rows = np.zeros((*self.world.drones.shape, observation_width(0)), np.float32)
         drones, environments, _ = self.world
         nobody: IntArray = np.zeros(0, np.int64)
-        given = (self._everywhere, rows, 0, False, None, drones, self.world.columns, drones, environments)
+        given = (
+            self._everywhere,
+            rows,
+            0,
+            False,
+            None,
+            drones,
+            self.world.columns,
+            drones,
+            environments,
+        )
         order, settings, square = self._observed[0][-4], self.settings, np.zeros(0)
         write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
         return rows
