@@ -8,8 +8,8 @@ Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. Drones fly 
 what thrust it and they have to spare.
 
 **Layouts.** `stack`: eight small drones, half of which carry 8 to 12 g, in two columns of four
-places 0.36 to 0.42 m apart. `sprint`: a large and two strong small ones in each column, in a drawn
-order, 0.28 to 0.36 m apart.
+places 0.36 to 0.42 m apart. `sprint`: two large ones and a strong small one in each column, in a
+drawn order, 0.28 to 0.36 m apart.
 
 **Start.** Beside the column, each at the height of its first place: 0.6 m beside in `stack`, 0.5 m
 in `sprint`. Gap, turn, payload, who carries it and who starts where are drawn.
@@ -24,7 +24,7 @@ other drone has. All places are seen as the goals of the neighbours. `sprint`: e
 
 **End.** Who touches a drone, the floor, a wall or an obstacle, or tumbles (150 rad/s), has ended,
 and the others fly on: see `on_contact`. Terminated when nobody is left, or at success; truncated by
-the clock, after 6 s in `stack` and 1.95 s in `sprint`.
+the clock, after 6 s in `stack` and 2 s in `sprint`.
 
 **Versions.** v0: the first.
 """

@@ -27,20 +27,20 @@ TRAVEL_S = 2.5
 
 def air_blind() -> TrackingAgent:
     """Follows the reference with stiff gains and an integrator, and knows of no air."""
-    gains = PositionGains(6.0, 9.0, 3.0)
+    gains = PositionGains(5.0, 7.5, 2.5)
     return TrackingAgent(ControllerConfig(gains, velocity_integral_limit=_INTEGRAL_LIMIT))
 
 
 def air_blind_adaptive() -> TrackingAgent:
-    """The same, but estimates the force in flight, by `Indi`; softer gains suit that better."""
+    """The same, but estimates the force in flight, by `Indi`; a little softer, which suits that better."""
     return TrackingAgent(_controller(knows=False))
 
 
 def _controller(knows: bool) -> ControllerConfig:
     return ControllerConfig(
-        gains=PositionGains(4.0, 6.0, 2.0),
+        gains=PositionGains(4.5, 7.0, 2.0),
         feedforward=load_belief() if knows else None,
-        adaptation=Indi(),
+        adaptation=Indi(3.5),
         velocity_integral_limit=_INTEGRAL_LIMIT,
     )
 

@@ -41,7 +41,7 @@ COLUMN_LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
             "beside_m": 0.5,
             "travel_s": 0.9,
             "success": Success(0.03, 1.0),
-            "episode_s": 1.95,
+            "episode_s": 2.0,
         },
     }
 )
@@ -51,7 +51,7 @@ RAMP = 0.5
 
 
 def column_team(layout: str, num_drones: int | None) -> Team:
-    """The vehicles of a layout: small ones, in `sprint` `L` and then `S*` in each column.
+    """The vehicles of a layout: small ones; in `sprint` one `S*` in each column, the others `L`.
 
     Args:
         layout: `stack` or `sprint`.
@@ -60,7 +60,7 @@ def column_team(layout: str, num_drones: int | None) -> Team:
     if layout == "stack":
         return parse_team("S" * (num_drones or 8))
     sizes = map(len, in_columns(num_drones or 6))
-    return parse_team("".join("L" + "S*" * (size - 1) for size in sizes if size))
+    return parse_team("".join("L" * (size - 1) + "S*" for size in sizes if size))
 
 
 def in_columns(num_drones: int) -> list[IntArray]:
