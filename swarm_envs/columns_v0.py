@@ -7,7 +7,7 @@ Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. Drones fly 
 `"hall"` unless another is asked for, and each observes seven neighbours, and with `observe_load`
 what thrust it and they have to spare.
 
-**Layouts.** `stack`: eight small drones, half of which carry 8 to 12 g, in two columns of four
+**Layouts.** `stack`: eight small drones, half of which carry 8 to 11 g, in two columns of four
 places 0.36 to 0.42 m apart. `sprint`: two large ones and a strong small one in each column, in a
 drawn order, 0.28 to 0.36 m apart.
 

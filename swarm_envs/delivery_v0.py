@@ -10,7 +10,7 @@ what thrust it and they have to spare.
 **Team.** Three couriers, strong small ones; then large ones that hover above docks, two above each.
 By default there are four, above two of three docks.
 
-**Start.** Three docks lie 0.8 m from the centre; docked couriers are 0.092 to 0.102 m high, and
+**Start.** Three docks lie 0.8 m from the centre; docked couriers are 0.093 to 0.103 m high, and
 touch the floor at 0.06 m. The first large one hovers 0.28 to 0.36 m above, the second 0.35 m
 higher.
 Turn, heights, which docks have somebody above and who docks where are drawn. Couriers start

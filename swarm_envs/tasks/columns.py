@@ -77,7 +77,7 @@ class ColumnsTask(Task):
     """The drones; the first half of them, rounded up, start at the first column."""
     gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.36, 0.42)
     """Range of the vertical distance between places, m."""
-    payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] = (0.008, 0.012)
+    payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] = (0.008, 0.011)
     """Range of what half of each column's drones carry, kg; in an episode all of them the same."""
     lowest_m: Annotated[float, POSITIVE_M] = 0.4
     """Height of the lowest places, m."""

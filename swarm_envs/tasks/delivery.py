@@ -48,7 +48,7 @@ class DeliveryTask(Task):
     """Three couriers, or fewer; then those that hover, two above each dock, at most six."""
     radius_m: Annotated[float, POSITIVE_M] = 0.8
     """Radius of the circle of docks, m."""
-    height_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.092, 0.102)
+    height_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.093, 0.103)
     """Range of the height of docked couriers, m: a small one touches the floor at 0.06 m."""
     above_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.28, 0.36)
     """Range of the height of the first drone that hovers above a dock, over the courier, m."""
