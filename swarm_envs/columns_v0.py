@@ -31,11 +31,12 @@ the clock, after 6 s in `stack` and 2 s in `sprint`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, Interval, OneOf, typed_options
-from swarm_envs.envs.options import AirOptions, NumDrones, task_views
+from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
 from swarm_envs.tasks.columns import COLUMN_LAYOUTS, ColumnsTask, column_team
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team
@@ -43,7 +44,7 @@ from swarm_envs.vehicles import Team
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
-class ColumnsOptions(AirOptions):
+class ColumnsOptions(AirTaskOptions):
     """Options of an environment with columns."""
 
     num_drones: NumDrones | None = None  # type: ignore[assignment]  # None: the layout's
@@ -54,6 +55,9 @@ class ColumnsOptions(AirOptions):
     """Range of the vertical distance between places, m; None: the layout's."""
     payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] | None = None
     """Range of what half of each column's drones carry, kg; None: the layout's."""
+
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
+    """Weight of each reward term that is not given."""
 
     @property
     def vehicles(self) -> Team:
@@ -67,7 +71,7 @@ class ColumnsOptions(AirOptions):
         return ColumnsTask(
             team=self.vehicles,
             **{**COLUMN_LAYOUTS[self.layout], **given},
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
+            reward_weights=self.weights,
             obstacles=tuple(self.obstacles),
         )
 

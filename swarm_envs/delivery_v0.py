@@ -32,10 +32,12 @@ the clock, after 6.6 s.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from swarm_envs.arguments import typed_options
-from swarm_envs.envs.options import AirOptions, NumDrones, task_views
+from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
 from swarm_envs.tasks.delivery import DeliveryTask, delivery_team
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team
@@ -43,11 +45,14 @@ from swarm_envs.vehicles import Team
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
-class DeliveryOptions(AirOptions):
+class DeliveryOptions(AirTaskOptions):
     """Options of a delivery environment."""
 
     num_drones: NumDrones = 7
     """N drones, at most 9, if no team is given: three couriers, the others hover."""
+
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
+    """Weight of each reward term that is not given."""
 
     @property
     def vehicles(self) -> Team:
@@ -58,7 +63,7 @@ class DeliveryOptions(AirOptions):
         """Deliveries as these options say."""
         return DeliveryTask(
             team=self.vehicles,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
+            reward_weights=self.weights,
             obstacles=tuple(self.obstacles),
         )
 

@@ -32,7 +32,7 @@ def air_blind() -> TrackingAgent:
 
 
 def air_blind_adaptive() -> TrackingAgent:
-    """The same, but estimates the force in flight, by `Indi`; a little softer, which suits that better."""
+    """The same, but estimates the force in flight, by `Indi`, which suits softer gains."""
     return TrackingAgent(_controller(knows=False))
 
 

@@ -6,12 +6,13 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, command_options, output_files
+from swarm_envs.envs.setting import CrewOptions
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -28,8 +29,8 @@ _FILES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions:
-    """What is flown, and in which air."""
+class EpisodeFields:
+    """What is flown: these come first in the help."""
 
     task: str = "swap"
     """what is flown: `swap`, or with its version, `swap_v1`"""
@@ -38,17 +39,17 @@ class EpisodeOptions:
     drones: Count | None = None
     """number of drones, if no team is given; if not given either, 4 in swap, ring and formation,
     and the task's own in others"""
-    team: str | None = None
-    """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     physics: str | None = None
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    world: Literal["ideal", "hall"] | None = None
-    """`ideal`, or `hall`: with force that no model knows, and an estimated state; the task's if not
-    given"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeOptions(CrewOptions, EpisodeFields):
+    """What is flown, and in which air."""
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
@@ -57,10 +58,11 @@ class EpisodeOptions:
         drones = self.drones
         if drones is None and task_family(self.task) in ("swap", "ring", "formation"):
             drones = 4
-        team = {"num_drones": drones} if self.team is None else {"team": self.team}
-        names = ("layout", "physics", "interactions", "world", "force_rate", "horizon_s")
-        given = {name: getattr(self, name, None) for name in names}
-        return {name: v for name, v in {**team, **given}.items() if v is not None}
+        team = {"num_drones": drones} if self.team is None else {}
+        names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
+        given = {**team, **{name: getattr(self, name, None) for name in names}}
+        given = {name: value for name, value in given.items() if value is not None}
+        return {**given, **self.crew()}
 
 
 @command_options
@@ -114,7 +116,7 @@ def run_fly(options: FlyOptions) -> None:
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
-    """Raise ImportError if plotly, pyarrow or pybullet is missing for a file."""
+    """Raise ImportError if plotly, pyarrow, pybullet or ffmpeg is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
@@ -127,6 +129,10 @@ def _check_writers(files: Mapping[str, Path]) -> None:
         from swarm_envs.physics.bullet import import_bullet
 
         import_bullet()
+        if files["video"].suffix == ".mp4":
+            from swarm_envs.viewing.video import find_ffmpeg
+
+            find_ffmpeg()
 
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:

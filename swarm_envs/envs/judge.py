@@ -41,28 +41,29 @@ def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]
 
 
 @part
-def is_near(drone: Record, goal: FloatArray, radius: float) -> bool:
-    """Whether a drone is nearer to a goal (3,) than a radius, m."""
+def distance_to(drone: Record, goal: FloatArray) -> float:
+    """Distance of a drone to a goal (3,), m."""
     x, y, z = drone.position[0] - goal[0], drone.position[1] - goal[1], drone.position[2] - goal[2]
-    return x * x + y * y + z * z < radius * radius  # type: ignore[no-any-return]
+    return math.sqrt(x * x + y * y + z * z)
 
 
 @kernel
 def exchange_goals(drones: Records, goals: FloatArray, radius: float) -> None:
     """Give drones (N,) that have come to another's goal (N, 3) that goal, and the other theirs.
 
-    Who stands at its own goal, nearer than the radius, m, keeps it.
+    Who stands at its own goal, nearer than the radius, m, keeps it. To exchange is no progress.
     """
     for i in range(drones.shape[0]):
         for j in range(drones.shape[0]):
             own, other = drones[i], drones[j]
-            comes = own.active > 0.0 and not is_near(own, own.goal, radius)
-            keeps = other.active > 0.0 and is_near(other, other.goal, radius)
-            if comes and not keeps and is_near(own, other.goal, radius):
-                own.arrival = other.arrival = np.inf
+            comes = own.active > 0.0 and distance_to(own, own.goal) >= radius
+            keeps = other.active > 0.0 and distance_to(other, other.goal) < radius
+            if comes and not keeps and distance_to(own, other.goal) < radius:
                 for k in range(3):
                     own.goal[k], other.goal[k] = other.goal[k], own.goal[k]
                     goals[i, k], goals[j, k] = own.goal[k], other.goal[k]
+                for d in (own, other):
+                    d.distance, d.arrival = distance_to(d, d.goal), np.inf
 
 
 @part

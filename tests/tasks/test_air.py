@@ -187,7 +187,8 @@ def test_a_drone_that_stands_at_its_goal_keeps_it():
     core.reset([0])
     goals = core.world.drones["goal"][0].copy()
     core.world.drones["position"][0] = goals[[0, 0, 3, 2]]  # the second stands in the first's
-    core.step(np.zeros((1, 4, 3)))
+    terms = core.step(np.zeros((1, 4, 3))).reward_terms
+    assert terms[0, 0, 2:].tolist() == [0.0, 0.0]  # an exchange is no progress
     np.testing.assert_array_equal(core.world.drones["goal"][0], goals[[0, 1, 3, 2]])
     np.testing.assert_array_equal(core.world.goals[0, 0], goals[[0, 1, 3, 2]])
 

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import tyro
 
 from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, typed
+from swarm_envs.envs.setting import AirOptions
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
@@ -50,14 +52,9 @@ class SacConfig:
     reward is, drones are paid for trembling"""
 
 
-@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
-class RlConfig:
-    """Train one policy for all drones by reinforcement learning.
-
-    Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
-    with the policy that an uninterrupted run would have. A finished run is not overwritten.
-    """
+class RunOptions:
+    """What is trained, and where it is kept: these come first in the help."""
 
     out: Path
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
@@ -82,6 +79,16 @@ class RlConfig:
     """of first weights, episodes and exploration; the same seed gives the same policy"""
     json: Path | None = None
     """write the report to this file too"""
+
+
+@partial(typed, owner="--")
+@dataclass(frozen=True, kw_only=True)
+class RlConfig(AirOptions, RunOptions):
+    """Train one policy for all drones by reinforcement learning.
+
+    Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
+    with the policy that an uninterrupted run would have. A finished run is not overwritten.
+    """
 
     environments: Count = 128
     """teams that fly at once, of all sizes together"""
@@ -137,7 +144,7 @@ class RlConfig:
     """decisions per second, in training and in flight"""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """evaluations of the air's force per second in training"""
-    num_neighbors: Count = 3
+    num_neighbors: Annotated[Count, tyro.conf.arg(aliases=["--neighbors"])] = 3
     """K, how many neighbours a drone observes"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
