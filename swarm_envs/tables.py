@@ -267,6 +267,7 @@ SETTINGS = (
     Field("gusty", (), "", None, "Whether there are gusts.", np.bool_),
     Field("bounded", (), "", None, "Whether actions lie in [-1, 1].", np.bool_),
     Field("tracks", (), "", None, "Whether the reference is to be kept to.", np.bool_),
+    Field("exchanges", (), "", None, "Whether drones may take each other's goals.", np.bool_),
     Field("end_on_success", (), "", None, "Whether success ends the episode.", np.bool_),
     Field("ends_team", (), "", None, "Whether contact ends the episode of the team.", np.bool_),
     Field("bounces", (), "", None, "Whether drones bounce off what they touch.", np.bool_),

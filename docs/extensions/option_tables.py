@@ -18,7 +18,9 @@ import tyro
 from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
+from swarm_envs.columns_v0 import ColumnsOptions
 from swarm_envs.commands.export import KINDS
+from swarm_envs.delivery_v0 import DeliveryOptions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.formation_v1 import FormationOptions
 from swarm_envs.hall import Hall
@@ -30,7 +32,10 @@ MARK = "<!-- commands -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     settings.__name__: settings
-    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions, Hall)
+    for settings in (
+        *(EnvConfig, SwapOptions, RingOptions, FormationOptions, ColumnsOptions, DeliveryOptions),
+        Hall,
+    )
 }
 """The settings whose options a page may ask for."""
 

@@ -36,8 +36,9 @@ class EpisodeFields:
     """what is flown: `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task, such as `random` or `stacked`; its default if not given"""
-    drones: Count = 4
-    """number of small drones, if no team is given"""
+    drones: Count | None = None
+    """number of drones, if no team is given; if not given either, 4 in swap, ring and formation,
+    and the task's own in others"""
     physics: str | None = None
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
@@ -52,11 +53,16 @@ class EpisodeOptions(CrewOptions, EpisodeFields):
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
-        team = {"num_drones": self.drones} if self.team is None else {}
+        from swarm_envs import task_family
+
+        drones = self.drones
+        if drones is None and task_family(self.task) in ("swap", "ring", "formation"):
+            drones = 4
+        team = {"num_drones": drones} if self.team is None else {}
         names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
-        given = {name: getattr(self, name, None) for name in names}
+        given = {**team, **{name: getattr(self, name, None) for name in names}}
         given = {name: value for name, value in given.items() if value is not None}
-        return {**team, **given, **self.crew()}
+        return {**given, **self.crew()}
 
 
 @command_options
@@ -70,7 +76,8 @@ class FlyOptions(EpisodeOptions):
     agent: str | None = None
     """who flies, by default the best for the task by the benchmark: hover, random, straight-line,
     fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also
-    -compensated), tracking-adaptive, tracking-compensated-adaptive, neural-swarm-planner, swap-ppo,
+    -compensated), tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive,
+    air-aware, neural-swarm-planner, swap-ppo,
     swap-ppo-8, formation-ppo, ring-ppo, the folder of a trained policy, or path/to/file.py:Class;
     with +filter at its end behind a safety filter"""
     seed: Seed = 0

@@ -89,6 +89,12 @@ class EnvConfig:
     num_obstacles: Annotated[int, Range(0, MOST_OBSERVED)] | None = None
     """M, how many obstacles a drone observes, nearest first; None: 3 where the task has any, and
     else 0."""
+    observe_load: bool = False
+    """Whether a drone observes what thrust it and its neighbours have to spare, their mass and
+    their charge."""
+    observe_force: str | Path | InteractionModel | None = None
+    """A force model whose prediction for itself each drone observes, such as
+    `swarm_envs.baselines.neural_swarm.load_belief()`; None for no such fields."""
     horizon_s: Annotated[float, POSITIVE_S] | None = None
     """The clock: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True

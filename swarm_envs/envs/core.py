@@ -28,7 +28,8 @@ from swarm_envs.envs.observation import (
 )
 from swarm_envs.envs.randomization import draw_vehicles
 from swarm_envs.errors import check_integer
-from swarm_envs.interactions import load
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.forces import all_forces
 from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -131,17 +132,24 @@ class SwarmCore:
         self._shape = (num_envs, self.num_drones, self.mode.width)
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._state = (*self.world, self.settings)
+        self._force_model: InteractionModel | None = None
+        self._predicted: FloatArray | None = None
+        if config.observe_force is not None:
+            self._force_model = load(config.observe_force).with_precision(config.precision)
+            self._force_types = np.tile(self._force_model.type_indices(task.team), (num_envs, 1))
+            self._predicted = np.zeros((num_envs, self.num_drones, 3))
         self._observed = self._what_is_observed()
 
     def _what_is_observed(self) -> list[tuple[Any, ...]]:
         """What `write_observations` takes on each thread: all of it stays."""
         k, (drones, environments, _) = self.config.num_neighbors, self.world
-        width = observation_width(k, self.num_obstacles)
+        width = observation_width(*self.form[1:])
         self.rows: Float32Array = np.zeros((*drones.shape, width), np.float32)
         seen = (self._seen, as_columns(self._seen), drones, environments, self.settings)
         order = self.physics.order if self.num_drones > FEW else None
         obstacles = self.physics.obstacles if self.num_obstacles else None
-        given = (self.rows, self.num_obstacles, *seen, order, obstacles)
+        load = bool(self.config.observe_load)
+        given = (self.rows, self.num_obstacles, load, self._predicted, *seen, order, obstacles)
         threads = range(self.physics.workers.threads)
         return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
 
@@ -188,9 +196,10 @@ class SwarmCore:
         )
 
     @property
-    def form(self) -> tuple[str, int, int]:
-        """Form of observations, K neighbours, M obstacles: what their shape follows from."""
-        return self.config.observation, self.config.num_neighbors, self.num_obstacles
+    def form(self) -> tuple[str, int, int, bool, bool]:
+        """What the shape of observations follows from: form, K, M, and whether load and force."""
+        config, extra = self.config, (bool(self.config.observe_load), self._predicted is not None)
+        return config.observation, config.num_neighbors, self.num_obstacles, *extra
 
     @property
     def time(self) -> FloatArray:
@@ -233,7 +242,8 @@ class SwarmCore:
         team, given = check_reset_options(options, self.num_drones)
         task, (begun,) = self._task_for(team), where.nonzero()
         for e, placement in self._draw(task, begun.tolist(), seeds, given).items():
-            self._fly_task(e, task)
+            drawn = placement.team
+            self._fly_task(e, task if drawn is None else task.with_team(drawn))
             place(self.world, e, placement)
         if self.ranges is not None:
             for e in begun.tolist():
@@ -311,7 +321,17 @@ class SwarmCore:
         rows = np.zeros((*self.world.drones.shape, observation_width(0)), np.float32)
         drones, environments, _ = self.world
         nobody: IntArray = np.zeros(0, np.int64)
-        given = (self._everywhere, rows, 0, drones, self.world.columns, drones, environments)
+        given = (
+            self._everywhere,
+            rows,
+            0,
+            False,
+            None,
+            drones,
+            self.world.columns,
+            drones,
+            environments,
+        )
         order, settings, square = self._observed[0][-4], self.settings, np.zeros(0)
         write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
         return rows
@@ -323,6 +343,11 @@ class SwarmCore:
         if self._noisy:
             drones, environments, _ = self.world
             sense(first, last, drones, environments, self.settings, where, self._seen)
+        if self._force_model is not None:
+            here, seen = slice(first, last), self._seen[first:last]
+            motion = (seen["position"].copy(), seen["velocity"].copy())
+            types, out = self._force_types[here], self._predicted[here]
+            all_forces(self._force_model.packed, types, *motion, out)
         self._kernels.observe(first, last, where, *self._observed[thread])
 
     def _task_for(self, team: Team | None) -> Task:
@@ -344,6 +369,8 @@ class SwarmCore:
         """Let environment `e` fly a task of `_task_for`, with its team, from the next reset on."""
         if self.tasks[e].team != task.team:
             self.physics.set_team(e, task.team)
+            if self._force_model is not None:
+                self._force_types[e] = self._force_model.type_indices(task.team)
         self.tasks[e] = task
 
     def _draw(

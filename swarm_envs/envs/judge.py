@@ -33,10 +33,37 @@ def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]
         radius, hold_s, settle_s = success.radius, success.hold_s, 0.0
     return {
         "tracks": isinstance(success, TrackingSuccess),
+        "exchanges": isinstance(success, Success) and not success.named,
         "success_radius": float(radius),
         "hold_s": float(hold_s),
         "settle_s": float(settle_s),
     }
+
+
+@part
+def distance_to(drone: Record, goal: FloatArray) -> float:
+    """Distance of a drone to a goal (3,), m."""
+    x, y, z = drone.position[0] - goal[0], drone.position[1] - goal[1], drone.position[2] - goal[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def exchange_goals(drones: Records, goals: FloatArray, radius: float) -> None:
+    """Give drones (N,) that have come to another's goal (N, 3) that goal, and the other theirs.
+
+    Who stands at its own goal, nearer than the radius, m, keeps it. To exchange is no progress.
+    """
+    for i in range(drones.shape[0]):
+        for j in range(drones.shape[0]):
+            own, other = drones[i], drones[j]
+            comes = own.active > 0.0 and distance_to(own, own.goal) >= radius
+            keeps = other.active > 0.0 and distance_to(other, other.goal) < radius
+            if comes and not keeps and distance_to(own, other.goal) < radius:
+                for k in range(3):
+                    own.goal[k], other.goal[k] = other.goal[k], own.goal[k]
+                    goals[i, k], goals[j, k] = own.goal[k], other.goal[k]
+                for d in (own, other):
+                    d.distance, d.arrival = distance_to(d, d.goal), np.inf
 
 
 @part
@@ -85,6 +112,8 @@ def judge(  # noqa: C901  # one decision, on one screen
         if not environment.running:
             continue
         time, worst, since, left, unhurt = environment.time, 0.0, 0.0, 0, True
+        if rules.exchanges:
+            exchange_goals(drones[e], goals[e, environment.stage], rules.success_radius)
         scores = time >= rules.settle_s
         environment.scored += scores
         for i in range(size):

@@ -15,14 +15,15 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
 from swarm_envs.arguments import OneOf, Option, Range, options_of
-from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.config import MOST_OBSERVED, ON_CONTACT, WORLDS, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_name
+from swarm_envs.hall import Hall
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
-__all__ = ["Blueprint", "NumDrones", "TaskOptions", "batch_of", "task_views"]
+__all__ = ["AirTaskOptions", "Blueprint", "NumDrones", "TaskOptions", "batch_of", "task_views"]
 
 P = ParamSpec("P")
 
@@ -95,6 +96,21 @@ class TaskOptions(EnvConfig, ABC):
             given["interactions"] = self.learned
         config = EnvConfig(**given)
         return Blueprint(self.make_task(), config, self.render_mode)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AirTaskOptions(TaskOptions):
+    """Options of a task in which the air decides: those of every task, with other defaults."""
+
+    num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 7
+    """K, how many neighbours a drone observes."""
+    observe_load: bool = True
+    """Whether a drone observes what thrust it and its neighbours have to spare, their mass and
+    their charge."""
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    """What touching something does: see `EnvConfig`."""
+    world: Annotated[str, OneOf(WORLDS)] | Hall = "hall"
+    """As in a hall with motion capture; or `ideal`, or a `swarm_envs.hall.Hall`."""
 
 
 class TaskViews(NamedTuple, Generic[P]):

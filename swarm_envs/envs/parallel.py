@@ -82,7 +82,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     @property
     def observation_layout(self) -> tuple[ObservationField, ...]:
         """Name, place, unit and scale of each field of an observation."""
-        return observation_layout(self.core.config.num_neighbors, self.core.num_obstacles)
+        return observation_layout(*self.core.form[1:])
 
     @property
     def view(self) -> View:

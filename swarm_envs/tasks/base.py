@@ -59,6 +59,8 @@ class Placement(NamedTuple):
     """Seconds that the reference takes from one stage to the next; 0 if it rests at the goals."""
     orbit: Orbit | None = None
     """What the reference circles on, if it does."""
+    team: Team | None = None
+    """The vehicles of this episode, where the task draws payloads; None for the task's."""
 
 
 def place(world: World, e: int, placement: Placement) -> None:
@@ -98,6 +100,9 @@ class Success:
     """How near a drone must be to its goal, m."""
     hold_s: Annotated[float, NOT_NEGATIVE] = 0.5
     """For how long all must stay there, s, as seen at decisions."""
+    named: bool = True
+    """Whether each drone has a goal of its own. If not, a drone that comes to another's goal
+    exchanges goals with it, unless either stands at its own: any may take any."""
 
 
 @typed
