@@ -19,6 +19,7 @@ from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.commands.export import KINDS
+from swarm_envs.crowd_v0 import CrowdOptions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.formation_v1 import FormationOptions
 from swarm_envs.hall import Hall
@@ -30,7 +31,7 @@ MARK = "<!-- commands -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     settings.__name__: settings
-    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions, Hall)
+    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions, CrowdOptions, Hall)
 }
 """The settings whose options a page may ask for."""
 

@@ -29,6 +29,8 @@ EACH: list[tuple[str, dict[str, Any]]] = [
     ("ring_v0", {}),
     ("formation_v0", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
     ("formation_v0", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
+    ("crowd_v0", {"num_drones": 4}),
+    ("crowd_v0", {"num_drones": 3, "layout": "buildings"}),
 ]
 every_layout = pytest.mark.parametrize(("task", "options"), EACH)
 
@@ -46,7 +48,7 @@ def test_the_module(task):
     module = importlib.import_module(f"swarm_envs.{task}")
     env = make(task)
     assert env.metadata["name"] == env.core.task.name == task
-    assert set(env.core.task.reward_weights) == set(REWARD_NAMES)
+    assert set(env.core.task.reward_weights) == set(env.core.task.reward_names)
     assert env.core.task.write_reference is WRITERS[env.core.task.motion.kind]
     newest = importlib.import_module(f"swarm_envs.{find_task(task_family(task))}")
     for word in ("**Start.**", "**Success.**", "**Rewards**", "**End.**", "**Versions.**"):
@@ -104,19 +106,21 @@ def test_rewards_are_weighted_sums_of_bounded_terms(task, options):
     assert (weights["progress"], weights["effort"]) == (0.3, -0.2)
     for seed in range(4):
         env.reset(seed=seed)
-        sums: dict[str, float] = dict.fromkeys(REWARD_NAMES, 0.0)
+        names = env.core.task.reward_names
+        sums: dict[str, float] = dict.fromkeys(names, 0.0)
+        assert names[: len(REWARD_NAMES)] == REWARD_NAMES
         while env.agents:
             actions = {a: 0.2 * action for a, action in random_actions(env, rng).items()}
             _, rewards, _, _, infos = env.step(actions)
             for agent, info in infos.items():
                 terms = info["reward_terms"]
-                assert tuple(terms) == REWARD_NAMES
-                total = sum(weights[name] * terms[name] for name in REWARD_NAMES)
+                assert tuple(terms) == names
+                total = sum(weights[name] * terms[name] for name in names)
                 assert rewards[agent] == pytest.approx(total)
                 assert terms["effort"] == pytest.approx(np.mean(actions[agent] ** 2.0) / 48)
                 for name, value in terms.items():
                     low = -1 / 48 if name == "progress" else 0.0
-                    high = 1.0 if name in ("crash", "success") else 1 / 48
+                    high = 1.0 if name in ("crash", "success", "reached") else 1 / 48
                     assert low - 1e-12 <= value <= high + 1e-12
             for name in sums:
                 sums[name] += infos["drone_0"]["reward_terms"][name]
