@@ -23,8 +23,8 @@ goals reached, over drones and the whole clock; who has ended reaches no more.
 **Rewards** (per drone, weights in `CrowdTask.reward_weights`): the terms of swap, and `reached`, 1
 for each goal that the drone reaches.
 
-**End.** Terminated by a collision, the floor, a wall, an obstacle or tumbling (150 rad/s);
-truncated by the clock, after 30 s.
+**End.** A drone that collides, tumbles (150 rad/s), or touches the floor, a wall or an obstacle is
+terminated, and the others fly on (`on_contact="end_pair"`); the clock truncates all, after 30 s.
 
 **Versions.** v0: the first.
 """
@@ -34,9 +34,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from swarm_envs.arguments import POSITIVE_M, Interval, typed_options
+from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.tasks.crowd import CROWD_WEIGHTS, CrowdLayout, CrowdTask
+from swarm_envs.physics.contact import ON_CONTACT
+from swarm_envs.tasks.crowd import REWARD_WEIGHTS, CrowdTask, Layout
 
 
 @typed_options
@@ -46,12 +47,15 @@ class CrowdOptions(TaskOptions):
 
     num_drones: NumDrones = 16
     """N small drones, if no team is given."""
-    layout: CrowdLayout = "forest"
+    layout: Layout = "forest"
     """What stands in the way: `open`, `forest` or `buildings`; `obstacles` are added."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.5
     """Smallest distance between two goals, and between two starts, m."""
     reach_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (1.0, 3.0)
     """How far from the drone its next goal is, where one is free there, m."""
+
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    """What touching something ends: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     task_type: ClassVar[type[CrowdTask]] = CrowdTask
     """What `make_task` makes."""
@@ -63,7 +67,7 @@ class CrowdOptions(TaskOptions):
             layout=self.layout,
             spacing_m=self.spacing_m,
             reach_m=self.reach_m,
-            reward_weights={**CROWD_WEIGHTS, **(self.reward_weights or {})},
+            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
             obstacles=tuple(self.obstacles),
         )
 

@@ -10,9 +10,9 @@ Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1
 rest, and every 5 s each drone is given another's. `chase`: one drone's goal moves as in `moving`;
 every other drone's goal is a place beside another drone, wherever that one is.
 
-**Start.** In `moving` and `chase` at the goals: places drawn at least 0.4 m apart, an ellipse of half
-axes 0.8 m and 0.3-0.8 m, up to 0.2 m up and down, either way round, its largest speed 0.6-1.2 m/s,
-reached after 2 s; who chases whom is drawn. In `swap-goals` at another's goal.
+**Start.** In `moving` and `chase` at the goals: places drawn at least 0.4 m apart, an ellipse of
+half axes 0.8 m and 0.3-0.8 m, up to 0.2 m up and down, either way round, its largest speed
+0.6-1.2 m/s, reached after 2 s; who chases whom is drawn. In `swap-goals` at another's goal.
 
 **Success.** By the clock: `share_on_goal`, the score, is the share of the drones' time, over the
 whole clock, that they spend within 0.2 m of their goals. Success is 90 % of it; 50 % in
@@ -20,8 +20,8 @@ whole clock, that they spend within 0.2 m of their goals. Success is 90 % of it;
 
 **Rewards** (per drone, weights in `PursuitTask.reward_weights`): the terms of swap.
 
-**End.** Terminated by a collision, the floor, a wall, an obstacle or tumbling (150 rad/s);
-truncated by the clock, after 20 s.
+**End.** A drone that collides, tumbles (150 rad/s), or touches the floor, a wall or an obstacle is
+terminated, and the others fly on (`on_contact="end_pair"`); the clock truncates all, after 20 s.
 
 **Versions.** v0: the first.
 """
@@ -31,9 +31,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, typed_options
+from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed_options
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
-from swarm_envs.tasks.pursuit import PURSUIT_WEIGHTS, PursuitLayout, PursuitTask
+from swarm_envs.physics.contact import ON_CONTACT
+from swarm_envs.tasks.pursuit import REWARD_WEIGHTS, Layout, PursuitTask
 
 
 @typed_options
@@ -43,7 +44,7 @@ class PursuitOptions(TaskOptions):
 
     num_drones: NumDrones = 8
     """N small drones, if no team is given."""
-    layout: PursuitLayout = "moving"
+    layout: Layout = "moving"
     """What goals do: `moving`, `swap-goals` or `chase`."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.4
     """Smallest distance between two goals, m."""
@@ -51,6 +52,9 @@ class PursuitOptions(TaskOptions):
     """Range from which the largest speed of moving goals is drawn, m/s."""
     change_s: Annotated[float, POSITIVE_S] = 5.0
     """Time after which goals are swapped, s."""
+
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    """What touching something ends: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     task_type: ClassVar[type[PursuitTask]] = PursuitTask
     """What `make_task` makes."""
@@ -63,7 +67,7 @@ class PursuitOptions(TaskOptions):
             spacing_m=self.spacing_m,
             speed_m_s=self.speed_m_s,
             change_s=self.change_s,
-            reward_weights={**PURSUIT_WEIGHTS, **(self.reward_weights or {})},
+            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
             obstacles=tuple(self.obstacles),
         )
 

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "ACTIVE",
     "ADAPTATION_END",
     "BLOCK_TYPE",
     "BODY_END",
@@ -193,7 +194,9 @@ _EPISODE = (
     Field("orbit", (3, 3), "m", None, "Centre and half axes of the reference's ellipse."),
     Field("orbit_rate", (), "rad/s", None, "Angular rate on it."),
     Field("orbit_phase", (), "rad", None, "Angle at time zero."),
-    Field("chased", (), "", None, "Index of the drone beside which the goal is; -1 if there is none."),
+    Field(
+        "chased", (), "", None, "Index of the drone beside which the goal is; -1 if there is none."
+    ),
     Field("reference_position", (3,), "m", None, "Where the drone should be now."),
     Field("reference_velocity", (3,), "m/s", None, "Derivative of the reference."),
     Field("reference_acceleration", (3,), "m/s^2", None, "Its second derivative."),
@@ -203,7 +206,10 @@ _EPISODE = (
     Field("tracking_error", (), "m", 0.0, "Distance to the reference."),
     Field("effort", (), "", 0.0, "Mean square of the action; 0 where actions are unbounded."),
     Field("scores", (), "", 0.0, "1 if it reached a goal in this decision, where goals go on."),
-    Field("crashed", (), "", 0.0, "1 if the drone collided, left the arena or tumbled."),
+    Field("crashed", (), "", 0.0, "1 if it collided, left the arena or tumbled in this decision."),
+    Field("active", (), "", 1.0, "1 while the drone flies, 0 once its own episode has ended."),
+    Field("touching", (), "", 0.0, "Sum of the codes of what was touched in this decision."),
+    Field("hurt", (), "", 0.0, "The same of the whole episode; see `swarm_envs.envs.judge`."),
     Field("least_separation", (), "m", np.inf, "Smallest distance to another drone so far."),
     Field("least_clearance", (), "", np.inf, "The same over the sum of radii."),
     Field("least_obstacle_clearance", (), "", np.inf, "The same of obstacles, over the radius."),
@@ -244,7 +250,8 @@ _BEGINS = (
     Field("age", (), "", 0.0, "Physics steps since the reset.", np.int64),
     Field("decisions", (), "", 0.0, "Decisions of this episode.", np.int64),
     Field("stage", (), "", 0.0, "The present stage.", np.int64),
-    Field("reached", (), "", 0.0, "Stages, or goals, that are done.", np.int64),
+    Field("reached", (), "", 0.0, "Stages that are done.", np.int64),
+    Field("goals_reached", (), "", 0.0, "Goals that drones reached, where goals go on.", np.int64),
     Field("scored", (), "", 0.0, "Decisions whose error counts.", np.int64),
     Field("running", (), "", 1.0, "Whether the episode goes on.", np.bool_),
     Field("held", (), "", 0.0, "Whether the present stage is done.", np.bool_),
@@ -266,6 +273,8 @@ SETTINGS = (
     Field("bounded", (), "", None, "Whether actions lie in [-1, 1].", np.bool_),
     Field("tracks", (), "", None, "Whether the reference is to be kept to.", np.bool_),
     Field("end_on_success", (), "", None, "Whether success ends the episode.", np.bool_),
+    Field("ends_team", (), "", None, "Whether contact ends the episode of the team.", np.bool_),
+    Field("bounces", (), "", None, "Whether drones bounce off what they touch.", np.bool_),
     Field("arena", (2, 3), "m", None, "Corners of the walls."),
     Field("gust_kept", (), "", None, "Share of a gust that is left after a physics step."),
     Field("gust_strength", (), "m/s^2", None, "Standard deviation of the gusts."),
@@ -377,6 +386,8 @@ ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
 """Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
 HALL_END = ADAPTATION_END + _columns(_HALL)
 """Columns from `ADAPTATION_END` to this one belong to the world "hall"."""
+ACTIVE = int(dict(DRONE_TYPE.fields or ())["active"][1]) // 8
+"""Column that says whether a drone still flies."""
 
 
 LINE = 64

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from docs.extensions.option_tables import expand
-from swarm_envs import crowd_v0, formation_v1, ring_v1, swap_v1
+from swarm_envs import crowd_v0, formation_v1, gates_v0, pursuit_v0, ring_v1, swap_v1
 from swarm_envs.agents.safety import Safety
 from swarm_envs.arguments import Option, options_of
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
@@ -44,7 +44,9 @@ from swarm_envs.motors import BatteryModel
 from swarm_envs.tasks.base import ByScore, Success, TrackingSuccess
 from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.tasks.formation import FormationTask
+from swarm_envs.tasks.gates import GatesTask
 from swarm_envs.tasks.obstacles import Column
+from swarm_envs.tasks.pursuit import PursuitTask
 from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
 from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
 from swarm_envs.training.belief.feedforward import FeedforwardConfig
@@ -60,6 +62,7 @@ from swarm_envs.vehicles import SMALL, Vehicle
 TEAM = {"team": (SMALL,) * 5}
 SETTINGS: dict[type, dict[str, Any]] = {
     **dict.fromkeys((SwapTask, RingTask, FormationTask, CrowdTask), TEAM),
+    **dict.fromkeys((PursuitTask, GatesTask), TEAM),
     ByScore: {"radius": 0.1, "least": 1.0},
     **{kind: {} for kind in (StackedLayout, CircleLayout, Success, TrackingSuccess)},
     **{kind: {} for kind in (Randomization, Hall, BatteryModel, ControllerConfig)},
@@ -76,6 +79,8 @@ SETTINGS: dict[type, dict[str, Any]] = {
     ring_v1.RingOptions: {},
     formation_v1.FormationOptions: {},
     crowd_v0.CrowdOptions: {},
+    pursuit_v0.PursuitOptions: {},
+    gates_v0.GatesOptions: {},
 }
 """Classes of settings whose annotations hold every range, and what they must be given."""
 OTHERS: dict[type, dict[str, Any]] = {
@@ -201,7 +206,7 @@ def test_commands_refuse_numbers_in_the_words_of_the_command_line(options):
             options(**{**COMMANDS[options], name: -1})
 
 
-@pytest.mark.parametrize("module", [swap_v1, ring_v1, formation_v1, crowd_v0])
+@pytest.mark.parametrize("module", [swap_v1, ring_v1, formation_v1, crowd_v0, pursuit_v0, gates_v0])
 def test_a_view_shows_every_option(module):
     for view in (module.parallel_env, module.env, module.blueprint):
         parameters = inspect.signature(view).parameters

@@ -30,6 +30,7 @@ from swarm_envs.interactions.base import PRECISIONS
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.physics.base import FORCE_BOUNDS_G, MOST_ENVIRONMENTS
+from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
@@ -89,6 +90,10 @@ class EnvConfig:
     """The clock: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_team"
+    """What touching a drone, floor, wall or obstacle does. `end_team`: it ends the episode of the
+    whole team. `end_pair`: it ends that of the drones that touch; the others fly on without them.
+    `bounce`: drones bounce off and fly on; only tumbling ends a drone's episode."""
     world: Annotated[str, OneOf(WORLDS)] | Hall = "ideal"
     """`ideal`: forces, rotors and states are what the equations say. `hall`: as in a hall with
     motion capture, with force that no model knows, and a state that drones must estimate. Or a

@@ -55,6 +55,11 @@ class StepResult(NamedTuple):
     """(E,) ended by a crash or by success."""
     truncated: BoolArray
     """(E,) ended by the clock."""
+    active: BoolArray
+    """(E, N) which drones have flown this decision; the others' own episodes ended before it: their
+    rewards, terms and observations are 0, and their actions are not used."""
+    ended: BoolArray
+    """(E, N) whose own episode was terminated in this decision, alone or with the team's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +187,7 @@ class SwarmCore:
             entry_point(judge, actions, *state),
             None if task.advance is None else entry_point(task.advance, flown, *state),
             entry_point(task.write_reward_terms, drones, environments, settings, terms),
-            entry_point(weigh, terms, self._weights, flown, rewards),
+            entry_point(weigh, terms, self._weights, drones, flown, rewards),
             entry_point(write_observations, 0, 0, flown, *self._observed[0]),
         )
 
@@ -266,10 +271,10 @@ class SwarmCore:
         def finish(first: int, last: int, thread: int) -> None:
             """Judge, weigh and observe what has been flown."""
             state, decided, here = everything, asked, slice(first, last)
-            scored = (terms, self._weights, flown, rewards)
+            scored = (terms, self._weights, drones, flown, rewards)
             if last - first < self.num_envs:
                 state = (drones[here], environments[here], goals[here], settings)
-                scored = (terms[:, here], self._weights, flown[here], rewards[here])
+                scored = (terms[:, here], self._weights, state[0], flown[here], rewards[here])
                 decided = asked[here]
             kernels.refer(*state)
             kernels.judge(decided, *state)
@@ -280,8 +285,10 @@ class SwarmCore:
             self._observe(first, last, flown, thread)
 
         self.physics.fly(self._substeps, flown, finish)
-        terminated, truncated = environments["terminated"], environments["truncated"]
-        return StepResult(self.rows, rewards, terms, terminated.copy(), truncated.copy())
+        terminated, truncated = environments["terminated"].copy(), environments["truncated"].copy()
+        active = flown[:, None] & (drones["active"] + drones["crashed"] > 0.0)
+        ended = active & (terminated[:, None] | (drones["active"] == 0.0))
+        return StepResult(self.rows, rewards, terms, terminated, truncated, active, ended)
 
     def set_reward_weights(self, weights: Mapping[str, float]) -> None:
         """Weigh reward terms otherwise from the next step on: for curricula of trainers.
@@ -298,11 +305,11 @@ class SwarmCore:
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
         """What environment `e`'s episode is judged by, so far; see `swarm_envs.envs.judge`."""
-        return metrics(self.world, self.task, [e])[0]
+        return self.metrics_of([e])[0]
 
     def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:
         """The same of several environments, in their order."""
-        return metrics(self.world, self.task, environments)
+        return metrics(self.world, self.task, environments, self.config.on_contact)
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
@@ -417,6 +424,7 @@ class SwarmCore:
             "team": tuple(vehicle.token for vehicle in self.task.team),
             "physics": self.physics.name,
             "action": self.config.action,
+            "on_contact": self.config.on_contact,
             "world": "ideal" if self.physics.hall is None else "hall",
             "num_neighbors": self.config.num_neighbors,
             "num_obstacles": self.num_obstacles,
@@ -466,4 +474,5 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         threads=config.threads_for(num_envs * len(task.team)),
         num_stages=task.num_stages,
         force_bounds_g=config.force_bounds_g,
+        on_contact=config.on_contact,
     )

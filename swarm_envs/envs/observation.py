@@ -385,11 +385,14 @@ def write_observations(
             row, own, d = out[e, i], seen[e, i], drones[e, i]
             for c in range(out.shape[2]):  # fields of neighbours and obstacles may stay zero
                 row[c] = 0.0
+            if d.active + d.crashed == 0.0:  # it ended in an earlier decision
+                continue
             start = write_self(own, d, direct, row)
             if order is None:
-                found = nearest(i, position, others, square)
+                found = nearest(i, position, drones[e], others, square)
             else:
-                found = nearest_sorted(i, place, position, order[e], others, square)
+                team = drones[e]
+                found = nearest_sorted(i, place, position, team, order[e], others, square)
             for k in range(found):
                 j = others[k]
                 write_neighbor(own, seen[e, j], drones[e, j], row, start + 13 * k)

@@ -28,8 +28,9 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
     """E teams that fly at once. Made by `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=E)`.
 
     Observations (E, N * width), actions (E, N * width of the action), rewards the mean of the
-    team's. `infos["rewards"]` has each drone's (E, N), and where an episode ends
-    `infos["episode_metrics"]`, with Gymnasium's masks.
+    team's. `infos["rewards"]` has each drone's (E, N), `infos["active"]` (E, N) which drones have
+    flown this decision, and where an episode ends `infos["episode_metrics"]`, with Gymnasium's
+    masks.
 
     Args:
         task: what is flown, by whom.
@@ -110,7 +111,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             self.core.reset(mask=again)
         rewards = np.where(again, 0.0, result.rewards.mean(axis=1))
         ended = (result.terminated | result.truncated) & ~again
-        infos: Infos = {"rewards": result.rewards.copy()}
+        infos: Infos = {"rewards": result.rewards.copy(), "active": result.active}
         for e in np.flatnonzero(ended).tolist():
             infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, e)
         self._ended[:] = ended

@@ -23,6 +23,7 @@ from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
 from swarm_envs.motors import drain, limit_rotors
 from swarm_envs.neighbors import FEW
+from swarm_envs.physics.bounce import bounce
 from swarm_envs.physics.contact import (
     PLACES,
     SPOT_TYPE,
@@ -49,6 +50,7 @@ from swarm_envs.physics.rigid_body import (
 )
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import (
+    ACTIVE,
     ADAPTATION_END,
     BLOCK_TYPE,
     BODY_END,
@@ -69,6 +71,8 @@ SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
 BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
 """Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
+FAR = 1e6
+"""Where drones whose episode has ended are taken to be, and how far from each other, m."""
 
 
 class Work(NamedTuple):
@@ -111,6 +115,8 @@ def load_tile(
     The columns of the tracking loop, and of its adaptation, are left out if there is none. Where a
     decision begins, what was touched in the last one is forgotten. Lanes that are left over in the
     last block repeat the last drone, so that numbers there are sound; they are not written back.
+    Drones whose episode has ended come far away from all others, and are not written back either:
+    so they neither touch nor push anybody, and stay as they were at their end.
     """
     drones, slot = columns.shape[1], 0
     skipped = BODY_END if controlled else CONTROLLER_END
@@ -126,6 +132,8 @@ def load_tile(
             if begins:
                 for k in range(len(CONTACT_COLUMNS)):
                     block[CONTACT_COLUMNS[k], lane] = CONTACT_VALUES[k]
+            if row[ACTIVE] == 0.0:
+                block[0, lane] = FAR * (i + 1)
             slot += 1
     last, block = (slot - 1) % LANES, work.tile[(slot - 1) // LANES]
     for lane in range(last + 1, LANES):
@@ -145,11 +153,13 @@ def store_tile(
         for i in range(drones):
             row, lane = columns[work.members[place], i], slot % LANES
             block = work.tile[slot // LANES]
+            slot += 1
+            if row[ACTIVE] == 0.0:
+                continue
             for c in range(end):
                 row[c] = block[c, lane]
             for c in range(VEHICLE_END, learned):
                 row[c] = block[c, lane]
-            slot += 1
 
 
 @part
@@ -209,6 +219,7 @@ def fly(  # noqa: C901  # one step, on one screen
     gusty: bool | None,
     adaptive: bool | None,
     hall: bool | None,
+    bounces: bool | None,
     air: PackedField,
     feedforward: PackedField | None,
     work: Work,
@@ -235,6 +246,7 @@ def fly(  # noqa: C901  # one step, on one screen
         gusty: True if there are gusts, else None.
         adaptive: True if the controller adapts, else None.
         hall: True in the world "hall", else None.
+        bounces: True if drones bounce off what they touch, else None.
         air: the force model of the environment.
         feedforward: the model whose forces the controller compensates; None without one.
         work: working memory of this thread.
@@ -270,6 +282,9 @@ def fly(  # noqa: C901  # one step, on one screen
                         meet_many(work.blocks, place * size, work.position, order[members[place]])
                 if obstacles is not None:
                     touch_obstacles(work.blocks, count * size, obstacles)
+                if bounces is not None:
+                    for place in range(count):
+                        bounce(work.blocks, place * size, size, settings, obstacles)
             if k == steps:
                 break
             if hall is not None and phases & CONTROL and controlled:

@@ -150,7 +150,7 @@ class Task(ABC):
     """A kernel that writes the bounded terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
     score_names: tuple[str, ...] = ()
-    """The metrics that `environments.score` and, if there are two, `.reached` are."""
+    """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
     advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None
     """A kernel that scores a judged decision and gives goals anew: `(flown, drones, environments,
     goals, settings)`, `flown` (E,) being the environments that made one."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed
 from swarm_envs.compiled import kernel, part
-from swarm_envs.noise import uniform
+from swarm_envs.noise import even_number
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import ByScore, Placement, Task
@@ -30,14 +30,14 @@ from swarm_envs.tasks.placing import (
     draw_apart,
 )
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
-from swarm_envs.tasks.scores import end_by_score, send
+from swarm_envs.tasks.scores import end_by_score, send_to
 from swarm_envs.vehicles import Team
 
-__all__ = ["CROWD_WEIGHTS", "CrowdTask", "crowd_obstacles"]
+__all__ = ["REWARD_WEIGHTS", "CrowdTask", "Layout"]
 
 CROWD_LAYOUTS = ("open", "forest", "buildings")
 """What stands in the way, by name."""
-CrowdLayout = Annotated[str, OneOf(CROWD_LAYOUTS)]
+Layout = Annotated[str, OneOf(CROWD_LAYOUTS)]
 """One of them."""
 _SITES = 3
 """Sites for each drone: one that it has, two that are free."""
@@ -46,7 +46,7 @@ _LOWEST, _HIGHEST = 0.5, 2.0
 _TREES_M, _TREE_RADIUS, _TREE_SHIFT = 1.2, 0.15, 0.2
 _TOWERS_M, _TOWER_WIDTH = 1.4, 0.45
 
-CROWD_WEIGHTS: Mapping[str, float] = MappingProxyType(
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
         "progress": 0.5,
         "at_goal": 0.0,
@@ -137,18 +137,18 @@ def give_next_goals(
         for i in range(size):
             d = drones[e, i]
             d.scores = 0.0
-            if d.crashed > 0.0 or d.distance >= rules.success_radius:
+            if d.active == 0.0 or d.crashed > 0.0 or d.distance >= rules.success_radius:
                 continue
             d.scores = 1.0
-            chance = uniform(environment.goal_key, np.uint64(environment.reached))
-            environment.reached += 1
+            chance = even_number(environment.goal_key, environment.goals_reached)
+            environment.goals_reached += 1
             near, far = rules.goal_reach[0], rules.goal_reach[1]
             site = next_site(d.position, goals[e], near, far, chance)
             for k in range(3):
                 old, new = goals[e, 0, i, k], goals[e, site // size, site % size, k]
                 goals[e, 0, i, k], goals[e, site // size, site % size, k] = new, old
-            send(d, goals[e, 0, i])
-        environment.score = environment.reached / (size * rules.horizon_s / 60.0)
+            send_to(d, goals[e, 0, i])
+        environment.score = environment.goals_reached / (size * rules.horizon_s / 60.0)
         end_by_score(environment, rules)
 
 
@@ -170,7 +170,7 @@ class CrowdTask(Task):
 
     team: Team
     """The drones."""
-    layout: CrowdLayout = "forest"
+    layout: Layout = "forest"
     """`open`, `forest` or `buildings`: what is added to `obstacles`."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.5
     """Smallest distance between two sites, and between two starts, m."""
@@ -178,7 +178,7 @@ class CrowdTask(Task):
     """How far from the drone its next goal is, where one is free there, m."""
     success: ByScore = ByScore(radius=0.15, least=16.0)
     """How near a goal counts as reached, and the throughput that is a success, goals a minute."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(CROWD_WEIGHTS))
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
     """What stands in the way; the layout's are added."""

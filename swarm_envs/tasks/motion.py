@@ -16,12 +16,10 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.trajectories import Reference
 
-__all__ = ["LINES", "OWN_GOALS", "ORBITS", "PURSUIT", "REST", "Motion", "reference_of", "stage_at"]
+__all__ = ["LINES", "ORBITS", "REST", "Motion", "reference_of", "stage_at"]
 
 REST, LINES, ORBITS, OWN_GOALS, PURSUIT = 0, 1, 2, 3, 4
 """Kinds of motion."""
-RESTING = (REST, OWN_GOALS)
-"""Those whose reference rests at the goals."""
 _ROUNDING = 1e-9
 
 
@@ -37,6 +35,11 @@ class Motion(NamedTuple):
     time in which the rate grows from rest, s."""
     stage_s: float = 0.0
     """Seconds that each stage lasts; 0 if there is only one."""
+
+    @property
+    def rests(self) -> bool:
+        """Whether the reference is the goal, at rest."""
+        return self.kind in (REST, OWN_GOALS)
 
     def settings(self) -> dict[str, float]:
         """The fields of `swarm_envs.tables.SETTINGS` that it gives."""
@@ -185,7 +188,7 @@ def write_pursuit(
     """Write goals that are on ellipses or, where a drone chases another, beside that one.
 
     The goal of who chases is the centre of its ellipse, seen from whom it chases; its reference has
-    the velocity of that one and no acceleration, which nobody observes. Arguments as of `write_rest`.
+    the velocity of that one, and no acceleration, which nobody observes. Arguments: `write_rest`.
     """
     write_orbits(drones, environments, goals, settings)
     for e in range(drones.shape[0]):

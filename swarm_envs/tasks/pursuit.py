@@ -26,21 +26,24 @@ from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_t
 from swarm_envs.tasks.scores import end_by_score
 from swarm_envs.vehicles import Team
 
-__all__ = ["PURSUIT_WEIGHTS", "PursuitTask"]
+__all__ = ["REWARD_WEIGHTS", "Layout", "PursuitTask"]
 
 PURSUIT_LAYOUTS = ("moving", "swap-goals", "chase")
 """What goals do, by name."""
-PursuitLayout = Annotated[str, OneOf(PURSUIT_LAYOUTS)]
+Layout = Annotated[str, OneOf(PURSUIT_LAYOUTS)]
 """One of them."""
 _ACROSS, _UPWARDS = 0.8, 0.2
 """Half axes of the centre's way, m."""
 _LOWEST, _HIGHEST = 0.5, 2.0
 """Heights of goals in an arena 2.5 m high, m; the highest grows with it."""
+_SPARE = 0.15
+"""How much farther from the walls goals are that others carry along, m."""
 _STARTUP_S = 2.0
 """Seconds until goals move at full speed."""
-_SUCCESS = {"moving": ByScore(0.2, 0.9), "swap-goals": ByScore(0.2, 0.5), "chase": ByScore(0.2, 0.9)}
+_RADIUS = 0.2
+_LEAST = {"moving": 0.9, "swap-goals": 0.5, "chase": 0.9}
 
-PURSUIT_WEIGHTS: Mapping[str, float] = MappingProxyType(
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
         "progress": 0.5,
         "at_goal": 5.0,
@@ -78,7 +81,7 @@ def score_pursuit(
         near = 0
         for i in range(size):
             d = drones[e, i]
-            near += d.crashed == 0.0 and d.distance < rules.success_radius
+            near += d.active > 0.0 and d.distance < rules.success_radius
         environments[e].score += near / size * rules.decision_s / rules.horizon_s
         end_by_score(environments[e], rules)
 
@@ -90,7 +93,7 @@ class PursuitTask(Task):
 
     team: Team
     """The drones."""
-    layout: PursuitLayout = "moving"
+    layout: Layout = "moving"
     """`moving`, `swap-goals` or `chase`."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.4
     """Smallest distance between two goals, m."""
@@ -100,7 +103,7 @@ class PursuitTask(Task):
     """Time after which goals are swapped, s."""
     success: ByScore | None = None  # type: ignore[assignment]  # set below
     """How near a goal counts, and the share of time there that is a success; None: the layout's."""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(PURSUIT_WEIGHTS))
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
     """Weight of each reward term."""
     obstacles: tuple[Obstacle, ...] = ()
     """What stands in the way."""
@@ -117,7 +120,7 @@ class PursuitTask(Task):
         """Refuse weights of unknown terms, and set the layout's success."""
         check_reward_weights(self.reward_weights, self.reward_names)
         if self.success is None:
-            object.__setattr__(self, "success", _SUCCESS[self.layout])
+            object.__setattr__(self, "success", ByScore(_RADIUS, _LEAST[self.layout]))
 
     @property
     def num_stages(self) -> int:
@@ -148,7 +151,7 @@ class PursuitTask(Task):
         if self.layout == "swap-goals":
             return self._draw_swaps(rng, start, goal)
         n = len(self.team)
-        places = self._places(rng, _ACROSS, _UPWARDS)
+        places = self._places(rng, _ACROSS + _SPARE * (self.layout == "chase"), _UPWARDS)
         orbit = self._orbit(rng, places)
         first = orbit.center + orbit.first * np.cos(orbit.phase[0])
         first = first + orbit.second * np.sin(orbit.phase[0])
@@ -178,7 +181,11 @@ class PursuitTask(Task):
         return Placement(stages[0] if start is None else start, stages[1:])
 
     def _places(
-        self, rng: np.random.Generator, across: float, upwards: float, given: FloatArray | None = None
+        self,
+        rng: np.random.Generator,
+        across: float,
+        upwards: float,
+        given: FloatArray | None = None,
     ) -> FloatArray:
         """Points (N, 3) that stay in the arena when they are moved so far, m."""
         if given is not None:

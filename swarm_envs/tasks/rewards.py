@@ -37,7 +37,7 @@ def write_terms(drones: Records, environments: Records, settings: Records, out: 
     are its share of the clock times a bell around goal and reference, so that their sum over an
     episode is at most 1. Two are events: `crash` on the step that ends badly for the drone;
     `success` on the step at which the team has done its task, or one over the number of stages for
-    each of them, so that it sums to 1.
+    each of them, so that it sums to 1, for the drones that still fly.
 
     Args:
         drones: (E, N) records, after a decision has been judged.
@@ -59,7 +59,7 @@ def write_terms(drones: Records, environments: Records, settings: Records, out: 
             out[3, e, i] = decision_s * d.effort
             out[4, e, i] = decision_s * proximity
             out[5, e, i] = d.crashed
-            out[6, e, i] = environments[e].achieved
+            out[6, e, i] = environments[e].achieved * d.active
 
 
 def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> None:
@@ -75,18 +75,23 @@ def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> 
 
 
 @kernel
-def weigh(terms: FloatArray, weights: FloatArray, running: BoolArray, rewards: FloatArray) -> None:
+def weigh(
+    terms: FloatArray, weights: FloatArray, drones: Records, running: BoolArray, rewards: FloatArray
+) -> None:
     """Sum weighted terms, in their order: compiled, so that no batch changes the last bit.
 
     Args:
-        terms: (T, E, N).
+        terms: (T, E, N); set to 0 for drones that ended in an earlier decision.
         weights: (T,).
+        drones: (E, N) records.
         running: (E,) environments that fly; the others get nothing.
         rewards: (E, N), written.
     """
     for e in range(rewards.shape[0]):
         for i in range(rewards.shape[1]):
-            total = 0.0
+            total, flew = 0.0, drones[e, i].active + drones[e, i].crashed > 0.0
             for t in range(terms.shape[0]):
+                if not flew:
+                    terms[t, e, i] = 0.0
                 total += weights[t] * terms[t, e, i]
             rewards[e, i] = total if running[e] else 0.0

@@ -8,11 +8,9 @@ from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Record
 
-__all__ = ["end_by_score", "send"]
-
 
 @part
-def send(d: Record, goal: FloatArray) -> None:
+def send_to(d: Record, goal: FloatArray) -> None:
     """Give a drone that has been judged another goal (3,), m.
 
     Its last distance is set as if it had come from there: the reward term `progress` of this

@@ -32,6 +32,7 @@ def written(**fields: float) -> dict[str, float]:
     """The terms of a drone of whom this is known, 25 times a second on a clock of 10 s."""
     world, settings = new_world(1, 1), np.zeros(1, SETTINGS_TYPE)
     settings["decision_s"], settings["horizon_s"] = 0.04, 10.0
+    world.drones["active"] = 1.0
     world.drones["clearance"] = world.drones["obstacle_clearance"] = math.inf
     for name, value in fields.items():
         table = world.environments if name == "achieved" else world.drones
@@ -89,8 +90,12 @@ def test_weighted_sum():
     rng = np.random.default_rng(0)
     terms, weights = rng.normal(size=(7, 3, 4)), rng.normal(size=7)
     rewards = np.full((3, 4), 5.0)
-    weigh(terms, weights, np.array([True, False, True]), rewards)
+    drones = new_world(3, 4).drones
+    drones["active"], drones["active"][0, 1] = 1.0, 0.0  # one has ended, another now
+    drones["active"][2, 2], drones["crashed"][2, 2] = 0.0, 1.0
     expected = np.tensordot(weights, terms, 1)
+    expected[0, 1] = 0.0
+    weigh(terms, weights, drones, np.array([True, False, True]), rewards)
     np.testing.assert_allclose(rewards[[0, 2]], expected[[0, 2]], rtol=1e-13)
     np.testing.assert_array_equal(rewards[1], 0.0)
 

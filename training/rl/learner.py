@@ -13,7 +13,6 @@ from collections.abc import Callable, Mapping
 from importlib import import_module
 from typing import Any
 
-import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import Tensor, nn
@@ -179,12 +178,12 @@ class _RolloutCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no
     def __init__(self, learner: Sb3Learner, watch: Watch | None) -> None:
         super().__init__()
         self._learner, self._watch = learner, watch
+        self._firsts = learner.env.first_drones
 
     def _on_step(self) -> bool:
-        infos = self.locals["infos"]
-        ends = [infos[k]["episode_metrics"] for k in np.flatnonzero(self.locals["dones"])]
-        for metrics in {id(metrics): metrics for metrics in ends}.values():  # one a team
-            self._learner.count(metrics)
+        for k in self._firsts:
+            if "episode_metrics" in (info := self.locals["infos"][k]):
+                self._learner.count(info["episode_metrics"])
         return True
 
     def _on_rollout_start(self) -> None:

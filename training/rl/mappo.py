@@ -127,7 +127,7 @@ class MappoLearner(Learner):
         discount = self.config.discount
         assert discount is not None  # the recipe has one
         steps = [self._step() for _ in range(self.config.rollout)]
-        observations, states, actions, log_probs, values, rewards, after, ended = map(
+        observations, states, actions, log_probs, values, rewards, after, ended, active = map(
             torch.stack, zip(*steps, strict=True)
         )
         last = self.networks.value(self._states(self._observations()))
@@ -135,7 +135,7 @@ class MappoLearner(Learner):
         errors = rewards + discount * following - values
         advantages = generalised_advantages(errors, ended, discount * self.config.gae_lambda)
         rows = (observations, states, actions, log_probs, advantages, advantages + values)
-        return _Rollout(*(row.flatten(0, 2) for row in rows))
+        return _Rollout(*(row[active] for row in rows))
 
     def _step(self) -> tuple[Tensor, ...]:
         """One decision of every drone: what it observed, what it did, what came of it."""
@@ -148,16 +148,16 @@ class MappoLearner(Learner):
         rewards = torch.from_numpy(result.rewards.astype(np.float32))
         after, ended = torch.zeros_like(rewards), result.terminated | result.truncated
         if result.truncated.any():  # cut by the clock alone: what would follow has a value
-            cut = torch.from_numpy(result.truncated & ~result.terminated)
+            cut = torch.from_numpy(result.truncated[:, None] & ~result.ended)
             after[cut] = self.networks.value(self._states(self._observations())[cut])
         if ended.any():
             for e in np.flatnonzero(ended).tolist():
                 self.count(self.core.metrics(e))
             self.core.reset(mask=ended)
-        over = torch.from_numpy(ended)[:, None].expand(rewards.shape)
+        over, active = map(torch.from_numpy, (ended[:, None] | result.ended, result.active))
         log_probs = self.networks.log_probability(means, actions)
         values = self.networks.value(states)
-        return observations, states, actions, log_probs, values, rewards, after, over
+        return observations, states, actions, log_probs, values, rewards, after, over, active
 
     def _observations(self) -> Tensor:
         """(E, N, features) of every drone now."""
