@@ -50,6 +50,7 @@ __all__ = [
     "Seed",
     "check_value",
     "options_of",
+    "parse_pairs",
     "typed",
     "typed_options",
 ]
@@ -113,7 +114,7 @@ class Range:
         """Whether a number lies in the range."""
         low = value > self.least if self.above else value >= self.least
         high = value < self.most if self.below else value <= self.most
-        return bool(low and high and math.isfinite(value))
+        return bool(low and high and abs(value) < math.inf)  # an integer may pass any float
 
     def _of_integers(self) -> str:
         upper = "" if self.most == math.inf else f" and at most {self.most:,}"
@@ -264,6 +265,20 @@ def _check(owner: str, name: str, value: object, kind: Kind) -> None:
     else:
         message = f"{owner}{label} is {value!r:.80}, but must be {kind.words}"
     raise ValueError(message) if kind.has_type(value) else WrongKind(message)
+
+
+def parse_pairs(name: str, text: str) -> list[tuple[str, list[float]]]:
+    """Names and numbers of an option's text, such as `mass=0.9:1.1,gust_acceleration=1`.
+
+    Raises:
+        ValueError: a part of it is no name with numbers.
+    """
+    try:
+        parts = [part.split("=") for part in text.split(",")]
+        return [(key.strip(), [float(n) for n in numbers.split(":")]) for key, numbers in parts]
+    except ValueError as error:
+        rule = "must be names with numbers, such as mass=0.9:1.1,thrust=1:1.2"
+        raise ValueError(f"{name} is {text!r:.80}, but {rule}") from error
 
 
 def check_value(name: str, value: object, annotation: Any) -> None:

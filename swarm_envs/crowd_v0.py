@@ -31,6 +31,7 @@ terminated, and the others fly on (`on_contact="end_pair"`); the clock truncates
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -57,6 +58,7 @@ class CrowdOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """What touching something ends: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[CrowdTask]] = CrowdTask
     """What `make_task` makes."""
 
@@ -67,8 +69,8 @@ class CrowdOptions(TaskOptions):
             layout=self.layout,
             spacing_m=self.spacing_m,
             reach_m=self.reach_m,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
 

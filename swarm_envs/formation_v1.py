@@ -27,14 +27,14 @@ over the number of shapes, for each that is reached.
 **End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or success;
 truncated by the clock, 6 s for each shape that is flown to.
 
-**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds.
-v0: that of release 0.1.0, `learned-v0`.
+**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds;
+returns do not depend on the clock. v0: forces (`learned-v0`) and rewards of release 0.1.0.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -78,6 +78,7 @@ class FormationOptions(TaskOptions):
     """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
     turned."""
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[FormationTask]] = FormationTask
     """What `make_task` makes."""
 
@@ -97,8 +98,8 @@ class FormationOptions(TaskOptions):
             spacing_m=self.spacing_m,
             travel_s=self.travel_s,
             turn_rad=turn_rad,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
     def _mission(self) -> dict[str, Any]:

@@ -28,6 +28,7 @@ terminated, and the others fly on (`on_contact="end_pair"`); the clock truncates
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
@@ -56,6 +57,7 @@ class PursuitOptions(TaskOptions):
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
     """What touching something ends: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[PursuitTask]] = PursuitTask
     """What `make_task` makes."""
 
@@ -67,8 +69,8 @@ class PursuitOptions(TaskOptions):
             spacing_m=self.spacing_m,
             speed_m_s=self.speed_m_s,
             change_s=self.change_s,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
 

@@ -26,12 +26,13 @@ of `progress` and `at_goal`.
 **End.** Terminated by a collision, the floor, a wall, an obstacle or tumbling (150 rad/s);
 truncated by the clock, after 2 + 10 s.
 
-**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds.
-v0: that of release 0.1.0, `learned-v0`.
+**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds;
+returns do not depend on the clock. v0: forces (`learned-v0`) and rewards of release 0.1.0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -56,6 +57,7 @@ class RingOptions(TaskOptions):
         """The team: as given, else that of the paper."""
         return ring_team(self.num_drones) if self.team is None else super().vehicles
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[RingTask]] = RingTask
     """What `make_task` makes."""
 
@@ -64,8 +66,8 @@ class RingOptions(TaskOptions):
         return self.task_type(
             team=self.vehicles,
             rings=self.rings,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
 

@@ -34,12 +34,13 @@ than 0.3 m apart), all 1.0 m high; each drone's goal is the opposite point.
 **End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or
 success; truncated by the clock, after 8 s.
 
-**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds.
-v0: that of release 0.1.0, `learned-v0`.
+**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds;
+returns do not depend on the clock. v0: forces (`learned-v0`) and rewards of release 0.1.0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -62,6 +63,7 @@ class SwapOptions(TaskOptions):
     circle: CircleLayout | None = None
     """What the circle layout is made of."""
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[SwapTask]] = SwapTask
     """What `make_task` makes."""
 
@@ -72,8 +74,8 @@ class SwapOptions(TaskOptions):
             layout=self.layout,
             stacked=self.stacked or StackedLayout(),
             circle=self.circle or CircleLayout(),
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
 

@@ -10,17 +10,19 @@ from typing import Any, Literal
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.envs.setting import CrewOptions
 from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.tasks import SEED
 
 
 @command_options
 @dataclass(frozen=True, kw_only=True)
-class BenchmarkOptions:
+class BenchmarkOptions(CrewOptions):
     """Fly every agent on every task that it supports, and report how they did.
 
     Interrupted or killed, the same command goes on. An agent that fails is named with the reason,
     the others go on, and the exit code is 1; what an agent does not support is in the report too.
+    Options of the environment hold on every task, whose ids then say that it is changed.
     """
 
     out: Path | None = None
@@ -88,7 +90,7 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
 
     check_folder("--out", out)
     try:
-        tasks, agents = choose_tasks(options.tasks), choose_agents(options.agents)
+        tasks, agents = choose_tasks(options.tasks, options.crew()), choose_agents(options.agents)
     except ValueError as error:
         raise Misuse(str(error)) from error
     plan = BenchmarkPlan(

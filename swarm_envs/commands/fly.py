@@ -6,12 +6,13 @@ import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, command_options, output_files
+from swarm_envs.envs.setting import CrewOptions
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -28,7 +29,7 @@ _FILES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions:
+class EpisodeOptions(CrewOptions):
     """What is flown, and in which air."""
 
     task: str = "swap"
@@ -37,23 +38,20 @@ class EpisodeOptions:
     """of the task, such as `random` or `stacked`; its default if not given"""
     drones: Count = 4
     """number of small drones, if no team is given"""
-    team: str | None = None
-    """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
     physics: str | None = None
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    world: Literal["ideal", "hall"] = "ideal"
-    """`ideal`, or `hall`: with force that no model knows, and an estimated state"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
-        team = {"num_drones": self.drones} if self.team is None else {"team": self.team}
-        names = ("layout", "physics", "interactions", "world", "force_rate", "horizon_s")
+        team = {"num_drones": self.drones} if self.team is None else {}
+        names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
         given = {name: getattr(self, name, None) for name in names}
-        return {**team, **{name: value for name, value in given.items() if value is not None}}
+        given = {name: value for name, value in given.items() if value is not None}
+        return {**team, **given, **self.crew()}
 
 
 @command_options

@@ -100,8 +100,9 @@ class EnvConfig:
     `swarm_envs.hall.Hall` with numbers of your own."""
     battery: BatteryModel | None = None
     """How batteries empty and weaken the rotors; None for batteries that never do."""
-    randomization: Randomization | None = None
-    """What differs from episode to episode beside the task; None for nothing."""
+    randomization: Randomization | str | None = None
+    """What differs from episode to episode beside the task; None for nothing. Text says it, too,
+    such as `mass=0.9:1.1,thrust=0.95:1.05`."""
     deterministic: bool = False
     """Whether every interface must give the same flight to the last bit. On one engine they always
     do, whatever the number of environments and threads, and whatever the precision of the force
@@ -116,7 +117,7 @@ class EnvConfig:
         for token, bound in self.force_bounds_g.items():
             name = f"force_bounds_g[{token!r}]"
             check_value(name, bound, Annotated[float, Range(0.0, above=True, unit="gram-force")])
-        ranges = self.randomization
+        ranges = self.ranges
         if ranges is not None and ranges.battery != SAME and self.battery is None:
             raise ValueError(
                 f"Randomization.battery is {ranges.battery}, but these batteries never "
@@ -127,6 +128,11 @@ class EnvConfig:
                 f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "
                 "with noise of its own; leave it 0 and give world=Hall(position_noise_m=...)"
             )
+
+    @property
+    def ranges(self) -> Randomization | None:
+        """What is randomised; None for nothing."""
+        return Randomization.of(self.randomization)
 
     @property
     def hall(self) -> Hall | None:

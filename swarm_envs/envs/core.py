@@ -125,7 +125,7 @@ class SwarmCore:
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
-        ranges = config.randomization
+        ranges = self.ranges = config.ranges
         self._noisy = ranges is not None and ranges.noisy
         sensed = self._noisy or config.hall is not None
         drones = self.world.drones
@@ -151,7 +151,7 @@ class SwarmCore:
         """Complete the settings by what the task and the options say of episodes."""
         task, config = self.task, self.config
         clock = task.episode_s if config.horizon_s is None else config.horizon_s
-        ranges = config.randomization
+        ranges = config.ranges
         rules = {
             **success_rules(task.success),
             "bounded": self.mode.bounded,
@@ -239,9 +239,9 @@ class SwarmCore:
         for e, placement in self._draw(task, begun.tolist(), seeds, given).items():
             self._fly_task(e, task)
             place(self.world, e, placement)
-        if self.config.randomization is not None:
+        if self.ranges is not None:
             for e in begun.tolist():
-                draw_vehicles(self.generators[e], self.config.randomization, e, self.world)
+                draw_vehicles(self.generators[e], self.ranges, e, self.world)
         if self.physics.hall is not None:
             for e in begun.tolist():
                 self.physics.hall.draw(self.generators[e], e, self.world)
@@ -341,8 +341,8 @@ class SwarmCore:
             )
         self.physics.interactions.type_indices(team)
         self.physics.feedforward.type_indices(team)
-        if self.config.randomization is not None:
-            self.config.randomization.check_team(team)
+        if self.ranges is not None:
+            self.ranges.check_team(team)
         return self.task.with_team(team)
 
     def _fly_task(self, e: int, task: Task) -> None:
@@ -455,7 +455,7 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         ValueError: randomised vehicles could not fly.
         ImportError: Bullet is asked for, and not there.
     """
-    gusts, ranges = None, config.randomization
+    gusts, ranges = None, config.ranges
     if ranges is not None:
         ranges.check_team(task.team)
         gusts = (ranges.gust_acceleration, ranges.gust_time_s)

@@ -19,7 +19,7 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_name
 from swarm_envs.tasks.base import Task
-from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
 __all__ = ["Blueprint", "NumDrones", "TaskOptions", "batch_of", "task_views"]
@@ -51,8 +51,9 @@ class TaskOptions(EnvConfig, ABC):
     """N small drones, if no team is given."""
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
-    obstacles: Sequence[Obstacle] = ()
-    """What stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`."""
+    obstacles: Sequence[Obstacle] | str = ()
+    """What stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`, or text such as
+    `buildings=2:2,column=1:1:0.15`."""
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""
     render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None
@@ -60,10 +61,23 @@ class TaskOptions(EnvConfig, ABC):
 
     learned: ClassVar[str] = "learned"
     """The force model that `interactions="learned"` means in this version of the task."""
+    default_weights: ClassVar[Mapping[str, float]]
+    """Weight of each reward term that is not given."""
 
     @abstractmethod
     def make_task(self) -> Task:
         """The task that is flown."""
+
+    @property
+    def standing(self) -> tuple[Obstacle, ...]:
+        """What stands in the way."""
+        given = self.obstacles
+        return parse_obstacles(given) if isinstance(given, str) else tuple(given)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each reward term."""
+        return {**self.default_weights, **(self.reward_weights or {})}
 
     @property
     def vehicles(self) -> Team:

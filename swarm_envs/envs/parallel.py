@@ -132,7 +132,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """Fly until the next decision.
 
         Args:
-            actions: one for each of `agents`.
+            actions: one for each of `agents`; those of agents that have left are not used.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
@@ -241,9 +241,12 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
 
         Those of drones that have ended are zeros.
         """
-        joined = join_actions(self.core.mode, self.agents, actions)
         if len(self.agents) == self.core.num_drones:
-            return joined
+            return join_actions(self.core.mode, self.agents, actions)
+        left = set(self.possible_agents) - set(self.agents)
+        if isinstance(actions, Mapping):  # TorchRL acts for who has left, too
+            actions = {agent: action for agent, action in actions.items() if agent not in left}
+        joined = join_actions(self.core.mode, self.agents, actions)
         everyone = np.zeros((1, self.core.num_drones, self.core.mode.width))
         everyone[0, [self._index(agent) for agent in self.agents]] = joined[0]
         return everyone

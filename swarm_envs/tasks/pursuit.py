@@ -46,7 +46,7 @@ _LEAST = {"moving": 0.9, "swap-goals": 0.5, "chase": 0.9}
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
         "progress": 0.5,
-        "at_goal": 5.0,
+        "at_goal": 0.5,
         "tracking": 0.0,
         "effort": -0.1,
         "proximity": -4.0,
@@ -78,9 +78,15 @@ def score_pursuit(
     for e in range(drones.shape[0]):
         if not flown[e]:
             continue
-        near = 0
+        near, stage = 0, environments[e].stage
+        swapped = environments[e].time - stage * rules.stage_s < rules.decision_s / 2
         for i in range(size):
             d = drones[e, i]
+            if stage > 0 and swapped:  # `progress` is still what it covered to the goal it had
+                square = 0.0
+                for k in range(3):
+                    square += (d.position[k] - goals[e, stage - 1, i, k]) ** 2
+                d.last_distance += d.distance - np.sqrt(square)
             near += d.active > 0.0 and d.distance < rules.success_radius
         environments[e].score += near / size * rules.decision_s / rules.horizon_s
         end_by_score(environments[e], rules)

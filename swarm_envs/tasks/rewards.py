@@ -1,6 +1,6 @@
-"""Bounded shapes that rewards are made of, and their weighted sum.
+"""What rewards are made of, and their weighted sum.
 
-Every term lies in [0, 1], or in [-1, 1] where it has a sign, so weights alone set the scale.
+Terms are seconds, or events that count 1, so weights alone set the scale.
 """
 
 from __future__ import annotations
@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from swarm_envs.compiled import equation, kernel
+import numpy as np
+
+from swarm_envs.compiled import equation, kernel, part
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import SPEED_LIMIT
 
-__all__ = ["REWARD_NAMES", "check_reward_weights", "weigh", "write_terms"]
+__all__ = ["REWARD_NAMES", "check_reward_weights", "weigh", "write_terms", "write_terms_v0"]
 
 REWARD_NAMES = ("progress", "at_goal", "tracking", "effort", "proximity", "crash", "success")
 """The reward terms of every task; see `write_terms`."""
@@ -28,32 +30,59 @@ def bell(x: float, width: float) -> float:
 
 @kernel
 def write_terms(drones: Records, environments: Records, settings: Records, out: FloatArray) -> None:
-    """Write the bounded reward terms (T, E, N), in the order of `REWARD_NAMES`.
+    """Write the reward terms (T, E, N), in the order of `REWARD_NAMES`.
 
-    What goes on is counted by time, so that returns do not depend on the decision rate:
-    `progress` (of the speed limit towards the goal), `effort` (mean square action) and `proximity`
-    (1 where a drone touches a drone or an obstacle, 0 from a clearance of 2.5 on) are the
-    decision's duration in seconds times a number in [-1, 1] or [0, 1]; `at_goal` and `tracking`
-    are its share of the clock times a bell around goal and reference, so that their sum over an
-    episode is at most 1. Two are events: `crash` on the step that ends badly for the drone;
-    `success` on the step at which the team has done its task, or one over the number of stages for
-    each of them, so that it sums to 1, for the drones that still fly.
+    Returns depend neither on the decision rate nor on the clock. `progress` is a difference of
+    potentials (Ng, Harada and Russell, 1999): the seconds at the speed limit by which the drone
+    came nearer to its goal, so that ways there and back sum to 0. What goes on is counted by the
+    second: `at_goal` and `tracking` (bells around goal and reference), `effort` (mean square
+    action) and `proximity` (1 where a drone touches a drone or an obstacle, 0 from a clearance of
+    2.5 on) are the decision's duration in seconds times a number in [0, 1]. Two are events: `crash`
+    on the step that ends badly for the drone; `success` on the step at which the team has done its
+    task, or one over the number of stages for each of them, so that it sums to 1, for the drones
+    that still fly.
 
     Args:
         drones: (E, N) records, after a decision has been judged.
         environments: (E,) records.
-        settings: (1,) record, with the time between decisions and the clock.
+        settings: (1,) record, with the time between decisions.
         out: (T, E, N), written.
     """
-    decision_s, horizon_s = settings[0].decision_s, settings[0].horizon_s
-    farthest, share = SPEED_LIMIT * decision_s, decision_s / horizon_s
+    write_by_clock(drones, environments, settings[0].decision_s, 1.0, np.inf, out)
+
+
+@kernel
+def write_terms_v0(
+    drones: Records, environments: Records, settings: Records, out: FloatArray
+) -> None:
+    """Write the terms of version 0 of the tasks.
+
+    They differ from those of `write_terms` in that `at_goal` and `tracking` are shares of the
+    clock, so that their sum over an episode is at most 1, and that `progress` is cut off at the
+    speed limit. Arguments as of `write_terms`.
+    """
+    rules = settings[0]
+    write_by_clock(drones, environments, rules.decision_s, rules.horizon_s, 1.0, out)
+
+
+@part
+def write_by_clock(
+    drones: Records,
+    environments: Records,
+    decision_s: float,
+    unit_s: float,
+    most: float,
+    out: FloatArray,
+) -> None:
+    """Write the terms: bells over `unit_s`, and speeds up to `most` times the limit."""
+    farthest, share = SPEED_LIMIT * decision_s, decision_s / unit_s
     for e in range(out.shape[1]):
         for i in range(out.shape[2]):
             d = drones[e, i]
             near = min(d.clearance, d.obstacle_clearance)
             covered = (d.last_distance - d.distance) / farthest
             proximity = min(max((near - 2.5) / (1.0 - 2.5), 0.0), 1.0)
-            out[0, e, i] = decision_s * min(max(covered, -1.0), 1.0)
+            out[0, e, i] = decision_s * min(max(covered, -most), most)
             out[1, e, i] = share * bell(d.distance, 0.15)
             out[2, e, i] = share * bell(d.tracking_error, 0.10)
             out[3, e, i] = decision_s * d.effort

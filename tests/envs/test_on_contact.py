@@ -128,11 +128,18 @@ def test_bouncing_drones_fly_on_hurt():
     env.close()
 
 
-def test_an_action_of_one_that_has_ended_is_refused():
+def test_actions_of_those_who_have_left_are_not_used():
     env = make(physics="batch")
     meet(env)
-    with pytest.raises(ValueError, match="drone_0"):
-        env.step({"drone_0": GO, "drone_2": GO})
+    with pytest.raises(ValueError, match="drone_2"):
+        env.step({"drone_0": GO})
+    with pytest.raises(ValueError, match="drone_7"):
+        env.step({"drone_2": GO, "drone_7": GO})
+    kept = env.get_state()
+    rows, *_ = env.step({"drone_0": GO, "drone_1": np.full(3, np.nan), "drone_2": GO})
+    assert list(rows) == ["drone_2"]
+    env.set_state(kept)
+    np.testing.assert_array_equal(env.step({"drone_2": GO})[0]["drone_2"], rows["drone_2"])
     env.close()
 
 

@@ -87,7 +87,7 @@ def test_who_is_left_flies_on_and_counts_for_less():
     AGENT.reset(env, 3)
     while env.agents:
         actions = AGENT.act(observations, None)
-        if "drone_1" in actions:
+        if "drone_1" in env.agents:
             actions["drone_1"] = np.array([0.0, 0.0, -1.0], np.float32)
         observations, *_ = env.step(actions)
     metrics = env.core.metrics()

@@ -51,6 +51,21 @@ def test_the_score_is_the_share_of_time_near_the_goals(layout):
     assert metrics["success"] == (near.mean() >= least)
 
 
+def test_progress_is_of_the_goal_that_was_had():
+    """At a swap, too."""
+    agent = load("straight-line+filter")
+    env = pursuit("swap-goals", agent, change_s=1.0, horizon_s=2.5)
+    observations, _ = env.reset(seed=0)
+    agent.reset(env, 0)
+    while env.agents:
+        goals, before = env.view.goals.copy(), env.view.state.position.copy()
+        observations, *_, infos = env.step(agent.act(observations, env.view))
+        after = np.linalg.norm(env.view.state.position - goals, axis=1)
+        covered = (np.linalg.norm(before - goals, axis=1) - after) / 2.0
+        for i, info in enumerate(infos.values()):
+            assert info["reward_terms"]["progress"] == pytest.approx(covered[i], abs=1e-12)
+
+
 def test_who_ends_is_on_no_goal_any_more():
     """Everybody falls: what counts is the time before."""
     env = swarm_envs.make("pursuit_v0", physics="batch", num_drones=2, action="rotors")

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
@@ -20,6 +21,7 @@ from torch import Tensor, nn
 from swarm_envs.agents.features import FEATURE_SETS, TYPES
 from swarm_envs.agents.networks import Layers, Network
 from swarm_envs.envs.options import Blueprint, batch_of
+from swarm_envs.tasks.rewards import write_terms
 from swarm_envs.training.rl.recipes import recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
@@ -221,8 +223,15 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         num_neighbors=config.num_neighbors,
         horizon_s=config.horizon_s,
         threads=config.threads,
+        **config.air(),
     )
-    return found._replace(task=recipe.curriculum(found.task, config))
+    flown = recipe.curriculum(found.task, config)
+    if flown.write_reward_terms is write_terms:  # which counts these by the second
+        assert config.horizon_s is not None  # the recipe has one
+        weights = dict(flown.reward_weights)
+        weights |= {name: weights[name] / config.horizon_s for name in ("at_goal", "tracking")}
+        flown = replace(flown, reward_weights=weights)  # type: ignore[type-var]  # a dataclass
+    return found._replace(task=flown)
 
 
 def layers_of(network: nn.Module) -> Layers:

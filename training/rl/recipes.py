@@ -97,7 +97,9 @@ class SwapCurriculum(SwapTask):
 def swap_curriculum(task: Task, config: RlConfig) -> Task:
     """The task in which a swap is learned: in the layout `random`, hard starts too if wanted."""
     if config.layout == "random" and config.hard_starts:
-        return SwapCurriculum(team=task.team, reward_weights=task.reward_weights)
+        return SwapCurriculum(
+            team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+        )
     return task
 
 
@@ -147,11 +149,14 @@ def formation_curriculum(task: Task, config: RlConfig) -> Task:
     """The task in which formations are learned: the same unless hard starts are wanted."""
     if not config.hard_starts:
         return task
-    return FormationCurriculum(team=task.team, reward_weights=task.reward_weights)
+    return FormationCurriculum(
+        team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+    )
 
 
 _REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "discount": 0.98}
 """Defaults where places are to be found: explored widely, rewarded late."""
+_WHOLE_CLOCK: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
 Metrics = Mapping[str, Any]
 """`episode_metrics` of one episode."""
 LOST_M = 0.15
@@ -184,8 +189,9 @@ class Recipe:
     """of those options of `RlConfig` that are None unless they are given"""
     evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """layouts on which the policy of a layout is evaluated; itself alone where nothing is said"""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """of the reward in training; those of proximity and of a crash come from the options"""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: _WHOLE_CLOCK)
+    """of the reward in training; those of proximity and of a crash come from the options, and
+    those of `at_goal` and `tracking` are for a whole clock, in every version"""
     curriculum: Callable[[Task, RlConfig], Task] = lambda task, _: task
     """the task that is flown in training, made from the layout's"""
     features: str = GOAL

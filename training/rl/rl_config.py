@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import tyro
 
 from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, typed
+from swarm_envs.envs.setting import AirOptions
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
@@ -52,7 +54,7 @@ class SacConfig:
 
 @partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
-class RlConfig:
+class RlConfig(AirOptions):
     """Train one policy for all drones by reinforcement learning.
 
     Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
@@ -137,7 +139,7 @@ class RlConfig:
     """decisions per second, in training and in flight"""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """evaluations of the air's force per second in training"""
-    num_neighbors: Count = 3
+    num_neighbors: Annotated[Count, tyro.conf.arg(aliases=["--neighbors"])] = 3
     """K, how many neighbours a drone observes"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""

@@ -134,7 +134,7 @@ def _evaluate(config: RlConfig, task: str, learner: Learner, progress: _Progress
         task,
         recipe.evaluation_layouts(str(config.layout)),
         choosing_seeds(config.judge_episodes),
-        {"interactions": config.interactions, "force_rate": config.force_rate},
+        {"interactions": config.interactions, "force_rate": config.force_rate, **config.air()},
         config.teams,
     )
     quality = recipe.quality(rates)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from types import MappingProxyType
@@ -54,6 +54,19 @@ class ScoredTask(TaskInfo):
         """How many fly."""
         team = self.options.get("team")
         return int(self.options["num_drones"]) if team is None else len(parse_team(team))
+
+    def changed(self, options: Mapping[str, Any]) -> ScoredTask:
+        """The task with other options, under an id of its own, since scores do not compare."""
+        if not options:
+            return self
+        new = json.dumps(options, sort_keys=True)
+        kept = {k: v for k, v in self.options.items() if "team" not in options or k != "num_drones"}
+        return replace(
+            self,
+            id=f"{self.id}-{hashlib.sha256(new.encode()).hexdigest()[:8]}",
+            label=", ".join([self.label, *(f"{name} {value}" for name, value in options.items())]),
+            options={**kept, **options},
+        )
 
     @property
     def setting(self) -> dict[str, Any]:
@@ -163,11 +176,14 @@ TASKS: Mapping[str, ScoredTask] = MappingProxyType({task.id: task for task in _T
 """Every task by its id, in the order in which they are shown."""
 
 
-def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
+def choose_tasks(
+    patterns: Sequence[str], options: Mapping[str, Any] = MappingProxyType({})
+) -> list[ScoredTask]:
     """The tasks whose ids match any of the patterns, in the table's order.
 
     Args:
         patterns: ids, or such as `swap-*` (`*`, `?`, `[...]` as in file names).
+        options: of the environment, to be changed in each.
 
     Raises:
         ValueError: a pattern matches none; the message names the nearest id.
@@ -177,7 +193,8 @@ def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in TASKS):
             raise ValueError(unknown_name("task", pattern, TASKS, "of the benchmark"))
-    return [t for t in _TABLE if any(fnmatchcase(t.id, pattern) for pattern in patterns)]
+    chosen = [t for t in _TABLE if any(fnmatchcase(t.id, pattern) for pattern in patterns)]
+    return [task.changed(options) for task in chosen]
 
 
 choose = choose_tasks
