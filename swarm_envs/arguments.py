@@ -108,7 +108,12 @@ class Range:
         """Numbers of a kind in this range."""
         integer = kind.fits(0) and not kind.fits(0.5)
         words = self._of_integers() if integer else self._of_numbers()
-        return Kind(words, lambda v: kind.fits(v) and self.holds(v), (), kind.has_type)
+        most = math.inf if integer else sys.float_info.max  # else it becomes a float
+
+        def fits(value: Any) -> bool:
+            return kind.fits(value) and self.holds(value) and abs(value) <= most
+
+        return Kind(words, fits, (), kind.has_type)
 
     def holds(self, value: float) -> bool:
         """Whether a number lies in the range."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import pytest
 
@@ -84,3 +85,12 @@ def test_the_benchmark_flies_them_under_another_id(tmp_path):
     (task,) = json.loads((tmp_path / "scores.json").read_text())["tasks"]
     assert task["id"].startswith("swap-random-2-v1-") and "hall" in task["label"]
     assert task["options"]["team"] == "SSL" and "num_drones" not in task["options"]
+
+
+@pytest.mark.parametrize("command", ["fit", "train", "fly", "evaluate", "benchmark"])
+def test_the_help_begins_with_what_matters_most(command, capsys):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    said = capsys.readouterr().out
+    first = {"fit": ["data", "out"], "fly": ["task"], "evaluate": ["task"]}.get(command, ["out"])
+    assert re.findall(r"--([a-z-]+)", said.split("--help")[-1])[: len(first)] == first

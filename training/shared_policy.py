@@ -6,6 +6,7 @@ One policy flies all of them (parameter sharing), and they fly in one batched ca
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from itertools import accumulate
 from typing import Any
 
@@ -195,7 +196,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             info["TimeLimit.truncated"] = bool(cut.flat[place])
             info["terminal_observation"] = _row(shown, row)
             if e in metrics:
-                info["episode_metrics"] = dict(metrics[e])
+                info["episode_metrics"] = deepcopy(metrics[e])
 
     def _observations(self) -> Any:
         width = self.core.rows.shape[-1]

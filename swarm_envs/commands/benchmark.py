@@ -15,15 +15,9 @@ from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.tasks import SEED
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
-class BenchmarkOptions(CrewOptions):
-    """Fly every agent on every task that it supports, and report how they did.
-
-    Interrupted or killed, the same command goes on. An agent that fails is named with the reason,
-    the others go on, and the exit code is 1; what an agent does not support is in the report too.
-    Options of the environment hold on every task, whose ids then say that it is changed.
-    """
+class CellOptions:
+    """Which cells of the benchmark are flown, and where they are kept."""
 
     out: Path | None = None
     """folder of the report, the tables, every episode and the replay pages"""
@@ -41,6 +35,18 @@ class BenchmarkOptions(CrewOptions):
     """fly a sixteenth of the episodes, to see that all works"""
     seed: Seed = SEED
     """the episodes' seeds are drawn from it; with another, scores compare with nobody else's"""
+
+
+@command_options
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions(CrewOptions, CellOptions):
+    """Fly every agent on every task that it supports, and report how they did.
+
+    Interrupted or killed, the same command goes on. An agent that fails is named with the reason,
+    the others go on, and the exit code is 1; what an agent does not support is in the report too.
+    Options of the environment hold on every task, whose ids then say that it is changed.
+    """
+
     replays: bool = True
     """record for each cell an episode that can be looked at, one click from the report"""
     table: Literal["parquet", "csv"] = "parquet"

@@ -29,8 +29,8 @@ _FILES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions(CrewOptions):
-    """What is flown, and in which air."""
+class EpisodeFields:
+    """What is flown: these come first in the help."""
 
     task: str = "swap"
     """what is flown: `swap`, or with its version, `swap_v1`"""
@@ -44,6 +44,11 @@ class EpisodeOptions(CrewOptions):
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeOptions(CrewOptions, EpisodeFields):
+    """What is flown, and in which air."""
 
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
@@ -104,7 +109,7 @@ def run_fly(options: FlyOptions) -> None:
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
-    """Raise ImportError if plotly, pyarrow or pybullet is missing for a file."""
+    """Raise ImportError if plotly, pyarrow, pybullet or ffmpeg is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
@@ -117,6 +122,10 @@ def _check_writers(files: Mapping[str, Path]) -> None:
         from swarm_envs.physics.bullet import import_bullet
 
         import_bullet()
+        if files["video"].suffix == ".mp4":
+            from swarm_envs.viewing.video import find_ffmpeg
+
+            find_ffmpeg()
 
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:

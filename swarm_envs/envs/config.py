@@ -67,6 +67,9 @@ class EnvConfig:
     model."""
     action: Annotated[str, OneOf(tuple(ACTIONS))] = "acceleration"
     """What actions mean: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
+    clip_actions: bool = False
+    """Whether actions outside of [-1, 1] are clipped, as Gaussian policies want it, not refused;
+    those that are not finite are refused in any case."""
     decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """Actions per second: 240 over an integer."""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240

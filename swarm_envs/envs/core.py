@@ -262,7 +262,7 @@ class SwarmCore:
         """
         mode, kernels, flown = self.mode, self._kernels, self._flown
         drones, environments, goals, settings = everything = self._state
-        asked = as_actions(mode, actions, self._shape)
+        asked = as_actions(mode, actions, self._shape, self.config.clip_actions)
         if not kernels.apply(mode.code, asked, mode.limit, drones, environments, settings, flown):
             check_actions(mode, asked)
         rewards: FloatArray = np.empty(drones.shape)

@@ -395,4 +395,5 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
         actions: dict[str, Any] = dict.fromkeys(self.env.agents, others)
         joined = self.env.join(actions | {agent: action})
         shape = (1, core.num_drones, core.mode.width)
-        check_actions(core.mode, as_actions(core.mode, joined, shape))
+        clip = core.config.clip_actions
+        check_actions(core.mode, as_actions(core.mode, joined, shape, clip))

@@ -32,13 +32,20 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
     flown this decision, and where an episode ends `infos["episode_metrics"]`, with Gymnasium's
     masks.
 
+    With `per_agent=True` every drone is a row of its own, number e * N + i for drone i of
+    environment e: observations (E * N, width), actions, rewards and ends likewise. All rows of a
+    team begin anew together; one that ended before (`on_contact="end_pair"`) waits until then, with
+    zeros observed, reward 0 and `infos["active"]` False, and is terminated with the team again.
+
     Args:
         task: what is flown, by whom.
         config: how; `observation` must be `flat`.
         num_envs: E.
         autoreset_mode: what happens after an episode's end: `NEXT_STEP` (the next step begins a
             new one, its action unused), `SAME_STEP` (the step itself does; `final_obs` and
-            `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`).
+            `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`). Or
+            their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
+        per_agent: whether a row is a drone, and not a team. Reset masks stay those of teams, (E,).
     """
 
     def __init__(
@@ -47,6 +54,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         config: EnvConfig,
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        per_agent: bool = False,
     ) -> None:
         check_num_envs(num_envs)
         modes = {mode.value: mode for mode in AutoresetMode}
@@ -55,13 +63,18 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         check_flat(config)
         self.mode = AutoresetMode(autoreset_mode)
         self.core = SwarmCore(task, config, num_envs)
-        self.num_envs = num_envs
+        self.num_teams, drones = num_envs, self.core.num_drones
+        check_value("per_agent", per_agent, bool)
+        self.per_agent = per_agent
+        self.num_envs = num_envs * drones if per_agent else num_envs
         self.metadata = {"autoreset_mode": self.mode, "render_modes": []}
-        self.single_observation_space = joint_box(self.core.rows.shape[1:], np.inf)
+        together = 1 if per_agent else drones
+        width = self.core.rows.shape[-1]
+        self.single_observation_space = joint_box((together, width), np.inf)
         edge = 1.0 if self.core.mode.bounded else np.inf
-        self.single_action_space = joint_box((self.core.num_drones, self.core.mode.width), edge)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.single_action_space = joint_box((together, self.core.mode.width), edge)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._ended: BoolArray = np.ones(num_envs, dtype=np.bool_)
         self._begun: BoolArray = np.zeros(num_envs, dtype=np.bool_)
 
@@ -90,7 +103,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         given = dict(given)
         mask = given.pop("reset_mask", None)
         self.core.reset(self._seeds(seed), mask, given)
-        where = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
+        where = np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask)
         self._ended[where] = False
         self._begun[where] = True
         return self._observations(), {}
@@ -109,21 +122,29 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         result = self.core.step(split_teams(actions, self.action_space.shape, self.core))
         if again.any():  # only where the next step resets
             self.core.reset(mask=again)
-        rewards = np.where(again, 0.0, result.rewards.mean(axis=1))
-        ended = (result.terminated | result.truncated) & ~again
-        infos: Infos = {"rewards": result.rewards.copy(), "active": result.active}
-        for e in np.flatnonzero(ended).tolist():
-            infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, e)
-        self._ended[:] = ended
-        if self.mode is AutoresetMode.SAME_STEP and ended.any():
-            infos = self._begin_again(ended, infos)
-        return (
-            self._observations(),
-            rewards,
-            result.terminated & ~again,
-            result.truncated & ~again,
-            infos,
-        )
+        over = (result.terminated | result.truncated) & ~again
+        self._ended[:] = over
+        infos: Infos = {"active": result.active}
+        if self.per_agent:
+            ends = result.ended | (over[:, None] & ~result.active)  # who waited ends again
+            given = result.rewards, ends, result.truncated[:, None] & ~ends
+            again, infos = again[:, None], {"active": result.active.reshape(-1)}
+        else:
+            given = result.rewards.mean(axis=1), result.terminated, result.truncated
+            infos["rewards"] = result.rewards.copy()
+        rewards = np.where(again, 0.0, given[0]).reshape(-1)
+        terminated, truncated = ((part & ~again).reshape(-1) for part in given[1:])
+        for e in np.flatnonzero(over).tolist():
+            for row in self._rows_of(e):
+                infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, row)
+        if self.mode is AutoresetMode.SAME_STEP and over.any():
+            infos = self._begin_again(over, infos)
+        return self._observations(), rewards, terminated, truncated, infos
+
+    def _rows_of(self, e: int) -> range:
+        """The rows of a team."""
+        each = self.num_envs // self.num_teams
+        return range(e * each, (e + 1) * each)
 
     def close_extras(self, **_: object) -> None:
         """Free what physics holds."""
@@ -132,9 +153,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
 
     def _begin_again(self, ended: BoolArray, infos: Infos) -> Infos:
         for e in np.flatnonzero(ended).tolist():
-            final = {"episode_metrics": self.core.metrics(e)}
-            last = self.core.rows[e].reshape(-1).copy()
-            infos = self._add_info(infos, {"final_obs": last, "final_info": final}, e)
+            rows = self._rows_of(e)
+            ends = self.core.rows[e].reshape(len(rows), -1).copy()
+            for row, last in zip(rows, ends, strict=True):
+                final = {"episode_metrics": self.core.metrics(e)}
+                infos = self._add_info(infos, {"final_obs": last, "final_info": final}, row)
         self.core.reset(mask=ended)
         self._ended[:] = False
         return infos
@@ -157,15 +180,19 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         if isinstance(seed, Sequence | np.ndarray):
             return list(seed)
         first = check_integer("seed", seed, 0)
-        return [first + e for e in range(self.num_envs)]
+        return [first + e for e in range(self.num_teams)]
 
     def _observations(self) -> Float32Array:
         return self.core.rows.reshape(self.num_envs, -1).copy()
 
 
 def make_vector(
-    task: str, num_envs: int = 1, autoreset_mode: Any = "NextStep", **options: Any
+    task: str,
+    num_envs: int = 1,
+    autoreset_mode: Any = "NextStep",
+    per_agent: bool = False,
+    **options: Any,
 ) -> SwarmVectorEnv:
     """E teams on the batched engine; options as of the task's `parallel_env()`."""
     blueprint = batch_of(task, **options)
-    return SwarmVectorEnv(blueprint.task, blueprint.config, num_envs, autoreset_mode)
+    return SwarmVectorEnv(blueprint.task, blueprint.config, num_envs, autoreset_mode, per_agent)

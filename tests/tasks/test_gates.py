@@ -36,7 +36,8 @@ def test_columns_stand_between_posts_there_and_back():
             assert column[:, 2].argsort().tolist() == start[:, 2].argsort().tolist()
         np.testing.assert_array_equal(goals[:4], goals[:3:-1])
         for x, y in goals[:, 0, :2]:
-            beside = sorted(np.hypot(x - o.center[0], y - o.center[1]) for o in task.obstacles)
+            rows = task.obstacle_rows  # a column's begins with its kind and its centre
+            beside = np.sort(np.hypot(x - rows[:, 1], y - rows[:, 2]))
             np.testing.assert_allclose(beside[:2], 0.35)
         tops.add(int(start[:, 2].argmax()))
         sides.add(float(start[0, 0]))

@@ -52,14 +52,9 @@ class SacConfig:
     reward is, drones are paid for trembling"""
 
 
-@partial(typed, owner="--")
 @dataclass(frozen=True, kw_only=True)
-class RlConfig(AirOptions):
-    """Train one policy for all drones by reinforcement learning.
-
-    Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
-    with the policy that an uninterrupted run would have. A finished run is not overwritten.
-    """
+class RunOptions:
+    """What is trained, and where it is kept: these come first in the help."""
 
     out: Path
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
@@ -84,6 +79,16 @@ class RlConfig(AirOptions):
     """of first weights, episodes and exploration; the same seed gives the same policy"""
     json: Path | None = None
     """write the report to this file too"""
+
+
+@partial(typed, owner="--")
+@dataclass(frozen=True, kw_only=True)
+class RlConfig(AirOptions, RunOptions):
+    """Train one policy for all drones by reinforcement learning.
+
+    Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
+    with the policy that an uninterrupted run would have. A finished run is not overwritten.
+    """
 
     environments: Count = 128
     """teams that fly at once, of all sizes together"""
