@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from torch.distributions import Normal, kl_divergence
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
 from swarm_envs.agents.features import FEATURE_SETS, TYPED
-from swarm_envs.agents.networks import ANY, Network
+from swarm_envs.agents.networks import ANY, Network, to_tensors
 from swarm_envs.agents.policy import Policy, PolicyAgent, read_policy, write_policy
 from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.ppo import PpoLearner
@@ -145,12 +146,10 @@ def test_every_type_flies_by_a_network_of_its_own():
 @pytest.mark.parametrize("algo", ["mappo", "sac"])
 def test_every_algorithm_has_every_encoder(algo, encoder):
     """The network that flies gives the means that are trained; SAC's through a tanh."""
-    batch = {} if algo == "sac" else {"batch_size": 64, "rollout": 16}
-    config = RlConfig(
-        **{"out": Path("never"), "algo": algo, "encoder": encoder, "interactions": "none"},
-        **{"environments": 4, "hidden": (8, 8), **batch},
-    )
-    learner = make_learner(config, "swap_v0")
+    options: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64, "rollout": 16}
+    options |= {"algo": algo, "encoder": encoder, "interactions": "none", "hidden": (8, 8)}
+    config = RlConfig(out=Path("never"), environments=4, **options)
+    learner: Any = make_learner(config, "swap_v0")
     values = learner.env.observe(rows_of(learner))
     seen = torch.from_numpy(values)
     network = learner.network()
@@ -160,11 +159,23 @@ def test_every_algorithm_has_every_encoder(algo, encoder):
     np.testing.assert_allclose(found, means.detach().numpy(), atol=2e-6)
 
 
+@pytest.mark.parametrize("algo", ["mappo", "dagger"])
+def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
+    first = make(drones=4, **SET)
+    write_policy(tmp_path / "policy.safetensors", policy_of(first))
+    options: dict[str, Any] = {"algo": algo, "start": str(tmp_path), "hidden": (8, 8), **SET}
+    options |= {"batch_size": 64, "rollout": 16} if algo == "mappo" else {}
+    config = RlConfig(out=Path("never"), environments=12, interactions="none", **options)
+    found = to_tensors(make_learner(config, "swap_v0").actor())
+    for name, tensor in to_tensors(first.actor()).items():
+        assert np.array_equal(found[name], tensor), name
+
+
 def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path):
     """The divergence in the loss is that of two normal distributions of the same deviation."""
     first = make(drones=4, **SET)
     write_policy(tmp_path / "policy.safetensors", policy_of(first))
-    learner = make_learner(
+    learner: Any = make_learner(
         replace(first.config, start=str(tmp_path), start_kl=3.0, seed=9), "swap_v0"
     )
     values = learner.env.observe(rows_of(learner))

@@ -51,6 +51,7 @@ class DaggerLearner(Learner):
         torch.manual_seed(config.seed)
         super().__init__(config, task)
         self.networks = Actor(self.spec, self.env.core.mode.width)
+        self.start_from(self.networks.trunks, self.networks.head)
         self.adam = torch.optim.Adam(self.networks.parameters(), fused=True)
         size = self.config.dagger.buffer_size
         widths = {"seen": self.sizes.width, "wanted": self.env.core.mode.width, "weight": 1}

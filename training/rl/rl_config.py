@@ -102,7 +102,7 @@ class RlConfig:
     that sees the whole team; `sac`, soft actor-critic, which learns from every decision often;
     `dagger`, which imitates another agent where the policy itself has flown"""
     start: str | None = None
-    """for ppo and mappo: a trained policy, by name, file or folder, from which the actor begins"""
+    """a trained policy, by name, file or folder, from which the actor begins"""
     start_kl: Annotated[float, Range(0.0, 1e4)] = 0.0
     """weight in the loss of the policy's divergence from that policy (Kullback-Leibler)"""
     drones: Count | tuple[Count, ...] = 4
@@ -369,13 +369,12 @@ _ON_POLICY = (
     *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
     *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
 )
-_START = ("start", "start_kl")
 _REWARDS = ("discount", "proximity", "crash", "time_cost", "reward_scale")
 _FOREIGN = {
     "ppo": ("sac", "dagger"),
     "mappo": ("sac", "dagger"),
-    "sac": (*_ON_POLICY, *_START, "activation", "dagger"),
-    "dagger": (*_ON_POLICY, *_START, *_REWARDS, "sac"),
+    "sac": (*_ON_POLICY, "start", "start_kl", "activation", "dagger"),
+    "dagger": (*_ON_POLICY, "start_kl", *_REWARDS, "sac"),
 }
 """Options that an algorithm has not."""
 _OF_ENCODERS = {"pooling": ("deep-set",), "set_hidden": ("deep-set", "attention")}
