@@ -5,8 +5,8 @@ most the cruise speed, and fly behind a `swarm_envs.agents.SafetyFilter`:
 
 - `fast-line` asks for no more than that.
 - `orca` (van den Berg et al., Reciprocal n-body collision avoidance, 2011) is the same law behind a
-  filter whose rate is kd and that predicts no response: its inequalities on accelerations are then
-  ORCA's half-spaces of velocities, n . (v' - v) >= -h / 2.
+  filter whose rate is about kd and that predicts no response: its inequalities on accelerations
+  are then ORCA's half-spaces of velocities, n . (v' - v) >= -share h.
 - `roundabout` counts the neighbours whose straight way comes near its own at about the same time.
   Where there is more than one it steers to the right, slows down, and takes a height that follows
   from its heading, so that ways that cross in one point become a roundabout on several floors.
@@ -192,7 +192,8 @@ TUNED: Mapping[str, Avoidance] = MappingProxyType(
             )
         ),
         "orca": Avoidance(
-            safety=Safety(rate=4.0, response_s=0.0, horizon_s=2.0, downwash=1.0, margin_m=0.12)
+            cruise=Cruise(position_gain=7.13),
+            safety=Safety(rate=3.52, response_s=0.0, horizon_s=1.72, share=0.781, downwash=1.09),
         ),
         "roundabout": Avoidance(
             cruise=Cruise(position_gain=8.4),

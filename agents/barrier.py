@@ -3,9 +3,10 @@
 Two drones that fly on as they do come closer than a distance D within a time T if their relative
 velocity lies in the truncated cone of van den Berg et al. (ORCA, 2011). The barrier h is how far
 outside it lies, m/s, and negative inside; a drone's acceleration must keep dh/dt >= -rate h, of
-which each of the two takes half. Drones that are closer than D already must part along the line between them, at a speed
-that brings them to D within 0.3 s. Positions and velocities are predicted over the time that a drone
-takes to respond, and heights may count less than widths: downwash reaches far down.
+which each of the two takes half. Drones that are closer than D already must part along the line
+between them, at a speed that brings them to D within 0.3 s. Positions and velocities are predicted
+over the time that a drone takes to respond, and heights may count less than widths: downwash
+reaches far down.
 
 The nearest acceleration that satisfies all inequalities is found by Seidel's incremental method (de
 Berg et al., Computational Geometry, ch. 4), for a quadratic goal: rows are added one after another;

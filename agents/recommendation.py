@@ -17,7 +17,7 @@ from swarm_envs import task_family
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.arguments import Count, typed
 
-__all__ = ["FILE", "recommended", "success_of"]
+__all__ = ["FILE", "recommended"]
 
 FILE = "recommended.json"
 """Its name, in the folder of the agents."""
@@ -74,12 +74,6 @@ def recommended(
         f"no shipped agent with {said or 'any property'} flies {task!r} with {num_drones} drones; "
         f"others that do: {others}"
     )
-
-
-def success_of(task: str, layout: str | None, num_drones: int, agent: str) -> float | None:
-    """Share of episodes in which an agent succeeded in the benchmark; None if that is unknown."""
-    about = _row_for(_of_task(task, layout), num_drones)["agents"].get(agent)
-    return None if about is None else float(about["success"])
 
 
 def _of_task(task: str, layout: str | None) -> list[Row]:

@@ -238,7 +238,8 @@ def _check_crossing(view: View) -> None:
     """Refuse straight ways of too many drones through one place.
 
     All of them contract together, each pressed on by those behind it, and from some radius on no
-    acceleration satisfies every inequality (0.74 m for 16 drones); watching all others does not help.
+    acceleration satisfies every inequality (0.74 m for 16 drones); to watch all others does not
+    help.
 
     Raises:
         ValueError: more than `MOST_AT_ONCE` meet.
@@ -248,8 +249,8 @@ def _check_crossing(view: View) -> None:
     most = int((apart < _ONE_PLACE_M).sum(axis=1).max())
     if most > MOST_AT_ONCE:
         raise ValueError(
-            f"{most} drones that fly straight would meet in one place, but a safety filter keeps at "
-            f"most {MOST_AT_ONCE} apart there; the agent 'roundabout' flies this"
+            f"{most} drones that fly straight would meet in one place, but a safety filter keeps "
+            f"at most {MOST_AT_ONCE} apart there; the agent 'roundabout' flies this"
         )
 
 

@@ -28,6 +28,11 @@ class BenchmarkOptions:
     report: Path | None = None
     """write the report of this folder anew, and the replay pages that it lacks; nothing else is
     flown"""
+    verify: Path | None = None
+    """check this results file (scores.json, or the folder that holds it): what does not follow
+    from its episodes, and what comes out otherwise when it is flown again"""
+    join: list[Path] = field(default_factory=list)
+    """put these results files into one, and its report, in the folder --out; nothing is flown"""
     agents: list[str] = field(default_factory=lambda: ["*"])
     """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
@@ -53,8 +58,12 @@ class BenchmarkOptions:
         """Refuse numbers with which nothing can be flown."""
         if self.episodes is not None and self.quick:
             raise ValueError("--quick and --episodes both say how many are flown; give one")
-        if (self.out is None) == (self.report is None):
-            raise ValueError("give either --out DIR, to fly, or --report DIR, to report anew")
+        if sum(each is not None for each in (self.out, self.report, self.verify)) != 1:
+            raise ValueError(
+                "give either --out DIR, to fly, or --report DIR, to report anew, or --verify FILE"
+            )
+        if self.join and self.out is None:
+            raise ValueError("--join writes into a folder; give --out DIR too")
 
 
 def run_benchmark(options: BenchmarkOptions) -> int:
@@ -68,6 +77,11 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     """
     if options.json is not None:
         check_file("--json", options.json, (".json",))
+    if options.verify is not None:
+        return _verify(options.verify)
+    if options.join:
+        assert options.out is not None
+        return _join(options.join, options.out)
     if options.replays and importlib.util.find_spec("plotly") is None:
         raise ImportError(
             "replay pages need plotly; install it by: pip install 'swarm-envs[viz]', or do without "
@@ -110,6 +124,40 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
     print(_standings(content))
     _tell(problems, out / FILE, options.json, page)
     return len(problems) + sum(cell["status"] == "failed" for cell in content["cells"])
+
+
+def _verify(path: Path) -> int:
+    """Say what is wrong with a results file; return how much."""
+    from swarm_envs.training.scoreboard.results import verify_results
+
+    count = 0
+    try:
+        for problem in verify_results(path):
+            count += 1
+            print(f"WRONG {problem}", flush=True)
+    except (FileNotFoundError, ValueError) as error:
+        raise Misuse(str(error)) from error
+    print(f"{path}: {f'{count} problems' if count else 'verified'}")
+    return count
+
+
+def _join(paths: list[Path], out: Path) -> int:
+    """Write a results file of several, and its report."""
+    from swarm_envs.files import claimed, write_json
+    from swarm_envs.training.scoreboard.board import FILE
+    from swarm_envs.training.scoreboard.report import write
+    from swarm_envs.training.scoreboard.results import join_results
+
+    check_folder("--out", out)
+    try:
+        content = join_results(paths)
+    except (FileNotFoundError, ValueError) as error:
+        raise Misuse(str(error)) from error
+    with claimed(out):
+        write_json(out / FILE, content)
+        print(_standings(content))
+        _tell([], out / FILE, write(out))
+    return 0
 
 
 def _rewrite(options: BenchmarkOptions, folder: Path) -> int:

@@ -157,10 +157,13 @@ def values_of(rows: Sequence[EpisodeRow], act_us: Sequence[int]) -> dict[str, di
 
     `act_us` are the times of its decisions, microseconds.
     """
-    return {metric.name: _value(metric, rows, act_us) for metric in METRICS}
+    return {metric.name: value_of_metric(metric, rows, act_us) for metric in METRICS}
 
 
-def _value(metric: Measured, rows: Sequence[EpisodeRow], act_us: Sequence[int]) -> dict[str, Any]:
+def value_of_metric(
+    metric: Measured, rows: Sequence[EpisodeRow], act_us: Sequence[int]
+) -> dict[str, Any]:
+    """One of them: `value` and `interval`."""
     column = metric.column or metric.name
     if metric.statistic == "percentile":
         share = float(metric.name.rpartition("_p")[2])

@@ -2,14 +2,14 @@
 
     python -m swarm_envs.training.scoreboard.recommend DIR
 
-Tasks are those of version 2 in the ideal world and the usual air; see `swarm_envs.agents.recommended`.
+Tasks are those of version 2 in the ideal world and the usual air; see
+`swarm_envs.agents.recommended`.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -81,11 +81,6 @@ def write_recommendations(board: Board, path: Path) -> None:
         partial.write_text(f'{{"tasks": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
-def main(arguments: Sequence[str]) -> None:
-    """Write the file of the package from a benchmark's folder."""
-    (folder,) = arguments
-    write_recommendations(read(Path(folder)), Path(swarm_envs.agents.__file__).parent / FILE)
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    (folder,) = sys.argv[1:]
+    write_recommendations(read(Path(folder)), Path(swarm_envs.agents.__file__).parent / FILE)

@@ -1,9 +1,10 @@
 """The benchmark's tasks: these tables are their definition.
 
 Version 1 flies version 0 of the environments, in the numbers of release 0.1.0. Version 2 flies the
-newest, in families: *classic*, the tasks of version 1 with clocks that are long enough for planners;
-*crowd*, more drones; *robust*, other worlds, vehicles and engines; *transfer*, air in which nothing
-that ships was trained. To add a task, add a row and its digest (`tests/training/scoreboard`).
+newest, in families: *classic*, the tasks of version 1 with clocks that are long enough for
+planners; *crowd*, more drones; *robust*, other worlds, vehicles and engines; *transfer*, air in
+which nothing that ships was trained. To add a task, add a row and its digest
+(`tests/training/scoreboard`).
 
 An id names what is flown for good: the task's version, every option, the force model by the digest
 of its weights, the seeds and the score. To change any of it is to make another benchmark, so the
