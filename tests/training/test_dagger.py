@@ -12,10 +12,13 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+from swarm_envs import swap_v1
 from swarm_envs.agents import load
+from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.policy import Policy, PolicyAgent
 from swarm_envs.envs.observation import observation_layout, observation_width
 from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.training.rl import teachers
 from swarm_envs.training.rl.dagger import DaggerLearner, fewer_neighbors, teacher_of
 from swarm_envs.training.rl.recipes import choosing_seeds, evaluate_policy
 from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig
@@ -68,6 +71,14 @@ def test_a_teacher_says_what_the_agent_does_of_the_neighbours_that_it_sees():
     wanted, weight = made._teachers[0].labels(core.rows, 3.0)
     np.testing.assert_allclose(wanted, np.clip(rows, -1.0, 1.0), atol=1e-6)
     assert set(np.unique(weight)) == {1.0, 3.0}
+
+
+def test_the_teacher_of_the_shipped_policy_swaps_without_near_misses():
+    name = str(Path(teachers.__file__)) + ":wide_roundabout"
+    agent = load(name)
+    env = swap_v1.parallel_env(num_drones=12, physics="batch", **agent.requires)
+    episodes = [episode["metrics"] for episode in evaluate_agent(env, agent, frozen_seeds(4, 12))]
+    assert all(m["success"] and not m["near_misses"] for m in episodes)
 
 
 def test_fewer_neighbours_are_the_nearest():
