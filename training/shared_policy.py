@@ -54,7 +54,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         task: name of the task, such as `swap_v0`; or a blueprint, made with a task of one's own; or
             several blueprints, whose teams fly side by side: first all drones of the first, then
             those of the next.
-        num_envs: E, of each team.
+        num_envs: E, of each team; or one number for each blueprint.
         seed: of environment 0, counted up for the others.
         features: what a policy of `swarm_envs.agents` computes from an observation row, one of its
             `FEATURE_SETS`, is observed instead of the row; None for the row itself.
@@ -70,21 +70,24 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def __init__(
         self,
         task: str | Blueprint | Sequence[Blueprint],
-        num_envs: int = 1,
+        num_envs: int | Sequence[int] = 1,
         seed: int | None = None,
         *,
         features: str | None = None,
         **options: Any,
     ) -> None:
-        count = check_num_envs(num_envs)
         blueprints = _blueprints(task, options)
+        counts = [num_envs] * len(blueprints) if isinstance(num_envs, int) else num_envs
         if features is not None:
             check_name("features", features, FEATURE_SETS)
-        self.cores = tuple(SwarmCore(found.task, found.config, count) for found in blueprints)
+        self.cores = tuple(
+            SwarmCore(found.task, found.config, check_num_envs(count))
+            for found, count in zip(blueprints, counts, strict=True)
+        )
         self.features = features
         _check_alike(self.cores)
         self._make_shape()
-        sizes = [count * core.num_drones for core in self.cores]
+        sizes = [core.num_envs * core.num_drones for core in self.cores]
         self._begins = list(accumulate(sizes, initial=0))
         self._team_of = np.repeat(np.arange(len(sizes)), sizes)
         self.render_mode = None
@@ -94,6 +97,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         self._actions: list[FloatArray] = []
         self._next_seeds: list[list[int] | None] = [None] * len(self.cores)
         self._begun = self._closed = False
+        self.decision_cost = 0.0
+        """Taken off every reward: what time costs in training."""
         if seed is not None:
             self.seed(seed)
 
@@ -179,7 +184,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
                 self._report_ends(core, done, over, cut, infos[begin:])
             if over.any():
                 core.reset(mask=over)
-            rewards.append(result.rewards.reshape(-1).astype(np.float32))
+            paid = result.rewards.reshape(-1) - self.decision_cost
+            rewards.append(paid.astype(np.float32))
             dones.append(done.reshape(-1))
         return self._observations(), np.concatenate(rewards), np.concatenate(dones), infos
 

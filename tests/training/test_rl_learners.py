@@ -17,7 +17,9 @@ from gymnasium import spaces
 from torch import nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
+from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.agents.policy import Policy, PolicyNote
+from swarm_envs.training.rl.encoders import EncoderSpec
 from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.mappo import (
     ActorCriticNetworks,
@@ -53,9 +55,12 @@ def test_advantages_are_weighed_sums_of_later_errors_of_the_episode():
             assert float(found[t, column]) == pytest.approx(expected, abs=1e-12)
 
 
+SPEC = EncoderSpec(FeatureSizes(0, 4, 0, 0), "mlp", "mean", (8,), (), "tanh", ("",))
+
+
 def test_values_are_in_units_of_the_spread_of_returns():
     torch.manual_seed(0)
-    networks = ActorCriticNetworks(observed=4, state=6, hidden=(8,), actions=3, deviation=0.5)
+    networks = ActorCriticNetworks(SPEC, state=6, actions=3, deviation=0.5)
     returns = 40.0 + 3.0 * torch.randn(10_000)
     networks.note_returns(returns)
     mean, deviation = networks.spread()
@@ -71,7 +76,7 @@ def test_values_are_in_units_of_the_spread_of_returns():
 
 
 def test_a_decision_is_as_probable_as_the_normal_distribution_says():
-    networks = ActorCriticNetworks(observed=4, state=6, hidden=(8,), actions=3, deviation=0.3)
+    networks = ActorCriticNetworks(SPEC, state=6, actions=3, deviation=0.3)
     means, actions = torch.randn(7, 3), torch.randn(7, 3)
     normal = torch.distributions.Normal(means, 0.3)
     wanted = normal.log_prob(actions).sum(-1)
