@@ -195,8 +195,10 @@ def test_what_samples_keep_is_enough_for_the_fastest_crossing(step):
 
 def test_a_drone_that_hears_nothing_is_reported():
     deaf = LossModel(jams=(Jam(first_round=0, last_round=500, receivers="drone 2"),))
-    flown = simulate(SIX, OPPOSITE, 2, loss=deaf, duration_s=20.0)
+    flown = simulate(SIX, OPPOSITE, 2, loss=deaf)
     assert flown.deaf == (2,) and np.isnan(flown.arrival_times_s[2])
+    assert flown.unreachable == ((5, 2),), "it rests where drone 5 wants to go"
+    assert flown.reference_times[-1] < 20.0, "nothing else would have changed"
     assert simulate(SIX, OPPOSITE, 2, loss=0.1, duration_s=20.0).deaf == ()
 
 
