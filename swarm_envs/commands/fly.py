@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -179,11 +180,11 @@ def _best_agent(options: EpisodeOptions, task: str) -> str:
     Raises:
         ValueError: the benchmark knows nobody; the message says who flies something near.
     """
+    from swarm_envs import make
     from swarm_envs.agents import recommended
-    from swarm_envs.vehicles import parse_team
 
-    drones = options.drones if options.team is None else len(parse_team(options.team))
-    return recommended(task, num_drones=drones, layout=options.layout)
+    with closing(make(task, **options.setting())) as env:
+        return recommended(task, num_drones=len(env.possible_agents), layout=options.layout)
 
 
 def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:

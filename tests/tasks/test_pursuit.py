@@ -87,7 +87,8 @@ def test_goals_on_ellipses_are_apart_inside_and_as_fast_as_drawn(layout, n):
     task = PursuitTask(parse_team("S" * n), layout=layout, speed_m_s=(1.0, 1.0))
     low, high = task.arena
     for seed in range(6):
-        start, goals, _, orbit, chased, _ = task.place(np.random.default_rng(seed))
+        placed = task.place(np.random.default_rng(seed))
+        start, goals, orbit, chased = placed.start, placed.goals, placed.orbit, placed.chased
         assert orbit is not None
         np.testing.assert_allclose(start, goals[0])
         assert n == 1 or apart(start) >= 0.4 - 1e-9

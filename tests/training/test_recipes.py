@@ -117,9 +117,10 @@ def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypat
     rng, seen = np.random.default_rng(0), set()
     shapes = [np.sort(_distances(points)) for points in task.places]
     for _ in range(60):
-        start, goals, duration, orbit, _ = task.draw(rng)
-        assert duration == 0.0
-        assert orbit is None
+        drawn = task.draw(rng)
+        start, goals = drawn.start, drawn.goals
+        assert drawn.duration == 0.0
+        assert drawn.orbit is None
         found = []
         for points in (start, goals[0]):
             ratios = [np.sort(_distances(points)) / shape for shape in shapes]

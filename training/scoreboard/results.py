@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -116,11 +117,12 @@ def _inside(cell: Mapping[str, Any]) -> Iterator[str]:
     if len(rows) < wanted:
         yield f"{len(rows)} episodes, but the benchmark flies {wanted}"
     fastest = fastest_times(task, frozen_seeds(SEED, len(rows))) if task.score == "time" else {}
-    for k, (row, best) in enumerate(zip(rows, fastest.values() or [None] * len(rows), strict=True)):
+    for k, (row, best) in enumerate(zip_longest(rows, fastest.values())):
         if not 0.0 <= row["score"] <= 1.0 or (row["score"] > 0.0) > (row["success"] or shapes):
             yield f"episode {k} cannot score {row['score']}"
-        timed = best is not None and row["success"]
-        told = best / max(best, row["makespan_s"] or 0.0) if timed else row["score"]
+        told = row["score"]
+        if best is not None and row["success"]:
+            told = best / max(best, row["makespan_s"] or 0.0)
         if abs(row["score"] - told) > _CLOSE:
             yield f"episode {k} scores {row['score']}, but its time gives {told}"
     for metric in METRICS[:2]:  # success and score
