@@ -326,17 +326,8 @@ class SwarmCore:
         rows = np.zeros((*self.world.drones.shape, observation_width(0)), np.float32)
         drones, environments, _ = self.world
         nobody: IntArray = np.zeros(0, np.int64)
-        given = (
-            self._everywhere,
-            rows,
-            0,
-            False,
-            None,
-            drones,
-            self.world.columns,
-            drones,
-            environments,
-        )
+        state = drones, self.world.columns, drones, environments
+        given = (self._everywhere, rows, 0, False, None, *state)
         order, settings, square = self._observed[0][-4], self.settings, np.zeros(0)
         write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
         return rows
@@ -348,7 +339,7 @@ class SwarmCore:
         if self._noisy:
             drones, environments, _ = self.world
             sense(first, last, drones, environments, self.settings, where, self._seen)
-        if self._force_model is not None:
+        if self._force_model is not None and self._predicted is not None:
             here, seen = slice(first, last), self._seen[first:last]
             motion = (seen["position"].copy(), seen["velocity"].copy())
             types, out = self._force_types[here], self._predicted[here]
