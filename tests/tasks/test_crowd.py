@@ -11,6 +11,7 @@ import pytest
 
 import swarm_envs
 from swarm_envs.agents import load
+from swarm_envs.agents.evaluation import score_episodes
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.vector import make_vector
 from swarm_envs.physics import bullet_available
@@ -101,6 +102,8 @@ def test_goals_reached_are_counted_as_by_hand(reach_m):
     assert metrics["goals_reached"] == count == by_reward > 10
     assert metrics["length_s"] == pytest.approx(10.0)
     assert metrics["throughput_per_min"] == pytest.approx(count / 6 / (10.0 / 60.0))
+    report = score_episodes([{"seed": 3, "metrics": metrics, "act_us": [1]}])
+    assert report["throughput_per_min"] == metrics["throughput_per_min"]
 
 
 def test_the_next_site_is_free_and_any_of_those_within_reach():
