@@ -85,6 +85,7 @@ def world_of(placement: Placement) -> World:
     stages, drones, _ = placement.goals.shape
     world = new_world(1, drones, stages)
     place(world, 0, placement)
+    world.drones["position"] = placement.start
     return world
 
 

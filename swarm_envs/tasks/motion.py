@@ -198,7 +198,7 @@ def write_pursuit(
                 if d.chased >= 0.0:
                     other = drones[e, int(d.chased)]
                     d.reference_position[k] = other.position[k] + d.orbit[0, k]
-                    d.reference_velocity[k] = other.velocity[k]
+                    d.reference_velocity[k] = other.velocity[k] * other.active
                 d.goal[k] = d.reference_position[k]
 
 

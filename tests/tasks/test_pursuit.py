@@ -12,6 +12,7 @@ from swarm_envs.agents import load
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import FloatArray
+from swarm_envs.tasks.obstacles import Column
 from swarm_envs.tasks.pursuit import PURSUIT_LAYOUTS, PursuitTask
 from swarm_envs.vehicles import parse_team
 from tests.tasks.test_crowd import apart
@@ -129,6 +130,14 @@ def test_chasers_goals_are_beside_others_wherever_these_are():
         np.testing.assert_allclose(env.view.goals[follows], expected, atol=1e-12)
         np.testing.assert_array_equal(reference.velocity[follows], state.velocity[chased][follows])
     assert np.linalg.norm(env.view.state.position - start, axis=1).min() > 0.1
+
+
+def test_goals_beside_others_are_drawn_free_of_obstacles():
+    """Those of chasers move with whom they chase: where they are at the start is what counts."""
+    task = PursuitTask(parse_team("SSSS"), layout="chase", obstacles=(Column((0.0, 0.0), 0.2),))
+    for seed in range(5):
+        start, *_ = task.place(np.random.default_rng(seed))
+        assert (np.linalg.norm(start[:, :2], axis=1) > 0.2 + 0.15 + task.radius).all()
 
 
 def test_swapped_goals_are_always_anothers():
