@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from swarm_envs.agents import Safety, SafetyFilter
 from swarm_envs.agents.avoiding import TUNED, Avoidance, Cruise
-from swarm_envs.agents.safety import Safety, SafetyFilter
 
 
 def wide_roundabout() -> SafetyFilter:
