@@ -116,7 +116,8 @@ def _inside(cell: Mapping[str, Any]) -> Iterator[str]:
     if len(rows) < wanted:
         yield f"{len(rows)} episodes, but the benchmark flies {wanted}"
     fastest = fastest_times(task, frozen_seeds(SEED, len(rows))) if task.score == "time" else {}
-    for k, (row, best) in enumerate(zip(rows, fastest.values() or [None] * len(rows), strict=True)):
+    best_times: list[Any] = [*fastest.values()] or [None] * len(rows)
+    for k, (row, best) in enumerate(zip(rows, best_times, strict=True)):
         if not 0.0 <= row["score"] <= 1.0 or (row["score"] > 0.0) > (row["success"] or shapes):
             yield f"episode {k} cannot score {row['score']}"
         timed = best is not None and row["success"]
