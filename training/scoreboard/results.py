@@ -48,7 +48,8 @@ def read_results(path: Path) -> Content:
     if not file.is_file():
         raise FileNotFoundError(f"there is no results file {str(file)!r}")
     try:
-        content: Content = json.loads(file.read_text(encoding="utf-8"))
+        # int refuses NaN and Infinity, which no result is
+        content: Content = json.loads(file.read_text(encoding="utf-8"), parse_constant=int)
         Board(content)
         _reached_in(content)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
