@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +48,8 @@ def read_results(path: Path) -> Content:
     if not file.is_file():
         raise FileNotFoundError(f"there is no results file {str(file)!r}")
     try:
-        content: Content = json.loads(file.read_text(encoding="utf-8"))
+        # int refuses NaN and Infinity, which no result is
+        content: Content = json.loads(file.read_text(encoding="utf-8"), parse_constant=int)
         Board(content)
         _reached_in(content)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -117,12 +117,12 @@ def _inside(cell: Mapping[str, Any]) -> Iterator[str]:
     if len(rows) < wanted:
         yield f"{len(rows)} episodes, but the benchmark flies {wanted}"
     fastest = fastest_times(task, frozen_seeds(SEED, len(rows))) if task.score == "time" else {}
-    for k, (row, best) in enumerate(zip_longest(rows, fastest.values())):
+    best_times: list[Any] = [*fastest.values()] or [None] * len(rows)
+    for k, (row, best) in enumerate(zip(rows, best_times, strict=True)):
         if not 0.0 <= row["score"] <= 1.0 or (row["score"] > 0.0) > (row["success"] or shapes):
             yield f"episode {k} cannot score {row['score']}"
-        told = row["score"]
-        if best is not None and row["success"]:
-            told = best / max(best, row["makespan_s"] or 0.0)
+        timed = best is not None and row["success"]
+        told = best / max(best, row["makespan_s"] or 0.0) if timed else row["score"]
         if abs(row["score"] - told) > _CLOSE:
             yield f"episode {k} scores {row['score']}, but its time gives {told}"
     for metric in METRICS[:2]:  # success and score

@@ -257,6 +257,7 @@ _NOISE = {
     "velocity_noise": 0.05,
 }
 _DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
+_ADAPTIVE = "tracking-compensated-adaptive"
 _OTHER_AIR = "Air in which nothing that ships was trained."
 
 _NEW = (
@@ -265,9 +266,9 @@ _NEW = (
     _new("crowd-circle-32", _CIRCLE, "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
     _new("robust-random-8-hall", _HALL, "swap-random-8", _ROUND, 128, world="hall"),
     _new("robust-circle-8-hall", _HALL, "swap-circle-8", _ROUND, 128, world="hall"),
-    _new("robust-stacked-L2S-hall", _HALL, "swap-stacked-L2S", _TRACKING, 128, world="hall"),
-    _new("robust-ring-5-hall", _HALL, "ring-5", _TRACKING, 64, world="hall"),
-    _new("robust-shuffle-8-hall", _HALL, "formation-shuffle-8", _DETOUR, 64, world="hall"),
+    _new("robust-stacked-L2S-hall", _HALL, "swap-stacked-L2S", _ADAPTIVE, 128, world="hall"),
+    _new("robust-ring-5-hall", _HALL, "ring-5", _ADAPTIVE, 64, world="hall"),
+    _new("robust-shuffle-8-hall", _HALL, "formation-shuffle-8", _ROUND, 64, world="hall"),
     _new("robust-random-8-noise", "Mass, thrust and motors differ; what is observed is noisy.",
          "swap-random-8", _ROUND, 128, randomization=_NOISE),
     _new("robust-random-LLLLSSSS", "Four large drones and four small ones.",

@@ -120,7 +120,7 @@ def test_several_files_become_one_page(board, tmp_path, capsys):
     assert f"hover ({files[1]})" in {a["name"] for a in again["agents"]}
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"format": "swarm-envs scoreboard"}', "{"])
+@pytest.mark.parametrize("text", ["", "[]", '{"format": "swarm-envs scoreboard"}', "{", "NaN"])
 def test_what_is_no_results_file_is_refused(tmp_path, capsys, text):
     file = tmp_path / "scores.json"
     file.write_text(text)
