@@ -72,7 +72,7 @@ class ColumnsOptions(AirTaskOptions):
             team=self.vehicles,
             **{**COLUMN_LAYOUTS[self.layout], **given},
             reward_weights=self.weights,
-            obstacles=tuple(self.obstacles),
+            obstacles=self.standing,
         )
 
 

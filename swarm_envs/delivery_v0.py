@@ -64,7 +64,7 @@ class DeliveryOptions(AirTaskOptions):
         return DeliveryTask(
             team=self.vehicles,
             reward_weights=self.weights,
-            obstacles=tuple(self.obstacles),
+            obstacles=self.standing,
         )
 
 

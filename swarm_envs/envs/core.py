@@ -343,7 +343,7 @@ class SwarmCore:
         if self._noisy:
             drones, environments, _ = self.world
             sense(first, last, drones, environments, self.settings, where, self._seen)
-        if self._force_model is not None:
+        if self._force_model is not None and self._predicted is not None:
             here, seen = slice(first, last), self._seen[first:last]
             motion = (seen["position"].copy(), seen["velocity"].copy())
             types, out = self._force_types[here], self._predicted[here]

@@ -41,7 +41,7 @@ def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]
 
 
 @part
-def distance_to(drone: Record, goal: FloatArray) -> float:
+def way_to(drone: Record, goal: FloatArray) -> float:
     """Distance of a drone to a goal (3,), m."""
     x, y, z = drone.position[0] - goal[0], drone.position[1] - goal[1], drone.position[2] - goal[2]
     return math.sqrt(x * x + y * y + z * z)
@@ -56,14 +56,14 @@ def exchange_goals(drones: Records, goals: FloatArray, radius: float) -> None:
     for i in range(drones.shape[0]):
         for j in range(drones.shape[0]):
             own, other = drones[i], drones[j]
-            comes = own.active > 0.0 and distance_to(own, own.goal) >= radius
-            keeps = other.active > 0.0 and distance_to(other, other.goal) < radius
-            if comes and not keeps and distance_to(own, other.goal) < radius:
+            comes = own.active > 0.0 and way_to(own, own.goal) >= radius
+            keeps = other.active > 0.0 and way_to(other, other.goal) < radius
+            if comes and not keeps and way_to(own, other.goal) < radius:
                 for k in range(3):
                     own.goal[k], other.goal[k] = other.goal[k], own.goal[k]
                     goals[i, k], goals[j, k] = own.goal[k], other.goal[k]
                 for d in (own, other):
-                    d.distance, d.arrival = distance_to(d, d.goal), np.inf
+                    d.distance, d.arrival = way_to(d, d.goal), np.inf
 
 
 @part

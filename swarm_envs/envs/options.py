@@ -15,10 +15,11 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
 from swarm_envs.arguments import OneOf, Option, Range, options_of
-from swarm_envs.envs.config import MOST_OBSERVED, ON_CONTACT, WORLDS, EnvConfig
+from swarm_envs.envs.config import MOST_OBSERVED, WORLDS, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_name
 from swarm_envs.hall import Hall
+from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.vehicles import Team, Vehicle, parse_team
