@@ -17,7 +17,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import Team
 
-__all__ = ["AirAwareAgent", "air_blind", "air_blind_adaptive", "heavy_on_top"]
+__all__: list[str] = []
 
 _INTEGRAL_LIMIT = 3.0
 """Holds the largest force of these tasks, m."""

@@ -30,7 +30,7 @@ from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_t
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["COLUMN_LAYOUTS", "ColumnsTask", "column_team", "in_columns"]
+__all__ = ["COLUMN_LAYOUTS", "ColumnsTask", "column_team"]
 
 COLUMN_LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {

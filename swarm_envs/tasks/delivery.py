@@ -24,7 +24,7 @@ from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_t
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 
-__all__ = ["DOCKS", "DeliveryTask", "delivery_team"]
+__all__ = ["DeliveryTask", "delivery_team"]
 
 DOCKS = 3
 """Docks, and couriers."""
