@@ -178,8 +178,10 @@ _HALL = (
     Field("velocity_error", (3,), "m/s", 0.0, "Error of the estimated velocity."),
     Field("attitude_error", (3,), "rad", 0.0, "Error of the estimated attitude, world frame."),
     Field("gyro_error", (3,), "rad/s", 0.0, "Error of the measured angular velocity, world frame."),
+    Field("interaction_torque", (3,), "N m", 0.0, "Torque of the air, if it has any, body frame."),
 )
-"""What the world "hall" adds: air that no model knows, and errors of the estimated state."""
+"""What the world "hall" adds: air that no model knows, and errors of the estimated state; and the
+torque of option `interaction_torque`."""
 
 _EPISODE = (
     Field("battery_capacity", (), "A s", None, "Charge of a full battery."),

@@ -73,6 +73,9 @@ class EnvConfig:
     precision: Annotated[str, OneOf(PRECISIONS)] = "float64"
     """Arithmetic of the force model's networks: `float64`, or `float32` for training, where 1e-4 g
     are nothing. All else is float64; an engine is the twin of the other in one precision."""
+    interaction_torque: bool = False
+    """Whether the interaction force turns bodies, too: each rotor feels a quarter of the vertical
+    force at its place (docs/forces.md)."""
     controller: ControllerConfig | None = None
     """The tracking loop between actions and rotors; None for its default."""
     num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 3

@@ -455,6 +455,7 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         force_rate=config.force_rate,
         gusts=gusts,
         hall=config.hall,
+        interaction_torque=config.interaction_torque,
         obstacles=task.obstacle_rows,
         level=ACTIONS[config.action].level,
         controller=config.controller,

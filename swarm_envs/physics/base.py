@@ -84,6 +84,7 @@ class Physics:
             give in environments; None for still air. `step` leaves them out.
         hall: numbers of the world `"hall"`, of which environments draw what is constant in an
             episode; None for the ideal world.
+        interaction_torque: whether the interaction force, uneven over the rotors, turns bodies.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none.
         level: where commands enter: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`.
         controller: of the tracking loop, for the first two.
@@ -111,6 +112,7 @@ class Physics:
         force_rate: Annotated[int, Divides(PHYSICS_RATE)] = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
         hall: Hall | None = None,
+        interaction_torque: bool = False,
         obstacles: npt.ArrayLike | None = None,
         level: int = ROTORS,
         controller: ControllerConfig | None = None,
@@ -127,7 +129,7 @@ class Physics:
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
         rows = np.asarray(no_obstacles() if obstacles is None else obstacles)
         self.obstacles = check_array("obstacles", rows, (*rows.shape[:1], ROW), "(M, 7)")
-        self.hall = hall
+        self.hall, self._twisting = hall, interaction_torque
         self._battery = BatteryModel() if battery is None else battery
         self._bounds_g = force_bounds_g
         drones = len(self.team)
@@ -181,6 +183,7 @@ class Physics:
             True if self.settings["gusty"][0] else None,
             True if self.settings["adaptation"][0] else None,
             None if self.hall is None else True,
+            True if self._twisting else None,
             self.interactions.packed,
             self.feedforward.packed if self.settings["compensates"][0] else None,
         )
