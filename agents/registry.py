@@ -39,6 +39,7 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         "swap-ppo": "swarm_envs.agents.policy:swap_ppo",
         "swap-ppo-8": "swarm_envs.agents.policy:swap_ppo_8",
+        "swap-dagger": "swarm_envs.agents.policy:swap_dagger",
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
         "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
         "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",

@@ -20,9 +20,11 @@ from torch import Tensor, nn
 
 from swarm_envs import swap_v1
 from swarm_envs.agents import load
-from swarm_envs.agents.features import NEIGHBOR_WIDTH, OWN_WIDTH, goal_features
+from swarm_envs.agents.features import FEATURE_SETS, GOAL
 
 DECISIONS, BATCHES, BATCH, MEMORY, RATE = 10, 12, 1024, 200_000, 2e-3
+FEATURES = FEATURE_SETS[GOAL]
+OWN, NEIGHBOR = FEATURES.sizes(0).own, FEATURES.sizes(0).neighbor
 
 
 class DeepSet(nn.Module):
@@ -30,17 +32,17 @@ class DeepSet(nn.Module):
 
     def __init__(self, actions: int) -> None:
         super().__init__()
-        seen = OWN_WIDTH + NEIGHBOR_WIDTH
+        seen = OWN + NEIGHBOR
         self.phi = nn.Sequential(nn.Linear(seen, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU())
         self.rho = nn.Sequential(
-            *(nn.Linear(OWN_WIDTH + 128, 128), nn.ReLU()),
+            *(nn.Linear(OWN + 128, 128), nn.ReLU()),
             *(nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, actions)),
         )
 
     def forward(self, features: Tensor) -> Tensor:
         """Actions (B, width) for features (B, own + K neighbours)."""
-        own = features[:, :OWN_WIDTH]
-        around = features[:, OWN_WIDTH:].reshape(len(own), -1, NEIGHBOR_WIDTH)
+        own = features[:, :OWN]
+        around = features[:, OWN:].reshape(len(own), -1, NEIGHBOR)
         beside = own[:, None].expand(-1, around.shape[1], -1)
         codes = self.phi(torch.cat([beside, around], dim=-1)) * around[..., -1:]  # the mask
         return self.rho(torch.cat([own, codes.amax(dim=1), codes.sum(dim=1)], dim=-1))
@@ -66,7 +68,7 @@ class Teams:
 
     def features(self) -> Tensor:
         """(E * N, width) of what every drone observes."""
-        return torch.from_numpy(goal_features(self.rows, self.neighbors)).flatten(0, 1)
+        return torch.from_numpy(FEATURES.make(self.rows, self.neighbors)).flatten(0, 1)
 
     def step(self, own: np.ndarray, guided: float) -> tuple[np.ndarray, np.ndarray]:
         """Fly; return the teacher's actions (E * N, width) and which of them mean anything.

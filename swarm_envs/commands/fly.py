@@ -78,9 +78,9 @@ class FlyOptions(EpisodeOptions):
     """who flies, by default the best for the task by the benchmark: hover, random, straight-line,
     fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also
     -compensated), tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive,
-    air-aware, neural-swarm-planner, swap-ppo,
-    swap-ppo-8, formation-ppo, ring-ppo, the folder of a trained policy, or path/to/file.py:Class;
-    with +filter at its end behind a safety filter"""
+    air-aware, neural-swarm-planner, swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo,
+    the folder of a trained policy, or path/to/file.py:Class; with +filter at its end behind a
+    safety filter"""
     seed: Seed = 0
     """of the episode and the agent"""
     out: Path | None = None

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from swarm_envs.agents import Safety, SafetyFilter
-from swarm_envs.agents.avoiding import TUNED, Avoidance, Cruise
+from swarm_envs.agents.avoiding import TUNED
 
 
 def wide_roundabout() -> SafetyFilter:
@@ -11,8 +13,7 @@ def wide_roundabout() -> SafetyFilter:
 
     An imitation errs by some of the margin, and is somewhat slower than its teacher.
     """
+    shipped = TUNED["roundabout"]
+    cruise = replace(shipped.cruise, position_gain=16.0, velocity_gain=6.0, speed_mps=1.9)
     safety = Safety(margin_m=0.2, horizon_s=0.5, response_s=0.126, rate=8.73, downwash=1.15)
-    cruise = Cruise(position_gain=16.0, velocity_gain=6.0, speed_mps=1.9)
-    return Avoidance(
-        cruise=cruise, safety=safety, roundabout=TUNED["roundabout"].roundabout
-    ).agent()
+    return replace(shipped, cruise=cruise, safety=safety).agent()
