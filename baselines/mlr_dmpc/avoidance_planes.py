@@ -58,6 +58,10 @@ class Neighbors(NamedTuple):
     concurrent: BoolArray
     """(C,) whether that drone may be planned anew in the same round."""
 
+    def some(self, kept: BoolArray) -> Neighbors:
+        """Those of a mask (C,)."""
+        return Neighbors(self.positions[kept], self.drone[kept], self.concurrent[kept])
+
 
 class HalfSpaces(NamedTuple):
     """Half-spaces normal . p >= offset that hold at one collision sample each."""
@@ -129,7 +133,8 @@ def _voronoi_planes(
             gap = max(np.sqrt(square), 1e-12)
             for i in range(3):
                 normals[c, s, i] /= gap
-            _turn(normals[c, s], min(distance / gap, 1.0), turn, turn_share)
+            if turn > 0.0:
+                _turn(normals[c, s], min(distance / gap, 1.0), turn, turn_share)
             offset = distance
             if concurrent[c]:
                 offset *= 0.5

@@ -150,7 +150,7 @@ class PaperUnit:
     report: UnitRound = field(init=False)
     """What the unit did in the last round."""
     state: _UnitState = _UnitState.REQUEST_TRAJECTORY
-    """Where the unit stands in Algorithm 2."""
+    """Where the unit stands in Algorithm 1."""
 
     def __post_init__(self) -> None:
         self.deprecated = [not known for known in self.candidates]
