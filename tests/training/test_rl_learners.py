@@ -225,7 +225,7 @@ MARGIN = 0.5
 
 
 PPO: dict[str, Any] = {
-    **{"steps": 200_000, "rollout": 16, "batch_size": 1024, "passes": 8, "learning_rate": 3e-3},
+    **{"steps": 200_000, "n_steps": 16, "batch_size": 1024, "n_epochs": 8, "learning_rate": 3e-3},
     **{"num_neighbors": 1, "second_stage": 0.0, "checkpoint_rollouts": 1000},
 }
 SAC = {"algo": "sac", "layout": "circle", "steps": 800_000}
