@@ -201,7 +201,7 @@ def test_twin_critics_are_two_networks():
 
 
 def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none():
-    options = SacConfig(rollout=5, learning_starts=1000, buffer_size=120)
+    options = SacConfig(train_freq=5, learning_starts=1000, buffer_size=120)
     config = RlConfig(
         out=Path("never"), algo="sac", drones=2, environments=4, steps=200, sac=options
     )
