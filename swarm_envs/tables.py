@@ -194,6 +194,9 @@ _EPISODE = (
     Field("orbit", (3, 3), "m", None, "Centre and half axes of the reference's ellipse."),
     Field("orbit_rate", (), "rad/s", None, "Angular rate on it."),
     Field("orbit_phase", (), "rad", None, "Angle at time zero."),
+    Field(
+        "chased", (), "", None, "Index of the drone beside which the goal is; -1 if there is none."
+    ),
     Field("reference_position", (3,), "m", None, "Where the drone should be now."),
     Field("reference_velocity", (3,), "m/s", None, "Derivative of the reference."),
     Field("reference_acceleration", (3,), "m/s^2", None, "Its second derivative."),
@@ -202,6 +205,7 @@ _EPISODE = (
     Field("last_distance", (), "m", 0.0, "The same one decision earlier."),
     Field("tracking_error", (), "m", 0.0, "Distance to the reference."),
     Field("effort", (), "", 0.0, "Mean square of the action; 0 where actions are unbounded."),
+    Field("scores", (), "", 0.0, "1 if it reached a goal in this decision, where goals go on."),
     Field("crashed", (), "", 0.0, "1 if it collided, left the arena or tumbled in this decision."),
     Field("active", (), "", 1.0, "1 while the drone flies, 0 once its own episode has ended."),
     Field("touching", (), "", 0.0, "Sum of the codes of what was touched in this decision."),
@@ -234,6 +238,7 @@ _KEPT = (
     Field("gust_key", (), "", None, "Stream of random numbers of the gusts.", np.uint64),
     Field("noise_key", (), "", None, "Stream of random numbers of the observations.", np.uint64),
     Field("hall_key", (), "", None, "Stream of random numbers of the hall.", np.uint64),
+    Field("goal_key", (), "", None, "Stream of random numbers of goals to come.", np.uint64),
 )
 """What a task or a randomisation draws for an episode, and a reset leaves."""
 
@@ -241,10 +246,12 @@ _BEGINS = (
     Field("time", (), "s", 0.0, "Time since the episode began."),
     Field("gust", (3,), "m/s^2", 0.0, "Acceleration that gusts give now, world frame."),
     Field("achieved", (), "", 0.0, "Share of the task that was done in this decision."),
+    Field("score", (), "", 0.0, "What a task that ends by the clock is scored by, so far."),
     Field("age", (), "", 0.0, "Physics steps since the reset.", np.int64),
     Field("decisions", (), "", 0.0, "Decisions of this episode.", np.int64),
     Field("stage", (), "", 0.0, "The present stage.", np.int64),
     Field("reached", (), "", 0.0, "Stages that are done.", np.int64),
+    Field("goals_reached", (), "", 0.0, "Goals that drones reached, where goals go on.", np.int64),
     Field("scored", (), "", 0.0, "Decisions whose error counts.", np.int64),
     Field("running", (), "", 1.0, "Whether the episode goes on.", np.bool_),
     Field("held", (), "", 0.0, "Whether the present stage is done.", np.bool_),
@@ -303,6 +310,8 @@ SETTINGS = (
     Field("success_radius", (), "m", None, "How near a drone must be to its goal or reference."),
     Field("hold_s", (), "s", None, "How long all must stay there."),
     Field("settle_s", (), "s", None, "Errors count from this time on."),
+    Field("least_score", (), "", None, "Score that is a success by the clock."),
+    Field("goal_reach", (2,), "m", None, "How far the next goal is, at least and at most."),
     Field("noise", (4,), "m, m/s, rad, rad/s", None, "Standard deviations of observations."),
     Field("residual_kept", (), "", None, "Share of the residual that is left after a step."),
     Field("residual_sideways", (), "", None, "Horizontal residual over the vertical one."),

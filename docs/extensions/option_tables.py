@@ -19,9 +19,12 @@ from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.commands.export import KINDS
+from swarm_envs.crowd_v0 import CrowdOptions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.formation_v1 import FormationOptions
+from swarm_envs.gates_v0 import GatesOptions
 from swarm_envs.hall import Hall
+from swarm_envs.pursuit_v0 import PursuitOptions
 from swarm_envs.ring_v1 import RingOptions
 from swarm_envs.swap_v1 import SwapOptions
 from swarm_envs.training.reproduce.papers import ALL, PAPERS
@@ -30,7 +33,10 @@ MARK = "<!-- commands -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     settings.__name__: settings
-    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions, Hall)
+    for settings in (
+        *(EnvConfig, SwapOptions, RingOptions, FormationOptions),
+        *(CrowdOptions, PursuitOptions, GatesOptions, Hall),
+    )
 }
 """The settings whose options a page may ask for."""
 

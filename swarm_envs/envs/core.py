@@ -92,6 +92,8 @@ class _Kernels(NamedTuple):
     """The task's `write_reference`."""
     judge: Callable[..., None]
     """`judge`"""
+    advance: Callable[..., None] | None
+    """The task's `advance`, where it has one."""
     write_terms: Callable[..., None]
     """The task's `write_reward_terms`."""
     weigh: Callable[..., None]
@@ -158,6 +160,7 @@ class SwarmCore:
             "decision_s": config.decision_s,
             "horizon_s": float(clock),
             **task.motion.settings(),
+            **task.rules,
             "noise": (0.0,) * 4 if ranges is None else ranges.noise,
         }
         controller = config.controller
@@ -182,6 +185,7 @@ class SwarmCore:
             entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
             entry_point(task.write_reference, *state),
             entry_point(judge, actions, *state),
+            None if task.advance is None else entry_point(task.advance, flown, *state),
             entry_point(task.write_reward_terms, drones, environments, settings, terms),
             entry_point(weigh, terms, self._weights, drones, flown, rewards),
             entry_point(write_observations, 0, 0, flown, *self._observed[0]),
@@ -266,15 +270,16 @@ class SwarmCore:
 
         def finish(first: int, last: int, thread: int) -> None:
             """Judge, weigh and observe what has been flown."""
-            state, decided = everything, asked
+            state, decided, here = everything, asked, slice(first, last)
             scored = (terms, self._weights, drones, flown, rewards)
             if last - first < self.num_envs:
-                here = slice(first, last)
                 state = (drones[here], environments[here], goals[here], settings)
                 scored = (terms[:, here], self._weights, state[0], flown[here], rewards[here])
                 decided = asked[here]
             kernels.refer(*state)
             kernels.judge(decided, *state)
+            if kernels.advance is not None:
+                kernels.advance(flown[here], *state)
             kernels.write_terms(state[0], state[1], settings, scored[0])
             kernels.weigh(*scored)
             self._observe(first, last, flown, thread)

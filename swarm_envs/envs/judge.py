@@ -16,8 +16,8 @@ from swarm_envs.compiled import kernel, part
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Record, Records, World
-from swarm_envs.tasks.base import NEAR_MISS, Success, Task, TrackingSuccess
-from swarm_envs.tasks.motion import REST, stage_at
+from swarm_envs.tasks.base import NEAR_MISS, ByScore, Success, Task, TrackingSuccess
+from swarm_envs.tasks.motion import stage_at
 from swarm_envs.vehicles import GRAM_FORCE
 
 _ROUNDING = 1e-9
@@ -25,9 +25,11 @@ HIT_DRONE, HIT_FLOOR, HIT_WALL, HIT_OBSTACLE, TUMBLED = 1, 2, 4, 8, 16
 """Codes of what may happen to a drone, whose sums `touching` and `hurt` are."""
 
 
-def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]:
+def success_rules(success: Success | TrackingSuccess | ByScore) -> dict[str, float | bool]:
     """The fields of `swarm_envs.tables.SETTINGS` that a task's success gives."""
-    if isinstance(success, TrackingSuccess):
+    if isinstance(success, ByScore):
+        radius, hold_s, settle_s = success.radius, math.inf, 0.0
+    elif isinstance(success, TrackingSuccess):
         radius, hold_s, settle_s = success.worst_error, 0.0, success.settle_s
     else:
         radius, hold_s, settle_s = success.radius, success.hold_s, 0.0
@@ -36,6 +38,7 @@ def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]
         "success_radius": float(radius),
         "hold_s": float(hold_s),
         "settle_s": float(settle_s),
+        "least_score": success.least if isinstance(success, ByScore) else math.inf,
     }
 
 
@@ -173,6 +176,7 @@ def metrics(
       induced energy of all rotors; `force_bound_violations`: drone-steps of 1/240 s with a
       vertical force above the drone's bound, and `fraction_over_force_bound`: their share of
       all; `fraction_outside_measured_range`: of drone-steps whose force was extrapolated.
+    - The task's `score_names`, where it has any: its score, and goals that were reached.
     - `time_to_goal_s`: when the last drone came to stay at its goal, in the present stage (None
       if one did not, or where goals move).
     """
@@ -217,6 +221,7 @@ def metrics(
             **{name: _plain(column[m]) for name, column in ends.items()},
             **_tracking(drones[m], int(ended["scored"][m]), task),
             **{name: _plain(column[m]) for name, column in flown.items()},
+            **_scored(ended[m], task),
         }
         for m in range(len(where))
     ]
@@ -237,9 +242,18 @@ def _plain(value: Any) -> Any:
     return number if math.isfinite(number) else None
 
 
+def _scored(ended: Record, task: Task) -> dict[str, Any]:
+    """What a task that is judged by a score adds or replaces."""
+    if not task.score_names:
+        return {}
+    scores = float(ended["score"]), int(ended["goals_reached"])
+    stages = {"stages": 1, "stages_reached": int(ended["succeeded"])}
+    return {**stages, **dict(zip(task.score_names, scores, strict=False))}
+
+
 def _tracking(drones: Records, scored: int, task: Task) -> dict[str, Any]:
     """The tracking errors of the drones (N,) of one environment."""
-    if task.motion.kind == REST or not scored:
+    if task.motion.rests or not scored:
         names = ("worst_tracking_error_m", "rms_tracking_error_m", "worst_height_error_m")
         return dict.fromkeys(names)
     return {

@@ -117,7 +117,7 @@ def test_formations_of_the_curriculum_are_shapes_in_turn_and_stretched(monkeypat
     rng, seen = np.random.default_rng(0), set()
     shapes = [np.sort(_distances(points)) for points in task.places]
     for _ in range(60):
-        start, goals, duration, orbit = task.draw(rng)
+        start, goals, duration, orbit, _ = task.draw(rng)
         assert duration == 0.0
         assert orbit is None
         found = []
