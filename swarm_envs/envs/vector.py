@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,9 @@ from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
+
+if TYPE_CHECKING:
+    from swarm_envs.viewing.live import LiveViewer
 
 Infos = dict[str, Any]
 """What a step of a batch adds: arrays by name, an entry for each environment."""
@@ -46,6 +49,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
             `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`). Or
             their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
         per_agent: whether a row is a drone, and not a team. Reset masks stay those of teams, (E,).
+        render_mode: `human` shows the first 16 environments in a browser, in real time; or None.
     """
 
     def __init__(
@@ -55,7 +59,10 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         per_agent: bool = False,
+        render_mode: str | None = None,
     ) -> None:
+        if render_mode is not None:
+            check_name("render_mode of many environments", render_mode, ("human",))
         check_num_envs(num_envs)
         modes = {mode.value: mode for mode in AutoresetMode}
         if not isinstance(autoreset_mode, AutoresetMode):
@@ -67,7 +74,9 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         check_value("per_agent", per_agent, bool)
         self.per_agent = per_agent
         self.num_envs = num_envs * drones if per_agent else num_envs
-        self.metadata = {"autoreset_mode": self.mode, "render_modes": []}
+        self.metadata = {"autoreset_mode": self.mode, "render_modes": ["human"]}
+        self.render_mode = render_mode
+        self._live: LiveViewer | None = None
         together = 1 if per_agent else drones
         width = self.core.rows.shape[-1]
         self.single_observation_space = joint_box((together, width), np.inf)
@@ -106,6 +115,7 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         where = np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask)
         self._ended[where] = False
         self._begun[where] = True
+        self.render()
         return self._observations(), {}
 
     def step(
@@ -139,7 +149,18 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
                 infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, row)
         if self.mode is AutoresetMode.SAME_STEP and over.any():
             infos = self._begin_again(over, infos)
+        self.render()
         return self._observations(), rewards, terminated, truncated, infos
+
+    def render(self) -> None:
+        """Show the environments as they are now, with `render_mode="human"`; else nothing."""
+        if self.render_mode is None:
+            return
+        if self._live is None:
+            from swarm_envs.viewing.live import LiveViewer
+
+            self._live = LiveViewer(self.core)
+        self._live.show()
 
     def _rows_of(self, e: int) -> range:
         """The rows of a team."""
@@ -150,6 +171,8 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         """Free what physics holds."""
         if "core" in vars(self):  # Gymnasium 1.1 closes even what was refused
             self.core.close()
+            if self._live is not None:
+                self._live.close()
 
     def _begin_again(self, ended: BoolArray, infos: Infos) -> Infos:
         for e in np.flatnonzero(ended).tolist():
@@ -191,8 +214,10 @@ def make_vector(
     num_envs: int = 1,
     autoreset_mode: Any = "NextStep",
     per_agent: bool = False,
+    render_mode: str | None = None,
     **options: Any,
 ) -> SwarmVectorEnv:
     """E teams on the batched engine; options as of the task's `parallel_env()`."""
-    blueprint = batch_of(task, **options)
-    return SwarmVectorEnv(blueprint.task, blueprint.config, num_envs, autoreset_mode, per_agent)
+    made = batch_of(task, **options)
+    views = autoreset_mode, per_agent, render_mode
+    return SwarmVectorEnv(made.task, made.config, num_envs, *views)
