@@ -402,7 +402,7 @@ swap_ppo = partial(_shipped_policy, "swap-ppo")
 swap_ppo_8 = partial(_shipped_policy, "swap-ppo-8")
 """The policy that ships for swaps of two to eight drones."""
 swap_dagger = partial(_shipped_policy, "swap-dagger")
-"""The policy that ships for swaps of two to 16 drones, small and large."""
+"""The policy that ships for swaps of two to 32 drones, small and large."""
 formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")

@@ -287,7 +287,7 @@ def test_heights_on_rings_are_kept_better_than_without_compensation():
     assert worst["tracking"] == pytest.approx(0.09, abs=0.02)
 
 
-@pytest.mark.parametrize("team", ["SS", 8 * "S", "LLLL", "SLSLSLSL"])
+@pytest.mark.parametrize("team", ["SS", 8 * "S", 32 * "S", "LLLL", "SLSLSLSL"])
 def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
     """24 random swaps; nothing was chosen on these seeds."""
     agent = load("swap-dagger")

@@ -8,12 +8,17 @@ from swarm_envs.agents import Safety, SafetyFilter
 from swarm_envs.agents.avoiding import TUNED
 
 
-def wide_roundabout() -> SafetyFilter:
+def wide_roundabout(speed_mps: float = 1.9) -> SafetyFilter:
     """The shipped `roundabout`, faster and with a wider margin.
 
     An imitation errs by some of the margin, and is somewhat slower than its teacher.
     """
     shipped = TUNED["roundabout"]
-    cruise = replace(shipped.cruise, position_gain=16.0, velocity_gain=6.0, speed_mps=1.9)
+    cruise = replace(shipped.cruise, position_gain=16.0, velocity_gain=6.0, speed_mps=speed_mps)
     safety = Safety(margin_m=0.2, horizon_s=0.5, response_s=0.126, rate=8.73, downwash=1.15)
     return replace(shipped, cruise=cruise, safety=safety).agent()
+
+
+def slow_roundabout() -> SafetyFilter:
+    """The same at 1.5 m/s, for teams of 32: near misses in 0.4 % of their episodes, not 4.7 %."""
+    return wide_roundabout(1.5)
