@@ -24,9 +24,11 @@ extensions = [
     "sphinx.ext.autodoc",
     "extensions.api_pages",
     "extensions.docstrings",
+    "extensions.figure_tables",
     "extensions.links",
     "extensions.option_tables",
     "extensions.state_tables",
+    "extensions.task_pages",
 ]
 exclude_patterns = ["_build", "extensions"]
 

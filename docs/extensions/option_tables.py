@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from unittest import mock
 
@@ -117,12 +117,24 @@ def settings_table(name: str) -> str:
         KeyError: there are no such settings.
     """
     settings, shared = SETTINGS[name], arguments.options_of(EnvConfig)
+    every = settings is EnvConfig
+    names = [n for n in arguments.options_of(settings) if every or n not in shared]
+    return options_table(settings, names)
+
+
+def options_table(settings: type, names: Sequence[str]) -> str:
+    """The named options of settings in Markdown."""
+    table = arguments.options_of(settings)
     rows = [
-        f"| `{option.name}` | {option.kind.words} | `{option.default!r}` | {option.meaning} |"
-        for option in arguments.options_of(settings).values()
-        if settings is EnvConfig or option.name not in shared
+        f"| `{name}` | {table[name].kind.words} | {_default_of(table[name])} "
+        f"| {_cell(table[name].meaning)} |"
+        for name in dict.fromkeys(names)
     ]
     return "\n".join(["| option | must be | default | |", "|---|---|---|---|", *rows])
+
+
+def _default_of(option: arguments.Option) -> str:
+    return "" if option.default is dataclasses.MISSING else f"`{option.default!r}`"
 
 
 def expand(text: str) -> str:

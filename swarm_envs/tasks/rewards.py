@@ -30,14 +30,18 @@ def bell(x: float, width: float) -> float:
 def write_terms(drones: Records, environments: Records, settings: Records, out: FloatArray) -> None:
     """Write the bounded reward terms (T, E, N), in the order of `REWARD_NAMES`.
 
-    What goes on is counted by time, so that returns do not depend on the decision rate:
-    `progress` (of the speed limit towards the goal), `effort` (mean square action) and `proximity`
-    (1 where a drone touches a drone or an obstacle, 0 from a clearance of 2.5 on) are the
-    decision's duration in seconds times a number in [-1, 1] or [0, 1]; `at_goal` and `tracking`
-    are its share of the clock times a bell around goal and reference, so that their sum over an
-    episode is at most 1. Two are events: `crash` on the step that ends badly for the drone;
-    `success` on the step at which the team has done its task, or one over the number of stages for
-    each of them, so that it sums to 1.
+    Terms per step are multiplied by the step duration (s, or its share of the episode), so that
+    returns do not depend on the decision rate:
+
+    - `progress`: speed towards the goal, over the speed limit, in [-1, 1]; times seconds.
+    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); sums to at most 1 over an episode.
+    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); sums to at most 1.
+    - `effort`: mean square action; times seconds.
+    - `proximity`: 1 where a drone touches a drone or an obstacle, falling to 0 at 2.5 times that
+      distance; times seconds.
+    - `crash`: 1 on the step on which the drone crashes.
+    - `success`: 1 on the step on which the team succeeds, or one over the number of stages for
+      each stage.
 
     Args:
         drones: (E, N) records, after a decision has been judged.

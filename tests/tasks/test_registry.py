@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import importlib
 import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 import swarm_envs
+from docs.extensions.task_pages import observation_table
 from swarm_envs import TASKS, task_family
 from swarm_envs.agents import fly_episode
 from swarm_envs.baselines.neural_swarm import TrackingAgent
@@ -61,7 +61,7 @@ def test_version_0_flies_the_force_of_release_0_1_0():
 
 
 def test_the_documented_observation_table_is_the_layout():
-    page = (Path(__file__).parents[2] / "docs" / "tasks.md").read_text(encoding="utf-8")
+    page = observation_table()
     rows = re.findall(r"^\| `(\w+\.\w+)` \| (\d+) \| (.*?) \| (\d+) \|$", page, re.MULTILINE)
     documented = [(name, int(n), unit.strip(), float(scale)) for name, n, unit, scale in rows]
     layout = [
