@@ -30,7 +30,7 @@ extensions = [
     "extensions.state_tables",
     "extensions.task_pages",
 ]
-exclude_patterns = ["_build", "extensions"]
+exclude_patterns = ["_build", "extensions", "generated"]
 
 html_theme = "furo"
 html_title = "swarm-envs"

@@ -1,6 +1,6 @@
 """What all episodes add up to: `scores.json`, and its standings as tables of text.
 
-    python -m swarm_envs.training.scoreboard.standings DIR --into docs/benchmark.md
+    python -m swarm_envs.training.scoreboard.standings DIR --into docs/generated/benchmark.md
 
 puts the tables of a benchmark's folder into a page, between two marks.
 

@@ -125,9 +125,9 @@ def test_what_is_no_name_is_refused_with_the_nearest(choose):
 
 def test_the_page_explains_every_column_and_names_every_task():
     page = (DOCS / "benchmark.md").read_text(encoding="utf-8")
-    measured = page.partition("## What is measured")[2]
+    measured = page.partition("## Metrics")[2]
     assert all(f"`{metric.name}`" in measured for metric in METRICS)
-    shown = page.partition("## Tasks")[2].partition("## What is measured")[0]
+    shown = page.partition("## Tasks")[2].partition("## Metrics")[0]
     for name in TASKS:
         first, size, version = name.rsplit("-", 2)
         assert f"`{name}`" in shown or (f"`{first}-" in shown and f"`-{size}`" in shown), name
