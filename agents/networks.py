@@ -1,7 +1,7 @@
 """Networks that act, in numpy: multilayer perceptrons, and deep sets over the neighbours.
 
 A deep set gives every neighbour to a network phi, one for each type of vehicle, pools what comes
-out, and goes on with that and the drone's own numbers: the order of neighbours changes nothing, and
+out, and continues with that and the drone's own numbers: the order of neighbours has no effect, and
 there may be any number of them (Zaheer et al. 2017; for types as in Neural-Swarm2, Sec. III-C).
 """
 

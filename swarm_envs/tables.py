@@ -242,13 +242,13 @@ _BEGINS = (
     Field("stage", (), "", 0.0, "The present stage.", np.int64),
     Field("reached", (), "", 0.0, "Stages that are done.", np.int64),
     Field("scored", (), "", 0.0, "Decisions whose error counts.", np.int64),
-    Field("running", (), "", 1.0, "Whether the episode goes on.", np.bool_),
+    Field("running", (), "", 1.0, "Whether the episode continues.", np.bool_),
     Field("held", (), "", 0.0, "Whether the present stage is done.", np.bool_),
     Field("succeeded", (), "", 0.0, "Whether the task is done.", np.bool_),
     Field("terminated", (), "", 0.0, "Ended by a crash or by success.", np.bool_),
     Field("truncated", (), "", 0.0, "Ended by the clock.", np.bool_),
 )
-"""What begins anew with each episode."""
+"""What restarts with each episode."""
 
 ENVIRONMENT = (*_KEPT, *_BEGINS)
 """Every quantity of an environment."""
@@ -437,7 +437,7 @@ def _reset_columns(
 RESET_COLUMNS, RESET_VALUES = _reset_columns(DRONE)
 """Columns of a drone that a reset sets, and their values."""
 CONTACT_COLUMNS, CONTACT_VALUES = _reset_columns(_CONTACT)
-"""The same of contacts, which begin anew at every decision."""
+"""The same of contacts, which restart at every decision."""
 _BEGUN = np.zeros(1, ENVIRONMENT_TYPE)
 for _field in _BEGINS:
     _BEGUN[_field.name] = _field.reset
@@ -451,7 +451,7 @@ _RESET_PART = np.dtype(
         "itemsize": _ENVIRONMENT_SIZE,
     }
 )
-"""An environment whose quantities that begin anew are one lump of memory, to be set at once."""
+"""An environment whose quantities that restart are one lump of memory, to be set at once."""
 
 
 def clear_environments(environments: Records, where: npt.NDArray[np.int64]) -> None:

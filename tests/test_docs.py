@@ -25,6 +25,7 @@ from swarm_envs.cli import COMMANDS, main
 from swarm_envs.errors import unknown_name
 from tests.helpers.imports import ROOT, SOURCES
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
+from tests.helpers.vocabulary import EVERYWHERE, PAGES_ONLY, found_in, prose_of
 
 WRITTEN = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *PAGES]
 _BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
@@ -86,7 +87,7 @@ def test_the_page_of_a_task_says_what_the_task_does(task: str) -> None:
     page, env = task_page(task, DOCS / "tasks"), make(task, physics="batch")
     assert tuple(re.findall("^## (.+)$", page, re.MULTILINE)) == GYMNASIUM_ORDER
     rows = re.findall(r"^\| (\d+)(?:-(\d+))? \| `(\w+\.\w+)`", page, re.MULTILINE)
-    width = env.observation_space("drone_0").shape[0]
+    width = int(np.prod(env.observation_space("drone_0").shape or ()))
     assert sum(int(last or first) - int(first) + 1 for first, last, _ in rows) == width
     for name, weight in env.core.task.reward_weights.items():
         assert f"| `{name}` | {weight:g} | " in page
@@ -224,6 +225,18 @@ def test_a_row_says_what_a_field_holds_after_a_reset():
     assert "| `position` | `(3,)` | `float64` | m |  | Position" in state_table("DRONE")
     with pytest.raises(KeyError, match="DRONES"):
         state_tables.expand("<!-- state table: DRONES -->")
+
+
+def test_words_that_the_field_does_not_use_are_found_with_their_lines():
+    text = "One line.\nThe run goes\non, and is\ndrawn anew.\n"
+    assert [found[:2] for found in found_in(text, EVERYWHERE)] == [(3, "anew"), (1, "goes on")]
+    assert all(re.compile(phrase) and usual for phrase, usual in (EVERYWHERE | PAGES_ONLY).items())
+
+
+def test_code_on_pages_is_no_prose(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("a\n```sh\nbegin anew\n```\nanew\n")
+    assert [found[0] for found in found_in(prose_of(page), EVERYWHERE)] == [4]
 
 
 @pytest.mark.parametrize("block", BLOCKS)

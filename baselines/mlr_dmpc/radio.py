@@ -1,4 +1,4 @@
-"""Synchronous rounds: everybody sends in a slot of their own, and the radio loses some of it.
+"""Synchronous rounds: every node sends in its own slot, and the radio loses some of it.
 
 Jams, outages of receivers, single messages and bursts are lost by keyed draws.
 """

@@ -78,7 +78,7 @@ def _arc_back(
         return 2 * came + 1 if used_out[came] != (arc ^ 1 if arc < 6 else arc) else -1
     if arc == 0 and t > 0 and used_in[place] < 0:
         return 2 * place
-    if arc == 1 and used_out[place] >= 0:  # by taking back the flow that goes on
+    if arc == 1 and used_out[place] >= 0:  # by taking back the flow that continues
         return 2 * (place + total + table[v, used_out[place]] - v)
     return -1
 

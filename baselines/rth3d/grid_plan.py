@@ -137,7 +137,7 @@ class GridPlan(GridInstance):
         return sum(phase.seconds for phase in self.phases)
 
     def check(self) -> ValidationReport:
-        """Validate the paths anew."""
+        """Validate the paths again."""
         return validate(self.paths, self.starts, self.goals, self.shape, self.obstacles)
 
     def save(self, path: str | Path) -> None:

@@ -46,7 +46,7 @@ _PATIENCE = 1.5
 """An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
 _MARGIN = 60
 _RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
-"""From which part of the lower bound on PIBT is tried again, as long as it pays."""
+"""From which part of the lower bound on PIBT is tried again, as long as it helps."""
 _WORK = 250_000
 """Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
 of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
@@ -103,7 +103,7 @@ class PibtSearch:
             work -= self.reached - begin
 
     def _begin(self, step: int) -> None:
-        """Draw anew, and forget what came after a step."""
+        """Sample again, and forget what came after a step."""
         self.pibt.shuffle(self._generator)
         self.pibt.rewind(step)
         self.reached, self.left = step, -1
@@ -205,7 +205,7 @@ def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
-            "try another seed, or method='auto', which goes on where pibt gives up"
+            "try another seed, or method='auto', which continues where pibt gives up"
         )
     return _Solution(search.best, "pibt", None)
 

@@ -87,6 +87,14 @@ def exports(package: str) -> list[tuple[str, str]]:
     return [(str(name), homes[str(name)]) for name in names if name in homes]
 
 
+def listed_names(module: str) -> list[tuple[str, str]]:
+    """The names in the `__all__` of a module that defines them, with their full names."""
+    tree = ast.parse(modules()[module].read_text(encoding="utf-8"))
+    assigned = [n.value for n in tree.body if isinstance(n, ast.Assign) and _binds_all(n)]
+    found = [e.value for value in assigned for e in getattr(value, "elts", [])]
+    return [(str(name), f"{module}.{name}") for name in found]
+
+
 def _binds_all(node: ast.Assign) -> bool:
     return ast.unparse(node.targets[0]) == "__all__"
 

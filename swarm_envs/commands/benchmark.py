@@ -19,14 +19,14 @@ from swarm_envs.training.scoreboard.tasks import SEED
 class BenchmarkOptions:
     """Fly every agent on every task that it supports, and report how they did.
 
-    Interrupted or killed, the same command goes on. An agent that fails is named with the reason,
+    Interrupted or killed, the same command resumes. An agent that fails is named with the reason,
     the others go on, and the exit code is 1; what an agent does not support is in the report too.
     """
 
     out: Path | None = None
     """folder of the report, the tables, every episode and the replay pages"""
     report: Path | None = None
-    """write the report of this folder anew, and the replay pages that it lacks; nothing else is
+    """write the report of this folder again, and the replay pages that it lacks; nothing else is
     flown"""
     agents: list[str] = field(default_factory=lambda: ["*"])
     """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
@@ -53,7 +53,7 @@ class BenchmarkOptions:
         if self.episodes is not None and self.quick:
             raise ValueError("--quick and --episodes both say how many are flown; give one")
         if (self.out is None) == (self.report is None):
-            raise ValueError("give either --out DIR, to fly, or --report DIR, to report anew")
+            raise ValueError("give either --out DIR, to fly, or --report DIR, to report again")
 
 
 def run_benchmark(options: BenchmarkOptions) -> int:
@@ -62,7 +62,7 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     Raises:
         BlockingIOError: another process writes into the folder.
         ImportError: what the tables, the pages or a cluster need is not installed.
-        Misuse: there is no such agent or task, no place to write, or nothing to write anew;
+        Misuse: there is no such agent or task, no place to write, or nothing to write again;
             nothing was flown.
     """
     if options.json is not None:

@@ -130,7 +130,7 @@ def run_grade(options: GradeOptions) -> int:
             if options.out is not None:
                 _write(options.out, assignment, grades)
             if package_state() != before:
-                raise Misuse(f"{work!r} has changed the package; install it anew, and grade again")
+                raise Misuse(f"{work!r} has changed the package; install it again, and grade again")
     except KeyboardInterrupt:
         print(_table(assignment, grades))
         raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None

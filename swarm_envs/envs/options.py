@@ -52,7 +52,7 @@ class TaskOptions(EnvConfig, ABC):
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
     obstacles: Sequence[Obstacle] = ()
-    """What stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`."""
+    """Obstacles: `Box` and `Column` of `swarm_envs.tasks.obstacles`."""
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""
     render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None

@@ -86,7 +86,7 @@ ACCELERATION_LIMIT = 5.0
 NEAR_MISS = 1.5
 """Drones that come closer than this times the sum of their radii had a near miss."""
 _DRAWS = 200
-"""How often an episode is drawn anew until it is free of obstacles."""
+"""How often an episode is sampled again until it is free of obstacles."""
 
 
 @typed

@@ -26,7 +26,7 @@ class ResidualConfig:
     out: Path
     """folder for `residual.json`"""
     force: str = "wake"
-    """the force model: `wake`, fitted anew for each fold of flights; or the file of a model, which
+    """the force model: `wake`, refitted for each fold of flights; or the file of a model, which
     is taken as it is, so that flights it was fitted to flatter it"""
     folds: Annotated[int, Range(2)] = 5
     """parts into which the flights of each scenario are dealt"""

@@ -9,7 +9,7 @@ correlation time. The offset belongs to a drone in a flight: calibration of mass
 hold noise of the sensors, which no drone feels: it is white, so the autocovariance jumps by its
 variance at lag zero (the *nugget*), and is kept apart by fitting the other lags.
 
-The model is fitted anew for each fold of whole flights, and looked at on the flights left out.
+The model is refitted for each fold of whole flights, and looked at on the flights left out.
 Intervals are percentiles of a bootstrap over flights. These numbers are the defaults of
 `swarm_envs.hall.Hall`; docs/hall.md says how they were made.
 """

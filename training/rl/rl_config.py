@@ -47,7 +47,7 @@ class SacConfig:
     """tau: share by which target critics follow the critics at each gradient step"""
     temperature: Rate = 0.002
     """weight of entropy beside reward at the start; it is learned. Far above what a decision's
-    reward is, drones are paid for trembling"""
+    reward is, the policy is rewarded for jitter"""
 
 
 @partial(typed, owner="--")
@@ -55,7 +55,7 @@ class SacConfig:
 class RlConfig:
     """Train one policy for all drones by reinforcement learning.
 
-    Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
+    Interrupted or killed at any moment, the same command resumes from the last checkpoint, and ends
     with the policy that an uninterrupted run would have. A finished run is not overwritten.
     """
 
@@ -120,7 +120,7 @@ class RlConfig:
     """standard deviation of actions at the start; the same in every state, and learned; the
     recipe's if not given"""
     second_stage: Annotated[float, Range(0.0, 0.9)] = 0.25
-    """share of the steps that are trained anew from what the others gave: with a fresh Adam, and
+    """share of the steps that are trained again from what the others gave: with a fresh Adam, and
     more exploration again; 0 for one stage"""
     second_rate: Rate = 7e-4
     """of Adam at the start of the second stage"""

@@ -99,7 +99,7 @@ METRICS = (
              "Median time of one decision for the whole team, on the machine of the manifest.",
              statistic="percentile"),
     Measured("act_us_p99", "decision p99", "µs", "lower",
-             "99th percentile of the same: plans made anew count here, those made at reset do not.",
+             "99th percentile of the same: replanning counts here, planning at reset does not.",
              statistic="percentile"),
 )  # fmt: skip
 """Columns of the scoreboard, in order."""
