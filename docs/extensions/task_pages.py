@@ -67,7 +67,7 @@ def task_page(task: str, folder: Path) -> str:
     return "\n\n".join(
         [
             f"# {title.partition(',')[0]}",
-            *(f"![{title.partition(',')[0]}: {summary}]({name})" for name in found[:1]),
+            *(f"![{title.partition(',')[0]}: {summary}]({name})" for name in found),
             _facts(task, env),
             f"## Description\n\n{summary[0].upper()}{summary[1:]}",
             _plain(rest),
