@@ -60,7 +60,7 @@ class Jam:
             for name in _names(getattr(self, field)):
                 if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", name):
                     raise ValueError(
-                        f"{field} has {name!r}, which names no drone or unit: write all, drones, units, "
+                        f"{field} has {name!r}, which names no drone: write all, drones, units, "
                         "'drone 3' or 'unit 0'"
                     )
 

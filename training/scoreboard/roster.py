@@ -47,7 +47,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
     {
         "hover": Place("hover", "Stays where it starts: what doing nothing is worth.", 2),
         "random": Place("random", "Draws every action evenly: what chance is worth.", 2, 0.0005),
-        "straight-line": Place("straight line", "A PD controller to the goal that ignores other drones."),
+        "straight-line": Place("straight line", "A PD law to the goal that ignores others."),
         "straight-line+filter": Place("straight line + filter", _FILTERED),
         "tracking": Place("tracking", "The controller of Neural-Swarm2, uncompensated.", 2),
         "tracking-compensated": Place("tracking, compensated", _COMPENSATED, 2),
