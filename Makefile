@@ -46,7 +46,7 @@ $(VENV)/.python:
 
 $(VENV)/.base: $(VENV)/.python pyproject.toml constraints.txt
 	@echo 'Installing swarm-envs in $(VENV), once; this takes a minute or two ...'
-	$(INSTALL) -e .
+	$(INSTALL) -e '.[film]'
 	@touch $@
 
 $(VENV)/.dev: $(VENV)/.python pyproject.toml constraints.txt

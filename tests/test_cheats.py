@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import os
 import struct
@@ -17,8 +18,9 @@ import numpy as np
 import pytest
 
 import swarm_envs
+from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import main
-from swarm_envs.commands.grade import ASSIGNMENTS
+from swarm_envs.commands import grade
 from swarm_envs.training.interaction_rows import save_rows
 from tests.helpers.wake_rows import wake_rows
 
@@ -31,8 +33,8 @@ if sys.platform == "linux":
     from swarm_envs.commands.grading.remote import opened
     from swarm_envs.commands.grading.text import cell, printable
 
-STARTERS = Path(__file__).parents[1] / "docs" / "assignments"
 PACKAGE = Path(swarm_envs.__file__).parent
+STARTERS = PACKAGE / "assignments"
 SHORT_S = 10.0
 ALONE = ("own processes", "files hidden")  # what only a confined work cannot do
 
@@ -497,7 +499,10 @@ class Peeks(Agent):
 """
 
 
-def test_what_ships_and_who_looks_at_the_truth_is_starred(tmp_path, capsys):
+def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path, capsys):
+    four = {"task": "swap", "layout": "random", "drones": 4}  # as many as `swap-ppo` flies
+    swap = dataclasses.replace(ASSIGNMENTS["swap"], flown=four)
+    monkeypatch.setattr(grade, "ASSIGNMENTS", {"swap": swap})
     work, table, stolen = tmp_path / "swap.py", tmp_path / "grades.csv", tmp_path / "weights"
     work.write_text(STOLEN, encoding="utf-8")
     stolen.mkdir()
@@ -509,7 +514,7 @@ def test_what_ships_and_who_looks_at_the_truth_is_starred(tmp_path, capsys):
     source.write_text(scripted.replace("class StraightLineAgent", "class Mine"), encoding="utf-8")
     starter = tmp_path / "starter" / "swap.py"
     starter.parent.mkdir()
-    starter.write_text((STARTERS / "swap.py").read_text(encoding="utf-8"), encoding="utf-8")
+    starter.write_bytes((STARTERS / "swap" / "swap.py").read_bytes())
     works = [f"{work}:Agent", f"{work}:Peeks", str(stolen), f"{source}:Mine", f"{starter}:MyAgent"]
     words = ["--episodes", "2", "--out", str(table), "--work", *works]
     assert main(["grade", "--assignment", "swap", *words]) == 0
@@ -521,15 +526,16 @@ def test_what_ships_and_who_looks_at_the_truth_is_starred(tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("assignment", "file", "task", "episodes"),
+    ("assignment", "task", "episodes"),
     [
-        ("swap", "swap.py:MyAgent", ["--layout", "random", "--drones", "4"], "80"),
-        ("controller", "controller.py:MyController", ["--layout", "stacked", "--drones", "3"], "4"),
+        ("swap", ["--layout", "random", "--team", "SSSSSSSSLLLLLLLL"], "80"),
+        ("controller", ["--layout", "stacked", "--drones", "3", "--world", "hall"], "4"),
     ],
 )
-def test_honest_works_get_the_mark_of_evaluate(tmp_path, assignment, file, task, episodes):
+def test_honest_works_get_the_mark_of_evaluate(tmp_path, assignment, task, episodes):
     table, report = tmp_path / "grades.csv", tmp_path / "report.json"
-    work, common = f"{STARTERS / file}", ["--episodes", episodes, "--seed", "7"]
+    work = f"{STARTERS / assignment / ASSIGNMENTS[assignment].work}"
+    common = ["--episodes", episodes, "--seed", "7"]
     main(["grade", "--assignment", assignment, *common, "--out", str(table), "--work", work])
     main(["evaluate", "--task", "swap", *task, *common, "--json", str(report), "--agent", work])
     expected = json.loads(report.read_text(encoding="utf-8"))

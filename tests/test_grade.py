@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import json
 import os
 import re
 import signal
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -14,15 +17,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import main
-from swarm_envs.commands.grade import ASSIGNMENTS
 from swarm_envs.commands.grade_force import grade_model, score
+from swarm_envs.commands.grade_planner import (
+    HORIZON,
+    LEAST_DISTANCE,
+    ROUND_S,
+    draw_scenario,
+    positions_of,
+)
 from swarm_envs.commands.grading.remote import WorkFailed, opened
 from swarm_envs.training.interaction_rows import save_rows
 from tests.helpers.wake_rows import wake_rows
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="no groups of processes")
-STARTERS = Path(__file__).parent.parent / "docs" / "assignments"
+STARTERS = Path(__file__).parent.parent / "swarm_envs" / "assignments"
+SOLUTIONS = Path(__file__).parent / "solutions"
 
 WORK = """
 import os, pathlib, signal, subprocess, time
@@ -63,10 +74,10 @@ def work(tmp_path: Path) -> Path:
 
 def test_points_rise_from_nothing_to_a_hundred():
     swap, controller = ASSIGNMENTS["swap"], ASSIGNMENTS["controller"]
-    assert swap.points({"success_rate": 0.725}) == 50.0
-    assert swap.points({"success_rate": 0.725, "collision_rate": 0.2}) == 40.0
-    assert swap.points({"success_rate": 0.3}) == 0.0
-    assert controller.points({"worst_height_error_m": 0.045}) == 50.0  # less is better
+    assert swap.points({"success_rate": 0.475}) == 50.0
+    assert swap.points({"success_rate": 0.475, "collision_rate": 0.2}) == 40.0
+    assert swap.points({"success_rate": 0.0}) == 0.0
+    assert controller.points({"worst_height_error_m": 0.0475}) == 50.0  # less is better
     assert controller.points({"worst_height_error_m": 0.005}) == 100.0
     assert controller.points({"worst_height_error_m": None}) == 0.0
 
@@ -149,7 +160,7 @@ def force_scores(work: str, data: Path) -> dict[str, float]:
 def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
     data = tmp_path / "rows.npz"
     save_rows(data, wake_rows(400))
-    starter = force_scores(f"{STARTERS / 'force_model.py'}:MyModel", data)
+    starter = force_scores(f"{STARTERS / 'force-model' / 'force_model.py'}:MyModel", data)
     assert starter["explained"] == pytest.approx(1.0)  # its form is the truth here
     held = wake_rows(400).select(wake_rows(400).validation)
     mean = wake_rows(400).select(~wake_rows(400).validation).force_g[:, 2].mean()
@@ -165,17 +176,179 @@ def test_a_force_model_is_scored_on_what_it_has_not_seen(tmp_path, work):
         force_scores(f"{work}:Fine", data)
 
 
-@pytest.mark.parametrize(
-    ("assignment", "name", "least"),
-    [("controller", "controller.py:MyController", 1.0), ("swap", "swap.py:MyAgent", 5.0)],
-)
-def test_starters_fly_and_leave_room(tmp_path, assignment, name, least):
+def points_of(tmp_path: Path, assignment: str, episodes: int, *works: str) -> list[float]:
     table = tmp_path / "grades.csv"
-    arguments = ["--assignment", assignment, "--episodes", "24", "--out", str(table)]
-    assert main(["grade", *arguments, "--work", str(STARTERS / name)]) == 0
+    arguments = ["--assignment", assignment, "--episodes", str(episodes), "--out", str(table)]
+    if assignment == "force-model":
+        assert main(["collect", "--out", str(tmp_path / "flights"), "--teams", "SS"]) == 0
+        arguments += ["--data", str(tmp_path / "flights" / "rows.npz")]
+    assert main(["grade", *arguments, "--work", *works]) == 0
     with table.open(newline="") as file:
-        (line,) = csv.DictReader(file)
-    assert least < float(line["points"]) < 90.0
+        return [float(line["points"]) for line in csv.DictReader(file)]
+
+
+DRAFTS = {
+    "controller": ("controller.py", "Observer", "Stiff", 16),
+    "swap": ("swap.py", "Late", "Obstacles", 32),
+    "distributed-mpc": ("planner.py", "Swerving", "Constrained", 24),
+    "force-model": ("force_model.py", "FewWakes", "Wakes", 1),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("assignment", DRAFTS)
+def test_points_are_spread_over_drafts(tmp_path, assignment):
+    """The starter, a better draft and a good solution, each in another third or further apart."""
+    file, better, best, episodes = DRAFTS[assignment]
+    starter = str(STARTERS / assignment / ASSIGNMENTS[assignment].work)
+    solutions = [f"{SOLUTIONS / file}:{name}" for name in (better, best)]
+    first, second, third = points_of(tmp_path, assignment, episodes, starter, *solutions)
+    assert first < 45.0
+    assert first + 2.0 < second < third - 10.0
+    assert third > 75.0
+
+
+@pytest.mark.slow
+def test_what_is_learned_in_a_minute_counts(tmp_path):
+    starter = str(STARTERS / "learning" / "learner.py:MyLearner")
+    better = f"{SOLUTIONS / 'learner.py'}:Searched"
+    first, second = points_of(tmp_path, "learning", 64, starter, better)
+    assert 0.0 < first < second - 10.0
+
+
+LEARNER = """
+import numpy as np
+class Learner:
+    requires, privileged, told = {'action': 'acceleration', 'decision_rate': 10}, False, 0.0
+    def train(self, seconds): self.told = seconds
+    def reset(self, env, seed): assert self.told == 60.0
+    def act(self, observations, view): return {n: np.zeros(3, np.float32) for n in observations}
+class Silent(Learner):
+    train = None
+"""
+
+
+def test_a_learner_is_trained_before_it_flies(tmp_path, capsys):
+    file = tmp_path / "learner.py"
+    file.write_text(LEARNER, encoding="utf-8")
+    works = [f"{file}:Learner", f"{file}:Silent"]
+    arguments = ["--assignment", "learning", "--episodes", "1", "--work", *works]
+    assert main(["grade", *arguments]) == 1
+    assert capsys.readouterr().out.count("FAILED") == 1
+
+
+def test_a_controller_of_the_package_is_no_solution(tmp_path, capsys):
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from swarm_envs.control.config import ControllerConfig\n"
+        + WORK.replace("'decision_rate': 10}", "'controller': ControllerConfig()}"),
+        encoding="utf-8",
+    )
+    arguments = ["--assignment", "controller", "--episodes", "1", "--work", f"{file}:Fine"]
+    assert main(["grade", *arguments]) == 1
+    assert "it requires 'controller', which is what" in capsys.readouterr().out
+
+
+PLANNER = """
+import os, numpy as np
+class Still:
+    others = set()
+    def reset(self, drone, goal):
+        self.others.add(drone)
+        assert self.others == {drone}, "two drones think with one head"
+    def plan(self, state, goal, heard, ages): return np.zeros((15, 3))
+class Strong(Still):
+    def plan(self, state, goal, heard, ages): return np.full((15, 3), 6.0)
+"""
+
+
+def test_planners_share_nothing_and_keep_their_limits(tmp_path, capsys):
+    file = tmp_path / "planner.py"
+    file.write_text(PLANNER, encoding="utf-8")
+    works = [f"{file}:Still", f"{file}:Strong"]
+    arguments = ["--assignment", "distributed-mpc", "--episodes", "2", "--work", *works]
+    assert main(["grade", *arguments]) == 1
+    said = capsys.readouterr().out
+    assert re.search(r"planner.py:Still +0.0  0\n", said)  # who stands still never arrives
+    assert "accelerates by 6 m/s^2 on one axis, but may by at most 5" in said
+
+
+def test_announced_plans_are_those_of_a_double_integrator():
+    """Against a thousand small steps a round."""
+    rng = np.random.default_rng(3)
+    state, plan = rng.normal(size=6), rng.normal(size=(HORIZON, 3))
+    place, speed, small = state[:3].copy(), state[3:].copy(), ROUND_S / 1000
+    found = []
+    for push in plan:
+        for _ in range(1000):
+            place += small * speed + 0.5 * small**2 * push
+            speed += small * push
+        found.append(place.copy())
+    np.testing.assert_allclose(positions_of(state, plan), found, rtol=1e-9)
+
+
+def test_starts_keep_apart_and_goals_are_others_starts():
+    for seed in range(50):
+        scenario = draw_scenario(np.random.default_rng(seed))
+        apart = np.linalg.norm(scenario.starts[:, None] - scenario.starts[None], axis=-1)
+        assert apart[np.triu_indices(len(apart), 1)].min() >= 2 * LEAST_DISTANCE
+        same = (scenario.goals[:, None] == scenario.starts[None]).all(axis=-1)
+        assert (same.sum(axis=0) == 1).all() and not same.diagonal().any()
+        assert 0.0 <= scenario.loss <= 0.4
+
+
+def test_feedback_names_the_rubric_and_shows_the_first_failure(tmp_path, work):
+    out, table = tmp_path / "feedback", tmp_path / "grades.json"
+    names = [f"{work}:Fine", f"{work}:Nan"]
+    arguments = ["--episodes", "2", "--feedback", str(out), "--out", str(table), "--work", *names]
+    assert main(["grade", "--assignment", "swap", *arguments]) == 1
+    fine, bad = sorted(out.iterdir())
+    said = json.loads((fine / "results.json").read_text())
+    assert (said["score"], said["max_score"]) == (0.0, 100.0)
+    assert "success_rate: 0 gives 0 points" in said["output"]
+    assert "<html" in (fine / "failure.html").read_text(encoding="utf-8")
+    assert "must be finite" in json.loads((bad / "results.json").read_text())["output"]
+    assert not (bad / "failure.html").exists()
+    rows = json.loads(table.read_text())
+    assert [row["score"] for row in rows] == [0.0, 0.0]
+    assert rows[0]["assignment"] == "swap" and rows[0]["student_id"] == tmp_path.name
+
+
+def test_assignments_are_listed_and_begun(tmp_path, capsys):
+    assert main(["assignment", "list"]) == 0
+    listed = capsys.readouterr().out
+    assert all(f"\n{name} " in f"\n{listed}" for name in ASSIGNMENTS)
+    for name, assignment in ASSIGNMENTS.items():
+        folder = tmp_path / name
+        assert main(["assignment", "start", name, str(folder)]) == 0
+        file = assignment.work.split(":")[0]
+        found = {path.name for path in folder.iterdir()}
+        assert found == {"README.md", file, f"test_{file}", file.replace(".py", ".ipynb")}
+        notebook = json.loads((folder / file.replace(".py", ".ipynb")).read_text())
+        assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
+        cells = notebook["cells"]
+        assert [cell["cell_type"] for cell in cells] == ["markdown", "code", "code", "code"]
+        assert len({cell["id"] for cell in cells}) == 4
+        assert cells[1]["source"] == f"%%writefile {file}\n" + (folder / file).read_text()
+    assert main(["assignment", "start", "swap", str(tmp_path / "swap")]) == 2
+    assert "exists; name a new folder" in capsys.readouterr().err
+    assert main(["assignment", "start", "swop"]) == 2
+    assert "did you mean 'swap'?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["distributed-mpc", "force-model"])
+def test_the_tests_that_students_are_given_pass(tmp_path, name):
+    folder = tmp_path / name
+    assert main(["assignment", "start", name, str(folder)]) == 0
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=folder)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["controller", "swap", "learning"])
+def test_the_tests_of_students_who_fly_pass(tmp_path, name):
+    test_the_tests_that_students_are_given_pass(tmp_path, name)
 
 
 @pytest.mark.parametrize(

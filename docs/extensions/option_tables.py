@@ -1,7 +1,8 @@
 """Tables of options: `<!-- commands -->` becomes every command with its options.
 
 Whatever dataclass a command hands to tyro is what is written down, so nothing can be forgotten.
-`<!-- option table: EnvConfig -->` becomes the options of a class of settings, with their rules.
+`<!-- option table: EnvConfig -->` becomes the options of a class of settings, with their rules, and
+`<!-- assignment table -->` the assignments of a course.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import tyro
 
 from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
+from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.commands.export import KINDS
 from swarm_envs.envs.config import EnvConfig
@@ -27,6 +29,7 @@ from swarm_envs.swap_v1 import SwapOptions
 from swarm_envs.training.reproduce.papers import ALL, PAPERS
 
 MARK = "<!-- commands -->"
+ASSIGNMENTS_MARK = "<!-- assignment table -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     settings.__name__: settings
@@ -137,8 +140,20 @@ def _default_of(option: arguments.Option) -> str:
     return "" if option.default is dataclasses.MISSING else f"`{option.default!r}`"
 
 
+def assignment_table() -> str:
+    """The assignments of a course in Markdown, each with its page and what it is worth."""
+    rows = [
+        f"| [{name}]({name}.md) | {task.summary} | `{task.work}` | `{task.metric}` "
+        f"| {task.zero:g} | {task.full:g} |"
+        for name, task in ASSIGNMENTS.items()
+    ]
+    head = ["| assignment | goal | submission | metric | 0 points | 100 points |"]
+    return "\n".join([*head, "|---|---|---|---|---|---|", *rows])
+
+
 def expand(text: str) -> str:
     """A page's text with each mark replaced by its tables."""
+    text = text.replace(ASSIGNMENTS_MARK, assignment_table())
     if MARK in text:
         text = text.replace(MARK, "\n\n".join(map(section, commands())))
     return SETTINGS_MARK.sub(lambda mark: settings_table(mark[1]), text)

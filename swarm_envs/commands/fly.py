@@ -106,7 +106,7 @@ def run_fly(options: FlyOptions) -> None:
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
-    """Raise ImportError if plotly, pyarrow or pybullet is missing for a file."""
+    """Raise ImportError if plotly, pyarrow, pybullet or ffmpeg is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
@@ -119,6 +119,10 @@ def _check_writers(files: Mapping[str, Path]) -> None:
         from swarm_envs.physics.bullet import import_bullet
 
         import_bullet()
+        if files["video"].suffix == ".mp4":
+            from swarm_envs.viewing.video import find_ffmpeg
+
+            find_ffmpeg()
 
 
 def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, SwarmParallelEnv]:

@@ -2,71 +2,25 @@
 
 What a file is worth is one number that `swarm-envs evaluate` reports, or the error of its force
 model; points rise linearly from one value of it to another. Environment, judge and table are the
-grader's: a work gives it actions, and nothing else. See `docs/assignments/`.
+grader's: a work gives it actions, and nothing else. See `swarm_envs.assignments`.
 """
 
 from __future__ import annotations
 
-import csv
 import glob
 import select
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 from swarm_envs.arguments import POSITIVE_S, Count, Seed
-from swarm_envs.commands.checks import Misuse, check_file, command_options
+from swarm_envs.assignments import ASSIGNMENTS, Assignment, AssignmentName
+from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.commands.grading.grades import Grade, grade_table, write_feedback, write_grades
 
 if TYPE_CHECKING:
     from swarm_envs.commands.grading.remote import RemoteWork
-
-Name = Literal["controller", "force-model", "swap"]
-"""Assignments by name."""
-
-
-@dataclass(frozen=True)
-class Assignment:
-    """What is asked for, and what it is worth."""
-
-    metric: str
-    """The number that counts, as reports name it."""
-    zero: float
-    """Its value that is worth nothing."""
-    full: float
-    """Its value, or better, that is worth 100 points."""
-    flown: Mapping[str, Any] = field(default_factory=dict)
-    """Options of `swarm-envs evaluate`; empty where nothing is flown."""
-
-    def points(self, report: Mapping[str, Any]) -> float:
-        """Points from 0 to 100; in flights, times the share of episodes without a crash."""
-        value = report.get(self.metric)
-        if value is None:
-            return 0.0
-        share = (float(value) - self.zero) / (self.full - self.zero)
-        safe = 1.0 - float(report.get("collision_rate", 0.0))
-        return round(100.0 * min(max(share, 0.0), 1.0) * safe, 1)
-
-
-ASSIGNMENTS: Mapping[str, Assignment] = MappingProxyType(
-    {
-        "controller": Assignment(
-            metric="worst_height_error_m",
-            zero=0.08,
-            full=0.01,
-            flown={"task": "swap", "layout": "stacked", "drones": 3},
-        ),
-        "force-model": Assignment(metric="explained", zero=0.3, full=0.9),
-        "swap": Assignment(
-            metric="success_rate",
-            zero=0.50,
-            full=0.95,
-            flown={"task": "swap", "layout": "random", "drones": 4},
-        ),
-    }
-)
-"""The assignments of `docs/assignments/` by their names."""
 
 
 @command_options
@@ -78,14 +32,17 @@ class GradeOptions:
     with its error and gets no points; the others go on.
     """
 
-    assignment: Name
-    """which one: `controller`, `force-model` or `swap`"""
+    assignment: AssignmentName
+    """which one; `swarm-envs assignment list` says what they are"""
     work: list[str] = field(default_factory=list)
     """what was handed in: path/to/file.py:Class each, or a pattern such as 'class/*/swap.py:Class';
     also folders of trained policies"""
     out: Path | None = None
-    """write the table to this file, .csv, after each work"""
-    episodes: Count = 64
+    """write the table to this file after each work: .csv, or .json with the columns of nbgrader"""
+    feedback: Path | None = None
+    """folder for each student's results.json (Gradescope's format), and failure.html, a page that
+    plays the first episode that failed"""
+    episodes: Count = 256
     """episodes that each flies"""
     seed: Seed = 0
     """the episodes are drawn from it: the same for all; grade on one that nobody has seen"""
@@ -102,9 +59,6 @@ class GradeOptions:
             raise ValueError("--data is for --assignment force-model, which needs it")
 
 
-assert set(get_args(Name)) == set(ASSIGNMENTS)
-
-
 def run_grade(options: GradeOptions) -> int:
     """Grade, print and write; return how many failed.
 
@@ -116,27 +70,30 @@ def run_grade(options: GradeOptions) -> int:
 
     _check_system()
     from swarm_envs.commands.grading.remote import package_state
+    from swarm_envs.viewing.replay import check_replay_path
 
     if options.out is not None:
-        check_file("--out", options.out, (".csv",))
+        check_file("--out", options.out, (".csv", ".json"))
+    if options.feedback is not None:
+        check_folder("--feedback", options.feedback)
+        check_replay_path(options.feedback / "failure.html")
     if options.data is not None:
         _check_rows(options.data)
     assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.work)
-    grades: list[_Grade] = []
+    grades: list[Grade] = []
     try:
         for work in tqdm(works, desc="grading", unit="file"):
             before = package_state()
             grades.append(_grade(work, works, options, assignment))
-            if options.out is not None:
-                _write(options.out, assignment, grades)
+            _write(options, grades)
             if package_state() != before:
                 raise Misuse(f"{work!r} has changed the package; install it again, and grade again")
     except KeyboardInterrupt:
-        print(_table(assignment, grades))
+        print(grade_table(assignment, grades))
         raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None
-    print(_table(assignment, grades))
-    if options.out is not None:
-        print(f"wrote {options.out}")
+    print(grade_table(assignment, grades))
+    for place in filter(None, (options.out, options.feedback)):
+        print(f"wrote {place}")
     return sum(bool(grade.error) for grade in grades)
 
 
@@ -154,22 +111,15 @@ def _check_system() -> None:
         print(f"a work is not confined as it should be here: {missing}")
 
 
-class _Grade(NamedTuple):
-    work: str
-    points: float
-    value: float | None
-    error: str
-    privileged: bool
-    copied: str
-
-    @property
-    def notes(self) -> str:
-        """What the table says beside the number."""
-        stars = " *" if self.privileged else ""
-        return stars + (f" * flies as {self.copied}" if self.copied else "")
+def _write(options: GradeOptions, grades: list[Grade]) -> None:
+    assignment = ASSIGNMENTS[options.assignment]
+    if options.out is not None:
+        write_grades(options.out, options.assignment, assignment, grades)
+    if options.feedback is not None:
+        write_feedback(options.feedback, assignment, grades)
 
 
-def _grade(work: str, works: list[str], options: GradeOptions, assignment: Assignment) -> _Grade:
+def _grade(work: str, works: list[str], options: GradeOptions, assignment: Assignment) -> Grade:
     """Grade one work; whatever goes wrong with it is its own."""
     from swarm_envs.commands.grading.text import printable
 
@@ -177,7 +127,7 @@ def _grade(work: str, works: list[str], options: GradeOptions, assignment: Assig
     error, value = printable(report.get("error", "")), report.get(assignment.metric)
     points = 0.0 if error else assignment.points(report)
     stars = bool(report.get("privileged", False)), str(report.get("copied", ""))
-    return _Grade(name, points, value, error, *stars)
+    return Grade(name, points, value, error, *stars, report.get("failure"))
 
 
 def _expanded(works: list[str]) -> list[str]:
@@ -222,6 +172,10 @@ def _report(
     limits = Limits(work_s=options.limit_s)
     what = "fly" if assignment.flown else "fit"
     try:
+        if options.assignment == "distributed-mpc":
+            from swarm_envs.commands.grade_planner import grade_planner
+
+            return grade_planner(work, works, limits, options.seed, options.episodes)
         with opened(work, what, works, limits) as (process, made):
             if options.data is not None:
                 from swarm_envs.commands.grade_force import grade_model
@@ -242,44 +196,30 @@ def _flown(
 ) -> dict[str, Any]:
     """The scores of `swarm-envs evaluate`, and who has helped the work."""
     from swarm_envs import make
+    from swarm_envs.agents import record_episode
     from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds, score_episodes
     from swarm_envs.agents.protocol import check_options_agree
     from swarm_envs.commands.evaluate import EvaluateOptions
     from swarm_envs.commands.fly import find_task
     from swarm_envs.commands.grading.copies import copied_acts, copied_files
-    from swarm_envs.commands.grading.remote import remote_agent
+    from swarm_envs.commands.grading.remote import WorkFailed, remote_agent, train_work
 
+    if assignment.train_s:
+        train_work(process, assignment.train_s)
     setting = EvaluateOptions(**assignment.flown)
     agent, given = remote_agent(process, made), setting.setting()
+    for name in set(assignment.own) & set(agent.requires):
+        raise WorkFailed(f"it requires {name!r}, which is what this assignment asks you to write")
     check_options_agree(agent, given)
     env = make(find_task(setting.task), **{**given, **agent.requires})
     try:
         seeds = frozen_seeds(options.seed, options.episodes)
-        scores = score_episodes([*evaluate_agent(env, agent, seeds)])
+        episodes = [*evaluate_agent(env, agent, seeds)]
+        scores = score_episodes(episodes)
+        failed = [e["seed"] for e in episodes if not e["metrics"]["success"]]
+        if options.feedback is not None and failed:
+            scores["failure"] = record_episode(env, agent, failed[0], name=Path(work).name)
         copied = copied_files(work) or copied_acts(env, agent.kept)
     finally:
         env.close()
     return {**scores, "privileged": agent.asked, "copied": copied}
-
-
-def _table(assignment: Assignment, grades: list[_Grade]) -> str:
-    width = max(map(len, ["work", *(grade.work for grade in grades)]))
-    lines = [f"{'work'.ljust(width)}  points  {assignment.metric}"]
-    for grade in grades:
-        value = "-" if grade.value is None else f"{grade.value:.4g}"
-        said = f"FAILED: {grade.error}" if grade.error else value
-        lines.append(f"{grade.work.ljust(width)}  {grade.points:6.1f}  {said}{grade.notes}")
-    if any(grade.privileged for grade in grades):
-        lines.append("* sees the true state")
-    return "\n" + "\n".join(lines)
-
-
-def _write(path: Path, assignment: Assignment, grades: list[_Grade]) -> None:
-    from swarm_envs.commands.grading.text import cell
-    from swarm_envs.files import written_whole
-
-    with written_whole(path) as whole, whole.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(["work", "points", assignment.metric, "error", "privileged", "copied"])
-        for work, points, value, error, *stars in grades:
-            writer.writerow([cell(work), points, value, cell(error), *stars])

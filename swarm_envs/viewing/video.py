@@ -206,15 +206,25 @@ def _send(process: subprocess.Popen[bytes], frame: Frame) -> bool:
     return True
 
 
+def find_ffmpeg() -> str:
+    """The ffmpeg that imageio-ffmpeg carries.
+
+    Raises:
+        ImportError: it is not installed; the message says how to get it.
+    """
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise ImportError("an MP4 needs ffmpeg: pip install 'swarm-envs[film]'") from error
+    return str(imageio_ffmpeg.get_ffmpeg_exe())
+
+
 def _start_encoder(path: Path, width: int, height: int, fps: int) -> subprocess.Popen[bytes]:
     raw = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(fps)]
     coded = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-movflags", "+faststart"]
     try:
-        import imageio_ffmpeg
-
-        ffmpeg = imageio_ffmpeg.get_ffmpeg_exe()
         return subprocess.Popen(
-            [ffmpeg, "-v", "error", "-y", *raw, "-i", "-", "-an", *coded, str(path)],
+            [find_ffmpeg(), "-v", "error", "-y", *raw, "-i", "-", "-an", *coded, str(path)],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,

@@ -31,6 +31,8 @@ def sources() -> dict[str, Path]:
     found = {f.relative_to(PACKAGE): f for f in files}
     for folder in OUTER:
         found |= {f.relative_to(ROOT): f for f in (ROOT / folder).rglob("*.py")}
+    starters = Path("assignments")  # for students: only its __init__ is the package's
+    found = {path: f for path, f in found.items() if starters not in [*path.parents][1:]}
     names = {".".join(("swarm_envs", *p.with_suffix("").parts)): f for p, f in found.items()}
     return {name.removesuffix(".__init__"): f for name, f in sorted(names.items())}
 
@@ -41,7 +43,7 @@ SOURCES = sources()
 def level(name: str) -> int:
     """How high a module stands: it may import its own level and those below."""
     part = f"{name}.".split(".")[1]
-    if part in ("cli", "commands"):
+    if part in ("cli", "commands", "assignments"):
         return CLI
     return OUTER_LEVELS.get(part, LEVELS.get(part, FACE))
 

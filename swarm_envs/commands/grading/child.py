@@ -135,6 +135,11 @@ class _Flyer:
             "batched": isinstance(self._agent, BatchAgent),
         }
 
+    def train(self, header: Mapping[str, Any], arrays: list[Array]) -> list[Array]:
+        """Let the agent learn."""
+        self._agent.train(header["seconds"])
+        return []
+
     def reset(self, header: Mapping[str, Any], arrays: list[Array]) -> list[Array]:
         """Prepare the agent for an episode."""
         self._env = self._env or StandIn(header, self._requires, self._channel)
@@ -179,6 +184,27 @@ class _Model:
         return [np.asarray(self._model.predict(_rows(header, arrays)), np.float64)]
 
 
+class _Planner:
+    """A work that plans for one drone of the assignment `distributed-mpc`."""
+
+    def __init__(self, name: str, channel: Channel) -> None:
+        from swarm_envs.agents.registry import load_class
+
+        self._planner: Any = load_class(name)()
+        self.made: dict[str, Any] = {}
+
+    def reset(self, header: Mapping[str, Any], arrays: list[Array]) -> list[Array]:
+        """Begin an episode."""
+        self._planner.reset(header["drone"], arrays[0])
+        return []
+
+    def plan(self, header: Mapping[str, Any], arrays: list[Array]) -> list[Array]:
+        """Accelerations (HORIZON, 3) of the drone, m/s^2."""
+        import numpy as np
+
+        return [np.asarray(self._planner.plan(*arrays), np.float64)]
+
+
 def _rows(header: Mapping[str, Any], arrays: list[Array]) -> Any:
     from swarm_envs.training.interaction_rows import InteractionRows
 
@@ -195,7 +221,8 @@ def run_work() -> None:
     header, _ = channel.receive()
     _confine(header)
     try:
-        work: Any = {"fly": _Flyer, "fit": _Model}[header["what"]](header["work"], channel)
+        kinds: dict[str, Any] = {"fly": _Flyer, "fit": _Model, "plan": _Planner}
+        work = kinds[header["what"]](header["work"], channel)
     except (Exception, SystemExit) as error:
         channel.send(_described(error, header["work"]))
         return

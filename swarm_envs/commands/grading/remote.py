@@ -36,6 +36,8 @@ from swarm_envs.vehicles import team_string
 KEPT = 256
 """Decisions of a work that are kept, to be compared with those of agents that ship."""
 _MODULE = "swarm_envs.commands.grading.child"
+_SETUP_S = 60.0  # for imports and compilation, before a work trains
+_DECISIONS = ("act", "batch", "plan")
 _SPARE = 1 << 20  # bytes by which an answer may be too long and still be understood
 
 
@@ -73,6 +75,7 @@ class RemoteWork:
         arrays: Sequence[Array] = (),
         most: int = 0,
         questions: Mapping[str, Callable[[dict[str, Any]], Any]] | None = None,
+        limit_s: float = math.inf,
     ) -> tuple[dict[str, Any], list[Array]]:
         """Ask, and wait for the answer. Only this waiting counts against the work's time.
 
@@ -82,13 +85,14 @@ class RemoteWork:
             arrays: likewise.
             most: bytes of the answer's numbers.
             questions: what it may ask back, by kind: header and arrays of the reply.
+            limit_s: on this answer, s.
 
         Raises:
             WorkFailed: it failed.
             WorkRefused: it raised a ValueError.
         """
-        decides = kind in ("act", "batch") and kind in self._known
-        limit = self._limits.decision_s if decides else math.inf
+        decides = kind in _DECISIONS and kind in self._known
+        limit = self._limits.decision_s if decides else limit_s
 
         def converse(until: float) -> tuple[dict[str, Any], list[Array]]:
             if kind:
@@ -105,7 +109,7 @@ class RemoteWork:
         if answer["kind"] == "error":
             words = printable(str(answer.get("words")))
             raise WorkRefused(words) if answer.get("refused") is True else WorkFailed(words)
-        if kind in ("act", "batch"):
+        if kind in _DECISIONS:
             if not self._known:  # from here on nothing is compiled
                 self._left_s = self._limits.work_s
             self._known.add(kind)
@@ -119,7 +123,7 @@ class RemoteWork:
         try:
             return converse(begun + min(limit, self._left_s))
         except TooLate:
-            slow = f"a decision took longer than {limit:g} s"
+            slow = f"an answer took longer than {limit:g} s"
             whole = f"took longer than {self._limits.work_s:g} s"
             self._end(slow if limit < self._left_s else whole)
         except BadMessage as error:
@@ -246,6 +250,15 @@ def _readable(offered: Protections) -> list[str]:
     process = "/proc" if offered.own_processes else "/proc/cpuinfo"
     installed = [path for path in sys.path if _is_installed(path)]
     return [*parts, *installed, *system, process, sys.prefix, sys.base_prefix, "/dev/zero"]
+
+
+def train_work(work: RemoteWork, seconds: float) -> None:
+    """Let a work train for some seconds of its own process; half as much again, and it is ended.
+
+    Raises:
+        WorkFailed: it raised, or took longer.
+    """
+    work.ask("train", {"seconds": seconds}, limit_s=1.5 * seconds + _SETUP_S)
 
 
 class RemoteAgent:

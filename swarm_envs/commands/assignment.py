@@ -1,0 +1,81 @@
+"""`swarm-envs assignment`: the assignments of a course, and a folder to begin one in."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from swarm_envs import assignments
+from swarm_envs.assignments import ASSIGNMENTS
+from swarm_envs.commands.checks import Misuse, command_options
+from swarm_envs.errors import unknown_name
+
+
+@command_options
+@dataclass(frozen=True, kw_only=True)
+class AssignmentOptions:
+    """List the assignments of the course, or begin one in a new folder.
+
+    `start` writes the page of the assignment, a starter that runs, its tests, and a notebook.
+    """
+
+    what: Annotated[Literal["list", "start"], tyro.conf.Positional]
+    """`list`, or `start` with the assignment's name and the folder"""
+    name: Annotated[str | None, tyro.conf.Positional] = None
+    """which assignment to start"""
+    out: Annotated[Path | None, tyro.conf.Positional] = None
+    """the new folder; by default it has the assignment's name"""
+
+
+def run_assignment(options: AssignmentOptions) -> None:
+    """Print the assignments, or write one's files.
+
+    Raises:
+        Misuse: there is no such assignment, or the folder exists already.
+    """
+    if options.what == "list":
+        width = max(map(len, ASSIGNMENTS))
+        for name, assignment in ASSIGNMENTS.items():
+            print(f"{name.ljust(width)}  {assignment.summary}\n{' ' * width}  {assignment.rubric}")
+        return
+    name = options.name or ""
+    if name not in ASSIGNMENTS:
+        raise Misuse(unknown_name("assignment", name, ASSIGNMENTS))
+    folder = options.out or Path(name)
+    if folder.exists():
+        raise Misuse(f"{str(folder)!r} exists; name a new folder, so that nothing is overwritten")
+    source = Path(assignments.__file__).parent / name
+    shutil.copytree(source, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    work = ASSIGNMENTS[name].work
+    _write_notebook(folder, name, work)
+    print(f"wrote {folder}: read {folder / 'README.md'}, and change {folder / work.split(':')[0]}")
+
+
+def _write_notebook(folder: Path, name: str, work: str) -> None:
+    """A notebook with the page and the starter, which writes the file that is handed in."""
+    file = work.split(":")[0]
+    page = (folder / "README.md").read_text(encoding="utf-8")
+    starter = (folder / file).read_text(encoding="utf-8")
+    said = "--data flights/rows.npz" if name == "force-model" else "--episodes 32"
+    cells = [
+        _cell("markdown", page),
+        _cell("code", f"%%writefile {file}\n{starter}"),
+        _cell("code", f"!python -m pytest -q test_{file}"),
+        _cell("code", f"!swarm-envs grade --assignment {name} --work {work} {said}"),
+    ]
+    numbered = [{**cell, "id": f"cell-{number}"} for number, cell in enumerate(cells)]
+    about = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}
+    content = {"cells": numbered, "metadata": about, "nbformat": 4, "nbformat_minor": 5}
+    path = folder / Path(file).with_suffix(".ipynb")
+    path.write_text(json.dumps(content, indent=1), encoding="utf-8")
+
+
+def _cell(kind: str, text: str) -> dict[str, Any]:
+    cell: dict[str, Any] = {"cell_type": kind, "metadata": {}}
+    run: dict[str, Any] = {"execution_count": None, "outputs": []} if kind == "code" else {}
+    return {**cell, "source": text, **run}

@@ -1,0 +1,112 @@
+"""What a class is told: the table, its files, and the feedback for each student."""
+
+from __future__ import annotations
+
+import csv
+import re
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from swarm_envs.assignments import Assignment
+from swarm_envs.commands.grading.text import cell
+from swarm_envs.files import write_json, written_whole
+
+if TYPE_CHECKING:
+    from swarm_envs.viewing import Recording
+
+
+class Grade(NamedTuple):
+    """What one work is worth."""
+
+    work: str
+    """Its name, as it can be printed."""
+    points: float
+    """From 0 to 100."""
+    value: float | None
+    """The assignment's number; None if the work failed."""
+    error: str
+    """Why it has no points; empty if it has."""
+    privileged: bool
+    """Whether it has asked for the true state."""
+    copied: str
+    """The shipped agent that it is a copy of, if any."""
+    failure: Recording | None = None
+    """The first episode that was no success."""
+
+    @property
+    def notes(self) -> str:
+        """What the table says beside the number."""
+        stars = " *" if self.privileged else ""
+        return stars + (f" * flies as {self.copied}" if self.copied else "")
+
+
+def grade_table(assignment: Assignment, grades: Sequence[Grade]) -> str:
+    """The grades as lines of text."""
+    width = max(map(len, ["work", *(grade.work for grade in grades)]))
+    lines = [f"{'work'.ljust(width)}  points  {assignment.metric}"]
+    for grade in grades:
+        value = "-" if grade.value is None else f"{grade.value:.4g}"
+        said = f"FAILED: {grade.error}" if grade.error else value
+        lines.append(f"{grade.work.ljust(width)}  {grade.points:6.1f}  {said}{grade.notes}")
+    if any(grade.privileged for grade in grades):
+        lines.append("* sees the true state")
+    return "\n" + "\n".join(lines)
+
+
+def write_grades(path: Path, name: str, assignment: Assignment, grades: Sequence[Grade]) -> None:
+    """Write the table, whole: .csv, or .json with the columns of nbgrader's exporter.
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    if path.suffix == ".json":
+        write_json(path, [_nbgrader_row(name, grade) for grade in grades])
+        return
+    with written_whole(path) as whole, whole.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["work", "points", assignment.metric, "error", "privileged", "copied"])
+        for work, points, value, error, privileged, copied, _ in grades:
+            writer.writerow([cell(work), points, value, cell(error), privileged, copied])
+
+
+def _nbgrader_row(name: str, grade: Grade) -> dict[str, Any]:
+    """A row as `nbgrader export` has it; the student is the folder that the work lies in."""
+    student = Path(grade.work.partition(".py:")[0]).parent.name
+    return {
+        "assignment": name,
+        "student_id": student or grade.work,
+        "raw_score": grade.points,
+        "late_submission_penalty": 0.0,
+        "score": grade.points,
+        "max_score": 100.0,
+    }
+
+
+def write_feedback(folder: Path, assignment: Assignment, grades: Sequence[Grade]) -> None:
+    """Write what each student is told: `results.json` as Gradescope reads it, and `failure.html`.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    for number, grade in enumerate(grades):
+        place = folder / f"{number:03d}-{re.sub(r'[^A-Za-z0-9]+', '-', grade.work)[-60:]}"
+        place.mkdir(parents=True, exist_ok=True)
+        write_json(place / "results.json", _gradescope(assignment, grade, grades))
+        if grade.failure is not None and not (place / "failure.html").is_file():
+            from swarm_envs.viewing import write_replay
+
+            write_replay(place / "failure.html", grade.failure)
+
+
+def _gradescope(assignment: Assignment, grade: Grade, grades: Sequence[Grade]) -> dict[str, Any]:
+    """Gradescope's `results.json`: gradescope-autograders.readthedocs.io/en/latest/specs."""
+    reached = [other.value for other in grades if other.value is not None]
+    said = [assignment.rubric, grade.error or f"yours: {grade.value:.4g}{grade.notes}"]
+    if grade.failure is not None:
+        said.append(f"the first episode that failed has seed {grade.failure.about.seed}")
+    if len(reached) > 1:
+        said.append(f"median of {len(reached)} works so far: {statistics.median(reached):.4g}")
+    shown = {"output": "\n".join(said), "visibility": "visible"}
+    return {"score": grade.points, "max_score": 100.0, **shown}
