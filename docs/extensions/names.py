@@ -27,7 +27,7 @@ def modules() -> dict[str, Path]:
 def _python_files(folder: Path) -> Iterator[Path]:
     yield from folder.glob("*.py")
     for inner in folder.iterdir():
-        if inner.is_dir() and inner.name != "__pycache__":
+        if (inner / "__init__.py").exists():  # starters of assignments are no modules
             yield from _python_files(inner)
 
 
