@@ -22,7 +22,6 @@ from swarm_envs.agents import load, record_episode
 from swarm_envs.physics import bullet_available
 from swarm_envs.state import SwarmState, hover_state
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
-from swarm_envs.viewing import frames
 from swarm_envs.viewing import video as films
 from swarm_envs.viewing.camera import Camera, Lens, aim
 from swarm_envs.viewing.comparison import (
@@ -313,34 +312,3 @@ def test_a_film_shows_the_whole_flight(monkeypatch):
     assert {p.shape for p in pictures} == {(films.HEIGHT, films.WIDTH, 3)}
     moving = [(a != b).any() for a, b in pairwise(pictures)]
     assert moving == [True] * 4 + [False] * 4  # then the last one stands
-
-
-@needs_bullet
-def test_without_a_display_human_says_what_to_do():
-    env = swap_v0.parallel_env(num_drones=1, physics="batch", render_mode="human")
-    with pytest.raises(RuntimeError, match=r"no display.*use render_mode='rgb_array'"):
-        env.reset(seed=0)  # matplotlib's backend is Agg in tests
-    env.close()
-
-
-@needs_bullet
-def test_human_shows_every_decision(monkeypatch):
-    """With a backend that takes what a window would; a display is not at hand in tests."""
-    monkeypatch.setattr(frames, "_FILES_ONLY", set())
-    shown: list[np.ndarray] = []
-    show = frames.Window.show
-
-    def note(window: frames.Window, picture: np.ndarray) -> None:
-        shown.append(picture)
-        show(window, picture)
-
-    monkeypatch.setattr(frames.Window, "show", note)
-    env = swap_v0.parallel_env(num_drones=1, physics="batch", render_mode="human")
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step({"drone_0": np.ones(3, np.float32)})
-    assert len(shown) == 4
-    assert env.render() is None
-    assert (shown[0] != shown[-1]).any()
-    env.close()
-    env.close()

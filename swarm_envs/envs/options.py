@@ -56,7 +56,7 @@ class TaskOptions(EnvConfig, ABC):
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""
     render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None
-    """`rgb_array` (pictures), `human` (a window) or None."""
+    """`rgb_array` (pictures), `human` (a page in the browser) or None."""
 
     learned: ClassVar[str] = "learned"
     """The force model that `interactions="learned"` means in this version of the task."""

@@ -59,6 +59,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self.possible_agents = [f"drone_{i}" for i in range(self.core.num_drones)]
         self.agents: list[str] = []
         self._screen: Any = None
+        self._live: Any = None
         self._closed = False
         form = self.core.form
         space, self._shape = observation_space(*form), shaper(*form)
@@ -190,24 +191,32 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     def render(self) -> npt.NDArray[np.uint8] | None:
         """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode.
 
-        `human` shows it in a window after every reset and step, or raises without a display.
+        `human` shows the flight in a browser after every reset and step instead, in real time; the
+        address is printed.
         """
         self._check_open("render")
-        if self.render_mode is None:
-            return None
-        if self._screen is None:
-            from swarm_envs.viewing.frames import Screen
+        if self.render_mode == "rgb_array":
+            if self._screen is None:
+                from swarm_envs.viewing.frames import Screen
 
-            self._screen = Screen(self.core, self.render_mode)
-        return self._screen.render(self.view)
+                self._screen = Screen(self.core)
+            return self._screen.render(self.view)
+        if self.render_mode == "human":
+            if self._live is None:
+                from swarm_envs.viewing.live import LiveViewer
+
+                self._live = LiveViewer(self.core)
+            self._live.show()
+        return None
 
     def close(self) -> None:
         """Free what physics and renderer hold. May be called more than once."""
         self._closed = True
         self.agents = []
         self.core.close()
-        if self._screen is not None:
-            self._screen.close()
+        for viewer in (self._screen, self._live):
+            if viewer is not None:
+                viewer.close()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copy or pickle as options and a snapshot: the copy has a simulator of its own."""

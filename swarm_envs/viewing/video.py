@@ -27,6 +27,7 @@ __all__ = [
     "VideoError",
     "count_frames",
     "film",
+    "find_ffmpeg",
     "write_gif",
     "write_video",
     "write_video_or_gif",

@@ -1,0 +1,230 @@
+"""A live viewer in the browser: what `render_mode="human"` shows, on this machine or over ssh.
+
+A small server on 127.0.0.1 serves one page (`page/live.html`) and sends it a frame after every
+decision as a server-sent event. Pause, single steps and speed come back as requests. Every address
+carries a random token, so that other users of the machine and other pages see nothing.
+"""
+
+from __future__ import annotations
+
+import hmac
+import json
+import os
+import secrets
+import sys
+import threading
+import time
+import webbrowser
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qs, urlsplit
+
+import numpy as np
+
+from swarm_envs.viewing.record import solids
+from swarm_envs.viewing.style import drone_colors
+
+if TYPE_CHECKING:
+    from swarm_envs.envs.core import SwarmCore
+
+__all__ = ["LiveViewer"]
+
+MOST_SHOWN = 16
+"""Environments that are shown side by side."""
+SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
+"""Times real time."""
+_WAIT_S = 10.0  # for the first browser, so that the beginning of a flight is not missed
+_IDLE_S = 5.0  # between comments that keep a connection open
+
+
+class LiveViewer:
+    """Shows environments in a browser while they fly; it paces them to real time.
+
+    Args:
+        core: the environments; the first 16 of them are shown.
+        wait_s: how long the first frame waits for a browser, s.
+    """
+
+    def __init__(self, core: SwarmCore, wait_s: float = _WAIT_S) -> None:
+        self._core, self._wait_s = core, wait_s
+        self._server = _Server(("127.0.0.1", 0), _Handler)
+        self._server.scene = self._scene()
+        self.url = f"http://127.0.0.1:{self._server.server_port}/?token={self._server.token}"
+        """Where it is seen."""
+        self._due = 0.0
+        self._between_s = 1.0 / core.config.decision_rate
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+        sys.stderr.write(f"swarm_envs: watch the flight at {self.url}\n")
+        if os.environ.get("DISPLAY") or sys.platform in ("darwin", "win32"):
+            webbrowser.open(self.url)
+
+    def show(self) -> None:
+        """Send the environments as they are now; wait while the page is paused."""
+        server = self._server
+        if self._wait_s:
+            server.joined.wait(self._wait_s)
+            self._wait_s = 0.0
+        server.send(self._frame())
+        server.wait_while_paused()
+        time.sleep(max(0.0, self._due - time.perf_counter()))
+        self._due = time.perf_counter() + self._between_s / server.speed
+
+    def close(self) -> None:
+        """End the server. May be called more than once."""
+        self._server.send({"closed": True})
+        self._server.ending = True
+        self._server.shutdown()
+        self._server.server_close()
+
+    def _scene(self) -> dict[str, Any]:
+        """What does not change while environments fly."""
+        core, arena = self._core, self._core.task.arena
+        return {
+            "task": core.task.name,
+            "arena": arena.tolist(),
+            "speeds": SPEEDS,
+            "solids": [
+                {"round": solid.round, "low": solid.low, "high": solid.high}
+                for solid in solids(getattr(core.task, "obstacles", ()), float(arena[1, 2]))
+            ],
+        }
+
+    def _frame(self) -> dict[str, Any]:
+        """The first environments: positions, attitudes, goals (m) and forces (N), rounded."""
+        core = self._core
+        shown = slice(0, min(core.num_envs, MOST_SHOWN))
+        drones = core.world.drones[shown]
+        state = core.physics.state
+        teams = [task.team for task in core.tasks[shown]]
+        return {
+            "time": np.round(core.time[shown], 3).tolist(),
+            "position": np.round(state.position[shown], 4).tolist(),
+            "quaternion": np.round(state.quaternion[shown], 4).tolist(),
+            "goal": np.round(drones["goal"], 3).tolist(),
+            "force": np.round(core.physics.force[shown], 4).tolist(),
+            "hit": (drones["crashed"] > 0.0).tolist(),
+            "radius": [[vehicle.diameter / 2.0 for vehicle in team] for team in teams],
+            "color": [drone_colors(team) for team in teams],
+        }
+
+
+class _Server(ThreadingHTTPServer):
+    """Keeps the latest frame, and what the pages have asked for."""
+
+    daemon_threads = True
+
+    def __init__(self, *address: Any) -> None:
+        super().__init__(*address)
+        self.token = secrets.token_urlsafe(16)
+        self.scene: dict[str, Any] = {}
+        self.joined = threading.Event()
+        self.ending = False
+        self.watching = 0
+        self.speed = 1.0
+        self._paused, self._steps = False, 0
+        self._changed = threading.Condition()
+        self._frame: tuple[int, bytes] = (0, b"{}")
+
+    def send(self, frame: dict[str, Any]) -> None:
+        with self._changed:
+            self._frame = (self._frame[0] + 1, json.dumps(frame).encode())
+            self._changed.notify_all()
+
+    def next_frame(self, seen: int) -> tuple[int, bytes]:
+        """The latest frame, as soon as it is another; or the same after some seconds."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._frame[0] != seen, _IDLE_S)
+            return self._frame
+
+    def control(self, asked: dict[str, Any]) -> None:
+        with self._changed:
+            if "paused" in asked:
+                self._paused = bool(asked["paused"])
+            if asked.get("speed") in SPEEDS:
+                self.speed = float(asked["speed"])
+            self._steps += bool(asked.get("step"))
+            self._changed.notify_all()
+
+    def wait_while_paused(self) -> None:
+        """Return at once, or when a page goes on, asks for a step, or nobody looks any more."""
+        with self._changed:
+            while self._paused and not self._steps and self.watching:
+                self._changed.wait(0.2)
+            self._steps = max(self._steps - 1, 0)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """Answers a browser that knows the token."""
+
+    server: _Server
+
+    def do_GET(self) -> None:
+        path = self._path()
+        if path == "/":
+            self._answer("text/html; charset=utf-8", self._page())
+        elif path == "/events":
+            self._send_events()
+        elif path is not None:
+            self.send_error(404)
+
+    def do_POST(self) -> None:
+        if self._path() != "/control":
+            return
+        length = min(int(self.headers.get("Content-Length") or 0), 1000)
+        try:
+            asked = json.loads(self.rfile.read(length))
+        except ValueError:
+            asked = None
+        if isinstance(asked, dict):
+            self.server.control(asked)
+        self._answer("application/json", b"{}")
+
+    def log_message(self, *_: object) -> None:
+        """Nothing: the terminal is the user's."""
+
+    def _path(self) -> str | None:
+        """The path of a request with the token, from this machine's own address; else refuse it."""
+        parts = urlsplit(self.path)
+        token = parse_qs(parts.query).get("token", [""])[0]
+        host = (self.headers.get("Host") or "").rpartition(":")[0]
+        known = hmac.compare_digest(token.encode(), self.server.token.encode())
+        if known and host in ("127.0.0.1", "localhost"):
+            return parts.path
+        self.send_error(403)
+        return None
+
+    def _page(self) -> bytes:
+        folder = resources.files("swarm_envs.viewing") / "page"
+        script = (folder / "live.js").read_text(encoding="utf-8")
+        page = (folder / "live.html").read_text(encoding="utf-8")
+        scene = json.dumps(self.server.scene).replace("<", "\\u003c")
+        return page.replace("/*scene*/", scene).replace("/*script*/", script).encode()
+
+    def _answer(self, kind: str, body: bytes) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.send_header("Referrer-Policy", "no-referrer")
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _send_events(self) -> None:
+        self.send_response(200)
+        self.send_header("Content-Type", "text/event-stream")
+        self.end_headers()
+        server, seen = self.server, 0
+        server.watching += 1
+        server.joined.set()
+        try:
+            while not server.ending:
+                number, frame = server.next_frame(seen)
+                self.wfile.write(
+                    b": still here\n\n" if number == seen else b"data: " + frame + b"\n\n"
+                )
+                self.wfile.flush()
+                seen = number
+        except OSError:  # the page was closed
+            pass
+        finally:
+            server.watching -= 1

@@ -1,0 +1,131 @@
+"""The live viewer: what the page is sent, who may ask for it, and the page in a browser."""
+
+from __future__ import annotations
+
+import json
+import threading
+import urllib.error
+import urllib.request
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarm_envs import swap_v1
+from swarm_envs.tasks.obstacles import Column
+from swarm_envs.viewing.live import LiveViewer
+from tests.helpers.browsers import chromium, complaints
+
+
+@pytest.fixture
+def env():
+    made = swap_v1.parallel_env(team="LS", physics="batch", obstacles=[Column((0.0, 0.0), 0.2)])
+    made.reset(seed=0)
+    yield made
+    made.close()
+
+
+def ask(url: str, data: dict[str, Any] | None = None, host: str | None = None) -> bytes:
+    body = None if data is None else json.dumps(data).encode()
+    request = urllib.request.Request(url, body, {} if host is None else {"Host": host})
+    with urllib.request.urlopen(request, timeout=10) as answer:
+        return bytes(answer.read())
+
+
+def frames(viewer: LiveViewer, count: int, found: list[dict[str, Any]]) -> threading.Thread:
+    """A browser that reads so many frames."""
+
+    def read() -> None:
+        with urllib.request.urlopen(viewer.url.replace("/?", "/events?"), timeout=20) as events:
+            while len(found) < count:
+                line = events.readline()
+                if line.startswith(b"data: {") and b"position" in line:
+                    found.append(json.loads(line[6:]))
+
+    thread = threading.Thread(target=read, daemon=True)
+    thread.start()
+    return thread
+
+
+def test_a_frame_is_the_state_of_the_environment(env, capsys):
+    viewer, found = LiveViewer(env.core), list[dict[str, Any]]()
+    assert viewer.url in capsys.readouterr().err
+    reader = frames(viewer, 1, found)
+    viewer.show()
+    reader.join(20)
+    viewer.close()
+    (frame,) = found
+    np.testing.assert_allclose(frame["position"], env.core.physics.state.position, atol=1e-4)
+    np.testing.assert_allclose(frame["quaternion"], env.core.physics.state.quaternion, atol=1e-4)
+    np.testing.assert_allclose(frame["goal"], env.core.world.drones["goal"], atol=1e-3)
+    assert frame["radius"][0][0] > frame["radius"][0][1]
+    assert frame["hit"] == [[False, False]]
+
+
+def test_only_who_knows_the_token_sees_anything(env):
+    viewer = LiveViewer(env.core, wait_s=0.0)
+    page = ask(viewer.url).decode()
+    assert "swap_v1" in page and "/*" not in page.split("<body>")[1].split("<script>")[0]
+    bare = viewer.url.split("?")[0]
+    for bad in (bare, bare + "?token=x", bare + "events", bare + "control"):
+        with pytest.raises(urllib.error.HTTPError, match="403"):
+            ask(bad, {} if bad.endswith("control") else None)
+    with pytest.raises(urllib.error.HTTPError, match="403"):
+        ask(viewer.url, host="example.org:80")  # a page of another name that points here
+    with pytest.raises(urllib.error.HTTPError, match="404"):
+        ask(viewer.url.replace("/?", "/nothing?"))
+    viewer.close()
+
+
+def test_nobody_looks_and_the_flight_goes_on(env):
+    viewer = LiveViewer(env.core, wait_s=0.0)
+    ask(viewer.url.replace("/?", "/control?"), {"paused": True, "speed": 4.0})
+    viewer.show()  # paused, but no page is open that could go on
+    ask(viewer.url.replace("/?", "/control?"), {"speed": 1e9})
+    ask(viewer.url.replace("/?", "/control?"), {"speed": "fast", "step": "yes"})
+    viewer.show()
+    viewer.close()
+
+
+def test_a_paused_flight_goes_on_by_steps(env):
+    viewer, found = LiveViewer(env.core), list[dict[str, Any]]()
+    reader = frames(viewer, 2, found)
+    viewer.show()
+    control = viewer.url.replace("/?", "/control?")
+    ask(control, {"paused": True})
+    thread = threading.Thread(target=viewer.show, daemon=True)
+    thread.start()
+    thread.join(0.5)
+    assert thread.is_alive()
+    ask(control, {"step": True})
+    thread.join(10)
+    assert not thread.is_alive()
+    ask(control, {"paused": False})
+    reader.join(20)
+    viewer.close()
+
+
+def test_the_page_draws_the_swarm_in_a_browser(monkeypatch):
+    with chromium() as browser:
+        page = browser.new_page(viewport={"width": 800, "height": 600})
+        said = complaints(page)
+        env = swap_v1.parallel_env(num_drones=3, physics="batch", render_mode="human")
+        monkeypatch.setattr("swarm_envs.viewing.live._WAIT_S", 0.0)
+        monkeypatch.delenv("DISPLAY", raising=False)
+        env.reset(seed=0)
+        page.goto(env._live.url)
+        page.wait_for_function("window.live !== undefined")
+        for _ in range(5):
+            env.step({agent: np.ones(3, np.float32) for agent in env.agents})
+        page.wait_for_function("window.live.frame && window.live.frame.time[0] > 0.1")
+        shown = page.evaluate("window.live.frame.position[0]")
+        np.testing.assert_allclose(shown, env.view.state.position, atol=1e-4)
+        before = page.screenshot()
+        page.mouse.move(400, 300)
+        page.mouse.down()
+        page.mouse.move(500, 320)
+        page.mouse.up()
+        assert page.screenshot() != before
+        assert not said
+        env.close()
+        page.wait_for_function("document.getElementById('said').textContent.includes('closed')")
