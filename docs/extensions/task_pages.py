@@ -24,7 +24,8 @@ from .option_tables import options_table
 
 MARK = re.compile(r"^<!-- task: (\w+) -->$", re.MULTILINE)
 FIELDS_MARK = "<!-- observation table -->"
-_SECTION = re.compile(r"^\*\*(\w+)\.?\*\*\.? ?", re.MULTILINE)
+_SECTION = re.compile(r"^\*\*([^*\n]+?)\.?\*\*\.? ?", re.MULTILINE)
+_ASIDE = re.compile(r"^\([^)]*\):?\s*")
 _ACTION = re.compile(r"^\| `(\w+)` \| (.+) \|$", re.MULTILINE)
 _TERM = re.compile(r"^- `(\w+)`: (.+(?:\n  .+)*)", re.MULTILINE)
 _KNOWN = ("Start", "Success", "Rewards", "End", "Versions")
@@ -74,7 +75,7 @@ def task_page(task: str, folder: Path) -> str:
             *(f"**{name}.** {text}" for name, text in parts.items() if name and name not in _KNOWN),
             f"## Action space\n\n{_actions()}",
             f"## Observation space\n\n{_observations(env)}",
-            f"## Rewards\n\n{parts['Rewards']}\n\n{_rewards(env)}",
+            f"## Rewards\n\n{_rewards(parts['Rewards'], env)}",
             f"## Starting state\n\n{parts['Start']}",
             f"## Episode end\n\n{parts['End']}\n\n**Success.** {parts['Success']}",
             f"## Arguments\n\n{_arguments(options)}",
@@ -136,13 +137,17 @@ def observation_table() -> str:
     return "\n".join(["| field | numbers | unit | scale |", "|---|---|---|---|", *rows])
 
 
-def _rewards(env: SwarmParallelEnv) -> str:
-    meanings = dict(_TERM.findall(inspect.getdoc(write_terms) or ""))
+def _rewards(text: str, env: SwarmParallelEnv) -> str:
+    meanings: dict[str, str] = {}
+    for writer in (write_terms, env.core.task.write_reward_terms):
+        meanings |= dict(_TERM.findall(inspect.getdoc(writer) or ""))
     rows = [
-        f"| `{name}` | {weight:g} | {' '.join(meanings[name].split())} |"
+        f"| `{name}` | {weight:g} | {' '.join(meanings.get(name, '').split())} |"
         for name, weight in env.core.task.reward_weights.items()
     ]
-    return "\n".join(["| term | weight | value |", "|---|---|---|", *rows])
+    said = _ASIDE.sub("", text)
+    head = [said[:1].upper() + said[1:], "", "| term | weight | value |", "|---|---|---|"]
+    return "\n".join([*head, *rows])
 
 
 def _arguments(options: type[TaskOptions]) -> str:
