@@ -10,6 +10,7 @@ from swarm_envs.agents.protocol import (
     fly_episode,
     record_episode,
 )
+from swarm_envs.agents.recommendation import recommended
 from swarm_envs.agents.registry import load_agent as load
 from swarm_envs.agents.safety import Safety, SafetyFilter
 
@@ -21,5 +22,6 @@ __all__ = [
     "SafetyFilter",
     "fly_episode",
     "load",
+    "recommended",
     "record_episode",
 ]

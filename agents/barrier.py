@@ -3,8 +3,10 @@
 Two drones that fly on as they do come closer than a distance D within a time T if their relative
 velocity lies in the truncated cone of van den Berg et al. (ORCA, 2011). The barrier h is how far
 outside it lies, m/s, and negative inside; a drone's acceleration must keep dh/dt >= -rate h, of
-which each of the two takes half. Positions and velocities are predicted over the time that a drone
-takes to respond, and heights may count less than widths: downwash reaches far down.
+which each of the two takes half. Drones that are closer than D already must part along the line
+between them, at a speed that brings them to D within 0.3 s. Positions and velocities are predicted
+over the time that a drone takes to respond, and heights may count less than widths: downwash
+reaches far down.
 
 The nearest acceleration that satisfies all inequalities is found by Seidel's incremental method (de
 Berg et al., Computational Geometry, ch. 4), for a quadratic goal: rows are added one after another;
@@ -210,6 +212,8 @@ class Barrier(NamedTuple):
     stretch: float
     aside: float
     walls: bool
+    radial: bool
+    """Whether drones within reach must part; see `velocity_barrier`."""
 
 
 class BarrierWorkspace(NamedTuple):
@@ -233,6 +237,7 @@ def velocity_barrier(
     v: tuple[float, float, float],
     reach: float,
     horizon: float,
+    radial: bool = True,
 ) -> tuple[float, float, float, float]:
     """How far a relative velocity is from collision, and the direction that leads away.
 
@@ -241,11 +246,18 @@ def velocity_barrier(
         v: one's own velocity relative to the other, m/s.
         reach: distance D to keep, m.
         horizon: T, for which it is to be kept, s.
+        radial: whether drones that are closer than D must part fast enough to be D apart after
+            `ESCAPE`. Without it, as on version 0 of the tasks, it is enough to be D apart then,
+            which a velocity through the other satisfies too.
 
     Returns:
         The unit vector along which v leaves the cone, or goes deeper into what is outside, and h.
     """
     square = x[0] * x[0] + x[1] * x[1] + x[2] * x[2]
+    if radial and 1e-12 < square <= reach * reach:
+        away = np.sqrt(square)
+        parting = -(x[0] * v[0] + x[1] * v[1] + x[2] * v[2]) / away
+        return -x[0] / away, -x[1] / away, -x[2] / away, parting - (reach - away) / ESCAPE
     time = horizon if square > reach * reach else ESCAPE
     w0, w1, w2 = v[0] - x[0] / time, v[1] - x[1] / time, v[2] - x[2] / time
     size = np.sqrt(w0 * w0 + w1 * w1 + w2 * w2)
@@ -413,7 +425,7 @@ def _write_neighbors(
             flat * (row[first + 2] + delay * (r2 - 0.5 * delay * a2)),
         )
         x = step_aside(x, v, barrier.aside)
-        n0, n1, n2, h = velocity_barrier(x, v, reach, barrier.horizon)
+        n0, n1, n2, h = velocity_barrier(x, v, reach, barrier.horizon, barrier.radial)
         n2 *= flat
         size = np.sqrt(n0 * n0 + n1 * n1 + n2 * n2)
         scratch.rows[count, 0] = n0 / size

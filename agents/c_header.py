@@ -53,11 +53,13 @@ _REFERENCE_OWN = """\
     float reference_velocity[3];     /* m/s */
     float reference_acceleration[3]; /* m/s^2 */"""
 _POOLED = {
-    "mean": ("0.0f", "code[k] += member[k];", "count > 0 ? code[k] / (float)count : 0.0f"),
-    "sum": ("0.0f", "code[k] += member[k];", "code[k]"),
-    "max": ("-1.0f", "if (member[k] > code[k]) code[k] = member[k];", "count > 0 ? code[k] : 0.0f"),
+    "mean": "count > 0 ? sum[k] / (float)count : 0.0f",
+    "sum": "sum[k]",
+    "max": "count > 0 ? largest[k] : 0.0f",
 }
-"""Of each way of pooling: the first value, what a member does, and what comes out."""
+"""Of each way of pooling: what comes out."""
+_ACTIVE = {"tanh": "tanhf(sum)", "relu": "(sum > 0.0f ? sum : 0.0f)"}
+"""What follows a hidden layer."""
 
 
 @dataclass(frozen=True)
@@ -90,20 +92,28 @@ def costs(policy: Policy) -> Costs:
     note, sizes = policy.note, policy.note.sizes
     networks = policy.networks.values()
     actors = [_products(network.layers) for network in networks]
-    codes = [max(map(_products, n.phi.values())) if n.phi else (0, 0) for n in networks]
+    codes = [_products((*(n.phi or ()), *(n.score or ()))) for n in networks]
     products = max(a[0] for a in actors) + note.num_neighbors * max(c[0] for c in codes)
     hidden = max(a[1] for a in actors) - ACTIONS[note.action].width
     tanhs = hidden + note.num_neighbors * max(c[1] for c in codes)
+    if note.activation == "relu":
+        tanhs = note.num_neighbors * (note.encoder == "attention")
     lengths = 1 + note.num_neighbors * (2 if note.features == REFERENCE else 5)
-    rows = 4 if note.encoder == "deep-set" else 2
-    stack = 4 * (rows * _widest(policy) + sizes.neighbor) + 8 * note.num_neighbors + 200
+    rows = 2 if note.encoder == "mlp" else 4
+    kept = note.num_neighbors * _code(policy) if note.encoder == "attention" else 0
+    stack = 4 * (rows * _widest(policy) + sizes.neighbor + kept) + 8 * note.num_neighbors + 200
     weights = sum(weight.size + bias.size for weight, bias in _all_layers(policy))
     return Costs(weights, products, tanhs + lengths, stack)
 
 
 def _all_layers(policy: Policy) -> list[tuple[Float32Array, Float32Array]]:
-    parts = [[n.layers, *(n.phi or {}).values()] for n in policy.networks.values()]
-    return [layer for network in parts for layers in network for layer in layers]
+    parts = [part for n in policy.networks.values() for part in (n.layers, n.phi, n.score)]
+    return [layer for layers in parts for layer in layers or ()]
+
+
+def _code(policy: Policy) -> int:
+    """Width of a set's codes; 1 where there is no set."""
+    return max(len(n.phi[-1][1]) if n.phi else 1 for n in policy.networks.values())
 
 
 def _products(layers: Layers) -> tuple[int, int]:
@@ -198,11 +208,8 @@ def _cost_lines(policy: Policy) -> list[str]:
 
 def _network_words(policy: Policy, name: str) -> dict[str, str]:
     """Tables of weights, and of networks by the type of who acts and who is seen."""
-    types = tuple(VEHICLES)
     weights: list[str] = []
     layers: list[str] = []
-    actors: list[str] = []
-    phis: list[str] = []
 
     def define(place: str, network: Layers | None) -> str:
         """Add a network's tables, and give its initialiser."""
@@ -216,29 +223,22 @@ def _network_words(policy: Policy, name: str) -> dict[str, str]:
         layers.append(f"static const struct {name}_layer {place}[] = {{{', '.join(rows)}}};")
         return f"{{{place}, {len(rows)}}}"
 
-    inner: tuple[str, ...] = (ANY,)
-    for owner in (ANY,) if ANY in policy.networks else types:
-        network = policy.networks.get(owner)
-        phi = (network.phi if network else None) or {}
-        actors.append(define(f"{name}_actor_{len(actors)}", network.layers if network else None))
-        if phi:
-            inner = (ANY,) if ANY in phi else types
-        found = [
-            define(f"{name}_phi_{len(phis)}_{k}", phi.get(token)) for k, token in enumerate(inner)
+    owners = (ANY,) if ANY in policy.networks else tuple(VEHICLES)
+    found = [policy.networks.get(owner) for owner in owners]
+    for kind in ("actor", "phi", "score")[: {"mlp": 1, "deep-set": 2}.get(policy.note.encoder, 3)]:
+        field = "layers" if kind == "actor" else kind
+        rows = [
+            define(f"{name}_{kind}_{k}", getattr(network, field) if network else None)
+            for k, network in enumerate(found)
         ]
-        phis.append("{" + ", ".join(found) + "}")
-    layers.append(f"static const struct {name}_network {name}_actors[] = {{{', '.join(actors)}}};")
-    if policy.note.encoder == "deep-set":
-        rows = ", ".join(phis)
-        layers.append(
-            f"static const struct {name}_network {name}_phis[][{len(inner)}] = {{{rows}}};"
-        )
+        table = f"{name}_{kind}s"
+        layers.append(f"static const struct {name}_network {table}[] = {{{', '.join(rows)}}};")
     who = "0" if ANY in policy.networks else "self->type"
     return {
         "tables": "\n".join(weights),
         "networks": "\n".join(layers),
-        "actor_of": f"&{name}_actors[{who}]",
-        "phi_of": f"&{name}_phis[{who}][{'0' if inner == (ANY,) else 'o->type'}]",
+        "who": who,
+        "active": _ACTIVE[policy.note.activation],
     }
 
 
@@ -246,14 +246,16 @@ def _feature_words(policy: Policy, name: str) -> dict[str, str]:
     """What differs between sets of features, and between encoders of neighbours."""
     note, sizes = policy.note, policy.note.sizes
     tracks = note.features == REFERENCE
-    first, pool, result = _POOLED[note.pooling]
     finite = f"{name}_sound(self->goal) && own->time_left - own->time_left == 0.0f"
     others_finite = f" && {name}_sound(other[j].goal)"
     if tracks:
         checks = [f"{name}_sound(own->reference_{what})" for what in _MOTIONS]
         finite, others_finite = " &&\n                ".join(checks), ""
-    phis = [n.phi for n in policy.networks.values() if n.phi]
-    code = len(next(iter(phis[0].values()))[-1][1]) if phis else 1
+    width, code = sizes.own, _code(policy)
+    pooled = [
+        f"values[0][{width + j * code} + k] = {_POOLED[way]};"
+        for j, way in enumerate(note.pooling.split("-"))
+    ]
     known = [f"type == {k}" for k, token in enumerate(VEHICLES) if token in note.types]
     return {
         "own": _REFERENCE_OWN if tracks else _GOAL_OWN,
@@ -265,9 +267,7 @@ def _feature_words(policy: Policy, name: str) -> dict[str, str]:
         "other_sound": f"{name}_known(other[j].type){others_finite}",
         "known": f"return {' || '.join(known)};" if known else "(void)type; return 1;",
         "pooling": note.pooling,
-        "first": first,
-        "pool": pool,
-        "result": result,
+        "pooled": "\n        ".join(pooled),
         "code": str(code),
     }
 

@@ -329,6 +329,7 @@ _OF_ALL = (
     "worst_force_g",
     "length_s",
 )
+_SCORES = ("throughput_per_min", "share_on_goal", "gates_per_min")
 
 
 def interquartile_mean(values: FloatArray, axis: int = -1) -> FloatArray:
@@ -377,9 +378,10 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     drone collided, left the arena or tumbled; `collision_rate_by_kind`, of which several may hold;
     `near_miss_rate`, of episodes with a near miss that no crash followed. Interquartile means
     (with bootstrap intervals): `time_to_goal_s` and `energy_j` of the successes, the others of all
-    episodes that have them, null where none has; of separation also the smallest, of errors also
-    the largest. `act_ms`: time of one decision for the whole team, median and 99th percentile of
-    the `timed_decisions`: those of episodes that were flown one at a time.
+    episodes that have them, null where none has, and the task's score, where it has one; of
+    separation also the smallest, of errors also the largest. `act_ms`: time of one decision for
+    the whole team, median and 99th percentile of the `timed_decisions`: those of episodes that were
+    flown one at a time.
 
     Args:
         episodes: of `swarm_envs.agents.evaluation`.
@@ -407,7 +409,8 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
         kind: sum(m[name] > 0 for m in metrics) / len(metrics) for kind, name in COLLISIONS.items()
     }
     successes = [m for m in metrics if m["success"]]
-    for names, of in ((_OF_SUCCESSES, successes), (_OF_ALL, metrics)):
+    scores = [name for name in _SCORES if name in metrics[0]]
+    for names, of in ((_OF_SUCCESSES, successes), ((*_OF_ALL, *scores), metrics)):
         for name in names:
             values = np.array([m[name] for m in of if m[name] is not None], dtype=np.float64)
             numbers[name] = float(interquartile_mean(values)) if len(values) else None

@@ -21,7 +21,17 @@ from swarm_envs.envs.observation import Float32Array, observation_layout, observ
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import VEHICLES
 
-__all__ = ["FEATURE_SETS", "GOAL", "REFERENCE", "TYPED", "TYPES", "FeatureSizes"]
+__all__ = [
+    "FEATURE_SETS",
+    "GOAL",
+    "NEIGHBOR_WIDTH",
+    "OWN_WIDTH",
+    "REFERENCE",
+    "TYPED",
+    "TYPES",
+    "FeatureSizes",
+    "goal_features",
+]
 
 GOAL = "goal-and-closest-approach-1"
 """Name of `goal_features` in files of policies."""

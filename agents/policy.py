@@ -1,11 +1,11 @@
 """Trained policies: their files, checked before they are used, and the agent that flies them.
 
 A file is safetensors with a JSON note. Tensors, float32: `actor.<layer>.weight` (out, in) and
-`actor.<layer>.bias`, layers in order, tanh between them; of a deep set also `phi.<layer>.weight`,
-or `phi.<type>.<layer>.weight` for each type of neighbour; all behind `<type>/` where each type of
-vehicle has a network of its own. The note, under the key `swarm_envs`, says what the policy was
-trained for. Files of the first version, which have perceptrons alone, are read too. numpy is all
-that a policy needs to fly.
+`actor.<layer>.bias`, layers in order; of a set also `phi.<layer>.weight`, and of attention
+`score.<layer>.weight`; all behind `<type>/` where each type of vehicle has a network of its own.
+The note, under the key `swarm_envs`, says what the policy was trained for. Perceptrons of earlier
+formats are read too; sets are not, since their phi did not see the drone itself. numpy is all that
+a policy needs to fly.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from safetensors.numpy import save_file
 from swarm_envs import TASKS, task_family
 from swarm_envs.agents.features import FEATURE_SETS, GOAL, FeatureSizes
 from swarm_envs.agents.networks import (
+    ACTIVATIONS,
     ANY,
     ENCODERS,
     POOLINGS,
@@ -58,11 +59,12 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of what a killed run resumes from, beside it."""
-FORMAT = "swarm-envs-policy-3"
+FORMAT = "swarm-envs-policy-4"
 """What a file of a policy says it is."""
 _BEFORE = {
-    "swarm-envs-policy-1": {"fewest", "encoder", "pooling", "types", "per_type"},
-    "swarm-envs-policy-2": {"fewest"},
+    "swarm-envs-policy-1": {"fewest", "encoder", "pooling", "types", "per_type", "activation"},
+    "swarm-envs-policy-2": {"fewest", "activation"},
+    "swarm-envs-policy-3": {"activation"},
 }
 """Formats that are read, though no longer written: what their notes do not say."""
 MOST_DRONES = 10_000
@@ -98,6 +100,8 @@ class PolicyNote:
     fewest: int = 1
     """smallest team it may fly in: places of neighbours that were never empty in its training can
     mislead it when they are"""
+    activation: str = "tanh"
+    """what follows every hidden layer: one of `ACTIVATIONS`"""
 
     @property
     def sizes(self) -> FeatureSizes:
@@ -130,25 +134,24 @@ class PolicyNote:
         return found
 
     def _network(self, tensors: Mapping[str, Float32Array], prefix: str) -> Network:
-        inputs, phi, actions = self.sizes.width, None, ACTIONS[self.action].width
-        if self.encoder == "deep-set":
-            phi = {
-                token: layers_from_tensors(
-                    tensors, f"{prefix}phi.{token}".removesuffix("."), self.sizes.neighbor
-                )
-                for token in self.types or (ANY,)
-            }
-            widths = {len(layers[-1][1]) for layers in phi.values()}
-            if len(widths) > 1:
-                raise ValueError(f"networks of neighbours give different numbers: {sorted(widths)}")
-            inputs = self.sizes.own + widths.pop()
+        inputs, actions = self.sizes.width, ACTIONS[self.action].width
+        phi = score = None
+        if self.encoder != "mlp":
+            own, seen = self.sizes.own, self.sizes.own + self.sizes.neighbor
+            phi = layers_from_tensors(tensors, f"{prefix}phi", seen)
+            code = len(phi[-1][1])
+            inputs = own + code * (1 + (self.encoder == "deep-set" and self.pooling == "max-sum"))
+            if self.encoder == "attention":
+                score = layers_from_tensors(tensors, f"{prefix}score", 2 * code)
+                if len(score[-1][1]) != 1:
+                    raise ValueError(f"its layers {prefix + 'score'!r} do not give one number")
         layers = layers_from_tensors(tensors, f"{prefix}actor", inputs)
         if len(layers[-1][1]) != actions:
             raise ValueError(
                 f"its layers do not lead from {inputs} features to the {actions} numbers of "
                 f"action {self.action!r}"
             )
-        return Network(layers, phi, self.pooling)
+        return Network(layers, phi, score, self.pooling, self.activation)
 
     def check(self) -> None:
         """Refuse a note that speaks of what does not exist here.
@@ -161,6 +164,7 @@ class PolicyNote:
         check_name("features", self.features, FEATURE_SETS)
         check_name("encoder", self.encoder, ENCODERS)
         check_name("pooling", self.pooling, POOLINGS)
+        check_name("activation", self.activation, ACTIVATIONS)
         for token in self.types:
             check_name("types", token, VEHICLES)
         if (self.types and not self.sizes.typed) or (self.per_type and not self.types):
@@ -295,6 +299,8 @@ def _about(note: Mapping[str, Any]) -> PolicyNote:
         known["types"] = tuple(known["types"])
     about = PolicyNote(**known)
     about.check()
+    if later and about.encoder != "mlp":
+        raise ValueError(f"its encoder {about.encoder!r} is that of format {note['format']!r}")
     return about
 
 
@@ -395,6 +401,8 @@ swap_ppo = partial(_shipped_policy, "swap-ppo")
 """The policy that ships for swaps of four drones; see `weights/MODEL_CARD.md`."""
 swap_ppo_8 = partial(_shipped_policy, "swap-ppo-8")
 """The policy that ships for swaps of two to eight drones."""
+swap_dagger = partial(_shipped_policy, "swap-dagger")
+"""The policy that ships for swaps of two to 16 drones, small and large."""
 formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")

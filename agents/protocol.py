@@ -143,14 +143,22 @@ def record_episode(
 def _fly(
     env: SwarmParallelEnv, agent: Agent, seed: int, options: Mapping[str, Any] | None
 ) -> Iterator[tuple[Mapping[str, float], StepInfos]]:
-    """Fly an episode, stopping after the reset and after each step with its rewards and infos."""
+    """Fly an episode, stopping after the reset and after each step with its rewards and infos.
+
+    The agent always acts for the whole team: drones that have ended observe zeros, and what it
+    says of them is left out.
+    """
     check_requirements(env, agent)
     observations, infos = env.reset(seed=seed, options=options)
     agent.reset(env, seed)
     yield {}, infos
     while env.agents:
         actions = agent.act(observations, env.view if agent.privileged else None)
+        if len(env.agents) < len(env.possible_agents):
+            actions = {agent: actions[agent] for agent in env.agents}
         observations, rewards, _, _, infos = env.step(actions)
+        if len(env.agents) < len(env.possible_agents):
+            observations = env.split(env.core.rows)
         yield rewards, infos
 
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from swarm_envs.agents.protocol import Agent
 from swarm_envs.arguments import typed
+from swarm_envs.envs.options import batch_of
 from swarm_envs.errors import unknown_name
 
 __all__ = ["FILTER", "SHIPPED", "load_agent", "load_class"]
@@ -23,6 +24,9 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "hover": "swarm_envs.agents.scripted:HoverAgent",
         "random": "swarm_envs.agents.scripted:RandomAgent",
         "straight-line": "swarm_envs.agents.scripted:StraightLineAgent",
+        "fast-line": "swarm_envs.agents.avoiding:fast_line",
+        "orca": "swarm_envs.agents.avoiding:orca",
+        "roundabout": "swarm_envs.agents.avoiding:roundabout",
         "tracking": "swarm_envs.baselines.neural_swarm.agent:TrackingAgent",
         "tracking-compensated": (
             "swarm_envs.baselines.neural_swarm.agent:TrackingAgent.compensated"
@@ -35,8 +39,12 @@ SHIPPED: Mapping[str, str] = MappingProxyType(
         "detour-compensated": "swarm_envs.baselines.neural_swarm.agent:compensated_detour",
         "swap-ppo": "swarm_envs.agents.policy:swap_ppo",
         "swap-ppo-8": "swarm_envs.agents.policy:swap_ppo_8",
+        "swap-dagger": "swarm_envs.agents.policy:swap_dagger",
         "formation-ppo": "swarm_envs.agents.policy:formation_ppo",
         "ring-ppo": "swarm_envs.agents.policy:ring_ppo",
+        "air-blind": "swarm_envs.baselines.neural_swarm.air:air_blind",
+        "air-blind-adaptive": "swarm_envs.baselines.neural_swarm.air:air_blind_adaptive",
+        "air-aware": "swarm_envs.baselines.neural_swarm.air:AirAwareAgent",
         "neural-swarm-planner": "swarm_envs.baselines.neural_swarm.agent:PlanAgent",
         "mlr-dmpc": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent",
         "mlr-dmpc-compensated": "swarm_envs.baselines.mlr_dmpc:MlrDmpcAgent.compensated",
@@ -53,13 +61,16 @@ _USERS_MODULE = "swarm_envs_users_agent_"
 
 
 @typed
-def load_agent(name: str | os.PathLike[str]) -> Agent:
+def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> Agent:
     """Make an agent.
 
     Args:
         name: one that ships (a key of `SHIPPED`); a trained policy: the folder of its training
             run or its .safetensors file; or a class in a file, `path/to/file.py:Class`, which is
             called without arguments. With `+filter` at its end, behind a safety filter.
+        environment: the versioned name of the task that it is to fly, such as `swap_v0`: shipped
+            agents that compensate have the belief that was fitted in the forces which that version
+            calls `learned`. None for the newest.
 
     Raises:
         ValueError: no agent has this name, it cannot be filtered, or what the file holds is no
@@ -76,10 +87,13 @@ def load_agent(name: str | os.PathLike[str]) -> Agent:
         inner = name.removesuffix(FILTER)
         if inner.endswith(FILTER):
             raise ValueError(f"name is {name!r}, but one {FILTER} at its end is enough")
-        return SafetyFilter(load_agent(inner))
+        agent = load_agent(inner, environment)
+        if isinstance(agent, SafetyFilter):
+            raise ValueError(f"name is {name!r}, but {inner!r} flies behind a filter already")
+        return SafetyFilter(agent)
     if name in SHIPPED:
         module, _, path = SHIPPED[name].partition(":")
-        return _make(name, importlib.import_module(module), path)
+        return _make(name, importlib.import_module(module), path, environment)
     file, colon, path = name.rpartition(":")
     if not colon and _names_policy(name):
         from swarm_envs.agents.policy import PolicyAgent
@@ -147,12 +161,16 @@ def _find(name: str, module: ModuleType, path: str) -> Any:
     return made
 
 
-def _make(name: str, module: ModuleType, path: str) -> Agent:
-    made = _find(name, module, path)
+def _make(name: str, module: ModuleType, path: str, environment: str | None = None) -> Agent:
+    made, given = _find(name, module, path), {}
     if not callable(made):
         raise ValueError(f"{name!r} is {made!r:.60}, but must be a class, or make an agent")
+    if environment is not None and "belief" in inspect.signature(made).parameters:
+        truth = batch_of(environment).config.interactions
+        shipped = importlib.import_module("swarm_envs.baselines.neural_swarm.agent")
+        given["belief"] = shipped.load_belief(truth)
     try:
-        agent = made()
+        agent = made(**given)
     except TypeError as error:
         raise ValueError(f"{name!r} cannot be made without arguments: {error}") from error
     return check_agent(name, agent)

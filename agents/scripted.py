@@ -24,7 +24,7 @@ from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
-from swarm_envs.tasks.motion import ORBITS
+from swarm_envs.tasks.motion import LINES
 from swarm_envs.tasks.obstacles import obstacle_distances, obstacle_rows
 from swarm_envs.trajectories import Reference, rest_to_rest
 
@@ -88,6 +88,8 @@ class StraightLineAgent:
         {"action": "acceleration", "observation": "flat", "decision_rate": 48}
     )
     privileged = False
+    straight = True
+    """Whether it flies straight to its goal wherever others are."""
 
     def __init__(self) -> None:
         self._goal = self._velocity = slice(0)
@@ -149,11 +151,11 @@ class PlannedAgent(ABC, Generic[P]):
         """Refuse a task to which there is no plan.
 
         Raises:
-            ValueError: goals that circle.
+            ValueError: goals that move.
         """
-        if task.motion.kind == ORBITS:
+        if not task.motion.rests and task.motion.kind != LINES:
             raise ValueError(
-                f"{type(self).__name__} plans to goals at rest, but those of {task.name} circle; "
+                f"{type(self).__name__} plans to goals at rest, but those of {task.name} move; "
                 "use swap or formation, or the agent 'tracking-compensated'"
             )
 

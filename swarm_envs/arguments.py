@@ -50,6 +50,7 @@ __all__ = [
     "Seed",
     "check_value",
     "options_of",
+    "parse_pairs",
     "typed",
     "typed_options",
 ]
@@ -107,13 +108,18 @@ class Range:
         """Numbers of a kind in this range."""
         integer = kind.fits(0) and not kind.fits(0.5)
         words = self._of_integers() if integer else self._of_numbers()
-        return Kind(words, lambda v: kind.fits(v) and self.holds(v), (), kind.has_type)
+        most = math.inf if integer else sys.float_info.max  # else it becomes a float
+
+        def fits(value: Any) -> bool:
+            return kind.fits(value) and self.holds(value) and abs(value) <= most
+
+        return Kind(words, fits, (), kind.has_type)
 
     def holds(self, value: float) -> bool:
         """Whether a number lies in the range."""
         low = value > self.least if self.above else value >= self.least
         high = value < self.most if self.below else value <= self.most
-        return bool(low and high and math.isfinite(value))
+        return bool(low and high and abs(value) < math.inf)  # an integer may pass any float
 
     def _of_integers(self) -> str:
         upper = "" if self.most == math.inf else f" and at most {self.most:,}"
@@ -263,6 +269,20 @@ def _check(owner: str, name: str, value: object, kind: Kind) -> None:
     else:
         message = f"{owner}{label} is {value!r:.80}, but must be {kind.words}"
     raise ValueError(message) if kind.has_type(value) else WrongKind(message)
+
+
+def parse_pairs(name: str, text: str) -> list[tuple[str, list[float]]]:
+    """Names and numbers of an option's text, such as `mass=0.9:1.1,gust_acceleration=1`.
+
+    Raises:
+        ValueError: a part of it is no name with numbers.
+    """
+    try:
+        parts = [part.split("=") for part in text.split(",")]
+        return [(key.strip(), [float(n) for n in numbers.split(":")]) for key, numbers in parts]
+    except ValueError as error:
+        rule = "must be names with numbers, such as mass=0.9:1.1,thrust=1:1.2"
+        raise ValueError(f"{name} is {text!r:.80}, but {rule}") from error
 
 
 def check_value(name: str, value: object, annotation: Any) -> None:

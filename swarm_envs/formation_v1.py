@@ -30,13 +30,14 @@ the next shape begins, every 6 s. Success: all shapes were reached, without a co
 rad/s) or success. It is truncated after 6 s for each shape but the first.
 
 **Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
-physical for large swarms. v0: the force model of release 0.1.0, `learned-v0`.
+physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
+and rewards of release 0.1.0.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
@@ -80,6 +81,7 @@ class FormationOptions(TaskOptions):
     """Range of the turn of all shapes about the vertical, rad; None: anything, but letters are not
     turned."""
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[FormationTask]] = FormationTask
     """What `make_task` makes."""
 
@@ -99,8 +101,8 @@ class FormationOptions(TaskOptions):
             spacing_m=self.spacing_m,
             travel_s=self.travel_s,
             turn_rad=turn_rad,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
     def _mission(self) -> dict[str, Any]:

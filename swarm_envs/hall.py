@@ -41,20 +41,23 @@ class Hall:
         ValueError: a number is out of its range; the message names it, the rule and the fix.
     """
 
-    residual_quiet: Shares = (0.023, 0.031)
+    residual_quiet: Shares = (0.016, 0.021)
     """Standard deviation of the random vertical force where the force model says nothing. Source:
     fit to flights."""
-    residual_wake: Shares = (0.101, 0.097)
+    residual_wake: Shares = (0.088, 0.082)
     """The same where the modelled force is large. Source: fit to flights."""
-    residual_half: tuple[_Positive, _Positive] = (0.080, 0.034)
+    residual_half: tuple[_Positive, _Positive] = (0.053, 0.028)
     """Modelled force at which the standard deviation lies halfway between both. Source: fit to
     flights."""
-    residual_time_s: Annotated[float, POSITIVE_S] = 0.15
+    residual_alone: Shares = (0.011, 0.019)
+    """The same where no other drone is in the interaction volume of the force model. Source: fit
+    to flights of one drone."""
+    residual_time_s: Annotated[float, POSITIVE_S] = 0.14
     """Correlation time of that force, s, an Ornstein-Uhlenbeck process of each drone and axis.
     Source: fit to flights."""
-    residual_sideways: Annotated[float, NOT_NEGATIVE] = 0.41
+    residual_sideways: Annotated[float, NOT_NEGATIVE] = 0.27
     """Horizontal random force along each axis over the vertical one. Source: fit to flights."""
-    offset: Shares = (0.018, 0.027)
+    offset: Shares = (0.018, 0.021)
     """Standard deviation of the constant vertical force of a drone in an episode: errors of mass
     and thrust at hover. Source: fit to flights."""
     thrust_error: Annotated[float, Range(0.0, 0.2)] = 0.014
@@ -107,6 +110,7 @@ class Hall:
 
         quiet = share(self.residual_quiet)
         drones["residual_quiet"], drones["residual_half"] = quiet, share(self.residual_half)
+        drones["residual_alone"] = share(self.residual_alone)
         drones["residual_more"] = share(self.residual_wake) - quiet
         drones["residual_process"] = rng.standard_normal((len(drones), 3))
         drones["force_offset"] = share(self.offset) * rng.standard_normal(len(drones))

@@ -13,6 +13,7 @@ import numpy as np
 
 from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.tables import Records
 
 __all__ = ["FEW", "nearest", "nearest_sorted", "sort_along_x", "within_box"]
 
@@ -91,12 +92,15 @@ def within_box(
 
 
 @part
-def nearest(i: int, position: FloatArray, found: IntArray, square: FloatArray) -> int:
+def nearest(
+    i: int, position: FloatArray, drones: Records, found: IntArray, square: FloatArray
+) -> int:
     """List the nearest other drones of drone `i`, nearest first, equal ones by their index.
 
     Args:
         i: the drone.
         position: (N, 3) m; further columns are not read.
+        drones: (N,) records; those that no longer fly are left out.
         found: (K,) their indices, written.
         square: (K,) their squared distances, m^2, written.
 
@@ -108,7 +112,8 @@ def nearest(i: int, position: FloatArray, found: IntArray, square: FloatArray) -
         dx = position[j, 0] - position[i, 0]
         dy, dz = position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
         d = dx * dx + dy * dy + dz * dz
-        if j != i and d < bound:  # at equal distance, those before have the smaller index
+        # At equal distance, those before have the smaller index.
+        if j != i and d < bound and drones[j].active > 0.0:
             place = count if count < places else places - 1
             count = place + 1
             while place > 0 and square[place - 1] > d:
@@ -125,6 +130,7 @@ def nearest_sorted(
     i: int,
     place: int,
     position: FloatArray,
+    drones: Records,
     order: IntArray,
     found: IntArray,
     square: FloatArray,
@@ -135,6 +141,7 @@ def nearest_sorted(
         i: the drone.
         place: where it stands in the order.
         position: (N, 3) m; further columns are not read.
+        drones: (N,) records; those that no longer fly are left out.
         order: (N,) drones sorted along x.
         found: (K,) their indices, written.
         square: (K,) their squared distances, m^2, written.
@@ -151,7 +158,7 @@ def nearest_sorted(
             dx, d = position[j, 0] - position[i, 0], squared_distance(position, i, j)
             if dx * dx > bound:
                 break
-            if d <= bound:
+            if d <= bound and drones[j].active > 0.0:
                 count = _offer(j, d, count, found, square)
                 if count == places:
                     bound = square[count - 1]

@@ -26,11 +26,13 @@ sets other starts; the reference stays the same. Goals cannot be set.
 rad/s). It is truncated after 2 + 10 s.
 
 **Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
-physical for large swarms. v0: the force model of release 0.1.0, `learned-v0`.
+physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
+and rewards of release 0.1.0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -55,6 +57,7 @@ class RingOptions(TaskOptions):
         """The team: as given, else that of the paper."""
         return ring_team(self.num_drones) if self.team is None else super().vehicles
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[RingTask]] = RingTask
     """What `make_task` makes."""
 
@@ -63,8 +66,8 @@ class RingOptions(TaskOptions):
         return self.task_type(
             team=self.vehicles,
             rings=self.rings,
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
 

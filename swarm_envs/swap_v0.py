@@ -10,12 +10,16 @@ of the tracking controller is bounded by 0.05 m. Use this version to compare wit
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import ClassVar
 
 from swarm_envs.arguments import typed_options
 from swarm_envs.envs.options import task_views
 from swarm_envs.swap_v1 import SwapOptions
-from swarm_envs.tasks.swap import SwapTask
+from swarm_envs.tasks.rewards import write_terms_v0
+from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
 
 
 @dataclass(frozen=True)
@@ -24,6 +28,7 @@ class SwapTaskV0(SwapTask):
 
     name = "swap_v0"
     velocity_integral_limit = 0.05
+    write_reward_terms = staticmethod(write_terms_v0)
 
 
 @typed_options
@@ -32,6 +37,9 @@ class SwapV0Options(SwapOptions):
     """Options of version 0: those of version 1."""
 
     learned = "learned-v0"
+    default_weights: ClassVar[Mapping[str, float]] = MappingProxyType(
+        {**REWARD_WEIGHTS, "at_goal": 2.0}
+    )
     task_type = SwapTaskV0
 
 

@@ -5,7 +5,7 @@
 
 | | |
 |---|---|
-| Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; their episodes end together |
+| Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; see `on_contact` for their ends |
 | `acceleration` | 3 in [-1, 1]: acceleration of a set-point along world x, y, z, in 5 m/s^2 |
 | `velocity` | 3 in [-1, 1]: velocity of a set-point along world x, y, z, in 2 m/s |
 | `ctbr` | 4 in [-1, 1]: collective thrust, from zero to the maximum; body rates, in 8, 8, 4 rad/s |
@@ -36,11 +36,13 @@ contains; `reward_weights={"effort": -0.5}` changes a weight.
 rad/s) or success. It is truncated after 8 s.
 
 **Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
-physical for large swarms. v0: the force model of release 0.1.0, `learned-v0`.
+physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
+and rewards of release 0.1.0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -63,6 +65,7 @@ class SwapOptions(TaskOptions):
     circle: CircleLayout | None = None
     """Size of the circle layout."""
 
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[SwapTask]] = SwapTask
     """What `make_task` makes."""
 
@@ -73,8 +76,8 @@ class SwapOptions(TaskOptions):
             layout=self.layout,
             stacked=self.stacked or StackedLayout(),
             circle=self.circle or CircleLayout(),
-            reward_weights={**REWARD_WEIGHTS, **(self.reward_weights or {})},
-            obstacles=tuple(self.obstacles),
+            reward_weights=self.weights,
+            obstacles=self.standing,
         )
 
 

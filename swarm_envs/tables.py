@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 __all__ = [
+    "ACTIVE",
     "ADAPTATION_END",
     "BLOCK_TYPE",
     "BODY_END",
@@ -170,14 +171,18 @@ _HALL = (
     Field("residual_quiet", (), "N", None, "Its standard deviation where no force is modelled."),
     Field("residual_more", (), "N", None, "What it grows by where that force is large."),
     Field("residual_half", (), "N", None, "Modelled force at which it has grown by half of that."),
+    Field("residual_alone", (), "N", None, "Its standard deviation where nobody is near."),
+    Field("company", (), "", 0.0, "1 if another drone was in the interaction volume."),
     Field("force_offset", (), "N", None, "Constant vertical force that no model knows."),
     Field("frame_phase", (), "", None, "Share of a frame's time since the last one arrived."),
     Field("position_error", (3,), "m", 0.0, "Error of the estimated position."),
     Field("velocity_error", (3,), "m/s", 0.0, "Error of the estimated velocity."),
     Field("attitude_error", (3,), "rad", 0.0, "Error of the estimated attitude, world frame."),
     Field("gyro_error", (3,), "rad/s", 0.0, "Error of the measured angular velocity, world frame."),
+    Field("interaction_torque", (3,), "N m", 0.0, "Torque of the air, if it has any, body frame."),
 )
-"""What the world "hall" adds: air that no model knows, and errors of the estimated state."""
+"""What the world "hall" adds: air that no model knows, and errors of the estimated state; and the
+torque of option `interaction_torque`."""
 
 _EPISODE = (
     Field("battery_capacity", (), "A s", None, "Charge of a full battery."),
@@ -193,6 +198,9 @@ _EPISODE = (
     Field("orbit", (3, 3), "m", None, "Centre and half axes of the reference's ellipse."),
     Field("orbit_rate", (), "rad/s", None, "Angular rate on it."),
     Field("orbit_phase", (), "rad", None, "Angle at time zero."),
+    Field(
+        "chased", (), "", None, "Index of the drone beside which the goal is; -1 if there is none."
+    ),
     Field("reference_position", (3,), "m", None, "Where the drone should be now."),
     Field("reference_velocity", (3,), "m/s", None, "Derivative of the reference."),
     Field("reference_acceleration", (3,), "m/s^2", None, "Its second derivative."),
@@ -201,7 +209,11 @@ _EPISODE = (
     Field("last_distance", (), "m", 0.0, "The same one decision earlier."),
     Field("tracking_error", (), "m", 0.0, "Distance to the reference."),
     Field("effort", (), "", 0.0, "Mean square of the action; 0 where actions are unbounded."),
-    Field("crashed", (), "", 0.0, "1 if the drone collided, left the arena or tumbled."),
+    Field("scores", (), "", 0.0, "1 if it reached a goal in this decision, where goals go on."),
+    Field("crashed", (), "", 0.0, "1 if it collided, left the arena or tumbled in this decision."),
+    Field("active", (), "", 1.0, "1 while the drone flies, 0 once its own episode has ended."),
+    Field("touching", (), "", 0.0, "Sum of the codes of what was touched in this decision."),
+    Field("hurt", (), "", 0.0, "The same of the whole episode; see `swarm_envs.envs.judge`."),
     Field("least_separation", (), "m", np.inf, "Smallest distance to another drone so far."),
     Field("least_clearance", (), "", np.inf, "The same over the sum of radii."),
     Field("least_obstacle_clearance", (), "", np.inf, "The same of obstacles, over the radius."),
@@ -230,6 +242,7 @@ _KEPT = (
     Field("gust_key", (), "", None, "Stream of random numbers of the gusts.", np.uint64),
     Field("noise_key", (), "", None, "Stream of random numbers of the observations.", np.uint64),
     Field("hall_key", (), "", None, "Stream of random numbers of the hall.", np.uint64),
+    Field("goal_key", (), "", None, "Stream of random numbers of goals to come.", np.uint64),
 )
 """What a task or a randomisation draws for an episode, and a reset leaves."""
 
@@ -237,10 +250,12 @@ _BEGINS = (
     Field("time", (), "s", 0.0, "Time since the episode began."),
     Field("gust", (3,), "m/s^2", 0.0, "Acceleration that gusts give now, world frame."),
     Field("achieved", (), "", 0.0, "Share of the task that was done in this decision."),
+    Field("score", (), "", 0.0, "What a task that ends by the clock is scored by, so far."),
     Field("age", (), "", 0.0, "Physics steps since the reset.", np.int64),
     Field("decisions", (), "", 0.0, "Decisions of this episode.", np.int64),
     Field("stage", (), "", 0.0, "The present stage.", np.int64),
     Field("reached", (), "", 0.0, "Stages that are done.", np.int64),
+    Field("goals_reached", (), "", 0.0, "Goals that drones reached, where goals go on.", np.int64),
     Field("scored", (), "", 0.0, "Decisions whose error counts.", np.int64),
     Field("running", (), "", 1.0, "Whether the episode continues.", np.bool_),
     Field("held", (), "", 0.0, "Whether the present stage is done.", np.bool_),
@@ -261,7 +276,10 @@ SETTINGS = (
     Field("gusty", (), "", None, "Whether there are gusts.", np.bool_),
     Field("bounded", (), "", None, "Whether actions lie in [-1, 1].", np.bool_),
     Field("tracks", (), "", None, "Whether the reference is to be kept to.", np.bool_),
+    Field("exchanges", (), "", None, "Whether drones may take each other's goals.", np.bool_),
     Field("end_on_success", (), "", None, "Whether success ends the episode.", np.bool_),
+    Field("ends_team", (), "", None, "Whether contact ends the episode of the team.", np.bool_),
+    Field("bounces", (), "", None, "Whether drones bounce off what they touch.", np.bool_),
     Field("arena", (2, 3), "m", None, "Corners of the walls."),
     Field("gust_kept", (), "", None, "Share of a gust that is left after a physics step."),
     Field("gust_strength", (), "m/s^2", None, "Standard deviation of the gusts."),
@@ -297,6 +315,8 @@ SETTINGS = (
     Field("success_radius", (), "m", None, "How near a drone must be to its goal or reference."),
     Field("hold_s", (), "s", None, "How long all must stay there."),
     Field("settle_s", (), "s", None, "Errors count from this time on."),
+    Field("least_score", (), "", None, "Score that is a success by the clock."),
+    Field("goal_reach", (2,), "m", None, "How far the next goal is, at least and at most."),
     Field("noise", (4,), "m, m/s, rad, rad/s", None, "Standard deviations of observations."),
     Field("residual_kept", (), "", None, "Share of the residual that is left after a step."),
     Field("residual_sideways", (), "", None, "Horizontal residual over the vertical one."),
@@ -371,6 +391,8 @@ ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
 """Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
 HALL_END = ADAPTATION_END + _columns(_HALL)
 """Columns from `ADAPTATION_END` to this one belong to the world "hall"."""
+ACTIVE = int(dict(DRONE_TYPE.fields or ())["active"][1]) // 8
+"""Column that says whether a drone still flies."""
 
 
 LINE = 64

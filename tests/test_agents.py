@@ -17,6 +17,7 @@ from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.agents.scripted import DetourAgent, HoverAgent, along, bumps, choose_bumps
 from swarm_envs.baselines.neural_swarm import TrackingAgent
+from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.tasks.obstacles import Column, obstacle_rows
 from swarm_envs.tasks.placing import arena_of
@@ -45,6 +46,15 @@ def test_two_agents_of_one_kind_may_share_an_environment() -> None:
 def test_an_engine_refuses_copies_that_would_come_apart(clone) -> None:
     with pytest.raises(TypeError, match="cannot be copied or pickled"):
         clone(BatchPhysics("S"))
+
+
+@pytest.mark.parametrize("name", [n for n in SHIPPED if "compensated" in n or "planner" in n])
+def test_who_compensates_believes_what_was_fitted_in_the_forces_of_the_version(name) -> None:
+    beliefs = {"swap_v0": "learned-v0", "ring_v1": "learned", None: "learned"}
+    for environment, truth in beliefs.items():
+        belief = load(name, environment).requires["controller"].feedforward
+        assert belief.fingerprint == load_belief(truth).fingerprint
+    assert load_belief("learned").fingerprint != load_belief("learned-v0").fingerprint
 
 
 @pytest.mark.parametrize("name", SHIPPED)

@@ -135,3 +135,10 @@ def test_a_class_stays_what_it_was():
 )
 def test_a_range_names_its_ends(rule, words):
     assert kind_of(Annotated[float, rule]).words == words
+
+
+def test_integers_beyond_every_float_are_refused_or_taken_without_overflow():
+    huge = 10**400
+    number, integer = kind_of(Annotated[float, Range(0.0)]), kind_of(Annotated[int, Range(0)])
+    assert not number.fits(huge) and number.fits(10**300)
+    assert integer.fits(huge)

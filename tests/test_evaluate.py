@@ -188,7 +188,7 @@ def test_an_edited_file_is_another_agent(tmp_path, mine, capsys):
     assert "flown before" not in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["straight-line", "swap-ppo", "swap-ppo-8"])
+@pytest.mark.parametrize("name", ["straight-line", "swap-ppo", "swap-ppo-8", "swap-dagger"])
 def test_many_episodes_at_once_are_the_episodes_one_by_one(name):
     agent, seeds = load(name), frozen_seeds(3, TIMED + 5)
     options = {**agent.requires, "num_drones": 4, "horizon_s": 2.0, "physics": "batch"}

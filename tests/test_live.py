@@ -8,6 +8,7 @@ import urllib.error
 import urllib.request
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
@@ -103,6 +104,22 @@ def test_a_paused_flight_goes_on_by_steps(env):
     ask(control, {"paused": False})
     reader.join(20)
     viewer.close()
+
+
+def test_many_environments_are_shown_side_by_side(monkeypatch):
+    monkeypatch.setattr("swarm_envs.viewing.live._WAIT_S", 0.0)
+    given: Any = {"num_envs": 20, "num_drones": 2, "render_mode": "human"}
+    envs: Any = gymnasium.make_vec("swarm_envs/Swap-v1", **given)
+    envs.reset(seed=0)
+    viewer, found = envs.unwrapped._live, list[dict[str, Any]]()
+    reader = frames(viewer, 1, found)
+    reader.join(20)
+    envs.close()
+    np.testing.assert_allclose(
+        found[0]["position"], envs.unwrapped.core.physics.state.position[:16], atol=1e-4
+    )
+    with pytest.raises(ValueError, match="render_mode of many environments"):
+        gymnasium.make_vec("swarm_envs/Swap-v1", num_envs=2, render_mode="rgb_array")
 
 
 def test_the_page_draws_the_swarm_in_a_browser(monkeypatch):

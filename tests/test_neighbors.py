@@ -14,6 +14,7 @@ from swarm_envs.interactions.forces import find_pairs, pair_weight
 from swarm_envs.interactions.packed import packed, scratch_for
 from swarm_envs.neighbors import FEW, nearest, nearest_sorted, sort_along_x
 from swarm_envs.state import IntArray
+from swarm_envs.tables import new_world
 from swarm_envs.vehicles import parse_team
 
 Array = npt.NDArray[np.float64]
@@ -72,18 +73,20 @@ def test_pairs_are_all_with_a_weight_and_neighbours_ascend(position: Array) -> N
 @given(swarms, st.integers(0, 6))
 def test_nearest_are_those_of_a_full_sort(position: Array, wanted: int) -> None:
     n = len(position)
-    order = np.arange(n)
+    order, team = np.arange(n), new_world(1, n).drones[0]
+    team["active"] = flies = np.random.default_rng(n).random(n) < 0.7
     sort_along_x(position, order)
     for place, i in enumerate(order.tolist()):
         apart = position - position[i]
         square = apart[:, 0] ** 2 + apart[:, 1] ** 2 + apart[:, 2] ** 2
-        expected = [j for j in np.lexsort((np.arange(n), square)).tolist() if j != i][:wanted]
+        by_distance = np.lexsort((np.arange(n), square)).tolist()
+        expected = [j for j in by_distance if j != i and flies[j]][:wanted]
         for swept in (False, True):
             found, squares = np.full(wanted, -9), np.zeros(wanted)
             if swept:
-                count = nearest_sorted(i, place, position, order, found, squares)
+                count = nearest_sorted(i, place, position, team, order, found, squares)
             else:
-                count = nearest(i, position, found, squares)
+                count = nearest(i, position, team, found, squares)
             assert count == len(expected)
             assert found[: len(expected)].tolist() == expected
             np.testing.assert_array_equal(squares[: len(expected)], square[expected])

@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from docs.extensions.option_tables import expand
-from swarm_envs import formation_v1, ring_v1, swap_v1
+from swarm_envs import crowd_v0, formation_v1, gates_v0, pursuit_v0, ring_v1, swap_v1
 from swarm_envs.agents.safety import Safety
 from swarm_envs.arguments import Option, options_of
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
@@ -41,9 +41,12 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.hall import Hall
 from swarm_envs.motors import BatteryModel
-from swarm_envs.tasks.base import Success, TrackingSuccess
+from swarm_envs.tasks.base import ByScore, Success, TrackingSuccess
+from swarm_envs.tasks.crowd import CrowdTask
 from swarm_envs.tasks.formation import FormationTask
+from swarm_envs.tasks.gates import GatesTask
 from swarm_envs.tasks.obstacles import Column
+from swarm_envs.tasks.pursuit import PursuitTask
 from swarm_envs.tasks.ring import FIVE, RingLayout, RingTask
 from swarm_envs.tasks.swap import CircleLayout, StackedLayout, SwapTask
 from swarm_envs.training.belief.feedforward import FeedforwardConfig
@@ -58,7 +61,9 @@ from swarm_envs.vehicles import SMALL, Vehicle
 
 TEAM = {"team": (SMALL,) * 5}
 SETTINGS: dict[type, dict[str, Any]] = {
-    **dict.fromkeys((SwapTask, RingTask, FormationTask), TEAM),
+    **dict.fromkeys((SwapTask, RingTask, FormationTask, CrowdTask), TEAM),
+    **dict.fromkeys((PursuitTask, GatesTask), TEAM),
+    ByScore: {"radius": 0.1, "least": 1.0},
     **{kind: {} for kind in (StackedLayout, CircleLayout, Success, TrackingSuccess)},
     **{kind: {} for kind in (Randomization, Hall, BatteryModel, ControllerConfig)},
     **{kind: {} for kind in (MomentumObserver, Indi, NeuralFly)},
@@ -73,6 +78,9 @@ SETTINGS: dict[type, dict[str, Any]] = {
     swap_v1.SwapOptions: {},
     ring_v1.RingOptions: {},
     formation_v1.FormationOptions: {},
+    crowd_v0.CrowdOptions: {},
+    pursuit_v0.PursuitOptions: {},
+    gates_v0.GatesOptions: {},
 }
 """Classes of settings whose annotations hold every range, and what they must be given."""
 OTHERS: dict[type, dict[str, Any]] = {
@@ -161,6 +169,7 @@ BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [
     (RingLayout, "horizontal_m", [(0.5, 0.6)], [(0.0, 1.0), (1.0, math.nan), (1.0,)]),
     (RingLayout, "phases_rad", [(-1.0, 9.0)], [(0.0,), (0.0, math.inf)]),
     (RingLayout, "lead_s", [(0.0, 0.0), (0.0, 60.0)], [(3.0, 1.0), (-1.0, 1.0)]),
+    (CrowdTask, "reach_m", [(1.0, 1.0)], [(2.0, 1.0), (0.0, 1.0), 2.0]),
     (BatteryModel, "capacity_ah", [0.1], [0.0, math.nan]),
     (BatteryModel, "idle_current_a", [0.0, 1.0], [-1.0, math.inf]),
     (Vehicle, "inertia", [(1e-6, 1e-6, 2e-6)], [(1e-6, 1e-6), (1e-6, 0.0, 1e-6)]),
@@ -197,7 +206,7 @@ def test_commands_refuse_numbers_in_the_words_of_the_command_line(options):
             options(**{**COMMANDS[options], name: -1})
 
 
-@pytest.mark.parametrize("module", [swap_v1, ring_v1, formation_v1])
+@pytest.mark.parametrize("module", [swap_v1, ring_v1, formation_v1, crowd_v0, pursuit_v0, gates_v0])
 def test_a_view_shows_every_option(module):
     for view in (module.parallel_env, module.env, module.blueprint):
         parameters = inspect.signature(view).parameters

@@ -14,7 +14,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from swarm_envs import formation_v0, make, ring_v0, swap_v0
+from swarm_envs import formation_v0, make, ring_v0, swap_v0, swap_v1
 from swarm_envs.agents import Agent, fly_episode, load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.features import FEATURE_SETS, REFERENCE, goal_features
@@ -285,3 +285,12 @@ def test_heights_on_rings_are_kept_better_than_without_compensation():
         env.close()
     assert worst["ring-ppo"] < 0.5 * worst["tracking"]
     assert worst["tracking"] == pytest.approx(0.09, abs=0.02)
+
+
+@pytest.mark.parametrize("team", ["SS", 8 * "S", "LLLL", "SLSLSLSL"])
+def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
+    """24 random swaps; nothing was chosen on these seeds."""
+    agent = load("swap-dagger")
+    env = swap_v1.parallel_env(team=team, layout="random", physics="batch", **agent.requires)
+    assert successes(env, agent, frozen_seeds(5, 24)) == 1.0
+    env.close()

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from swarm_envs import swap_v0
+from swarm_envs import swap_v0, swap_v1
 from swarm_envs.agents import Safety, SafetyFilter, fly_episode, load
 from swarm_envs.agents.barrier import (
+    ESCAPE,
     TOLERANCE,
     least_broken,
     nearest_feasible_point,
@@ -209,3 +210,48 @@ def test_the_barrier_is_the_distance_to_velocities_that_collide():
             assert (closest(x, other, horizon) < reach) == (h < 0)
         inside += h < 0
     assert 30 < inside < 170
+
+
+def test_no_accepted_velocity_brings_drones_nearer_that_are_too_near():
+    """Nor through each other: version 0 of the tasks has a filter that takes that for safe."""
+    rng, reach = np.random.default_rng(4), 0.25
+    through = accepted = 0
+    for _ in range(2000):
+        x = rng.normal(size=3)
+        x *= rng.uniform(0.02, 1.0) * reach / np.linalg.norm(x)
+        v = rng.normal(0.0, 1.5, 3)
+        *n, h = velocity_barrier(tuple(x), tuple(v), reach, 0.7)
+        least = closest(x, v, ESCAPE)
+        assert np.linalg.norm(n) == pytest.approx(1.0)
+        if h >= 0.0:
+            accepted += 1
+            assert least == pytest.approx(np.linalg.norm(x))  # apart from the first moment on
+            assert np.linalg.norm(x - ESCAPE * v) >= reach - 1e-9
+        old = velocity_barrier(tuple(x), tuple(v), reach, 0.7, False)[3]
+        through += bool(old >= 0.0 and least < 0.5 * np.linalg.norm(x))
+        assert not h >= 0.0 or old >= -1e-9  # what is accepted was accepted before
+    assert accepted > 200
+    assert through > 100
+
+
+def test_version_0_of_the_tasks_keeps_its_filter():
+    for task, radial in ((swap_v0, False), (swap_v1, True)):
+        agent = load("hover+filter")
+        env = task.parallel_env(num_drones=2, **agent.requires)
+        env.reset(seed=0)
+        agent.reset(env, 0)
+        assert agent._barrier.radial is radial  # type: ignore[attr-defined]
+        env.close()
+
+
+def test_too_many_straight_ways_through_one_place_are_refused():
+    agent = load("straight-line+filter")
+    for task, drones, layout in ((swap_v1, 16, "random"), (swap_v1, 13, "circle"),
+                                 (swap_v0, 16, "circle")):  # fmt: skip
+        env = task.parallel_env(num_drones=drones, layout=layout, **agent.requires)
+        env.reset(seed=0)
+        agent.reset(env, 0)
+    env = swap_v1.parallel_env(num_drones=16, layout="circle", **agent.requires)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match=r"16 drones .* at most 13 .* 'roundabout' flies this"):
+        agent.reset(env, 0)

@@ -6,6 +6,7 @@ One policy flies all of them (parameter sharing), and they fly in one batched ca
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from itertools import accumulate
 from typing import Any
 
@@ -20,7 +21,7 @@ from swarm_envs.envs.joint import split_teams
 from swarm_envs.envs.observation import Float32Array, observation_space, shaper
 from swarm_envs.envs.options import Blueprint, batch_of
 from swarm_envs.errors import check_integer, check_name
-from swarm_envs.state import FloatArray
+from swarm_envs.state import BoolArray, FloatArray
 
 __all__ = ["SharedPolicyVecEnv"]
 
@@ -40,8 +41,12 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
 
     All drones of an environment end together, and restart in the same step. A sub-environment's
     info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: what
-    follows still has a value) and `episode_metrics`, the same for all drones of an environment.
-    Where no episode has ended, sub-environments share one info: copy it to write into it.
+    follows still has a value) and `episode_metrics`, of the environment.
+
+    With `on_contact="end_pair"` a drone may end before its team: that is an end of the
+    sub-environment, without metrics. Until the team's end it waits: it observes zeros, its rewards
+    are 0, its actions are not used, and `info["active"]` is False, so that a learner can leave
+    these steps out. The team's end ends the wait too, and begins an episode of every drone.
 
     Its copies and pickles have simulators of their own, and fly on as it would.
 
@@ -49,7 +54,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         task: name of the task, such as `swap_v0`; or a blueprint, made with a task of one's own; or
             several blueprints, whose teams fly side by side: first all drones of the first, then
             those of the next.
-        num_envs: E, of each team.
+        num_envs: E, of each team; or one number for each blueprint.
         seed: of environment 0, counted up for the others.
         features: what a policy of `swarm_envs.agents` computes from an observation row, one of its
             `FEATURE_SETS`, is observed instead of the row; None for the row itself.
@@ -65,21 +70,24 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def __init__(
         self,
         task: str | Blueprint | Sequence[Blueprint],
-        num_envs: int = 1,
+        num_envs: int | Sequence[int] = 1,
         seed: int | None = None,
         *,
         features: str | None = None,
         **options: Any,
     ) -> None:
-        count = check_num_envs(num_envs)
         blueprints = _blueprints(task, options)
+        counts = [num_envs] * len(blueprints) if isinstance(num_envs, int) else num_envs
         if features is not None:
             check_name("features", features, FEATURE_SETS)
-        self.cores = tuple(SwarmCore(found.task, found.config, count) for found in blueprints)
+        self.cores = tuple(
+            SwarmCore(found.task, found.config, check_num_envs(count))
+            for found, count in zip(blueprints, counts, strict=True)
+        )
         self.features = features
         _check_alike(self.cores)
         self._make_shape()
-        sizes = [count * core.num_drones for core in self.cores]
+        sizes = [core.num_envs * core.num_drones for core in self.cores]
         self._begins = list(accumulate(sizes, initial=0))
         self._team_of = np.repeat(np.arange(len(sizes)), sizes)
         self.render_mode = None
@@ -89,6 +97,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         self._actions: list[FloatArray] = []
         self._next_seeds: list[list[int] | None] = [None] * len(self.cores)
         self._begun = self._closed = False
+        self.decision_cost = 0.0
+        """Taken off every reward: what time costs in training."""
         if seed is not None:
             self.seed(seed)
 
@@ -96,6 +106,12 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     def core(self) -> SwarmCore:
         """The environments of the first team."""
         return self.cores[0]
+
+    @property
+    def first_drones(self) -> list[int]:
+        """Numbers of the sub-environments that are the first drone of an environment."""
+        begins = zip(self.cores, self._begins, strict=False)
+        return [b + e * core.num_drones for core, b in begins for e in range(core.num_envs)]
 
     def observe(self, rows: Float32Array) -> Any:
         """Observations of a core's rows (..., width): in its form, or as features."""
@@ -156,31 +172,37 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             ValueError: an action is not finite or outside its bounds; nothing has changed then.
         """
         rewards, dones = [], []
-        infos: Infos = [{"TimeLimit.truncated": False}] * self.num_envs
+        infos: Infos = []
         for core, actions, begin in zip(self.cores, self._actions, self._begins, strict=False):
             result = core.step(actions)
-            ended = result.terminated | result.truncated
-            if ended.any():
-                over = np.flatnonzero(ended).tolist()
-                self._report_ends(core, over, result.truncated, infos, begin)
-                core.reset(mask=ended)
-            rewards.append(result.rewards.reshape(-1).astype(np.float32))
-            dones.append(np.repeat(ended, core.num_drones))
+            over = result.terminated | result.truncated
+            done = result.ended | over[:, None]
+            flew = result.active.reshape(-1).tolist()
+            infos += [{"TimeLimit.truncated": False, "active": active} for active in flew]
+            if done.any():
+                cut = result.truncated[:, None] & result.active & ~result.ended
+                self._report_ends(core, done, over, cut, infos[begin:])
+            if over.any():
+                core.reset(mask=over)
+            paid = result.rewards.reshape(-1) - self.decision_cost
+            rewards.append(paid.astype(np.float32))
+            dones.append(done.reshape(-1))
         return self._observations(), np.concatenate(rewards), np.concatenate(dones), infos
 
     def _report_ends(
-        self, core: SwarmCore, over: list[int], cut: npt.NDArray[np.bool_], infos: Infos, begin: int
+        self, core: SwarmCore, done: BoolArray, over: BoolArray, cut: BoolArray, infos: Infos
     ) -> None:
-        """Fill the infos, from number `begin` on, of the environments of a team that are over."""
-        drones, last = core.num_drones, core.rows[over]
-        shown = self.observe(last.reshape(len(over) * drones, -1))
-        for place, (e, metrics) in enumerate(zip(over, core.metrics_of(over), strict=True)):
-            for i in range(drones):
-                infos[begin + e * drones + i] = {
-                    "TimeLimit.truncated": bool(cut[e]),
-                    "terminal_observation": _row(shown, place * drones + i),
-                    "episode_metrics": metrics,
-                }
+        """Fill the infos of a team's drones that are done (E, N); `over` (E,), `cut` (E, N)."""
+        drones, places = core.num_drones, np.flatnonzero(done).tolist()
+        shown = self.observe(core.rows.reshape(-1, core.rows.shape[-1])[places])
+        ends = np.flatnonzero(over).tolist()
+        metrics = dict(zip(ends, core.metrics_of(ends), strict=True))
+        for row, place in enumerate(places):
+            info, e = infos[place], place // drones
+            info["TimeLimit.truncated"] = bool(cut.flat[place])
+            info["terminal_observation"] = _row(shown, row)
+            if e in metrics:
+                info["episode_metrics"] = deepcopy(metrics[e])
 
     def _observations(self) -> Any:
         width = self.core.rows.shape[-1]

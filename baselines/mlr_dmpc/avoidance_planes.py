@@ -58,6 +58,10 @@ class Neighbors(NamedTuple):
     concurrent: BoolArray
     """(C,) whether that drone may be replanned in the same round."""
 
+    def some(self, kept: BoolArray) -> Neighbors:
+        """Those of a mask (C,)."""
+        return Neighbors(self.positions[kept], self.drone[kept], self.concurrent[kept])
+
 
 class HalfSpaces(NamedTuple):
     """Half-spaces normal . p >= offset that hold at one collision sample each."""
@@ -66,13 +70,6 @@ class HalfSpaces(NamedTuple):
     """(P, S, 3), unit free."""
     offsets: FloatArray
     """(P, S), m."""
-
-
-def no_neighbors(config: MlrDmpcConfig) -> Neighbors:
-    """The neighbours of a drone that flies alone."""
-    return Neighbors(
-        np.zeros((0, config.num_samples, 3)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-    )
 
 
 def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig) -> HalfSpaces:
@@ -129,7 +126,8 @@ def _voronoi_planes(
             gap = max(np.sqrt(square), 1e-12)
             for i in range(3):
                 normals[c, s, i] /= gap
-            _turn(normals[c, s], min(distance / gap, 1.0), turn, turn_share)
+            if turn > 0.0:
+                _turn(normals[c, s], min(distance / gap, 1.0), turn, turn_share)
             offset = distance
             if concurrent[c]:
                 offset *= 0.5
@@ -227,6 +225,24 @@ def reachable_boxes(
     high = _highest(state, lower, upper, steps, counts)
     low = -_highest(-state, -upper, -lower, steps, counts)
     return low - _SLOP, high + _SLOP
+
+
+@kernel
+def comes_near(
+    low: FloatArray, high: FloatArray, others: FloatArray, shrink: FloatArray, keep: FloatArray
+) -> BoolArray:
+    """(C,) whether paths (C, S, 3) come nearer than `keep` (S,), scaled, to boxes (S, 3), m."""
+    out: BoolArray = np.zeros(len(others), dtype=np.bool_)
+    for c in range(len(others)):
+        for s in range(len(keep)):
+            square = 0.0
+            for i in range(3):
+                at = others[c, s, i]
+                square += (max(low[s, i] - at, at - high[s, i], 0.0) * shrink[i]) ** 2
+            if square < keep[s] ** 2:
+                out[c] = True
+                break
+    return out
 
 
 @kernel

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces, Neighbors
 from swarm_envs.baselines.mlr_dmpc.messages import (
     NONE,
     RECENT,
@@ -28,6 +28,7 @@ from swarm_envs.baselines.mlr_dmpc.swarm_information import (
 from swarm_envs.baselines.mlr_dmpc.trajectory import (
     NOBODY,
     Trajectory,
+    all_positions_from,
     least_distances,
     positions_from,
 )
@@ -36,11 +37,11 @@ from swarm_envs.baselines.mlr_dmpc.unit_planner import (
     JUST_PLANNED,
     REINITIALISED,
     Levels,
-    OtherTrajectory,
     Planner,
     consensus,
     rank_by_priority,
 )
+from swarm_envs.state import BoolArray
 
 _CONTRADICTION = 1e-6
 
@@ -129,27 +130,25 @@ class ComputeUnit:
 
     def _request_order(self, missing: Missing) -> tuple[bool, bool, int]:
         """Order of requests: what stood in the way, what is surely flown, then by turns."""
-        turn = (missing.drone + 5 * self.information.unit) % len(self.information.trackers)
+        turn = (missing.drone + 5 * self.information.unit) % len(self.information.targets)
         return missing.drone not in self._in_the_way, not self._sure(missing), turn
 
     def _sure(self, missing: Missing) -> bool:
         """Whether the drone has said that it flies what is missing."""
-        confirmed = self.information.trackers[missing.drone].confirmed
-        return missing.identity.start_round <= confirmed
+        confirmed = self.information.trackers.confirmed[missing.drone]
+        return bool(missing.identity.start_round <= confirmed)
 
     def _priorities(self, round_: int) -> Levels:
         info = self.information
-        known = [tracker.newest() for tracker in info.trackers]
-        own = self.planner.prioritise(known, info.targets, round_)
-        current = info.selection(round_) or ()
-        view = info.view.drones
-        for drone, tracker in enumerate(info.trackers):
-            here = drone in view and drone not in info.membership.gone
-            newest = tracker.settled(round_) if here and drone not in current else None
-            if newest is None:
-                own[drone] = JUST_PLANNED
-            elif newest.identity.compute_unit == NOBODY and info.void(drone, round_):
+        newest = info.trackers.newest()
+        own = self.planner.prioritise(newest, info.targets, round_)
+        for drone in np.flatnonzero(info.void(round_)):
+            one = newest[drone]
+            if one is not None and one.identity.compute_unit == NOBODY:
                 own[drone] = REINITIALISED
+        ready = info.flying & info.trackers.settled(round_)
+        ready[[i for i in info.selection(round_) or () if i != NONE]] = False
+        own[~ready] = JUST_PLANNED
         return own
 
     def _lead(self, own: Levels, round_: int) -> tuple[int, ...] | None:
@@ -158,7 +157,7 @@ class ComputeUnit:
         view = info.view
         if not info.membership.member or view.leader(round_) != info.unit:
             return None
-        barred = {*(info.selection(round_) or ()), *info.membership.gone}
+        barred = {*(info.selection(round_) or ()), *np.flatnonzero(info.membership.gone).tolist()}
         others = [
             {drone: level for drone, level in message.priorities if drone not in barred}
             for message in info.reported.values()
@@ -217,35 +216,30 @@ class ComputeUnit:
         chosen = info.selection(round_)
         assert chosen is not None
         drone = chosen[info.view.rank(info.unit, round_)]
-        own = info.trackers[drone].sole
+        own, lacking = info.trackers.sole(drone), ~info.trackers.covering
         if own is None:
-            report.doing = "lacks own" if info.trackers[drone].missing else "several own"
+            report.doing = "lacks own" if lacking[drone] else "several own"
             self._in_the_way = [drone]
             return None
-        others: list[OtherTrajectory] = []
+        flying = info.flying
+        flying[drone] = False
         planes: list[HalfSpaces] = []
-        for other in info.flying():
-            if other == drone:
-                continue
-            concurrent = other in chosen
-            if info.trackers[other].missing:
-                found = None
-                if self._trusted and not concurrent and self._config.planes == "fixed":
-                    found = guaranteed_planes(info, drone, own, other, round_, self._config)
-                if found is None:
-                    report.doing = "lacks another"
-                    self._in_the_way = [other]
-                    return None
-                planes.append(found)
-            candidates = info.trackers[other].candidates
-            others += [OtherTrajectory(other, one, concurrent) for one in candidates]
-        kept = self._possible(drone, own, others, round_)
-        if kept is None:
+        for other in np.flatnonzero(flying & lacking).tolist():
+            found = None
+            if self._trusted and other not in chosen and self._config.planes == "fixed":
+                found = guaranteed_planes(info, drone, own, other, round_, self._config)
+            if found is None:
+                report.doing = "lacks another"
+                self._in_the_way = [other]
+                return None
+            planes.append(found)
+        neighbors = self._possible(drone, own, flying, chosen, round_)
+        if neighbors is None:
             report.doing = "no room to join"
             return None
         report.doing, report.drone = "planned", drone
-        report.voided = any(info.void(i, round_) for i in range(len(info.trackers)))
-        report.planned = self.planner.plan(drone, own, kept, info.unit, round_, planes)
+        report.voided = bool(info.void(round_).any())
+        report.planned = self.planner.plan(drone, own, neighbors, info.unit, round_, planes)
         return report.planned
 
     def _listening(self, round_: int) -> bool:
@@ -269,30 +263,26 @@ class ComputeUnit:
         return ""
 
     def _possible(
-        self, drone: int, own: Trajectory, others: list[OtherTrajectory], round_: int
-    ) -> list[OtherTrajectory] | None:
-        """Trajectories that can be true; None if a joining drone must wait.
+        self, drone: int, own: Trajectory, others: BoolArray, chosen: tuple[int, ...], round_: int
+    ) -> Neighbors | None:
+        """Trajectories of others (N,) that can be true; None if a joining drone must wait.
 
         What is flown keeps its distance, so whatever does not keep it from what this drone surely
         flies is not flown. A drone that is not in the air yet proves nothing. It is from t(k+1) on,
         a sample before those of its plan.
         """
-        info, start = self.information, round_ + 1
-        least = self._config.sampled_distance_m - _CONTRADICTION
-        mine = positions_from(own, start, self._config)
-        kept: list[OtherTrajectory] = []
-        if not others:
-            return kept
-        theirs = np.stack(
-            [positions_from(other.trajectory, start, self._config) for other in others]
+        info, start, config = self.information, round_ + 1, self._config
+        least = config.sampled_distance_m - _CONTRADICTION
+        owner, paths = info.trackers.candidates(others)
+        theirs = all_positions_from(paths, start, config)
+        near = least_distances(positions_from(own, start, config), theirs, config) < least
+        if near.any() and info.membership.joining[drone]:
+            return None
+        void = info.void(round_)
+        kept = ~near | void[owner] | void[drone]
+        return Neighbors(
+            np.ascontiguousarray(theirs[kept, 1:]), owner[kept], np.isin(owner[kept], chosen)
         )
-        gaps = least_distances(mine, theirs, self._config)
-        for other, near in zip(others, gaps < least, strict=True):
-            if near and drone in info.membership.joining:
-                return None
-            if not near or info.void(drone, round_) or info.void(other.drone, round_):
-                kept.append(other)
-        return kept
 
     @property
     def _config(self) -> MlrDmpcConfig:

@@ -1,10 +1,23 @@
-"""What a compute unit knows of a drone: all that it may fly, and of which of that the contents."""
+"""What a compute unit knows of the drones: all that each may fly, and the contents, if known.
+
+Each drone has a row of slots. A slot holds the number of an identity, whether the drone may fly it,
+and its contents if they are known; trajectories that it does not fly are remembered for a while.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
+from swarm_envs.state import BoolArray, IntArray
+
+_FREE = -1  # the number in a slot that is not used
+_SLOTS = 8  # of each drone at first
+_REMEMBERED = 3  # contents are kept for a while, whatever the drone flies: others may ask for them
 
 
 class SeparationGuarantee(NamedTuple):
@@ -16,108 +29,178 @@ class SeparationGuarantee(NamedTuple):
     """What the drone may have flown then, one of which gave the planes."""
 
 
-class InformationTracker:
-    """Candidates of one drone at one compute unit (D_iw).
+class InformationTrackers:
+    """Candidates of N drones at one compute unit (D_iw), in rows of C slots.
 
     `covering`: the candidates contain the true one (Lemma 1). `sole`: and there is no other.
     `up_to_date`: and all units of the view that are up to date hold the same (Lemma 2).
     """
 
-    def __init__(self) -> None:
-        self.possible: set[Identity] = set()
-        """What the drone may fly now or from the next round on."""
-        self.located = False
-        """Whether the drone has been heard, locked to the unit's view, since that was adopted."""
-        self.confirmed = -1
-        """Round of the last message from the drone that counted."""
-        self._contents: dict[Identity, Trajectory] = {}
-        self._guarantees: dict[Identity, SeparationGuarantee] = {}
+    def __init__(self, num_drones: int) -> None:
+        self.numbers: IntArray = np.full((num_drones, _SLOTS), _FREE)
+        """(N, C) identities by `Identity.number`."""
+        self.possible: BoolArray = np.zeros((num_drones, _SLOTS), dtype=bool)
+        """(N, C) what each drone may fly now or from the next round on."""
+        self.located: BoolArray = np.zeros(num_drones, dtype=bool)
+        """(N,) whether it has been heard, locked to the unit's view, since that was adopted."""
+        self.confirmed: IntArray = np.full(num_drones, -1)
+        """(N,) round of the last message from the drone that counted."""
+        self._known: BoolArray = np.zeros((num_drones, _SLOTS), dtype=bool)
+        self._contents: npt.NDArray[Any] = np.full((num_drones, _SLOTS), None, dtype=object)
+        self._guarantees: dict[tuple[int, int], SeparationGuarantee] = {}
 
     @property
-    def covering(self) -> bool:
-        """Whether the true trajectory is among the candidates (Lemma 1)."""
-        return self.located and all(one in self._contents for one in self.possible)
+    def lacking(self) -> BoolArray:
+        """(N, C) candidates of unknown contents."""
+        return np.asarray(self.possible & ~self._known)
 
     @property
-    def sole(self) -> Trajectory | None:
+    def covering(self) -> BoolArray:
+        """(N,) whether the true trajectory is among the candidates (Lemma 1)."""
+        return np.asarray(self.located & ~self.lacking.any(axis=1))
+
+    def up_to_date(self, round_: int) -> BoolArray:
+        """(N,) whether the drone was heard in the last round and nothing is missing."""
+        return np.asarray((self.confirmed == round_ - 1) & self.covering)
+
+    def sole(self, drone: int) -> Trajectory | None:
         """The one trajectory that the drone can fly, if that is known."""
-        if not self.located or len(self.possible) != 1:
+        (slots,) = np.nonzero(self.possible[drone])
+        if not self.located[drone] or len(slots) != 1 or not self._known[drone, slots[0]]:
             return None
-        (only,) = self.possible
-        return self._contents.get(only)
+        only: Trajectory = self._contents[drone, slots[0]]
+        return only
 
-    def up_to_date(self, round_: int) -> bool:
-        """Whether the drone was heard in the last round and nothing is missing."""
-        return self.confirmed == round_ - 1 and self.covering
+    def candidates(self, drones: BoolArray) -> tuple[IntArray, list[Trajectory]]:
+        """Those of known contents of some drones (N,), by drone and identity; whose they are."""
+        rows, slots = self._ordered(self.possible & self._known & drones[:, None])
+        return rows, self._contents[rows, slots].tolist()
 
-    @property
-    def candidates(self) -> list[Trajectory]:
-        """Those of known contents."""
-        return [self._contents[one] for one in sorted(self.possible) if one in self._contents]
+    def missing(self, drones: BoolArray) -> list[tuple[int, Identity]]:
+        """Those of unknown contents, after their drones, likewise."""
+        rows, slots = self._ordered(self.lacking & drones[:, None])
+        numbers = self.numbers[rows, slots].tolist()
+        return [(i, Identity.of(one)) for i, one in zip(rows.tolist(), numbers, strict=True)]
 
-    @property
-    def missing(self) -> list[Identity]:
-        """Those of unknown contents."""
-        return [one for one in sorted(self.possible) if one not in self._contents]
+    def newest(self) -> list[Trajectory | None]:
+        """By drone, the candidate with the latest start."""
+        numbers = np.where(self.possible & self._known, self.numbers, _FREE)
+        slots = numbers.argmax(axis=1)[:, None]
+        found = np.take_along_axis(self._contents, slots, axis=1)
+        found[np.take_along_axis(numbers, slots, axis=1) == _FREE] = None
+        newest: list[Trajectory | None] = found[:, 0].tolist()
+        return newest
 
-    def newest(self) -> Trajectory | None:
-        """The candidate with the latest start."""
-        known = [one for one in self.possible if one in self._contents]
-        return self._contents[max(known)] if known else None
-
-    def settled(self, round_: int) -> Trajectory | None:
-        """The newest candidate, if by the next round the drone will have said what it flies.
+    def settled(self, round_: int) -> BoolArray:
+        """(N,) whether the newest is what the drone flies once it has said so by the next round.
 
         That is so if nothing is missing, and there is one, or one more was sent in the last round.
         """
-        if not self.covering or sum(one.start_round < round_ for one in self.possible) > 1:
-            return None
-        return self.newest()
+        begun = self.possible & (self.numbers >> 8 < round_)
+        return np.asarray(self.covering & self.possible.any(axis=1) & (begun.sum(axis=1) <= 1))
 
-    def guarantee(self, identity: Identity) -> SeparationGuarantee | None:
+    def guarantee(self, drone: int, identity: Identity) -> SeparationGuarantee | None:
         """What is known of a plan of unknown contents."""
-        return self._guarantees.get(identity)
+        return self._guarantees.get((drone, identity.number))
 
-    def lose(self) -> None:
-        """Know no longer what the drone may fly."""
-        self.located, self.confirmed = False, -1
-
-    def locate(self, identity: Identity, round_: int, at_rest: Trajectory | None) -> None:
-        """The drone, locked to the view, says what it flies in a round; at rest that is all of it.
-
-        Whatever else it could have flown by then it does not fly.
-        """
-        later = {one for one in self.possible if one.start_round > round_}
-        self.possible = later | {identity} if self.located else {identity}
-        self.located, self.confirmed = True, round_
-        if at_rest is not None:
-            self._contents.setdefault(identity, at_rest)
-        kept = self.possible | set(self._newest_contents())
-        self._contents = {key: one for key, one in self._contents.items() if key in kept}
-        self._guarantees = {key: p for key, p in self._guarantees.items() if key in self.possible}
-
-    def add(self, identity: Identity, contents: Trajectory | None) -> None:
-        """A plan was sent to the drone, or may have been if its contents are not given."""
-        planned = identity.start_round - 1
-        if contents is not None:
-            self._contents[identity] = contents
-        elif self.located and all(one.start_round > planned for one in self.missing):
-            parents = tuple(c for c in self.candidates if c.identity.start_round <= planned)
-            self._guarantees.setdefault(identity, SeparationGuarantee(planned, parents))
-        self.possible.add(identity)
-
-    def learn(self, contents: Trajectory) -> None:
-        """Remember a trajectory of the drone, whether it may be flown or not."""
-        self._contents[contents.identity] = contents
-
-    def contents(self, identity: Identity) -> Trajectory | None:
+    def contents(self, drone: int, identity: Identity) -> Trajectory | None:
         """A trajectory, if it is still remembered."""
-        return self._contents.get(identity)
+        (slots,) = np.nonzero((self.numbers[drone] == identity.number) & self._known[drone])
+        return self._contents[drone, slots[0]] if len(slots) else None
 
-    def strike(self, identity: Identity) -> None:
-        """The drone was sent no such plan."""
-        self.possible.discard(identity)
+    def lose(self, drones: BoolArray | slice = slice(None)) -> None:
+        """Know no longer what some drones may fly."""
+        self.located[drones], self.confirmed[drones] = False, -1
 
-    def _newest_contents(self) -> list[Identity]:
-        """Kept for a while even where the drone flies something else: others may ask for them."""
-        return sorted(self._contents)[-3:]
+    def locate(
+        self,
+        drones: IntArray,
+        numbers: IntArray,
+        round_: int,
+        at_rest: Callable[[int], Trajectory | None],
+    ) -> None:
+        """Drones (D,), locked to the view, say what they fly in a round, by numbers (D,).
+
+        Whatever else they could have flown by then they do not fly. `at_rest`: what the drone of an
+        index flies, if it rests and has thus said all of it.
+        """
+        later = self.numbers[drones] >> 8 > round_
+        self.possible[drones] &= later & self.located[drones][:, None]
+        slots = self._slots(drones, numbers)
+        self.possible[drones, slots] = True
+        self.located[drones], self.confirmed[drones] = True, round_
+        unknown = ~self._known[drones, slots]
+        for drone, slot in zip(drones[unknown].tolist(), slots[unknown].tolist(), strict=True):
+            self._contents[drone, slot] = at_rest(drone)
+            self._known[drone, slot] = self._contents[drone, slot] is not None
+        self._forget(drones)
+
+    def add(self, drones: IntArray, identity: Identity, promises: bool) -> None:
+        """A plan may have been sent to one of some drones (D,).
+
+        `promises`: note what it keeps clear of, as its contents are not known.
+        """
+        if promises:
+            self._promise(drones, identity)
+        slots = self._slots(drones, np.full(len(drones), identity.number))
+        self.possible[drones, slots] = True
+
+    def learn(self, drone: int, contents: Trajectory) -> None:
+        """Remember a trajectory of the drone, whether it may be flown or not."""
+        (slot,) = self._slots(np.array([drone]), np.array([contents.identity.number]))
+        self._contents[drone, slot], self._known[drone, slot] = contents, True
+
+    def strike(self, planned: Mapping[int, int]) -> None:
+        """Plans by number, each of which was sent to one drone alone, or to none."""
+        recent = self.possible & (self.numbers >= min(planned, default=0))
+        for drone, slot in np.argwhere(recent).tolist() if planned else ():
+            if planned.get(int(self.numbers[drone, slot]), drone) != drone:
+                self.possible[drone, slot] = False
+
+    def _ordered(self, slots: BoolArray) -> tuple[IntArray, IntArray]:
+        """Drones and slots of a mask (N, C), by drone and then by number."""
+        rows, columns = np.nonzero(slots)
+        order = np.lexsort((self.numbers[rows, columns], rows))
+        return rows[order], columns[order]
+
+    def _slots(self, drones: IntArray, numbers: IntArray) -> IntArray:
+        """(D,) the slot of a number (D,) in each drone's row, a free one if there was none."""
+        rows = self.numbers[drones]
+        match, free = rows == numbers[:, None], rows == _FREE
+        if not (match | free).any(axis=1).all():
+            self._widen()
+            return self._slots(drones, numbers)
+        slots = np.where(match.any(axis=1), match.argmax(axis=1), free.argmax(axis=1))
+        self.numbers[drones, slots] = numbers
+        return np.asarray(slots)
+
+    def _widen(self) -> None:
+        more = InformationTrackers(len(self.located))
+        for name in ("numbers", "possible", "_known", "_contents"):
+            both = np.concatenate([getattr(self, name), getattr(more, name)], axis=1)
+            setattr(self, name, both)
+
+    def _promise(self, drones: IntArray, identity: Identity) -> None:
+        """Note what an unknown plan keeps clear of, unless it may follow another unknown one."""
+        planned = identity.start_round - 1
+        before = self.lacking[drones] & (self.numbers[drones] >> 8 <= planned)
+        for drone in drones[self.located[drones] & ~before.any(axis=1)].tolist():
+            _, known = self.candidates(np.arange(len(self.located)) == drone)
+            parents = tuple(one for one in known if one.identity.start_round <= planned)
+            promise = SeparationGuarantee(planned, parents)
+            self._guarantees.setdefault((drone, identity.number), promise)
+
+    def _forget(self, drones: IntArray) -> None:
+        """Empty the slots of what some drones do not fly, but for the newest contents."""
+        numbers = np.where(self._known[drones], self.numbers[drones], _FREE)
+        oldest = np.partition(numbers, -_REMEMBERED, axis=1)[:, -_REMEMBERED, None]
+        possible = self.possible[drones]
+        self._known[drones] &= possible | (numbers >= oldest)
+        used = possible | self._known[drones]
+        self.numbers[drones] = np.where(used, self.numbers[drones], _FREE)
+        if self._guarantees:
+            self._guarantees = {
+                (drone, number): promise
+                for (drone, number), promise in self._guarantees.items()
+                if (self.possible[drone] & (self.numbers[drone] == number)).any()
+            }

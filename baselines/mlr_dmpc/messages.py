@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from io import BytesIO
 from typing import Any, NamedTuple
@@ -15,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
-from swarm_envs.state import FloatArray
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, hover
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 
 
 class ViewId(NamedTuple):
@@ -26,6 +28,16 @@ class ViewId(NamedTuple):
     """Counts up with each proposal."""
     proposer: int
     """Compute unit that proposed it."""
+
+    @property
+    def number(self) -> int:
+        """Both as one integer, in the same order."""
+        return self.epoch << 8 | self.proposer
+
+    @staticmethod
+    def of(number: int) -> ViewId:
+        """The identity that has a number."""
+        return ViewId(number >> 8, number & 255)
 
 
 class MembershipView(NamedTuple):
@@ -61,32 +73,45 @@ RECENT = 4
 """Rounds whose own plans every message of a unit names."""
 
 
-class DroneState(NamedTuple):
-    """What a drone says in its own slot."""
+@dataclass(frozen=True, eq=False)
+class DroneStates:
+    """What drones say in their own slots of a round. Rows of who says nothing are meaningless."""
 
-    drone: int
-    """Whose slot it is."""
     round: int
     """When it is sent."""
-    identity: Identity
-    """Of the trajectory that it flies in this round."""
-    lock: ViewId
-    """The view that it has locked to; it accepts plans of no other."""
+    said: BoolArray
+    """(N,) whose messages these are."""
+    identity: IntArray
+    """(N,) `Identity.number` of the trajectory that each flies in this round."""
+    lock: IntArray
+    """(N,) `ViewId.number` of the view that it has locked to; it accepts plans of no other."""
     target: FloatArray
-    """(3,) where it wants to go, m, as the message carries it."""
+    """(N, 3) where it wants to go, m, as the message carries it."""
     kinematics: FloatArray
-    """(1, 3) position at rest, float32; else (3, 3) with velocity and acceleration, 16 bit."""
-    joining: bool = False
-    """It is not in the air yet: no plan for it has been accepted."""
-    gone: bool = False
-    """It has left the air."""
-    reinitialised: bool = False
-    """It was so far off its reference that it has given that up."""
+    """(N, 3, 3) position, velocity and acceleration, 16 bit; at rest the position, float32."""
+    resting: BoolArray
+    """(N,) whether its trajectory has ended, so that the position is all there is to know."""
+    joining: BoolArray
+    """(N,) it is not in the air yet: no plan for it has been accepted."""
+    gone: BoolArray
+    """(N,) it has left the air."""
+    reinitialised: BoolArray
+    """(N,) it was so far off its reference that it has given that up."""
+    _paths: dict[int, Trajectory] = field(default_factory=dict)
 
-    @property
-    def resting(self) -> bool:
-        """Whether its trajectory has ended, so that the position is all there is to know."""
-        return len(self.kinematics) == 1
+    def heard(self, arrived: BoolArray) -> DroneStates:
+        """Those messages that have arrived (N,)."""
+        return replace(self, said=self.said & arrived)
+
+    def at_rest(self, drone: int, config: MlrDmpcConfig) -> Trajectory | None:
+        """The trajectory of a drone that rests, which its message carries whole."""
+        if not self.resting[drone]:
+            return None
+        if drone not in self._paths:
+            identity = Identity.of(int(self.identity[drone]))
+            resting = hover(self.kinematics[drone, 0], config.num_inputs, config.input_sampling_s)
+            self._paths[drone] = replace(resting, identity=identity)
+        return self._paths[drone]
 
 
 class MessageKind(IntEnum):
@@ -153,6 +178,16 @@ REQUEST_BYTES = 132
 _TRAJECTORY_BYTES = 204  # for which the reference's slots are made
 _STEPS = 65535
 _FLAGS = ("joining", "gone", "reinitialised")
+_HEAD = np.dtype(
+    [
+        ("round", "<u2"),
+        ("unit", "u1"),
+        ("epoch", "<u2"),
+        ("proposer", "u1"),
+        ("flags", "u1"),
+        ("target", "<u2", 3),
+    ]
+)  # of a drone's message
 
 
 class Codec:
@@ -162,8 +197,9 @@ class Codec:
     """
 
     def __init__(self, num_drones: int, num_units: int, config: MlrDmpcConfig) -> None:
-        self._config, self._num_units = config, num_units
-        self._id_bytes = 1 if num_drones <= 254 else 2
+        self._config, self._num_units, self._num_drones = config, num_units, num_drones
+        self._id_bits = max(math.ceil(math.log2(num_drones - UNSURE)), 8)
+        self._id_bytes = math.ceil(self._id_bits / 8)
         drone_bytes = math.ceil(num_drones / 8)
         self._mask_bytes = (math.ceil(num_units / 8), drone_bytes, drone_bytes)
         # Plans with more jerks than the reference's need larger slots.
@@ -175,59 +211,79 @@ class Codec:
         self._lower[1:] *= limits
         self._span[1:] *= limits
 
-    def check_units(self, hovering: Trajectory) -> None:
-        """Refuse more compute units than a message can name.
+    def check_sizes(self, hovering: Trajectory) -> None:
+        """Refuse more compute units and drones than messages can name.
 
-        What a message cannot do without: the selection, three donated slots and a relayed
-        trajectory, such as one that hovers.
+        What messages cannot do without: the selection, three donated slots and a relayed
+        trajectory, such as one that hovers; the selection and a view.
 
         Raises:
             ValueError: that does not fit into a slot.
         """
-        units = self._num_units
+        units, view = self._num_units, MembershipView(ViewId(0, 0), (), frozenset())
         fullest = UnitMessage(
-            MessageKind.RELAY, 0, 0, ViewId(0, 0), 0, hovering, (0,) * units, donations=(0, 0, 0)
+            MessageKind.RELAY, 0, 0, view.id, 0, hovering, (0,) * units, donations=(0, 0, 0)
         )
         over = len(self.pack(fullest)) - self._slot_bytes
         if over > 0:
             raise ValueError(
                 f"compute_units is {units}, but a slot of {self._slot_bytes} bytes has no room to "
-                f"name the drones of more than {units - math.ceil(over / self._id_bytes)}: use "
+                f"name the drones of more than {units - math.ceil(8 * over / self._id_bits)}: use "
                 "fewer units"
+            )
+        news = fullest._replace(kind=MessageKind.EMPTY, trajectory=None, donations=(), members=view)
+        over = len(self.pack(news)) - REQUEST_BYTES
+        if over > 0:
+            raise ValueError(
+                f"there are {self._num_drones} drones, but {REQUEST_BYTES} bytes have no room to "
+                f"say which take part of more than {self._num_drones - 4 * over}: use fewer drones"
             )
 
     def carried(self, kinematics: FloatArray) -> FloatArray:
-        """(n, 3) position (and velocity, acceleration) as 16 bit carry them, within bounds."""
-        count = len(kinematics)
-        return self._lower[:count] + self._steps(kinematics) * (self._span[:count] / _STEPS)
+        """(..., n, 3) position (and velocity, acceleration) as 16 bit carry them, in bounds."""
+        return self._unsteps(self._steps(kinematics))
 
     def carried_targets(self, targets: FloatArray) -> FloatArray:
         """(N, 3) targets as 16 bit carry them."""
         steps = np.rint((targets - self._lower[0]) / self._span[0] * _STEPS)
         return np.asarray(self._lower[0] + steps * (self._span[0] / _STEPS))
 
-    def pack_state(self, state: DroneState) -> bytes:
-        """A drone's message, at most 32 bytes."""
-        flags = sum(getattr(state, name) << bit for bit, name in enumerate(_FLAGS))
-        head = _packed_identity(state.identity) + struct.pack("<HBB", *state.lock, flags)
-        target = self._steps(state.target[None]).astype("<u2").tobytes()
-        if state.resting:
-            return head + target + state.kinematics.astype("<f4").tobytes()
-        return head + target + self._steps(state.kinematics).astype("<u2").tobytes()
+    def pack_states(self, states: DroneStates) -> list[bytes]:
+        """The messages of those drones that say something, at most 32 bytes each."""
+        heads = np.zeros(len(states.said), dtype=_HEAD)
+        heads["round"], heads["unit"] = states.identity >> 8 & 0xFFFF, states.identity & 255
+        heads["epoch"], heads["proposer"] = states.lock >> 8, states.lock & 255
+        heads["flags"] = sum(getattr(states, name) << bit for bit, name in enumerate(_FLAGS))
+        heads["target"] = self._steps(states.target[:, None])[:, 0]
+        moving = self._steps(states.kinematics).astype("<u2")
+        bodies = [
+            states.kinematics[i, 0].astype("<f4") if r else moving[i]
+            for i, r in enumerate(states.resting)
+        ]
+        return [heads[i].tobytes() + bodies[i].tobytes() for i in np.flatnonzero(states.said)]
 
-    def unpack_state(self, data: bytes, drone: int, round_: int) -> DroneState:
-        """The message that a drone has sent in a round."""
-        identity = _unpacked_identity(data[:3], round_)
-        epoch, proposer, bits = struct.unpack("<HBB", data[3:7])
-        flags = {name: bool(bits >> bit & 1) for bit, name in enumerate(_FLAGS)}
-        target = self._unsteps(np.frombuffer(data[7:13], "<u2").reshape(1, 3))[0]
-        body = data[13:]
-        if len(body) == 12:
-            kinematics = np.frombuffer(body, "<f4").astype(np.float64).reshape(1, 3)
-        else:
-            kinematics = self._unsteps(np.frombuffer(body, "<u2").reshape(3, 3))
-        lock = ViewId(epoch, proposer)
-        return DroneState(drone, round_, identity, lock, target, kinematics, **flags)
+    def unpack_states(self, data: Sequence[bytes], round_: int) -> DroneStates:
+        """What drones have said in a round, by their messages; nothing where one is empty."""
+        size = _HEAD.itemsize
+        heads = np.array([np.frombuffer(one.ljust(size, b"\0"), _HEAD, 1)[0] for one in data])
+        kinematics = np.zeros((len(data), 3, 3))
+        resting = np.array([len(one) == size + 12 for one in data])
+        for i, one in enumerate(data):
+            if resting[i]:
+                kinematics[i, 0] = np.frombuffer(one[size:], "<f4")
+            elif one:
+                kinematics[i] = self._unsteps(np.frombuffer(one[size:], "<u2").reshape(3, 3))
+        starts = _latest(heads["round"].astype(np.int64), round_)
+        return DroneStates(
+            round_,
+            np.array([len(one) > 0 for one in data]),
+            starts << 8 | heads["unit"],
+            heads["epoch"].astype(np.int64) << 8 | heads["proposer"],
+            self._unsteps(heads["target"][:, None])[:, 0],
+            kinematics,
+            resting,
+            **{name: heads["flags"] >> k & 1 == 1 for k, name in enumerate(_FLAGS)},
+        )
 
     def filled(self, message: UnitMessage, order: list[tuple[int, int]]) -> UnitMessage:
         """The message with as many priorities as fit; what others can do without goes first.
@@ -307,22 +363,25 @@ class Codec:
         return UnitMessage(kind, round_, unit, view, **found)
 
     def _steps(self, kinematics: FloatArray) -> npt.NDArray[np.int64]:
-        count = len(kinematics)
+        count = kinematics.shape[-2]
         share = (kinematics - self._lower[:count]) / self._span[:count]
         return np.rint(np.minimum(np.maximum(share, 0.0), 1.0) * _STEPS).astype(np.int64)
 
-    def _unsteps(self, steps: npt.NDArray[np.uint16]) -> FloatArray:
-        count = len(steps)
+    def _unsteps(self, steps: npt.NDArray[np.integer]) -> FloatArray:
+        count = steps.shape[-2]
         return np.asarray(self._lower[:count] + steps * (self._span[:count] / _STEPS))
 
     def _ids(self, ids: tuple[int, ...]) -> bytes:
-        size = self._id_bytes  # negative ones, NONE and UNSURE, become the largest numbers
-        return b"".join((i % 256**size).to_bytes(size, "little") for i in ids)
+        end = 1 << self._id_bits  # negative ones, NONE and UNSURE, become the largest numbers
+        together = sum(i % end << k * self._id_bits for k, i in enumerate(ids))
+        return together.to_bytes(math.ceil(len(ids) * self._id_bits / 8), "little")
 
     def _read_ids(self, reader: BytesIO, count: int) -> tuple[int, ...]:
-        size = self._id_bytes
-        read = (int.from_bytes(reader.read(size), "little") for _ in range(count))
-        return tuple(i - 256**size if i >= 256**size + UNSURE else i for i in read)
+        end = 1 << self._id_bits
+        size = math.ceil(count * self._id_bits / 8)
+        together = int.from_bytes(reader.read(size), "little")
+        read = (together >> k * self._id_bits & end - 1 for k in range(count))
+        return tuple(i - end if i >= end + UNSURE else i for i in read)
 
 
 def _trajectory_bytes(config: MlrDmpcConfig) -> int:
@@ -357,4 +416,9 @@ def _packed_identity(identity: Identity) -> bytes:
 def _unpacked_identity(data: bytes, round_: int) -> Identity:
     """The identity whose start, known to 16 bit, is not after the next round."""
     low, unit = struct.unpack("<HB", data)
-    return Identity(round_ + 1 - ((round_ + 1 - low) & 0xFFFF), unit)
+    return Identity(_latest(low, round_), unit)
+
+
+def _latest(low: Any, round_: int) -> Any:
+    """The latest first round, of the 16 bit that are known of it, up to the next round."""
+    return round_ + 1 - (round_ + 1 - low & 0xFFFF)

@@ -6,6 +6,7 @@ A reference has constant jerk within a round, so that five set-points a second s
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Literal
@@ -15,6 +16,7 @@ import numpy as np
 from swarm_envs.agents import Actions, Observations
 from swarm_envs.arguments import typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import obstacle_planes
+from swarm_envs.baselines.mlr_dmpc.faults import Deaf, Unreachable
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import LossModel
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm
@@ -23,6 +25,7 @@ from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
+from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.motion import ORBITS
@@ -74,11 +77,14 @@ class MlrDmpcAgent:
         """Parameters of the episode."""
         self.swarm: MlrDmpcSwarm | None = None
         """Compute units, drones and radio of the episode; None before the first."""
+        self.faults: dict[int, str] = {}
+        """What keeps a drone from its goal in this episode, by drone: it is deaf, or another rests
+        on the goal. Each is also a `RuntimeWarning` when it is found."""
 
     @classmethod
-    def compensated(cls) -> MlrDmpcAgent:
-        """The agent over the controller of Neural-Swarm2, which feeds `load_belief()` forward."""
-        return cls(controller=ControllerConfig(feedforward=load_belief()))
+    def compensated(cls, belief: InteractionModel | None = None) -> MlrDmpcAgent:
+        """The agent over Neural-Swarm2's controller, by default with `load_belief()`."""
+        return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Begin with all drones hovering; the seed draws which messages are lost.
@@ -94,7 +100,7 @@ class MlrDmpcAgent:
                 "formation, or the agent 'tracking-compensated'"
             )
         goals = env.core.world.goals[0]
-        self._agents = list(env.agents)
+        self._agents, self.faults = list(env.agents), {}
         self.config = replace(
             self._given,
             box=_box(task, start, goals),
@@ -126,6 +132,11 @@ class MlrDmpcAgent:
         rows = np.concatenate([flown.reshape(len(flown), 12), np.zeros((len(flown), 2))], axis=1)
         measured = np.stack([view.state.position, view.state.velocity], axis=1)
         self.swarm.run_round(targets=np.array(view.goals), measured=measured)
+        found: list[Deaf | Unreachable] = [*self.swarm.deaf, *self.swarm.unreachable]
+        for fault in found:
+            if fault.drone not in self.faults:
+                self.faults[fault.drone] = str(fault)
+                warnings.warn(str(fault), RuntimeWarning, stacklevel=2)
         return dict(zip(self._agents, rows, strict=True))
 
 

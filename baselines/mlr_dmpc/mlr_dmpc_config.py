@@ -1,7 +1,7 @@
 """What MLR-DMPC is tuned by: times, bounds, distances and weights.
 
-Values are those published, unless a field says otherwise: with `path_weight=0.0, soft_m=0.3,
-soft_near_m=0.8, turn_rad=0.0` all are.
+Values are those published, unless a field says otherwise: with `planes="fixed", path_weight=0.0,
+soft_m=0.3, soft_near_m=0.8, turn_rad=0.0, collision_sampling_s=0.1` all are.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ __all__ = ["MlrDmpcConfig"]
 Corner = tuple[float, float, float]
 """A point, by axis: x, y, z."""
 _Factor = Annotated[float, POSITIVE]
+_MOST_TURNED = 4
 _MOST_SAMPLES = 1000
 """Samples of a round: matrices of the optimisation have a row for each in the horizon."""
 
@@ -104,10 +105,10 @@ class MlrDmpcConfig:
     """For how many rounds they make room."""
     detour_pause_rounds: Annotated[int, Range(0)] = 5
     """For how many more rounds they then fly on, whoever waits."""
-    planes: Literal["fixed", "relinearised"] = "fixed"
-    """Where a plan keeps clear of drones that are not planned in the same round: `fixed` behind
-    planes between what both fly, as published, or `relinearised` around its own solution, again
-    until that stays (Lemma 3 asks for the distance alone). The latter arrives sooner, but takes
+    planes: Literal["fixed", "relinearised"] = "relinearised"
+    """Where a plan keeps clear of drones that are not planned in the same round: `relinearised`
+    around its own solution, again until that stays (Lemma 3 asks for the distance alone), or
+    `fixed` behind planes between what both fly, as published. The former arrives sooner, but takes
     longer to solve, and what is lost stops more plans: no promise holds (Lemma 9)."""
     turn_rad: Annotated[float, NOT_NEGATIVE] = 0.4
     """By how much planes between drones that are apart enough are turned, counter-clockwise as seen
@@ -135,9 +136,13 @@ class MlrDmpcConfig:
     def for_swarm(self, num_drones: int) -> MlrDmpcConfig:
         """The parameters with which N drones fly: planes are turned by (2 / N)^2 of `turn_rad`.
 
-        In a large swarm nothing is so symmetric as to stay stuck, and the turn costs time.
+        In a large swarm nothing is so symmetric as to stay stuck, and the turn costs time. With
+        relinearised planes that is so for more than four drones, which are not turned at all.
         """
-        return replace(self, turn_rad=self.turn_rad * min(1.0, 2.0 / max(num_drones, 1)) ** 2)
+        share = min(1.0, 2.0 / max(num_drones, 1)) ** 2
+        if self.planes == "relinearised" and num_drones > _MOST_TURNED:
+            share = 0.0
+        return replace(self, turn_rad=self.turn_rad * share)
 
     @property
     def num_inputs(self) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from swarm_envs.baselines.mlr_dmpc.compute_unit import ComputeUnit, UnitRound
 from swarm_envs.baselines.mlr_dmpc.messages import (
     Codec,
-    DroneState,
+    DroneStates,
     MembershipView,
     MessageKind,
     UnitMessage,
@@ -59,30 +59,12 @@ class Drone:
         """Whether it has left the air."""
         self._config, self._codec = config, codec
         self._granted: dict[tuple[int, int], tuple[int, ...]] = {}
-        self._gave_up = -(10**6)
+        self.gave_up = -(10**6)
+        """Round in which it last gave up its reference."""
 
     def leave(self) -> None:
         """Leave the air. The others avoid it until they hear that it has."""
         self.gone, self.airborne = True, False
-
-    def state(self, round_: int, target: FloatArray) -> DroneState:
-        """Its message of a round, with its target (3,) as messages carry it, m."""
-        kinematics = state_at(self.flying, round_, self._config)
-        if is_at_rest(self.flying, round_, self._config):
-            kinematics = kinematics[:1].astype(np.float32).astype(np.float64)
-        else:
-            kinematics = self._codec.carried(kinematics)
-        return DroneState(
-            self.index,
-            round_,
-            self.flying.identity,
-            self.view.id,
-            target,
-            kinematics,
-            joining=not self.airborne and not self.gone,
-            gone=self.gone,
-            reinitialised=round_ - self._gave_up < _REPORTED_ROUNDS,
-        )
 
     def answers(self, round_: int) -> dict[int, Any]:
         """Its trajectory, in the slots that it was given, by slot."""
@@ -92,6 +74,11 @@ class Drone:
             for (unit, granted), rest in self._granted.items()
             if granted == round_
         }
+
+    def minds(self, message: Any) -> bool:
+        """Whether a message can change anything here: the others need not be looked at."""
+        named = message.drone == self.index or self.index in getattr(message, "donations", ())
+        return named or getattr(message, "members", None) is not None
 
     def accepts(self, message: Any) -> bool:
         """Whether it would fly a plan, if it heard nothing else in that round."""
@@ -135,7 +122,7 @@ class Drone:
             return None
         if accepted is not None:
             self.flying, self.airborne = accepted, True
-            self._gave_up = -(10**6)
+            self.gave_up = -(10**6)
         return accepted
 
     def give_up(self, measured: FloatArray, round_: int) -> bool:
@@ -151,7 +138,7 @@ class Drone:
         jerk = np.zeros_like(self.flying.jerk)
         identity = Identity(round_, NOBODY)
         self.flying = Trajectory(identity, state, jerk, self._config.input_sampling_s)
-        self._gave_up = round_
+        self.gave_up = round_
         return True
 
 
@@ -180,28 +167,46 @@ class SwarmNodes(ABC):
 
     def send(
         self, k: int, targets: FloatArray, alive: Collection[int], present: Collection[int]
-    ) -> tuple[dict[int, DroneState], dict[int, Any], dict[int, int]]:
+    ) -> tuple[DroneStates, dict[int, Any], dict[int, int]]:
         """All messages of round k, of units that are alive and drones that are switched on.
 
         Returns:
-            States by drone, messages by slot, and the node that sends in each slot.
+            States, messages by slot, and the node that sends in each slot.
         """
-        states, slots, senders = {}, {}, {}
+        slots, senders = {}, {}
         for unit in range(self.options.num_units):
             message = self._step(unit, k, targets) if unit in alive else None
             if unit not in alive:
                 self.units[unit] = None
             if message is not None:
                 slots[unit], senders[unit] = message, len(self.drones) + unit
-        carried = self.codec.carried_targets(targets)
         for drone in self.drones:
-            if drone.index not in present:
-                continue
-            states[drone.index] = drone.state(k, carried[drone.index])
-            for unit, answer in drone.answers(k).items():
+            for unit, answer in drone.answers(k).items() if drone.index in present else ():
                 if unit not in slots:
                     slots[unit], senders[unit] = answer, drone.index
-        return states, slots, senders
+        return self._states(k, targets, present), slots, senders
+
+    def _states(self, k: int, targets: FloatArray, present: Collection[int]) -> DroneStates:
+        """What the drones say in round k, with targets (N, 3) as messages carry them."""
+        drones, config = self.drones, self.options.config
+        exact = np.array([state_at(drone.flying, k, config) for drone in drones])
+        kinematics = self.codec.carried(exact)
+        resting = np.array([is_at_rest(drone.flying, k, config) for drone in drones])
+        kinematics[resting] = 0.0
+        kinematics[resting, 0] = exact[resting, 0].astype(np.float32)
+        gone = np.array([drone.gone for drone in drones])
+        return DroneStates(
+            k,
+            np.isin(np.arange(len(drones)), list(present)),
+            np.array([drone.flying.identity.number for drone in drones]),
+            np.array([drone.view.id.number for drone in drones]),
+            self.codec.carried_targets(targets),
+            kinematics,
+            resting,
+            joining=np.array([not drone.airborne for drone in drones]) & ~gone,
+            gone=gone,
+            reinitialised=np.array([k - drone.gave_up < _REPORTED_ROUNDS for drone in drones]),
+        )
 
     def _step(self, unit: int, k: int, targets: FloatArray) -> Any:
         if self.units[unit] is None:
@@ -216,8 +221,14 @@ class SwarmNodes(ABC):
         """Take in what arrived of a round; the plans that drones accept, by drone."""
         first_unit = len(self.drones)
         self._inboxes = {unit: log.inbox(first_unit + unit) for unit in alive}
-        heard = {i: self.drones[i].receive(log.inbox(i)) for i in present}
-        return {i: plan for i, plan in heard.items() if plan is not None}
+        accepted = {}
+        for drone in self.drones:
+            if drone.index in present:
+                said = {u: m for u, m in log.slots.items() if drone.minds(m)}
+                heard = {u: m for u, m in said.items() if log.arrived[log.senders[u], drone.index]}
+                plan = drone.receive(Inbox(log.round, log.states, heard))
+                accepted.update({drone.index: plan} if plan is not None else {})
+        return accepted
 
     def may_fly(self, log: RoundLog[Any]) -> list[list[Trajectory]]:
         """What each drone may fly next, whichever of a round's messages arrive."""
@@ -226,14 +237,14 @@ class SwarmNodes(ABC):
             + [
                 message.trajectory
                 for message in log.slots.values()
-                if drone.index in log.states and message.trajectory and drone.accepts(message)
+                if log.states.said[drone.index] and message.trajectory and drone.accepts(message)
             ]
             for drone in self.drones
         ]
 
     def bytes_sent(self, log: RoundLog[Any]) -> int:
         """Bytes of all messages of a round."""
-        states = sum(len(self.codec.pack_state(state)) for state in log.states.values())
+        states = sum(map(len, self.codec.pack_states(log.states)))
         return states + sum(self.message_bytes(message) for message in log.slots.values())
 
 
@@ -252,7 +263,7 @@ class RecoveryNodes(SwarmNodes):
         joins: Mapping[int, int],
     ) -> None:
         codec = Codec(len(hovers), options.num_units, options.config)
-        codec.check_units(hovers[0])
+        codec.check_sizes(hovers[0])
         members = frozenset(range(len(hovers))) - joins.keys()
         self._view = MembershipView(ViewId(0, 0), tuple(range(options.num_units)), members)
         drones = [
@@ -261,10 +272,8 @@ class RecoveryNodes(SwarmNodes):
         ]
         super().__init__(drones, targets, options, codec)
         for unit in self.units if informed else ():
-            for drone in members:
-                tracker = unit.information.trackers[drone]
-                tracker.learn(hovers[drone])
-                tracker.locate(hovers[drone].identity, -1, None)
+            indices, numbers = np.array(sorted(members)), np.full(len(members), NOBODY)
+            unit.information.trackers.locate(indices, numbers, -1, hovers.__getitem__)
 
     def make_unit(self, unit: int, targets: FloatArray, since: int) -> ComputeUnit:
         """A unit that knows the first view, and of targets what drones will say."""

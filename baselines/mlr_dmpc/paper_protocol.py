@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import Neighbors
 from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
 from swarm_envs.baselines.mlr_dmpc.messages import (
     NONE,
@@ -25,11 +26,10 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.nodes import Drone, SwarmNodes
 from swarm_envs.baselines.mlr_dmpc.radio import Inbox
-from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, all_positions_from
 from swarm_envs.baselines.mlr_dmpc.unit_planner import (
     JUST_PLANNED,
     Levels,
-    OtherTrajectory,
     Planner,
     PlanningOptions,
     consensus,
@@ -150,7 +150,7 @@ class PaperUnit:
     report: UnitRound = field(init=False)
     """What the unit did in the last round."""
     state: _UnitState = _UnitState.REQUEST_TRAJECTORY
-    """Where the unit stands in Algorithm 2."""
+    """Where the unit stands in Algorithm 1."""
 
     def __post_init__(self) -> None:
         self.deprecated = [not known for known in self.candidates]
@@ -187,13 +187,14 @@ class PaperUnit:
 
     def update(self, inbox: Inbox[PaperMessage]) -> None:
         """Algorithm 2."""
-        for state in inbox.states:
-            self.targets[state.drone] = state.target
-            known = self.candidates[state.drone]
-            match = known.get(state.identity)
-            self.deprecated[state.drone] = match is None
+        states = inbox.states
+        self.targets[states.said] = states.target[states.said]
+        for drone in np.flatnonzero(states.said).tolist():
+            identity = Identity.of(int(states.identity[drone]))
+            match = self.candidates[drone].get(identity)
+            self.deprecated[drone] = match is None
             if match is not None:
-                self.candidates[state.drone] = {state.identity: match}
+                self.candidates[drone] = {identity: match}
         if any(len(known) > 1 for known in self.candidates):
             self._deprecate_all()
         if len(inbox.slots) != self.num_units:
@@ -230,12 +231,16 @@ class PaperUnit:
             return message
         (trajectory,) = self.candidates[drone].values()
         others = [
-            OtherTrajectory(other, one, other in chosen)
+            (other, one)
             for other, known in enumerate(self.candidates)
             for one in known.values()
             if other != drone
         ]
-        planned = self.planner.plan(drone, trajectory, others, self.unit, round_)
+        config = self.planner.options.config
+        paths = all_positions_from([one for _, one in others], round_ + 1, config)
+        owner = np.array([other for other, _ in others], dtype=np.int64)
+        neighbors = Neighbors(np.ascontiguousarray(paths[:, 1:]), owner, np.isin(owner, chosen))
+        planned = self.planner.plan(drone, trajectory, neighbors, self.unit, round_)
         self.report.doing, self.report.drone, self.report.planned = "planned", drone, planned
         if not planned.accepted:
             return message
@@ -250,8 +255,8 @@ class TrustingUnit(PaperUnit):
 
     def update(self, inbox: Inbox[PaperMessage]) -> None:
         """Every plan heard has arrived at its drone."""
-        for state in inbox.states:
-            self.targets[state.drone] = state.target
+        states = inbox.states
+        self.targets[states.said] = states.target[states.said]
         for message in inbox.slots.values():
             if message.trajectory is not None:
                 self.candidates[message.drone] = {message.trajectory.identity: message.trajectory}

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import Range, typed
-from swarm_envs.baselines.mlr_dmpc.messages import DroneState
+from swarm_envs.baselines.mlr_dmpc.messages import DroneStates
 from swarm_envs.state import BoolArray, FloatArray
 
 __all__ = ["Jam", "LossModel"]
@@ -232,7 +232,7 @@ class Inbox(Generic[M]):
 
     round: int
     """When it was sent."""
-    states: list[DroneState]
+    states: DroneStates
     """From drones' slots."""
     slots: dict[int, M]
     """From compute units' slots."""
@@ -244,8 +244,8 @@ class RoundLog(Generic[M]):
 
     round: int
     """When it was sent."""
-    states: dict[int, DroneState]
-    """By drone."""
+    states: DroneStates
+    """From drones' slots."""
     slots: dict[int, M]
     """By compute unit's slot."""
     senders: dict[int, int]
@@ -256,6 +256,5 @@ class RoundLog(Generic[M]):
     def inbox(self, node: int) -> Inbox[M]:
         """What a node has heard."""
         heard = self.arrived[:, node]
-        states = [state for drone, state in self.states.items() if heard[drone]]
         slots = {unit: m for unit, m in self.slots.items() if heard[self.senders[unit]]}
-        return Inbox(self.round, states, slots)
+        return Inbox(self.round, self.states.heard(heard[: len(self.states.said)]), slots)

@@ -10,6 +10,7 @@ import numpy as np
 from tqdm import tqdm
 
 from swarm_envs.arguments import typed
+from swarm_envs.baselines.mlr_dmpc.faults import Unreachable
 from swarm_envs.baselines.mlr_dmpc.input_checks import checked_points
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import LossModel, RoundLog
@@ -29,21 +30,6 @@ class Violation(NamedTuple):
     """Another."""
     distance_m: float
     """Their scaled distance."""
-
-
-class Unreachable(NamedTuple):
-    """A target that a drone cannot take."""
-
-    drone: int
-    """Whose target it is."""
-    other: int
-    """The drone that rests on it."""
-
-    def __str__(self) -> str:
-        return (
-            f"the target of drone {self.drone} is unreachable because another drone, {self.other}, "
-            "rests on it"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +63,8 @@ class MlrDmpcResult:
     unreachable: tuple[Unreachable, ...]
     """Targets that other drones rest on."""
     deaf: tuple[int, ...]
-    """Drones that accepted none of at least the last 20 plans for them: they hear nothing."""
+    """Drones that accepted none of at least the last 20 plans for them: they hear nothing. A flight
+    ends when all have arrived but these, and those in `unreachable`."""
     reports: tuple[SwarmRound, ...]
     """What happened in each round."""
     log: tuple[RoundLog[Any], ...]
@@ -91,8 +78,6 @@ REFERENCE_RATE = 100.0
 """Samples of the reference positions per second."""
 _DAY_S = 86_400
 _TOLERANCE = 1e-6
-_DEAF_PLANS = 20
-_SETTLED_ROUNDS = 35  # after so many rounds at rest a drone is taken to stay
 
 
 @typed
@@ -225,27 +210,11 @@ class _FlightRecorder:
         here = [(self._errors[-1][d.index] <= swarm.config.arrival_m).all() for d in flying]
         if all(near) and all(here) and not waiting:
             return True
-        stuck = {drone for pair in self.unreachable() for drone in pair}
+        stuck = {i for one in swarm.unreachable for i in one}
+        stuck |= {one.drone for one in swarm.deaf}
         return bool(stuck) and all(
             one or drone.index in stuck for drone, one in zip(flying, near, strict=True)
         )
-
-    def unreachable(self) -> tuple[Unreachable, ...]:
-        """Targets that other drones rest on."""
-        swarm, config = self.swarm, self.swarm.config
-        drones = [drone for drone in swarm.nodes.drones if drone.airborne]
-        settled = swarm.round - config.horizon_rounds - _SETTLED_ROUNDS
-        rest = [d for d in drones if d.flying.identity.start_round <= settled]
-        out = []
-        for drone in drones:
-            target = swarm.targets[drone.index]
-            if np.linalg.norm(end_position(drone.flying, config) - target) <= config.arrival_m:
-                continue
-            for other in rest:
-                apart = (end_position(other.flying, config) - target) * config.inverse_scaling
-                if other is not drone and np.linalg.norm(apart) < config.sampled_distance_m:
-                    out.append(Unreachable(drone.index, other.index))
-        return tuple(out)
 
     def result(self) -> MlrDmpcResult:
         """The flight as a whole."""
@@ -273,22 +242,11 @@ class _FlightRecorder:
             pairs,
             float(pairs.min()),
             self._least,
-            self.unreachable(),
-            _deaf(self.reports),
+            swarm.unreachable,
+            tuple(one.drone for one in swarm.deaf),
             tuple(self.reports),
             tuple(swarm.log),
         )
-
-
-def _deaf(reports: list[SwarmRound]) -> tuple[int, ...]:
-    """Drones that did not accept the last plans that were sent to them."""
-    missed: dict[int, int] = {}
-    for report in reports:
-        for unit in report.units:
-            if unit.planned is not None and unit.planned.accepted:
-                heard = unit.drone in report.accepted
-                missed[unit.drone] = 0 if heard else missed.get(unit.drone, 0) + 1
-    return tuple(sorted(drone for drone, count in missed.items() if count >= _DEAF_PLANS))
 
 
 def _arrivals(errors: FloatArray, near: float) -> FloatArray:

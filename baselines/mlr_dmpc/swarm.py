@@ -11,6 +11,7 @@ import numpy as np
 from swarm_envs.arguments import Range, typed
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach
 from swarm_envs.baselines.mlr_dmpc.compute_unit import UnitRound
+from swarm_envs.baselines.mlr_dmpc.faults import Deaf, MissedPlans, Unreachable, unreachable
 from swarm_envs.baselines.mlr_dmpc.input_checks import (
     checked_indices,
     checked_options,
@@ -135,6 +136,7 @@ class MlrDmpcSwarm:
         nodes = RecoveryNodes if recovery is True else PaperNodes if recovery else TrustingNodes
         self.nodes: SwarmNodes = nodes(hovers, self.targets, options, informed, self._joins)
         """Drones and compute units."""
+        self._missed = MissedPlans()
         self.log: list[RoundLog[Any]] = []
         """All messages."""
         self.may_fly: list[list[Trajectory]] = [[one] for one in hovers]
@@ -150,6 +152,16 @@ class MlrDmpcSwarm:
     def airborne(self) -> list[bool]:
         """Which drones are in the air."""
         return [drone.airborne for drone in self.nodes.drones]
+
+    @property
+    def deaf(self) -> tuple[Deaf, ...]:
+        """Drones that seem to hear nothing."""
+        return self._missed.deaf()
+
+    @property
+    def unreachable(self) -> tuple[Unreachable, ...]:
+        """Targets that other drones rest on."""
+        return unreachable(self.nodes.drones, self.targets, self.round, self.config)
 
     def run_round(
         self, targets: FloatArray | None = None, measured: FloatArray | None = None
@@ -186,6 +198,7 @@ class MlrDmpcSwarm:
         accepted = nodes.receive(log, alive, present)
         self.round = k + 1
         reports = tuple(nodes.reports[unit] for unit in sorted(alive))
+        self._missed.note(reports, accepted)
         return SwarmRound(k, reports, accepted, nodes.bytes_sent(log))
 
     def reference(self, times: FloatArray) -> FloatArray:

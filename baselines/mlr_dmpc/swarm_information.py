@@ -11,7 +11,6 @@ the rounding of its state.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -21,11 +20,11 @@ from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
     Neighbors,
     voronoi_planes,
 )
-from swarm_envs.baselines.mlr_dmpc.information_tracker import InformationTracker
+from swarm_envs.baselines.mlr_dmpc.information_tracker import InformationTrackers
 from swarm_envs.baselines.mlr_dmpc.messages import (
     NONE,
     UNSURE,
-    DroneState,
+    DroneStates,
     MembershipView,
     MessageKind,
     Missing,
@@ -34,8 +33,13 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
 )
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.radio import Inbox
-from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, sampled_positions
-from swarm_envs.state import FloatArray
+from swarm_envs.baselines.mlr_dmpc.trajectory import (
+    Identity,
+    Trajectory,
+    all_positions_from,
+    sampled_positions,
+)
+from swarm_envs.state import BoolArray, FloatArray
 
 LISTENING_ROUNDS = 2
 """A unit that comes back is silent for so long: a slot given away before stays given away."""
@@ -81,18 +85,18 @@ class _Absences:
 class Membership:
     """The view of one compute unit, which starts or comes back in round `since`."""
 
-    def __init__(self, unit: int, view: MembershipView, num_units: int, since: int) -> None:
-        self.view = view
-        self.adopted = since
-        """Round at which the view was adopted."""
+    def __init__(
+        self, unit: int, view: MembershipView, num_units: int, num_drones: int, since: int
+    ) -> None:
+        self._adopt(view, since, num_drones)
         self._unit, self._since = unit, since
         self._highest = view.id
         self._absences = _Absences(num_units)
-        self.joining: set[int] = set()
-        """Drones that have said that they are not in the air yet."""
-        self.gone: set[int] = set()
-        """Drones that have said that they have left the air."""
-        self._heard_of = set(view.drones)
+        self.joining: BoolArray = np.zeros(num_drones, dtype=bool)
+        """(N,) who has said that they are not in the air yet."""
+        self.gone: BoolArray = np.zeros(num_drones, dtype=bool)
+        """(N,) who has said that they have left the air."""
+        self._heard_of = self.drones.copy()
         self._behind_since: int | None = None
         self._others_behind = False
         self._retry = since + LISTENING_ROUNDS
@@ -102,21 +106,24 @@ class Membership:
 
         `present`: units that were heard, or whose slots are known to be given away.
         """
-        drones = len(self.view.drones)
-        lost = max(drones - len(inbox.states), 0)
+        drones, states = len(self.view.drones), inbox.states
+        lost = max(drones - int(states.said.sum()), 0)
         self._absences.observe(present, -math.log((lost + 0.5) / (drones + 1)))
-        for state in inbox.states:
-            self._note(state)
+        locks = states.lock[states.said]
+        self._highest = max(self._highest, ViewId.of(int(locks.max(initial=0))))
+        self._heard_of |= states.said
+        self.gone |= states.said & states.gone
+        self.joining = np.where(states.said, states.joining, self.joining)
         before = self.view
         for message in inbox.slots.values():
             self._highest = max(self._highest, message.view)
             if message.members is not None:
-                self._heard_of |= message.members.drones
-                self.gone |= message.members.gone
+                self._heard_of[list(message.members.drones)] = True
+                self.gone[list(message.members.gone)] = True
                 if message.members.id > self.view.id:
-                    self._adopt(message.members, inbox.round + 1)
-        self._others_behind = any(m.view < self.view.id for m in inbox.slots.values()) or any(
-            state.lock < self.view.id for state in inbox.states
+                    self._adopt(message.members, inbox.round + 1, len(self.gone))
+        self._others_behind = any(m.view < self.view.id for m in inbox.slots.values()) or bool(
+            (locks < self.view.id.number).any()
         )
         behind = self._highest > self.view.id
         if not behind:
@@ -134,8 +141,8 @@ class Membership:
         if self._unit not in self.view.units:
             return round_ >= self._retry and self._proposed(round_)
         gone = {unit for unit in self.view.units if self._absences.gone(unit)}
-        new, left = self._heard_of - self.view.drones - self.gone, self.gone & self.view.drones
-        if not (gone or new or left):
+        new, left = self._heard_of & ~self.drones & ~self.gone, self.gone & self.drones
+        if not (gone or (new | left).any()):
             return False
         first = min((u for u in self.view.units if u not in gone), default=self._unit)
         return first == self._unit and self._proposed(round_)
@@ -149,16 +156,6 @@ class Membership:
         """The view, as long as a member may not have heard of it."""
         new = self.view.id.epoch > 0 and round_ - self.adopted < _ANNOUNCED_ROUNDS
         return self.view if new or self._others_behind else None
-
-    def _note(self, state: DroneState) -> None:
-        self._highest = max(self._highest, state.lock)
-        self._heard_of.add(state.drone)
-        if state.gone:
-            self.gone.add(state.drone)
-        if state.joining:
-            self.joining.add(state.drone)
-        else:
-            self.joining.discard(state.drone)
 
     def _propose_blindly(self, round_: int) -> bool:
         """Nobody says who belongs to a higher view: after a while, claim all drones heard of.
@@ -182,13 +179,22 @@ class Membership:
         units |= {unit for unit in range(self._absences.count) if self._absences.present(unit)}
         id_ = ViewId(max(self._highest.epoch, self._since) + 1, self._unit)
         self._retry = round_ + 2 * (self._retry - self._since)
-        drones, gone = frozenset(self._heard_of - self.gone), frozenset(self.gone)
-        self._adopt(MembershipView(id_, tuple(sorted(units)), drones, gone), round_)
+        drones, gone = self._heard_of & ~self.gone, self.gone
+        view = MembershipView(id_, tuple(sorted(units)), _members(drones), _members(gone))
+        self._adopt(view, round_, len(gone))
         self._highest = id_
         return True
 
-    def _adopt(self, view: MembershipView, round_: int) -> None:
-        self.view, self.adopted = view, round_
+    def _adopt(self, view: MembershipView, round_: int, num_drones: int) -> None:
+        self.view = view
+        self.adopted = round_
+        """Round at which the view was adopted."""
+        self.drones: BoolArray = np.isin(np.arange(num_drones), list(view.drones))
+        """(N,) the drones of the view."""
+
+
+def _members(drones: BoolArray) -> frozenset[int]:
+    return frozenset(np.flatnonzero(drones).tolist())
 
 
 _VOID_ROUNDS = 2
@@ -210,8 +216,8 @@ class SwarmInformation:
         since: int = 0,
     ) -> None:
         self.unit, self._config = unit, config
-        self.membership = Membership(unit, view, num_units, since)
-        self.trackers = [InformationTracker() for _ in targets]
+        self.membership = Membership(unit, view, num_units, len(targets), since)
+        self.trackers = InformationTrackers(len(targets))
         self.targets = np.array(targets)
         self.donated: dict[tuple[int, int], int] = {}
         """Drone to which a unit (first) has given its slot in a round (second)."""
@@ -221,7 +227,7 @@ class SwarmInformation:
         """The last round's messages of units."""
         self._selections: dict[int, tuple[ViewId, tuple[int, ...]]] = {}
         self._complete: dict[int, list[tuple[int, frozenset[int]]]] = {}
-        self._void: dict[int, int] = {}
+        self._gave_up = np.full(len(targets), -(10**6))
         self._since = since
 
     @property
@@ -238,24 +244,24 @@ class SwarmInformation:
         """Note which drones may be replanned in a round."""
         self._selections[round_] = self.view.id, chosen
 
-    def flying(self) -> Iterator[int]:
-        """Drones of the view that have not left the air."""
-        return (drone for drone in sorted(self.view.drones) if drone not in self.membership.gone)
+    @property
+    def flying(self) -> BoolArray:
+        """(N,) drones of the view that have not left the air."""
+        return self.membership.drones & ~self.membership.gone
 
     def ready(self) -> bool:
         """Whether every drone was heard in the view, so that nobody can accept an older plan."""
-        located = all(self.trackers[drone].located for drone in self.view.drones)
-        return located and self.membership.member
+        located = self.trackers.located | ~self.membership.drones
+        return bool(located.all()) and self.membership.member
 
     def missing(self) -> list[Missing]:
         """Trajectories that may be flown and are not known."""
-        return [Missing(i, one) for i in self.flying() for one in self.trackers[i].missing]
+        return [Missing(*one) for one in self.trackers.missing(self.flying)]
 
-    def void(self, drone: int, round_: int) -> bool:
-        """Whether a drone has given up its reference lately: no distance is promised then."""
-        return round_ - self._void.get(drone, -(10**6)) <= _VOID_ROUNDS * (
-            self._config.horizon_rounds
-        )
+    def void(self, round_: int) -> BoolArray:
+        """(N,) who has given up its reference lately: no distance is promised then."""
+        since = round_ - self._gave_up
+        return np.asarray(since <= _VOID_ROUNDS * self._config.horizon_rounds)
 
     def knew(self, unit: int, drone: int, since: int, until: int) -> bool:
         """Whether a unit is known to have had all that a drone may fly, in one of some rounds."""
@@ -276,9 +282,8 @@ class SwarmInformation:
         given = {unit for unit, round_ in self.donated if round_ == last}
         present = frozenset({*inbox.slots, *given, self.unit})
         if self.membership.update(inbox, present):
-            self._lose()
-        for state in inbox.states:
-            self._locate(state)
+            self.trackers.lose()
+        self._locate(inbox.states)
         for message in inbox.slots.values():
             if message.current is not None and message.view == self.view.id:
                 self.select(last, message.current)
@@ -292,53 +297,49 @@ class SwarmInformation:
         }
         for message in self.reported.values():
             self._hear(message, last)
+        self.trackers.strike(
+            {
+                Identity(last - ago + 1, message.unit).number: planned
+                for message in self.reported.values()
+                for ago, planned in enumerate(message.recent)
+                if planned != UNSURE
+            }
+        )
         self._forget(last)
 
     def propose(self, round_: int) -> None:
         """Adopt a new view if the present one no longer fits."""
         if self.membership.propose(round_):
-            self._lose()
+            self.trackers.lose()
 
-    def _lose(self) -> None:
-        for tracker in self.trackers:
-            tracker.lose()
-
-    def _locate(self, state: DroneState) -> None:
-        drone, tracker = state.drone, self.trackers[state.drone]
-        self.targets[drone] = state.target
-        if state.reinitialised:
-            self._void[drone] = state.round
-        if state.lock != self.view.id:
-            if state.lock > self.view.id:
-                tracker.lose()
-            return
-        tracker.locate(state.identity, state.round, self._at_rest(state))
-
-    def _at_rest(self, state: DroneState) -> Trajectory | None:
-        """The trajectory of a drone that rests, which its message carries whole."""
-        if not state.resting:
-            return None
-        still = np.zeros((3, 3))
-        still[0] = state.kinematics[0]
-        jerk = np.zeros((self._config.num_inputs, 3))
-        return Trajectory(state.identity, still, jerk, self._config.input_sampling_s)
+    def _locate(self, states: DroneStates) -> None:
+        said, lock = states.said, self.view.id.number
+        self.targets[said] = states.target[said]
+        self._gave_up[said & states.reinitialised] = states.round
+        self.trackers.lose(said & (states.lock > lock))
+        (drones,) = np.nonzero(said & (states.lock == lock))
+        self.trackers.locate(
+            drones,
+            states.identity[drones],
+            states.round,
+            lambda drone: states.at_rest(drone, self._config),
+        )
 
     def _account(self, unit: int, message: UnitMessage | None, last: int, given: set[int]) -> None:
         """Add what a member's slot may have sent to a drone in the last round."""
         if message is not None and message.trajectory is not None:
-            tracker = self.trackers[message.drone]
-            tracker.learn(message.trajectory)
+            self.trackers.learn(message.drone, message.trajectory)
             if message.kind is MessageKind.PLAN and message.view == self.view.id:
-                tracker.add(message.trajectory.identity, message.trajectory)
+                self.trackers.add(np.array([message.drone]), message.trajectory.identity, False)
         elif message is None and unit not in given and unit != self.unit:
             selection = self.selection(last)
-            drones = list(self.view.drones)
+            (drones,) = np.nonzero(self.membership.drones)
             if selection is not None:
                 rank = self.view.rank(unit, last)
                 chosen = selection[rank] if rank < len(selection) else NONE
-                drones = [] if chosen == NONE else [chosen]
-            for drone in drones:
-                self.trackers[drone].add(Identity(last + 1, unit), None)
+                drones = np.array([chosen][: chosen != NONE], dtype=np.int64)
+            promises = self._config.planes == "fixed"
+            self.trackers.add(drones, Identity(last + 1, unit), promises)
 
     def _hear(self, message: UnitMessage, last: int) -> None:
         """Take in all but the trajectory of a unit's message."""
@@ -348,13 +349,6 @@ class SwarmInformation:
         if message.complete:
             lacking = frozenset(missing.drone for missing in message.missing)
             self._complete.setdefault(message.unit, []).append((last, lacking))
-        for ago, planned in enumerate(message.recent):
-            identity = Identity(last - ago + 1, message.unit)
-            if planned == UNSURE:
-                continue
-            for drone, tracker in enumerate(self.trackers):
-                if drone != planned and identity in tracker.possible:
-                    tracker.strike(identity)
 
     def _forget(self, last: int) -> None:
         self.donated = {key: one for key, one in self.donated.items() if key[1] >= last}
@@ -378,14 +372,11 @@ def guaranteed_planes(
 
     None are known for a drone that is not in the air: who planned for j has not minded its hover.
     """
-    if info.void(drone, round_) or info.void(other, round_):
+    if info.void(round_)[[drone, other]].any() or info.membership.joining[drone]:
         return None
-    if drone in info.membership.joining:
-        return None
-    tracker = info.trackers[other]
     parents: list[Trajectory] = []
-    for identity in tracker.missing:
-        guarantee = tracker.guarantee(identity)
+    for _, identity in info.trackers.missing(np.arange(len(info.targets)) == other):
+        guarantee = info.trackers.guarantee(other, identity)
         start = own.identity.start_round
         if guarantee is None or start > guarantee.round:
             return None
@@ -395,7 +386,7 @@ def guaranteed_planes(
             return None
         parents += guarantee.parents
     positions = sampled_positions(own, round_ + 1, config)
-    others = np.stack([sampled_positions(parent, round_ + 1, config) for parent in parents])
+    others = np.ascontiguousarray(all_positions_from(parents, round_ + 1, config)[:, 1:])
     nobody = np.zeros(len(others), dtype=np.int64)
     beside = Neighbors(others, nobody, np.zeros(len(others), dtype=bool))
     normals = voronoi_planes(positions, beside, config).normals
@@ -407,7 +398,7 @@ def assign_to_units(info: SwarmInformation, chosen: list[int], round_: int) -> t
     """Selected drones, by rank, so that no unit gets one whose trajectory it lacks."""
     size = len(info.view.units)
     lacks = {unit: {m.drone for m in requests} for unit, requests in info.requests.items()}
-    lacks[info.unit] = {i for i in chosen if info.trackers[i].sole is None}
+    lacks[info.unit] = {i for i in chosen if info.trackers.sole(i) is None}
     slots = [NONE] * size
     taker = {info.view.rank(unit, round_): unit for unit in info.view.units}
     for drone in chosen:
@@ -421,7 +412,7 @@ def with_relay(info: SwarmInformation, message: UnitMessage) -> UnitMessage:
     """The message, with a trajectory that another unit lacks if this one has it."""
     for unit in sorted(info.requests, key=lambda unit: (unit - info.unit) % 256):
         for request in info.requests[unit]:
-            contents = info.trackers[request.drone].contents(request.identity)
+            contents = info.trackers.contents(*request)
             if contents is not None:
                 return message._replace(
                     kind=MessageKind.RELAY, drone=request.drone, trajectory=contents

@@ -5,6 +5,7 @@ They are sampled once at the instants that rounds ask for; `closest_distances` i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
@@ -26,6 +27,16 @@ class Identity(NamedTuple):
     """Round at whose beginning the trajectory starts."""
     compute_unit: int
     """Who planned it."""
+
+    @property
+    def number(self) -> int:
+        """Both as one integer, in the same order."""
+        return self.start_round << 8 | self.compute_unit
+
+    @staticmethod
+    def of(number: int) -> Identity:
+        """The identity that has a number."""
+        return Identity(number >> 8, number & 255)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +126,19 @@ def _all_positions(trajectory: Trajectory, step: float, count: int) -> FloatArra
 
 def positions_from(trajectory: Trajectory, start_round: int, config: MlrDmpcConfig) -> FloatArray:
     """Positions (S + 1, 3) at t, t + T_c, t + 2 T_c, ... of a round's start t, m."""
-    count = config.num_samples
-    age = (start_round - trajectory.identity.start_round) * config.samples_per_round
-    first = min(age, count)
-    return _all_positions(trajectory, config.collision_sampling_s, count)[first : first + count + 1]
+    return all_positions_from([trajectory], start_round, config)[0]
+
+
+def all_positions_from(
+    trajectories: Sequence[Trajectory], start_round: int, config: MlrDmpcConfig
+) -> FloatArray:
+    """Positions (C, S + 1, 3) of several, as `positions_from` gives them, m."""
+    out = np.empty((len(trajectories), config.num_samples + 1, 3))
+    step, count, parts = config.collision_sampling_s, config.num_samples, config.samples_per_round
+    for path, one in zip(out, trajectories, strict=True):
+        first = min((start_round - one.identity.start_round) * parts, count)
+        path[:] = _all_positions(one, step, count)[first : first + count + 1]
+    return out
 
 
 def sampled_positions(
@@ -129,14 +149,15 @@ def sampled_positions(
 
 
 @lru_cache(maxsize=4096)
-def _all_states(trajectory: Trajectory, round_s: float, rounds: int) -> FloatArray:
+def states_by_round(trajectory: Trajectory, round_s: float, rounds: int) -> FloatArray:
+    """States (H + 1, 3, 3) at the starts of rounds from its own on."""
     return trajectory.states(round_s * np.arange(rounds + 1, dtype=np.float64))
 
 
 def state_at(trajectory: Trajectory, round_: int, config: MlrDmpcConfig) -> FloatArray:
     """State (3, 3), position, velocity and acceleration, at the start of a round."""
     age = round_ - trajectory.identity.start_round
-    states = _all_states(trajectory, config.round_s, config.horizon_rounds)
+    states = states_by_round(trajectory, config.round_s, config.horizon_rounds)
     return states[min(age, config.horizon_rounds)]
 
 
@@ -155,8 +176,21 @@ def is_at_rest(trajectory: Trajectory, round_: int, config: MlrDmpcConfig) -> bo
 
 def least_distances(one: FloatArray, others: FloatArray, config: MlrDmpcConfig) -> FloatArray:
     """Least scaled distances (C,) of positions (S, 3) from others (C, S, 3), m."""
-    apart = (others - one) * config.inverse_scaling
-    return np.sqrt(np.einsum("csi,csi->cs", apart, apart).min(axis=1))
+    return _least_distances(one, others, config.inverse_scaling)
+
+
+@kernel
+def _least_distances(one: FloatArray, others: FloatArray, shrink: FloatArray) -> FloatArray:
+    out = np.empty(len(others))
+    for c in range(len(others)):
+        least = np.inf
+        for s in range(len(one)):
+            square = 0.0
+            for i in range(3):
+                square += ((others[c, s, i] - one[s, i]) * shrink[i]) ** 2
+            least = min(least, square)
+        out[c] = np.sqrt(least)
+    return out
 
 
 _PARTS = 8

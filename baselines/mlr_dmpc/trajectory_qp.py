@@ -17,6 +17,7 @@ from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
     ROW_MARGIN,
     HalfSpaces,
     Neighbors,
+    comes_near,
     out_of_reach,
     reachable_boxes,
     soft_weights,
@@ -158,6 +159,8 @@ _ROW_ROUNDING = 1e-6
 _FIRST_SLACK = 0.1
 _STRIDE_S = 0.3
 _RELINEARISATIONS = 6  # most programs of a plan after the first
+_RANGE_MARGIN = 1e-3  # bounds are broken by less, SI
+_TOUCHING_M = 1e-4  # rows with more slack do not hold a plan back
 _SETTLED_M = 0.02  # the end of a plan moves less: it is not solved again
 _BROKEN = -1e-7
 _MOST_PROGRAMS = 30
@@ -202,7 +205,8 @@ def program(
     """The program of a plan from where `own` will be at the start of a round.
 
     Planes to drones that are not planned in the same round are those of `around`, a plan from then
-    on that keeps its distances, if there is one; the rows then are as wide as that needs.
+    on that keeps its distances, if there is one; these rows then are as wide as that needs. Bounds
+    are those of what is flown, or each solution would wear them down a little more.
 
     No row asks for all that the plan that is flown gives, so that plan stays feasible, although its
     state is rounded at the new start. As an instant is planned for at most every second round of
@@ -211,11 +215,13 @@ def program(
     fixed = condensed(config)
     since = config.round_s * (start_round - own.identity.start_round)
     state = own.states(np.array([since]))[0].astype(np.float32).astype(np.float64)
-    positions, bounded = _samples_left(own, since, fixed)
+    flown, bounded = _samples_left(own, since, fixed)
+    positions, jerk = flown, bounded[-config.num_inputs :]
+    if around is not None:
+        positions, jerk = _samples_left(around, 0.0, fixed)[0], around.jerk
     between = voronoi_planes(positions, neighbors, config)
     if around is not None:
-        positions, bounded = _samples_left(around, 0.0, fixed)
-        between = _relinearised(between, positions, neighbors, config)
+        _take_planes(between, flown, neighbors, config)
     parts = [between, *planes]
     spaces = HalfSpaces(*(np.concatenate(arrays) for arrays in zip(*parts)))
     slack = np.einsum("rsi,si->rs", spaces.normals, positions) - spaces.offsets
@@ -232,7 +238,7 @@ def program(
         state,
         fixed.gradient @ offset,
         rows,
-        fixed.jerks_inverse @ (bounded[-config.num_inputs :] - fixed.jerks.start @ state),
+        fixed.jerks_inverse @ (jerk - fixed.jerks.start @ state),
         float(slack.min(initial=np.inf)),
         int((~rows.done).any(axis=1).sum()),
         spaces.offsets + np.minimum(-TOLERANCE / 2, slack),
@@ -242,16 +248,37 @@ def program(
     )
 
 
-def _relinearised(
-    flown: HalfSpaces, positions: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig
-) -> HalfSpaces:
-    """The planes of what is flown where both drones need the same one, else those of positions."""
-    around = voronoi_planes(positions, neighbors, config)
-    both = neighbors.concurrent[:, None]
-    return HalfSpaces(
-        np.where(both[..., None], flown.normals, around.normals),
-        np.where(both, flown.offsets, around.offsets),
+def _take_planes(
+    between: HalfSpaces, flown: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig
+) -> None:
+    """Put the planes of what is flown (S, 3) where both drones need the same one."""
+    both = neighbors.concurrent
+    same = voronoi_planes(flown, neighbors.some(both), config)
+    between.normals[both], between.offsets[both] = same
+
+
+def _in_range(
+    own: Trajectory, start_round: int, neighbors: Neighbors, config: MlrDmpcConfig
+) -> Neighbors:
+    """Those that are planned in the same round, or that some plan from now on comes near to.
+
+    From the others every plan keeps its distance, and the soft margin at the end.
+    """
+    fixed = condensed(config)
+    since = config.round_s * (start_round - own.identity.start_round)
+    state = own.states(np.array([since]))[0]
+    _, bounded = _samples_left(own, since, fixed)
+    lower = np.minimum(fixed.lower, bounded) - _RANGE_MARGIN
+    upper = np.maximum(fixed.upper, bounded) + _RANGE_MARGIN
+    keep = np.full(config.num_samples, config.sampled_distance_m + _RANGE_MARGIN)
+    keep[-1] += config.soft_m
+    near = comes_near(
+        *reachable_boxes(state, lower, upper, config),
+        neighbors.positions,
+        config.inverse_scaling,
+        keep,
     )
+    return neighbors.some(near | neighbors.concurrent)
 
 
 def _program_rows(
@@ -312,6 +339,8 @@ class RowGeneration:
         """Why there is no optimum, or nothing."""
         self.solve_ms = 0.0
         """In the solver, CPU time of this thread, ms."""
+        self.softened = False
+        """Whether the optimum closes a soft margin."""
         self._problem, self._solver = problem, solver(solver_name)
         self._parts: list[_WorkingSet] = []
         self._active: BoolArray = np.zeros(0, dtype=bool)
@@ -352,6 +381,7 @@ class RowGeneration:
         self.solve_ms += 1e3 * (time.thread_time() - begin)
         self._active = found.active
         free = len(self._problem.slope)
+        self.softened = bool((np.abs(found.y[3 * free :]) > TOLERANCE).any())
         self.z = np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
         return found.solved
 
@@ -396,11 +426,14 @@ def plan_trajectory(
     """
     begin = time.thread_time()
     identity = Identity(start_round, compute_unit)
+    anew = config.planes == "relinearised"
+    if anew:
+        neighbors = _in_range(own, start_round, neighbors, config)
     situation = own, start_round, neighbors, target, config, planes
     problem = program(*situation)
     first = _solve(problem, solver_name, identity, config)
     solve_ms, best = first.solve_ms, first
-    again = config.planes == "relinearised" and not neighbors.concurrent.all()
+    again = anew and not neighbors.concurrent.all() and first.held_back
     for _ in range(_RELINEARISATIONS if again and first.reason == ACCEPTED else 0):
         found = _solve(program(*situation, best.plan), solver_name, identity, config)
         solve_ms += found.solve_ms
@@ -430,6 +463,7 @@ class _Solution(NamedTuple):
     reason: str  # `accepted`, or why not
     solve_ms: float  # in the solver
     num_rows: int  # of the last program
+    held_back: bool  # by a half-space or a soft margin: other planes may allow a better plan
 
 
 def _solve(
@@ -441,7 +475,10 @@ def _solve(
     jerk[-1] = 0.0
     plan = Trajectory(identity, problem.state, jerk, config.input_sampling_s)
     reason = found.failure or broken(plan, problem, fixed)
-    return _Solution(plan, reason, found.solve_ms, found.num_rows)
+    rows = problem.rows
+    slack = least_slack(rows.base + rows.by_variables @ found.z, rows.normals, rows.offsets)
+    held_back = found.softened or slack < _TOUCHING_M
+    return _Solution(plan, reason, found.solve_ms, found.num_rows, held_back)
 
 
 def broken(plan: Trajectory, problem: Program, fixed: Condensed) -> str:

@@ -19,16 +19,17 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces, Neighbors, no_neighbors
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import HalfSpaces, Neighbors
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
 from swarm_envs.baselines.mlr_dmpc.trajectory import (
     Trajectory,
-    end_position,
-    sampled_positions,
-    state_at,
+    states_by_round,
 )
 from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Planned, plan_trajectory
+from swarm_envs.compiled import kernel, part
 from swarm_envs.state import BoolArray, FloatArray, IntArray
+
+_PARALLEL = 1e-10  # contacts of a smaller sine squared, or volume, are as good as dependent
 
 
 def deadlocked(
@@ -41,38 +42,105 @@ def deadlocked(
     distance kept, and of the walls of the box, balance the pull of its target but for
     `deadlock_residual` of it.
     """
-    pull = targets - ends
-    length = np.linalg.norm(pull, axis=1)
-    still = speeds <= config.deadlock_speed
-    gap = np.linalg.norm((ends[:, None] - ends) * config.inverse_scaling, axis=-1)
-    touches = still & (gap <= config.contact_factor * config.sampled_distance_m)
-    np.fill_diagonal(touches, False)
-    out = np.zeros(len(ends), dtype=bool)
-    for i in np.flatnonzero(still & (length > config.deadlock_m)):
-        between = (ends[i] - ends[touches[i]]) * config.inverse_scaling**2
-        contacts = np.concatenate([between, _walls(ends[i], config)])
-        out[i] = unbalanced(pull[i] / length[i], contacts) <= config.deadlock_residual
+    return _deadlocked(
+        ends,
+        speeds <= config.deadlock_speed,
+        targets,
+        np.array(config.box),
+        config.inverse_scaling,
+        config.sampled_distance_m,
+        (config.contact_factor, config.deadlock_m, config.deadlock_residual),
+    )
+
+
+@kernel
+def _deadlocked(
+    ends: FloatArray,
+    still: BoolArray,
+    targets: FloatArray,
+    box: FloatArray,
+    shrink: FloatArray,
+    distance: float,
+    limits: tuple[float, float, float],
+) -> BoolArray:
+    factor, away, residual = limits
+    count, near = len(ends), (factor - 1.0) * distance
+    out: BoolArray = np.zeros(count, dtype=np.bool_)
+    contacts = np.empty((count + 6, 3))
+    for i in range(count):
+        pull = targets[i] - ends[i]
+        length, touching = np.sqrt((pull * pull).sum()), 0
+        if not still[i] or length <= away:
+            continue
+        for j in range(count):
+            square = 0.0
+            for axis in range(3):
+                contacts[touching, axis] = (ends[i, axis] - ends[j, axis]) * shrink[axis]
+                square += contacts[touching, axis] ** 2
+            if still[j] and j != i and np.sqrt(square) <= factor * distance:
+                contacts[touching] *= shrink
+                touching += 1
+        for face in range(6):  # those of the box push inwards
+            low, axis = face < 3, face % 3
+            gap = ends[i, axis] - box[0, axis] if low else box[1, axis] - ends[i, axis]
+            if gap <= near:
+                contacts[touching] = 0.0
+                contacts[touching, axis] = 1.0 if low else -1.0
+                touching += 1
+        out[i] = unbalanced(pull / length, contacts[:touching]) <= residual
     return out
 
 
+@kernel
 def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
-    """What is left of a pull (3,) when contacts push along (K, 3), non-negative least squares."""
-    length = np.linalg.norm(contacts, axis=1, keepdims=True)
-    touching = length[:, 0] > 1e-9  # two that would end at one place push nowhere
-    if not touching.any():
-        return float(np.linalg.norm(pull))
-    from scipy.optimize import nnls
+    """What is left of a pull (3,) when contacts push along (K, 3), non-negative least squares.
 
-    directions = contacts[touching] / length[touching]
-    return float(nnls(directions.T, -pull)[1])
+    At the optimum at most three contacts push, independent of each other, so one of them alone, a
+    pair or a triple whose forces are not negative gives it.
+    """
+    count = 0
+    push = np.empty_like(contacts)
+    for contact in contacts:
+        length = np.sqrt((contact * contact).sum())
+        if length > 1e-9:  # two that would end at one place push nowhere
+            push[count] = contact / length
+            count += 1
+    least = np.sqrt((pull * pull).sum())
+    for i in range(count):
+        alone = -(pull * push[i]).sum()
+        least = min(least, _left(pull, push[i], push[i], push[i], (alone, 0.0, 0.0)))
+        for j in range(i):
+            cosine, other = (push[i] * push[j]).sum(), -(pull * push[j]).sum()
+            sine2 = 1.0 - cosine**2
+            if sine2 > _PARALLEL:
+                forces = ((alone - cosine * other) / sine2, (other - cosine * alone) / sine2, 0.0)
+                least = min(least, _left(pull, push[i], push[j], push[j], forces))
+            for k in range(j):
+                normal = np.cross(push[j], push[k])
+                volume = (push[i] * normal).sum()
+                if abs(volume) > _PARALLEL:
+                    forces = (
+                        -(pull * normal).sum() / volume,
+                        -(pull * np.cross(push[k], push[i])).sum() / volume,
+                        -(pull * np.cross(push[i], push[j])).sum() / volume,
+                    )
+                    least = min(least, _left(pull, push[i], push[j], push[k], forces))
+    return least
 
 
-def _walls(point: FloatArray, config: MlrDmpcConfig) -> FloatArray:
-    """(K, 3) inward normals of the faces of the box that a point (3,) touches."""
-    lower, upper = np.array(config.box)
-    near = (config.contact_factor - 1.0) * config.sampled_distance_m
-    normals = np.eye(3)
-    return np.concatenate([normals[point - lower <= near], -normals[upper - point <= near]])
+@part
+def _left(
+    pull: FloatArray,
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    forces: tuple[float, float, float],
+) -> float:
+    """What is left of a pull under forces along three directions; infinite if one pulls."""
+    if min(forces) < 0.0:
+        return math.inf
+    left = pull + forces[0] * a + forces[1] * b + forces[2] * c
+    return math.sqrt((left * left).sum())
 
 
 NOBODY = -1
@@ -130,9 +198,8 @@ def next_detours(
     stuck = deadlocked(swarm.ends, speeds, swarm.targets, config)
     age = round_index - detours.since
     keep = (detours.for_whom != NOBODY) & (age < config.detour_rounds)
-    yields = _yields(swarm, stuck & ~keep, config)
     free = ~keep & (age >= config.detour_rounds + config.detour_pause_rounds)
-    for_whom = np.where(yields.any(axis=1), _nearest(swarm, yields, config), NOBODY)
+    for_whom = _whom(swarm, stuck & ~keep, config)
     served = np.isin(np.arange(len(stuck)), for_whom[free]) | np.isin(
         np.arange(len(stuck)), detours.for_whom[keep]
     )
@@ -147,28 +214,24 @@ def next_detours(
     )
 
 
-def _yields(swarm: SwarmSnapshot, stuck: BoolArray, config: MlrDmpcConfig) -> BoolArray:
-    """(N, N) whether row i should make room for column j."""
+def _whom(swarm: SwarmSnapshot, stuck: BoolArray, config: MlrDmpcConfig) -> IntArray:
+    """(N,) the nearest of the stuck (N,) that each should make room for, or `NOBODY`."""
+    index, who = np.arange(len(stuck)), np.flatnonzero(stuck)
+    if not len(who):
+        return np.full(len(stuck), NOBODY)
     position, left = swarm.positions, swarm.targets - swarm.positions
     distance = np.linalg.norm(left, axis=1)
-    between = position[:, None] - position
+    between = position[:, None] - position[who]
     gap = np.linalg.norm(between, axis=-1)
-    ahead = np.einsum("ijk,jk->ij", between, left) > 0.5 * gap * distance
+    ahead = np.einsum("ijk,jk->ij", between, left[who]) > 0.5 * gap * distance[who]
     closing = np.einsum("ijk,ik->ij", between, swarm.velocities) < 0.0
     meets = np.einsum("ijk,ik->ij", between, left) < -0.5 * gap * distance[:, None]
     at_home = distance <= 0.9 * config.sampled_distance_m
-    out = stuck & (gap < config.detour_range_m) & (ahead | closing | meets)
-    out &= (distance[:, None] <= distance) & ~at_home[:, None]
-    tie = distance[:, None] == distance
-    index = np.arange(len(distance))
-    out &= ~tie | (index[:, None] < index)
-    return out
-
-
-def _nearest(swarm: SwarmSnapshot, allowed: BoolArray, config: MlrDmpcConfig) -> IntArray:
-    """(N,) the nearest column that is allowed."""
-    gap = np.linalg.norm(swarm.positions[:, None] - swarm.positions, axis=-1)
-    return np.argmin(np.where(allowed, gap, np.inf), axis=1)
+    allowed = (gap < config.detour_range_m) & (ahead | closing | meets)
+    allowed &= (distance[:, None] <= distance[who]) & ~at_home[:, None]
+    allowed &= (distance[:, None] != distance[who]) | (index[:, None] < who)
+    nearest = who[np.argmin(np.where(allowed, gap, np.inf), axis=1)]
+    return np.where(allowed.any(axis=1), nearest, NOBODY)
 
 
 def _places(
@@ -254,17 +317,6 @@ Obstacles = Callable[[Trajectory, int], HalfSpaces | None]
 """Half-spaces for a drone that flies a trajectory and is planned from the start of a round on."""
 
 
-class OtherTrajectory(NamedTuple):
-    """A trajectory to keep clear of."""
-
-    drone: int
-    """Whose."""
-    trajectory: Trajectory
-    """What it may fly."""
-    concurrent: bool
-    """Whether it may be replanned in the same round."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class PlanningOptions:
     """How compute units plan."""
@@ -318,23 +370,16 @@ class Planner:
         self,
         drone: int,
         own: Trajectory,
-        others: Sequence[OtherTrajectory],
+        neighbors: Neighbors,
         unit: int,
         round_: int,
         planes: Sequence[HalfSpaces] = (),
     ) -> Planned:
         """Replan for a drone that flies `own`, from round k + 1 on.
 
-        `others`: all that other drones may fly. `planes`: further half-spaces.
+        `neighbors`: all that other drones may fly. `planes`: further half-spaces.
         """
         options, start = self.options, round_ + 1
-        neighbors = no_neighbors(options.config)
-        if others:
-            neighbors = Neighbors(
-                np.stack([sampled_positions(r.trajectory, start, options.config) for r in others]),
-                np.array([r.drone for r in others], dtype=np.int64),
-                np.array([r.concurrent for r in others], dtype=bool),
-            )
         walls = None if options.obstacles is None else options.obstacles(own, start)
         return plan_trajectory(
             own,
@@ -362,7 +407,8 @@ def _snapshot(
     for i, trajectory in enumerate(trajectories):
         if trajectory is not None:
             start = trajectory.identity.start_round
-            states[i] = state_at(trajectory, max(round_ + 1, start), config)
-            ends[i] = end_position(trajectory, config)
+            flown = states_by_round(trajectory, config.round_s, config.horizon_rounds)
+            states[i] = flown[min(max(round_ + 1 - start, 0), config.horizon_rounds)]
+            ends[i] = flown[-1, 0]
             ages[i] = round_ + 1 - start
     return SwarmSnapshot(states[:, 0], states[:, 1], ends, targets), ages

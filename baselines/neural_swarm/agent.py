@@ -112,9 +112,9 @@ class TrackingAgent:
         return cls(ControllerConfig(adaptation=Indi()))
 
     @classmethod
-    def compensated_adaptive(cls) -> TrackingAgent:
-        """The agent that feeds `load_belief()` forward, and estimates what that leaves over."""
-        return cls(ControllerConfig(feedforward=load_belief(), adaptation=Indi()))
+    def compensated_adaptive(cls, belief: InteractionModel | None = None) -> TrackingAgent:
+        """The agent that feeds a model's force forward, and estimates what that leaves over."""
+        return cls(ControllerConfig(feedforward=belief or load_belief(), adaptation=Indi()))
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
         """Note the agents' names; nothing here is random."""
@@ -134,9 +134,9 @@ class TrackingAgent:
         return dict(zip(self._agents, rows, strict=True))
 
 
-def compensated_detour() -> DetourAgent:
-    """`DetourAgent` with the paper's controller beneath it, which feeds `load_belief()` forward."""
-    return DetourAgent(ControllerConfig(feedforward=load_belief()))
+def compensated_detour(belief: InteractionModel | None = None) -> DetourAgent:
+    """`DetourAgent` over the paper's controller, which feeds `load_belief()` or another forward."""
+    return DetourAgent(ControllerConfig(feedforward=belief or load_belief()))
 
 
 @typed

@@ -21,6 +21,7 @@ from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, shortest_step
 from swarm_envs.baselines.rth3d.grid_planning import plan
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.envs.view import View
+from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, NEAR_MISS, SPEED_LIMIT, Task
 from swarm_envs.tasks.obstacles import Box, obstacle_distances, obstacle_rows
@@ -99,9 +100,9 @@ class GridAgent(PlannedAgent[SplineFlight]):
         return self.plans
 
     @classmethod
-    def compensated(cls) -> GridAgent:
-        """The agent over the controller of Neural-Swarm2, which feeds `load_belief()` forward."""
-        return cls(controller=ControllerConfig(feedforward=load_belief()))
+    def compensated(cls, belief: InteractionModel | None = None) -> GridAgent:
+        """The agent over Neural-Swarm2's controller, by default with `load_belief()`."""
+        return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
     def plan(self, task: Task, view: View, seed: int) -> SplineFlight:
         """Paths on the grid, as smooth and as slow as the stage allows.

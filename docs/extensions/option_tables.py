@@ -20,10 +20,15 @@ from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
 from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
+from swarm_envs.columns_v0 import ColumnsOptions
 from swarm_envs.commands.export import KINDS
+from swarm_envs.crowd_v0 import CrowdOptions
+from swarm_envs.delivery_v0 import DeliveryOptions
 from swarm_envs.envs.config import EnvConfig
 from swarm_envs.formation_v1 import FormationOptions
+from swarm_envs.gates_v0 import GatesOptions
 from swarm_envs.hall import Hall
+from swarm_envs.pursuit_v0 import PursuitOptions
 from swarm_envs.ring_v1 import RingOptions
 from swarm_envs.swap_v1 import SwapOptions
 from swarm_envs.training.reproduce.papers import ALL, PAPERS
@@ -33,7 +38,10 @@ ASSIGNMENTS_MARK = "<!-- assignment table -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     settings.__name__: settings
-    for settings in (EnvConfig, SwapOptions, RingOptions, FormationOptions, Hall)
+    for settings in (
+        *(EnvConfig, SwapOptions, RingOptions, FormationOptions, ColumnsOptions, DeliveryOptions),
+        *(CrowdOptions, PursuitOptions, GatesOptions, Hall),
+    )
 }
 """The settings whose options a page may ask for."""
 
@@ -82,9 +90,11 @@ def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
     for field in dataclasses.fields(cls):
         hint = hints[field.name]
         marks: tuple[str, ...] = ()
+        aliases: list[str] = []
         if get_origin(hint) is Annotated:
             hint, *rest = get_args(hint)
             marks = tuple(str(mark) for mark in rest)
+            aliases = [alias for mark in rest for alias in getattr(mark, "aliases", None) or ()]
         if any("suppress" in mark.lower() for mark in marks):
             continue
         name = prefix + field.name.replace("_", "-")
@@ -92,7 +102,7 @@ def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
             yield from options_of(hint, prefixes, f"{name}." if prefixes else "")
             continue
         positional = any("positional" in mark.lower() for mark in marks)
-        shown = f"--{name}, --no-{name}" if hint is bool else f"--{name}"
+        shown = ", ".join([*aliases, f"--{name}"]) + (f", --no-{name}" if hint is bool else "")
         if hint is bool and "." in name:
             inner = name.rpartition(".")
             shown = f"--{name}, --{inner[0]}.no-{inner[2]}"

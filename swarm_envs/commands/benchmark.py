@@ -10,35 +10,49 @@ from typing import Any, Literal
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
+from swarm_envs.envs.setting import CrewOptions
 from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.tasks import SEED
 
 
-@command_options
 @dataclass(frozen=True, kw_only=True)
-class BenchmarkOptions:
-    """Fly every agent on every task that it supports, and report how they did.
-
-    Interrupted or killed, the same command resumes. An agent that fails is named with the reason,
-    the others go on, and the exit code is 1; what an agent does not support is in the report too.
-    """
+class CellOptions:
+    """Which cells of the benchmark are flown, and where they are kept."""
 
     out: Path | None = None
     """folder of the report, the tables, every episode and the replay pages"""
     report: Path | None = None
     """write the report of this folder again, and the replay pages that it lacks; nothing else is
     flown"""
+    verify: Path | None = None
+    """check this results file (scores.json, or the folder that holds it): what does not follow
+    from its episodes, and what comes out otherwise when it is flown again"""
+    join: list[Path] = field(default_factory=list)
+    """put these results files into one, and its report, in the folder --out; nothing is flown"""
     agents: list[str] = field(default_factory=lambda: ["*"])
     """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
-    tasks: list[str] = field(default_factory=lambda: ["*"])
-    """ids of tasks, such as `swap-circle-4-v1`, or patterns of them, in quotes"""
+    tasks: list[str] = field(default_factory=lambda: ["*-v2"])
+    """ids of tasks, such as `swap-circle-4-v2`, or patterns of them, in quotes; `*-v1` are those of
+    release 0.1.0"""
     episodes: Count | None = None
     """of every agent on every task; by default those of the tables, more where they are cheap"""
     quick: bool = False
     """fly a sixteenth of the episodes, to see that all works"""
     seed: Seed = SEED
     """the episodes' seeds are drawn from it; with another, scores compare with nobody else's"""
+
+
+@command_options
+@dataclass(frozen=True, kw_only=True)
+class BenchmarkOptions(CrewOptions, CellOptions):
+    """Fly every agent on every task that it supports, and report how they did.
+
+    Interrupted or killed, the same command resumes. An agent that fails is named with the reason,
+    the others go on, and the exit code is 1; what an agent does not support is in the report too.
+    Options of the environment hold on every task, whose ids then say that it is changed.
+    """
+
     replays: bool = True
     """record for each cell an episode that can be looked at, one click from the report"""
     table: Literal["parquet", "csv"] = "parquet"
@@ -52,8 +66,12 @@ class BenchmarkOptions:
         """Refuse numbers with which nothing can be flown."""
         if self.episodes is not None and self.quick:
             raise ValueError("--quick and --episodes both say how many are flown; give one")
-        if (self.out is None) == (self.report is None):
-            raise ValueError("give either --out DIR, to fly, or --report DIR, to report again")
+        if sum(each is not None for each in (self.out, self.report, self.verify)) != 1:
+            raise ValueError(
+                "give either --out DIR, to fly, or --report DIR, to report again, or --verify FILE"
+            )
+        if self.join and self.out is None:
+            raise ValueError("--join writes into a folder; give --out DIR too")
 
 
 def run_benchmark(options: BenchmarkOptions) -> int:
@@ -67,6 +85,11 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     """
     if options.json is not None:
         check_file("--json", options.json, (".json",))
+    if options.verify is not None:
+        return _verify(options.verify)
+    if options.join:
+        assert options.out is not None
+        return _join(options.join, options.out)
     if options.replays and importlib.util.find_spec("plotly") is None:
         raise ImportError(
             "replay pages need plotly; install it by: pip install 'swarm-envs[viz]', or do without "
@@ -88,7 +111,7 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
 
     check_folder("--out", out)
     try:
-        tasks, agents = choose_tasks(options.tasks), choose_agents(options.agents)
+        tasks, agents = choose_tasks(options.tasks, options.crew()), choose_agents(options.agents)
     except ValueError as error:
         raise Misuse(str(error)) from error
     plan = BenchmarkPlan(
@@ -109,6 +132,40 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
     print(_standings(content))
     _tell(problems, out / FILE, options.json, page)
     return len(problems) + sum(cell["status"] == "failed" for cell in content["cells"])
+
+
+def _verify(path: Path) -> int:
+    """Say what is wrong with a results file; return how much."""
+    from swarm_envs.training.scoreboard.results import verify_results
+
+    count = 0
+    try:
+        for problem in verify_results(path):
+            count += 1
+            print(f"WRONG {problem}", flush=True)
+    except (FileNotFoundError, ValueError) as error:
+        raise Misuse(str(error)) from error
+    print(f"{path}: {f'{count} problems' if count else 'verified'}")
+    return count
+
+
+def _join(paths: list[Path], out: Path) -> int:
+    """Write a results file of several, and its report."""
+    from swarm_envs.files import claimed, write_json
+    from swarm_envs.training.scoreboard.board import FILE
+    from swarm_envs.training.scoreboard.report import write
+    from swarm_envs.training.scoreboard.results import join_results
+
+    check_folder("--out", out)
+    try:
+        content = join_results(paths)
+    except (FileNotFoundError, ValueError) as error:
+        raise Misuse(str(error)) from error
+    with claimed(out):
+        write_json(out / FILE, content)
+        print(_standings(content))
+        _tell([], out / FILE, write(out))
+    return 0
 
 
 def _rewrite(options: BenchmarkOptions, folder: Path) -> int:

@@ -65,8 +65,8 @@ class PolicyOptions(HeaderOptions):
     """
 
     policy: str
-    """swap-ppo, swap-ppo-8, formation-ppo, ring-ppo, a .safetensors file, or a training run's
-    folder"""
+    """swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo, a .safetensors file, or a
+    training run's folder"""
 
 
 def _check_outputs(options: HeaderOptions) -> str:

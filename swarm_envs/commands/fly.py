@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, command_options, output_files
+from swarm_envs.envs.setting import CrewOptions
 
 if TYPE_CHECKING:
     from swarm_envs.agents import Agent
@@ -28,32 +30,40 @@ _FILES = {
 
 
 @dataclass(frozen=True, kw_only=True)
-class EpisodeOptions:
-    """What is flown, and in which air."""
+class EpisodeFields:
+    """What is flown: these come first in the help."""
 
     task: str = "swap"
     """what is flown: `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task, such as `random` or `stacked`; its default if not given"""
-    drones: Count = 4
-    """number of small drones, if no team is given"""
-    team: str | None = None
-    """the vehicles, such as `L2S` or `S*S*LL`; overrides --drones"""
+    drones: Count | None = None
+    """number of drones, if no team is given; if not given either, 4 in swap, ring and formation,
+    and the task's own in others"""
     physics: str | None = None
     """`bullet` or `batch`; Bullet where it is installed, if not given"""
     interactions: str = "learned"
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
-    world: Literal["ideal", "hall"] = "ideal"
-    """`ideal`, or `hall`: with force that no model knows, and an estimated state"""
     horizon_s: float | None = None
     """the clock, s; the task's if not given"""
 
+
+@dataclass(frozen=True, kw_only=True)
+class EpisodeOptions(CrewOptions, EpisodeFields):
+    """What is flown, and in which air."""
+
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
-        team = {"num_drones": self.drones} if self.team is None else {"team": self.team}
-        names = ("layout", "physics", "interactions", "world", "force_rate", "horizon_s")
-        given = {name: getattr(self, name, None) for name in names}
-        return {**team, **{name: value for name, value in given.items() if value is not None}}
+        from swarm_envs import task_family
+
+        drones = self.drones
+        if drones is None and task_family(self.task) in ("swap", "ring", "formation"):
+            drones = 4
+        team = {"num_drones": drones} if self.team is None else {}
+        names = ("layout", "physics", "interactions", "force_rate", "horizon_s")
+        given = {**team, **{name: getattr(self, name, None) for name in names}}
+        given = {name: value for name, value in given.items() if value is not None}
+        return {**given, **self.crew()}
 
 
 @command_options
@@ -64,15 +74,18 @@ class FlyOptions(EpisodeOptions):
     A crash in flight is a result, not a failure of the command.
     """
 
-    agent: str = "tracking"
-    """who flies: hover, random, straight-line, tracking, detour, mlr-dmpc, rth3d (these four also
-    -compensated), tracking-adaptive, tracking-compensated-adaptive, neural-swarm-planner, swap-ppo,
-    swap-ppo-8, formation-ppo, ring-ppo, the folder of a trained policy, or path/to/file.py:Class;
-    with +filter at its end behind a safety filter"""
+    agent: str | None = None
+    """who flies, by default the best for the task by the benchmark: hover, random, straight-line,
+    fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also
+    -compensated), tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive,
+    air-aware, neural-swarm-planner, swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo,
+    the folder of a trained policy, or path/to/file.py:Class; with +filter at its end behind a
+    safety filter"""
     seed: Seed = 0
     """of the episode and the agent"""
     out: Path | None = None
-    """folder for flight.json, trajectory.parquet, replay.html and flight.mp4, all four"""
+    """folder for flight.json, trajectory.parquet, replay.html and flight.mp4: all four, but for
+    what needs an extra that is not installed"""
     video: Path | None = None
     """write a film, .mp4 or .gif"""
     replay: Path | None = None
@@ -92,13 +105,20 @@ def run_fly(options: FlyOptions) -> None:
         ValueError: the agent failed in flight.
     """
     files = output_files(options, _FILES)
+    for option in [name for name in files if getattr(options, name) is None]:  # of --out
+        try:
+            _check_writers({option: files[option]})
+        except ImportError as error:
+            print(f"leaves out {files.pop(option).name}: {error}")
     _check_writers(files)
     try:
-        agent, env = prepare(options.agent, options, find_task(options.task))
+        task = find_task(options.task)
+        name = options.agent or _best_agent(options, task)
+        agent, env = prepare(name, options, task)
     except (ValueError, TypeError, FileNotFoundError) as error:
         raise Misuse(str(error)) from error
     try:
-        recording = _fly(env, agent, options)
+        recording = _fly(env, agent, name, options)
     finally:
         env.close()
     _print_summary(recording, agent)
@@ -136,7 +156,7 @@ def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, Swarm
     from swarm_envs.agents import load
     from swarm_envs.agents.protocol import check_options_agree
 
-    agent, given = load(name), options.setting()
+    agent, given = load(name, task), options.setting()
     check_options_agree(agent, given)
     return agent, make(task, **{**given, **agent.requires})
 
@@ -154,7 +174,20 @@ def find_task(name: str) -> str:
     return versions[-1] if versions else check_name("task", name, TASKS)
 
 
-def _fly(env: SwarmParallelEnv, agent: Agent, options: FlyOptions) -> Recording:
+def _best_agent(options: EpisodeOptions, task: str) -> str:
+    """Who flies a task best, as it was asked for.
+
+    Raises:
+        ValueError: the benchmark knows nobody; the message says who flies something near.
+    """
+    from swarm_envs import make
+    from swarm_envs.agents import recommended
+
+    with closing(make(task, **options.setting())) as env:
+        return recommended(task, num_drones=len(env.possible_agents), layout=options.layout)
+
+
+def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
     from tqdm import tqdm
 
     from swarm_envs.agents import record_episode
@@ -163,15 +196,26 @@ def _fly(env: SwarmParallelEnv, agent: Agent, options: FlyOptions) -> Recording:
     with tqdm(total=total, desc="flight", unit="decision", mininterval=0.5) as bar:
         try:
             recording = record_episode(
-                env, agent, options.seed, watch=lambda _: bar.update(), name=options.agent
+                env, agent, options.seed, watch=lambda _: bar.update(), name=name
             )
             bar.total = bar.n  # it may have ended before the clock
             return recording
         except Exception as error:
-            if ":" in options.agent:  # whoever wrote the file needs to see where it failed
+            if ":" in name:  # whoever wrote the file needs to see where it failed
                 traceback.print_exc()
             what = f"{type(error).__name__}: {error}"
-            raise ValueError(f"agent {options.agent!r} failed in flight: {what}") from error
+            refused = env.agents and env.view.time == 0.0 and isinstance(error, ValueError)
+            what += _other_agent(options, env.core.task.name, name) if refused else ""
+            raise ValueError(f"agent {name!r} failed in flight: {what}") from error
+
+
+def _other_agent(options: FlyOptions, task: str, name: str) -> str:
+    """A clause that names an agent for what another refused, if the benchmark has one."""
+    try:
+        best = _best_agent(options, task)
+    except ValueError:
+        return ""
+    return f"; the agent {best!r} flies this" if best != name else ""
 
 
 def _print_summary(recording: Recording, agent: Agent) -> None:

@@ -183,8 +183,10 @@ def apply_actions(
     return True
 
 
-def as_actions(mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int]) -> FloatArray:
-    """Actions (E, N, width) as contiguous float64.
+def as_actions(
+    mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int], clip: bool = False
+) -> FloatArray:
+    """Actions (E, N, width) as contiguous float64, clipped to a bounded mode's Box if wanted.
 
     Raises:
         ValueError: a wrong shape, or no numbers.
@@ -198,6 +200,9 @@ def as_actions(mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, 
             f"actions have shape {array.shape}, but must have shape {shape}: environments, drones, "
             f"numbers of action {mode.name!r}"
         )
+    if clip and mode.bounded:
+        finite = np.isfinite(array)  # infinity is refused, not clipped
+        array = np.clip(array, -1.0, 1.0, out=array.copy(), where=finite)
     return array
 
 
@@ -216,6 +221,7 @@ def check_actions(mode: ActionMode, actions: FloatArray) -> None:
         edge = 1 if mode.bounded else f"{_LARGEST:g}"
         rule = f"must lie in [-{edge}, {edge}]"
         fix = f"clip it, as with np.clip(action, -{edge}, {edge})"
+        fix += ", or give clip_actions=True" if mode.bounded else ""
     if not wrong.any():
         return
     e, i, k = (int(n) for n in np.argwhere(wrong)[0])

@@ -30,6 +30,7 @@ from swarm_envs.interactions.base import PRECISIONS
 from swarm_envs.motors import BatteryModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.physics.base import FORCE_BOUNDS_G, MOST_ENVIRONMENTS
+from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.vehicles import Team, parse_team
@@ -66,6 +67,9 @@ class EnvConfig:
     model."""
     action: Annotated[str, OneOf(tuple(ACTIONS))] = "acceleration"
     """The action mode: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
+    clip_actions: bool = False
+    """Whether actions outside [-1, 1] are clipped, as Gaussian policies need, instead of refused.
+    Actions that are not finite are always refused."""
     decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """Actions per second: 240 over an integer."""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
@@ -73,6 +77,9 @@ class EnvConfig:
     precision: Annotated[str, OneOf(PRECISIONS)] = "float64"
     """Precision of the force model's networks: `float64`, or `float32` for training (the error is
     about 1e-4 g). Everything else is float64."""
+    interaction_torque: bool = False
+    """Whether the interaction force also exerts a torque: each rotor receives a quarter of the
+    vertical force at its position (docs/forces.md)."""
     controller: ControllerConfig | None = None
     """The tracking controller between actions and rotors; None for the default."""
     num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 3
@@ -85,18 +92,29 @@ class EnvConfig:
     num_obstacles: Annotated[int, Range(0, MOST_OBSERVED)] | None = None
     """M, the number of observed obstacles, nearest first; None: 3 if the task has obstacles, else
     0."""
+    observe_load: bool = False
+    """Whether observations include thrust margin, mass and charge of the drone and of its
+    neighbors."""
+    observe_force: str | Path | InteractionModel | None = None
+    """A force model whose prediction for itself each drone observes, such as
+    `swarm_envs.baselines.neural_swarm.load_belief()`; None for none."""
     horizon_s: Annotated[float, POSITIVE_S] | None = None
     """Time limit: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_team"
+    """Effect of a contact with a drone, the floor, a wall or an obstacle. `end_team`: ends the
+    episode of the whole team. `end_pair`: ends the episodes of the drones in contact; the others
+    continue. `bounce`: drones bounce off and continue; only tumbling ends a drone's episode."""
     world: Annotated[str, OneOf(WORLDS)] | Hall = "ideal"
     """`ideal`: controllers receive the true state, and forces and rotors follow their models.
     `hall`: a motion-capture hall with random forces and a state estimate. Or a
     `swarm_envs.hall.Hall` with other parameters."""
     battery: BatteryModel | None = None
     """Model of batteries that discharge and weaken the rotors; None for ideal batteries."""
-    randomization: Randomization | None = None
-    """Domain randomization, sampled at every reset; None for none."""
+    randomization: Randomization | str | None = None
+    """Domain randomization, sampled at every reset, also as a string such as
+    `mass=0.9:1.1,thrust=0.95:1.05`; None for none."""
     deterministic: bool = False
     """Whether every interface must give bitwise identical flights. On one engine they always do,
     for any number of environments and threads. By default Bullet, if installed, flies single
@@ -111,7 +129,7 @@ class EnvConfig:
         for token, bound in self.force_bounds_g.items():
             name = f"force_bounds_g[{token!r}]"
             check_value(name, bound, Annotated[float, Range(0.0, above=True, unit="gram-force")])
-        ranges = self.randomization
+        ranges = self.ranges
         if ranges is not None and ranges.battery != SAME and self.battery is None:
             raise ValueError(
                 f"Randomization.battery is {ranges.battery}, but these batteries never "
@@ -122,6 +140,11 @@ class EnvConfig:
                 f"Randomization.noise is {ranges.noise}, but in the hall the state is estimated, "
                 "with noise of its own; leave it 0 and give world=Hall(position_noise_m=...)"
             )
+
+    @property
+    def ranges(self) -> Randomization | None:
+        """What is randomised; None for nothing."""
+        return Randomization.of(self.randomization)
 
     @property
     def hall(self) -> Hall | None:

@@ -28,7 +28,8 @@ from swarm_envs.envs.observation import (
 )
 from swarm_envs.envs.randomization import draw_vehicles
 from swarm_envs.errors import check_integer
-from swarm_envs.interactions import load
+from swarm_envs.interactions import InteractionModel, load
+from swarm_envs.interactions.forces import all_forces
 from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -55,6 +56,11 @@ class StepResult(NamedTuple):
     """(E,) ended by a crash or by success."""
     truncated: BoolArray
     """(E,) ended by the clock."""
+    active: BoolArray
+    """(E, N) which drones have flown this decision; the others' own episodes ended before it: their
+    rewards, terms and observations are 0, and their actions are not used."""
+    ended: BoolArray
+    """(E, N) whose own episode was terminated in this decision, alone or with the team's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +93,8 @@ class _Kernels(NamedTuple):
     """The task's `write_reference`."""
     judge: Callable[..., None]
     """`judge`"""
+    advance: Callable[..., None] | None
+    """The task's `advance`, where it has one."""
     write_terms: Callable[..., None]
     """The task's `write_reward_terms`."""
     weigh: Callable[..., None]
@@ -118,7 +126,7 @@ class SwarmCore:
         self._weights: FloatArray = np.array(weights, dtype=np.float64)
         self._flown: BoolArray = np.zeros(num_envs, dtype=np.bool_)
         self._everywhere: BoolArray = np.ones(num_envs, dtype=np.bool_)
-        ranges = config.randomization
+        ranges = self.ranges = config.ranges
         self._noisy = ranges is not None and ranges.noisy
         sensed = self._noisy or config.hall is not None
         drones = self.world.drones
@@ -126,17 +134,24 @@ class SwarmCore:
         self._shape = (num_envs, self.num_drones, self.mode.width)
         self._substeps = PHYSICS_RATE // config.decision_rate
         self._state = (*self.world, self.settings)
+        self._force_model: InteractionModel | None = None
+        self._predicted: FloatArray | None = None
+        if config.observe_force is not None:
+            self._force_model = load(config.observe_force).with_precision(config.precision)
+            self._force_types = np.tile(self._force_model.type_indices(task.team), (num_envs, 1))
+            self._predicted = np.zeros((num_envs, self.num_drones, 3))
         self._observed = self._what_is_observed()
 
     def _what_is_observed(self) -> list[tuple[Any, ...]]:
         """What `write_observations` takes on each thread: all of it stays."""
         k, (drones, environments, _) = self.config.num_neighbors, self.world
-        width = observation_width(k, self.num_obstacles)
+        width = observation_width(*self.form[1:])
         self.rows: Float32Array = np.zeros((*drones.shape, width), np.float32)
         seen = (self._seen, as_columns(self._seen), drones, environments, self.settings)
         order = self.physics.order if self.num_drones > FEW else None
         obstacles = self.physics.obstacles if self.num_obstacles else None
-        given = (self.rows, self.num_obstacles, *seen, order, obstacles)
+        load = bool(self.config.observe_load)
+        given = (self.rows, self.num_obstacles, load, self._predicted, *seen, order, obstacles)
         threads = range(self.physics.workers.threads)
         return [(*given, np.zeros(k, np.int64), np.zeros(k)) for _ in threads]
 
@@ -144,7 +159,7 @@ class SwarmCore:
         """Complete the settings by what the task and the options say of episodes."""
         task, config = self.task, self.config
         clock = task.episode_s if config.horizon_s is None else config.horizon_s
-        ranges = config.randomization
+        ranges = config.ranges
         rules = {
             **success_rules(task.success),
             "bounded": self.mode.bounded,
@@ -153,6 +168,7 @@ class SwarmCore:
             "decision_s": config.decision_s,
             "horizon_s": float(clock),
             **task.motion.settings(),
+            **task.rules,
             "noise": (0.0,) * 4 if ranges is None else ranges.noise,
         }
         controller = config.controller
@@ -177,15 +193,17 @@ class SwarmCore:
             entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
             entry_point(task.write_reference, *state),
             entry_point(judge, actions, *state),
+            None if task.advance is None else entry_point(task.advance, flown, *state),
             entry_point(task.write_reward_terms, drones, environments, settings, terms),
-            entry_point(weigh, terms, self._weights, flown, rewards),
+            entry_point(weigh, terms, self._weights, drones, flown, rewards),
             entry_point(write_observations, 0, 0, flown, *self._observed[0]),
         )
 
     @property
-    def form(self) -> tuple[str, int, int]:
-        """Form of observations, K neighbours, M obstacles: what their shape follows from."""
-        return self.config.observation, self.config.num_neighbors, self.num_obstacles
+    def form(self) -> tuple[str, int, int, bool, bool]:
+        """What the shape of observations follows from: form, K, M, and whether load and force."""
+        config, extra = self.config, (bool(self.config.observe_load), self._predicted is not None)
+        return config.observation, config.num_neighbors, self.num_obstacles, *extra
 
     @property
     def time(self) -> FloatArray:
@@ -228,11 +246,12 @@ class SwarmCore:
         team, given = check_reset_options(options, self.num_drones)
         task, (begun,) = self._task_for(team), where.nonzero()
         for e, placement in self._draw(task, begun.tolist(), seeds, given).items():
-            self._fly_task(e, task)
+            drawn = placement.team
+            self._fly_task(e, task if drawn is None else task.with_team(drawn))
             place(self.world, e, placement)
-        if self.config.randomization is not None:
+        if self.ranges is not None:
             for e in begun.tolist():
-                draw_vehicles(self.generators[e], self.config.randomization, e, self.world)
+                draw_vehicles(self.generators[e], self.ranges, e, self.world)
         if self.physics.hall is not None:
             for e in begun.tolist():
                 self.physics.hall.draw(self.generators[e], e, self.world)
@@ -253,7 +272,7 @@ class SwarmCore:
         """
         mode, kernels, flown = self.mode, self._kernels, self._flown
         drones, environments, goals, settings = everything = self._state
-        asked = as_actions(mode, actions, self._shape)
+        asked = as_actions(mode, actions, self._shape, self.config.clip_actions)
         if not kernels.apply(mode.code, asked, mode.limit, drones, environments, settings, flown):
             check_actions(mode, asked)
         rewards: FloatArray = np.empty(drones.shape)
@@ -261,22 +280,25 @@ class SwarmCore:
 
         def finish(first: int, last: int, thread: int) -> None:
             """Judge, weigh and observe what has been flown."""
-            state, decided = everything, asked
-            scored = (terms, self._weights, flown, rewards)
+            state, decided, here = everything, asked, slice(first, last)
+            scored = (terms, self._weights, drones, flown, rewards)
             if last - first < self.num_envs:
-                here = slice(first, last)
                 state = (drones[here], environments[here], goals[here], settings)
-                scored = (terms[:, here], self._weights, flown[here], rewards[here])
+                scored = (terms[:, here], self._weights, state[0], flown[here], rewards[here])
                 decided = asked[here]
             kernels.refer(*state)
             kernels.judge(decided, *state)
+            if kernels.advance is not None:
+                kernels.advance(flown[here], *state)
             kernels.write_terms(state[0], state[1], settings, scored[0])
             kernels.weigh(*scored)
             self._observe(first, last, flown, thread)
 
         self.physics.fly(self._substeps, flown, finish)
-        terminated, truncated = environments["terminated"], environments["truncated"]
-        return StepResult(self.rows, rewards, terms, terminated.copy(), truncated.copy())
+        terminated, truncated = environments["terminated"].copy(), environments["truncated"].copy()
+        active = flown[:, None] & (drones["active"] + drones["crashed"] > 0.0)
+        ended = active & (terminated[:, None] | (drones["active"] == 0.0))
+        return StepResult(self.rows, rewards, terms, terminated, truncated, active, ended)
 
     def set_reward_weights(self, weights: Mapping[str, float]) -> None:
         """Weigh reward terms otherwise from the next step on: for curricula of trainers.
@@ -293,18 +315,19 @@ class SwarmCore:
 
     def metrics(self, e: int = 0) -> dict[str, Any]:
         """What environment `e`'s episode is judged by, so far; see `swarm_envs.envs.judge`."""
-        return metrics(self.world, self.task, [e])[0]
+        return self.metrics_of([e])[0]
 
     def metrics_of(self, environments: Sequence[int]) -> list[dict[str, Any]]:
         """The same of several environments, in their order."""
-        return metrics(self.world, self.task, environments)
+        return metrics(self.world, self.task, environments, self.config.on_contact)
 
     def team_state(self) -> Float32Array:
         """(E, N, width) the true state of every drone: its `self` and `task` fields, no noise."""
         rows = np.zeros((*self.world.drones.shape, observation_width(0)), np.float32)
         drones, environments, _ = self.world
         nobody: IntArray = np.zeros(0, np.int64)
-        given = (self._everywhere, rows, 0, drones, self.world.columns, drones, environments)
+        state = drones, self.world.columns, drones, environments
+        given = (self._everywhere, rows, 0, False, None, *state)
         order, settings, square = self._observed[0][-4], self.settings, np.zeros(0)
         write_observations(0, self.num_envs, *given, settings, order, None, nobody, square)
         return rows
@@ -316,6 +339,11 @@ class SwarmCore:
         if self._noisy:
             drones, environments, _ = self.world
             sense(first, last, drones, environments, self.settings, where, self._seen)
+        if self._force_model is not None and self._predicted is not None:
+            here, seen = slice(first, last), self._seen[first:last]
+            motion = (seen["position"].copy(), seen["velocity"].copy())
+            types, out = self._force_types[here], self._predicted[here]
+            all_forces(self._force_model.packed, types, *motion, out)
         self._kernels.observe(first, last, where, *self._observed[thread])
 
     def _task_for(self, team: Team | None) -> Task:
@@ -329,14 +357,16 @@ class SwarmCore:
             )
         self.physics.interactions.type_indices(team)
         self.physics.feedforward.type_indices(team)
-        if self.config.randomization is not None:
-            self.config.randomization.check_team(team)
+        if self.ranges is not None:
+            self.ranges.check_team(team)
         return self.task.with_team(team)
 
     def _fly_task(self, e: int, task: Task) -> None:
         """Let environment `e` fly a task of `_task_for`, with its team, from the next reset on."""
         if self.tasks[e].team != task.team:
             self.physics.set_team(e, task.team)
+            if self._force_model is not None:
+                self._force_types[e] = self._force_model.type_indices(task.team)
         self.tasks[e] = task
 
     def _draw(
@@ -412,6 +442,7 @@ class SwarmCore:
             "team": tuple(vehicle.token for vehicle in self.task.team),
             "physics": self.physics.name,
             "action": self.config.action,
+            "on_contact": self.config.on_contact,
             "world": "ideal" if self.physics.hall is None else "hall",
             "num_neighbors": self.config.num_neighbors,
             "num_obstacles": self.num_obstacles,
@@ -442,7 +473,7 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         ValueError: randomised vehicles could not fly.
         ImportError: Bullet is asked for, and not there.
     """
-    gusts, ranges = None, config.randomization
+    gusts, ranges = None, config.ranges
     if ranges is not None:
         ranges.check_team(task.team)
         gusts = (ranges.gust_acceleration, ranges.gust_time_s)
@@ -455,10 +486,12 @@ def _make_physics(task: Task, config: EnvConfig, num_envs: int) -> Physics:
         force_rate=config.force_rate,
         gusts=gusts,
         hall=config.hall,
+        interaction_torque=config.interaction_torque,
         obstacles=task.obstacle_rows,
         level=ACTIONS[config.action].level,
         controller=config.controller,
         threads=config.threads_for(num_envs * len(task.team)),
         num_stages=task.num_stages,
         force_bounds_g=config.force_bounds_g,
+        on_contact=config.on_contact,
     )

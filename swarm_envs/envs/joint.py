@@ -46,9 +46,10 @@ class _SwarmEnv(gymnasium.Env[Any, npt.NDArray[np.float32]]):
 class SwarmJointEnv(_SwarmEnv):
     """All drones as one agent: observations and actions of the team one after another.
 
-    The reward is the mean of the drones'. `info` has `rewards` (N,), and at the end
-    `episode_metrics`. Made by `gymnasium.make("swarm_envs/Swap-v0", ...)`; with `num_drones=1` it
-    is a single drone's environment.
+    The reward is the mean of the drones'. `info` has `rewards` (N,) and `active` (N,), which drones
+    have flown this decision, and at the end `episode_metrics`. Made by
+    `gymnasium.make("swarm_envs/Swap-v0", ...)`; with `num_drones=1` it is a single drone's
+    environment.
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class SwarmJointEnv(_SwarmEnv):
         self.parallel.check_running("step")
         result = self.core.step(split_teams(action, self.action_space.shape, self.core))
         terminated, truncated = bool(result.terminated[0]), bool(result.truncated[0])
-        info: dict[str, Any] = {"rewards": result.rewards[0].copy()}
+        info: dict[str, Any] = {"rewards": result.rewards[0].copy(), "active": result.active[0]}
         if terminated or truncated:
             self.parallel.agents = []
             info["episode_metrics"] = self.core.metrics()
@@ -156,7 +157,7 @@ class SwarmSoloEnv(_SwarmEnv):
     """One drone's own observations, actions and rewards; the rest of the team belongs to the air.
 
     Made by `gymnasium.make("swarm_envs/SwapSolo-v0", ...)`. `info` is the drone's of
-    `SwarmParallelEnv`.
+    `SwarmParallelEnv`. Its episode ends when that of the drone does.
 
     Args:
         task: what is flown, by whom.
@@ -212,10 +213,13 @@ class SwarmSoloEnv(_SwarmEnv):
             agent: still if self.others is None else self.others(self._seen[agent])
             for agent in self.parallel.agents
         }
-        if self.parallel.agents:
-            actions[self.agent] = action
-        self._seen, rewards, ends, cuts, infos = self.parallel.step(actions)
         me = self.agent
+        if self.parallel.agents:
+            actions[me] = action
+        self._seen, rewards, ends, cuts, infos = self.parallel.step(actions)
+        if ends[me]:
+            infos[me]["episode_metrics"] = self.parallel.core.metrics()
+            self.parallel.agents = []
         return self._seen[me], rewards[me], ends[me], cuts[me], infos[me]
 
 

@@ -12,33 +12,82 @@ from typing import Any
 
 import numpy as np
 
-from swarm_envs.compiled import kernel
+from swarm_envs.compiled import kernel, part
 from swarm_envs.physics.contact import NO_DRONE, NO_OBSTACLE
 from swarm_envs.state import FloatArray
-from swarm_envs.tables import Records, World
-from swarm_envs.tasks.base import NEAR_MISS, Success, Task, TrackingSuccess
-from swarm_envs.tasks.motion import REST, stage_at
+from swarm_envs.tables import Record, Records, World
+from swarm_envs.tasks.base import NEAR_MISS, ByScore, Success, Task, TrackingSuccess
+from swarm_envs.tasks.motion import stage_at
 from swarm_envs.vehicles import GRAM_FORCE
 
 _ROUNDING = 1e-9
+HIT_DRONE, HIT_FLOOR, HIT_WALL, HIT_OBSTACLE, TUMBLED = 1, 2, 4, 8, 16
+"""Codes of what may happen to a drone, whose sums `touching` and `hurt` are."""
 
 
-def success_rules(success: Success | TrackingSuccess) -> dict[str, float | bool]:
+def success_rules(success: Success | TrackingSuccess | ByScore) -> dict[str, float | bool]:
     """The fields of `swarm_envs.tables.SETTINGS` that a task's success gives."""
-    if isinstance(success, TrackingSuccess):
+    if isinstance(success, ByScore):
+        radius, hold_s, settle_s = success.radius, math.inf, 0.0
+    elif isinstance(success, TrackingSuccess):
         radius, hold_s, settle_s = success.worst_error, 0.0, success.settle_s
     else:
         radius, hold_s, settle_s = success.radius, success.hold_s, 0.0
     return {
         "tracks": isinstance(success, TrackingSuccess),
+        "exchanges": isinstance(success, Success) and not success.named,
         "success_radius": float(radius),
         "hold_s": float(hold_s),
         "settle_s": float(settle_s),
+        "least_score": success.least if isinstance(success, ByScore) else math.inf,
     }
 
 
+@part
+def goal_distance(drone: Record, goal: FloatArray) -> float:
+    """Distance of a drone to a goal (3,), m."""
+    x, y, z = drone.position[0] - goal[0], drone.position[1] - goal[1], drone.position[2] - goal[2]
+    return math.sqrt(x * x + y * y + z * z)
+
+
 @kernel
-def judge(
+def exchange_goals(drones: Records, goals: FloatArray, radius: float) -> None:
+    """Give drones (N,) that have come to another's goal (N, 3) that goal, and the other theirs.
+
+    Who stands at its own goal, nearer than the radius, m, keeps it. To exchange is no progress.
+    """
+    for i in range(drones.shape[0]):
+        for j in range(drones.shape[0]):
+            own, other = drones[i], drones[j]
+            comes = own.active > 0.0 and goal_distance(own, own.goal) >= radius
+            keeps = other.active > 0.0 and goal_distance(other, other.goal) < radius
+            if comes and not keeps and goal_distance(own, other.goal) < radius:
+                for k in range(3):
+                    own.goal[k], other.goal[k] = other.goal[k], own.goal[k]
+                    goals[i, k], goals[j, k] = own.goal[k], other.goal[k]
+                for d in (own, other):
+                    d.distance, d.arrival = goal_distance(d, d.goal), np.inf
+
+
+@part
+def survives(d: Record, ends_team: bool, bounces: bool) -> bool:
+    """Note what has happened to a drone in this decision; return whether it may fly on.
+
+    Where it may not and the others may, its own episode ends.
+    """
+    touching = HIT_FLOOR * (d.touched_floor > 0.0) + HIT_WALL * (d.touched_wall > 0.0)
+    touching += HIT_DRONE * (d.touched_drone != NO_DRONE) + TUMBLED * (d.tumbling > 0.0)
+    touching += HIT_OBSTACLE * (d.touched_obstacle != NO_OBSTACLE)
+    d.crashed = 1.0 if touching & ~int(d.touching) else 0.0
+    d.touching, d.hurt = touching, int(d.hurt) | touching
+    falls = touching != 0 and (not bounces or d.tumbling > 0.0)
+    if falls and not ends_team:
+        d.active, d.arrival = 0.0, np.inf
+    return not falls
+
+
+@kernel
+def judge(  # noqa: C901  # one decision, on one screen
     actions: FloatArray,
     drones: Records,
     environments: Records,
@@ -46,6 +95,11 @@ def judge(
     settings: Records,
 ) -> None:
     """Judge the decision that every running environment has just flown.
+
+    A drone that touches something or tumbles has crashed. By the rule `on_contact` that ends the
+    episode of its team, or its own alone; or it flies on, unless it tumbles, and crashes again
+    when it touches what it did not touch in the decision before. A stage is done when all drones
+    that still fly have done it; the team succeeds if, besides, no drone was ever hurt.
 
     Args:
         actions: (E, N, width), what was decided.
@@ -60,11 +114,16 @@ def judge(
         environment.achieved = 0.0
         if not environment.running:
             continue
-        time, crashed, worst, since = environment.time, False, 0.0, 0.0
+        time, worst, since, left, unhurt = environment.time, 0.0, 0.0, 0, True
+        if rules.exchanges:
+            exchange_goals(drones[e], goals[e, environment.stage], rules.success_radius)
         scores = time >= rules.settle_s
         environment.scored += scores
         for i in range(size):
             d = drones[e, i]
+            if d.active == 0.0:
+                d.crashed, unhurt = 0.0, False
+                continue
             d.last_distance = d.distance
             if rules.bounded:
                 square = 0.0
@@ -89,23 +148,24 @@ def judge(
                 d.squared_error += to_reference
             away = d.distance >= rules.success_radius
             d.arrival = np.inf if away else min(d.arrival, time)
-            fallen = d.touched_floor + d.touched_wall + d.tumbling + d.crashed > 0.0
-            fallen |= (d.touched_drone != NO_DRONE) | (d.touched_obstacle != NO_OBSTACLE)
-            d.crashed = 1.0 if fallen else 0.0
-            crashed |= fallen
-            worst, since = max(worst, d.worst_error), max(since, d.arrival)
+            flies = survives(d, rules.ends_team, rules.bounces)
+            unhurt &= d.hurt == 0.0
+            if flies:
+                left += 1
+                worst, since = max(worst, d.worst_error), max(since, d.arrival)
+        lost = left == 0 or (rules.ends_team and left < size)
         ended = time >= rules.horizon_s - _ROUNDING
         if rules.tracks:
             done = ended and worst < rules.success_radius and environment.scored > 0
         else:
             done = time - since >= rules.hold_s - _ROUNDING
-        if done and not crashed and not environment.held:
+        if done and not lost and not environment.held:
             environment.held = True
             environment.reached += 1
             environment.achieved = 1.0 / stages
-            environment.succeeded = environment.reached == stages
-        won = rules.end_on_success and environment.succeeded and not rules.tracks
-        environment.terminated = crashed or won
+            environment.succeeded = unhurt and environment.reached == stages
+        won = rules.end_on_success and environment.reached == stages and not rules.tracks
+        environment.terminated = lost or won
         environment.truncated = ended and not environment.terminated
         environment.running = not (environment.terminated or environment.truncated)
         if stages > 1 and environment.running:
@@ -119,17 +179,22 @@ def judge(
                         d.goal[k] = goals[e, stage, i, k]
                         to_goal += (d.position[k] - d.goal[k]) * (d.position[k] - d.goal[k])
                     d.distance = math.sqrt(to_goal)
-                    d.arrival = time if d.distance < rules.success_radius else np.inf
+                    near = d.distance < rules.success_radius and d.active > 0.0
+                    d.arrival = time if near else np.inf
 
 
-def metrics(world: World, task: Task, environments: Sequence[int]) -> list[dict[str, Any]]:
+def metrics(
+    world: World, task: Task, environments: Sequence[int], on_contact: str = "end_team"
+) -> list[dict[str, Any]]:
     """What the episodes of these environments are judged by, so far, in their order.
 
-    - `success`: whether the team did its task; `stages_reached` of `stages`: sets of goals at
-      which all have stood; `length_s`: time flown.
+    - `success`: whether the team did its task, nobody hurt; `stages_reached` of `stages`: sets of
+      goals at which all who still flew have stood; `length_s`: time flown.
+    - `arrived_fraction`, where contact does not end the team's episode: share of drones that still
+      fly and are at their goals, or have kept to their reference.
     - `collided_drones`, `collided_floor`, `collided_wall`, `collided_obstacle`, `tumbled`:
-      number of drones that ended so; `near_misses`: drones that came within 1.5 times the sum
-      of radii without touching.
+      number of drones to which that happened; `near_misses`: drones that came within 1.5 times
+      the sum of radii without touching.
     - `minimum_separation_m`: smallest distance between two drones (None if alone);
       `minimum_obstacle_distance_m`: from a drone's centre to an obstacle (None without one).
     - `worst_tracking_error_m`, `rms_tracking_error_m`, `worst_height_error_m`: against the
@@ -140,6 +205,7 @@ def metrics(world: World, task: Task, environments: Sequence[int]) -> list[dict[
       induced energy of all rotors; `force_bound_violations`: drone-steps of 1/240 s with a
       vertical force above the drone's bound, and `fraction_over_force_bound`: their share of
       all; `fraction_outside_measured_range`: of drone-steps whose force was extrapolated.
+    - The task's `score_names`, where it has any: its score, and goals that were reached.
     - `time_to_goal_s`: when the last drone came to stay at its goal, in the present stage (None
       if one did not, or where goals move).
     """
@@ -147,21 +213,26 @@ def metrics(world: World, task: Task, environments: Sequence[int]) -> list[dict[
     drones, ended = world.drones[where], world.environments[where]
     steps = np.maximum(drones["steps"].sum(axis=1), 1.0)
     over, outside = drones["over_bound"].sum(axis=1), drones["outside_steps"].sum(axis=1)
+    hurt = drones["hurt"].astype(np.int64)
     clearance, obstacles = drones["least_clearance"], drones["least_obstacle_clearance"]
     arrival = drones["arrival"].max(axis=1)
     if not isinstance(task.success, Success):
         arrival = np.full_like(arrival, np.inf)
+    if on_contact == "end_team":
+        arrived = {}
+    else:
+        there = np.isfinite(drones["arrival"])
+        if isinstance(task.success, TrackingSuccess):
+            there = drones["worst_error"] < task.success.worst_error
+        arrived = {"arrived_fraction": (there & (drones["active"] > 0.0)).mean(axis=1)}
     stages = np.full(len(where), world.goals.shape[1])
     ends = {
         "success": ended["succeeded"],
+        **arrived,
         "stages": stages,
         "stages_reached": ended["reached"],
         "length_s": ended["time"],
-        "collided_drones": (drones["touched_drone"] != NO_DRONE).sum(axis=1),
-        "collided_floor": (drones["touched_floor"] > 0.0).sum(axis=1),
-        "collided_wall": (drones["touched_wall"] > 0.0).sum(axis=1),
-        "collided_obstacle": (drones["touched_obstacle"] != NO_OBSTACLE).sum(axis=1),
-        "tumbled": (drones["tumbling"] > 0.0).sum(axis=1),
+        **{name: (hurt & code > 0).sum(axis=1) for name, code in _ACCIDENTS.items()},
         "near_misses": ((clearance >= 1.0) & (clearance < NEAR_MISS)).sum(axis=1),
         "minimum_separation_m": drones["least_separation"].min(axis=1),
         "minimum_obstacle_distance_m": (obstacles * drones["radius"]).min(axis=1),
@@ -179,9 +250,19 @@ def metrics(world: World, task: Task, environments: Sequence[int]) -> list[dict[
             **{name: _plain(column[m]) for name, column in ends.items()},
             **_tracking(drones[m], int(ended["scored"][m]), task),
             **{name: _plain(column[m]) for name, column in flown.items()},
+            **_scored(ended[m], task),
         }
         for m in range(len(where))
     ]
+
+
+_ACCIDENTS = {
+    "collided_drones": HIT_DRONE,
+    "collided_floor": HIT_FLOOR,
+    "collided_wall": HIT_WALL,
+    "collided_obstacle": HIT_OBSTACLE,
+    "tumbled": TUMBLED,
+}
 
 
 def _plain(value: Any) -> Any:
@@ -190,9 +271,18 @@ def _plain(value: Any) -> Any:
     return number if math.isfinite(number) else None
 
 
+def _scored(ended: Record, task: Task) -> dict[str, Any]:
+    """What a task that is judged by a score adds or replaces."""
+    if not task.score_names:
+        return {}
+    scores = float(ended["score"]), int(ended["goals_reached"])
+    stages = {"stages": 1, "stages_reached": int(ended["succeeded"])}
+    return {**stages, **dict(zip(task.score_names, scores, strict=False))}
+
+
 def _tracking(drones: Records, scored: int, task: Task) -> dict[str, Any]:
     """The tracking errors of the drones (N,) of one environment."""
-    if task.motion.kind == REST or not scored:
+    if task.motion.rests or not scored:
         names = ("worst_tracking_error_m", "rms_tracking_error_m", "worst_height_error_m")
         return dict.fromkeys(names)
     return {

@@ -24,13 +24,14 @@ from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import Record, Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
-from swarm_envs.vehicles import VEHICLES
+from swarm_envs.vehicles import GRAVITY, SMALL, VEHICLES
 
 __all__ = ["Float32Array", "observation_layout", "observation_space", "observation_width", "shaper"]
 
 Float32Array = npt.NDArray[np.float32]
 """An array of observed numbers."""
 
+_SMALL_MASS = SMALL.mass
 RATE_SCALE = 10.0
 """Body rates are observed in units of this, rad/s."""
 
@@ -66,6 +67,12 @@ _NEIGHBOR: _Entries = (
     ("type", len(VEHICLES), "one-hot", 1.0),
     ("mask", 1, "", 1.0),
 )
+_LOAD: _Entries = (
+    ("thrust_margin", 1, "of the weight", 1.0),
+    ("mass_ratio", 1, "of a small drone", 1.0),
+    ("battery", 1, "of full", 1.0),
+)
+_FORCE: _Entries = (("force", 3, "of the weight", 1.0),)
 _OBSTACLE: _Entries = (
     ("offset", 3, "m", 1.0),
     ("mask", 1, "", 1.0),
@@ -80,7 +87,9 @@ _TASK: _Entries = (
 
 
 @cache
-def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[ObservationField, ...]:
+def observation_layout(
+    num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
+) -> tuple[ObservationField, ...]:
     """The fields of an observation row in order.
 
     `self.position` is absolute; `self.attitude` the rotation matrix from body to world, row by
@@ -91,9 +100,16 @@ def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[Obse
     drone to the nearest point of an obstacle, for the nearest M of them; with M = 0 there are no
     such fields. Where a task gives no reference, it rests at the goal; that of a stacked swap never
     moves vertically.
+
+    With `load`, a drone and its neighbours have three fields more: `thrust_margin`, the largest
+    thrust at this charge over the weight, less 1; `mass_ratio` to 34 g; `battery`, the charge. The
+    mass is what the controller knows. With `force`, `self.force` is what a model predicts of the
+    force of the air on the drone, over its weight, world frame.
     """
-    groups: list[tuple[str, _Entries]] = [("self", _SELF)]
-    groups += [(f"neighbor_{k}", _NEIGHBOR) for k in range(num_neighbors)]
+    extra = (_LOAD if load else ()) + (_FORCE if force else ())
+    neighbor = (*_NEIGHBOR[:-1], *(_LOAD if load else ()), _NEIGHBOR[-1])
+    groups: list[tuple[str, _Entries]] = [("self", _SELF + extra)]
+    groups += [(f"neighbor_{k}", neighbor) for k in range(num_neighbors)]
     groups += [(f"obstacle_{k}", _OBSTACLE) for k in range(num_obstacles)]
     groups += [("task", _TASK)]
     fields, start = [], 0
@@ -106,9 +122,11 @@ def observation_layout(num_neighbors: int, num_obstacles: int = 0) -> tuple[Obse
     return tuple(fields)
 
 
-def observation_width(num_neighbors: int, num_obstacles: int = 0) -> int:
+def observation_width(
+    num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
+) -> int:
     """Length of an observation row."""
-    return observation_layout(num_neighbors, num_obstacles)[-1].where.stop
+    return observation_layout(num_neighbors, num_obstacles, load, force)[-1].where.stop
 
 
 FORMS = ("flat", "dict")
@@ -121,31 +139,34 @@ _SETS = {"neighbors": ("neighbor_", "mask"), "obstacles": ("obstacle_", "obstacl
 """Groups of fields that repeat: the name of theirs, and of what masks them."""
 
 
-def observation_space(form: str, num_neighbors: int, num_obstacles: int = 0) -> spaces.Space[Any]:
+def observation_space(
+    form: str, num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
+) -> spaces.Space[Any]:
     """The space of one drone's observation: a Box, or a Dict of Boxes.
 
     The dictionary has `self` (width), `neighbors` (K, width), nearest first, `mask` (K,), 1 where
     there is a neighbour, and `task` (width); with obstacles observed also `obstacles` (M, 3) and
     `obstacle_mask` (M,). See `observation_layout` for the fields.
     """
-    row = np.zeros(observation_layout(num_neighbors, num_obstacles)[-1].where.stop, np.float32)
+    row = np.zeros(observation_width(num_neighbors, num_obstacles, load, force), np.float32)
     if form == "flat":
         return _box(row)
-    parts = shaper(form, num_neighbors, num_obstacles)(row)
+    parts = shaper(form, num_neighbors, num_obstacles, load, force)(row)
     return spaces.Dict({name: _box(part, "mask" in name) for name, part in parts.items()})
 
 
 def shaper(
-    form: str, num_neighbors: int, num_obstacles: int = 0
+    form: str, num_neighbors: int, num_obstacles: int = 0, load: bool = False, force: bool = False
 ) -> Callable[[Float32Array], Observation]:
     """A function that gives rows (..., width) the form; its parts are views of the rows."""
     if form == "flat":
         return lambda rows: rows
-    own = _span("self.", num_neighbors, num_obstacles)
-    task = _span("task.", num_neighbors, num_obstacles)
+    layout = observation_layout(num_neighbors, num_obstacles, load, force)
+    own, task = _span("self.", layout), _span("task.", layout)
     counts = {"neighbors": num_neighbors, "obstacles": num_obstacles}
+    full = observation_layout(1, 1, load, force)
     places = {
-        name: (_span(_SETS[name][0], num_neighbors, num_obstacles), _set_width(name))
+        name: (_span(_SETS[name][0], layout), _set_width(name, full))
         for name, count in counts.items()
         if count or name == "neighbors"
     }
@@ -160,16 +181,15 @@ def shaper(
     return shape
 
 
-def _span(prefix: str, num_neighbors: int, num_obstacles: int) -> slice:
+def _span(prefix: str, layout: tuple[ObservationField, ...]) -> slice:
     """Where the fields of a prefix stand in a row; nowhere if there are none."""
-    layout = observation_layout(num_neighbors, num_obstacles)
     places = [field.where for field in layout if field.name.startswith(prefix)]
     return slice(places[0].start, places[-1].stop) if places else slice(0, 0)
 
 
-def _set_width(name: str) -> int:
+def _set_width(name: str, layout: tuple[ObservationField, ...]) -> int:
     """Numbers of one member of a group, its mask aside, which stands last."""
-    where = _span(_SETS[name][0], 1, 1)
+    where = _span(_SETS[name][0], layout)
     return where.stop - where.start - 1
 
 
@@ -232,7 +252,7 @@ def sense(
             for k in range(4):
                 q[k] /= norm
                 o.rotor_thrust[k] = d.rotor_thrust[k]
-            o.battery = d.battery
+            o.battery, o.rotor_limit = d.battery, d.rotor_limit
 
 
 @kernel
@@ -260,7 +280,7 @@ def sense_in_hall(first: int, last: int, drones: Records, mask: BoolArray, out: 
                 o.angular_velocity[k] = d.angular_velocity[k] + d.gyro_error[k]
             for k in range(4):
                 o.rotor_thrust[k] = d.rotor_thrust[k]
-            o.battery = d.battery
+            o.battery, o.rotor_limit = d.battery, d.rotor_limit
 
 
 @part
@@ -291,13 +311,25 @@ def write_self(seen: Record, drone: Record, direct: bool, row: Float32Array) -> 
 
 
 @part
-def write_neighbor(own: Record, other: Record, drone: Record, row: Float32Array, at: int) -> None:
+def write_load(seen: Record, drone: Record, row: Float32Array, at: int) -> int:
+    """Write what a drone, as measured, has to spare, from `at` on; return where that ends."""
+    row[at] = 4.0 * seen.rotor_limit / (drone.nominal_mass * GRAVITY) - 1.0
+    row[at + 1] = drone.nominal_mass / _SMALL_MASS
+    row[at + 2] = seen.battery
+    return at + 3
+
+
+@part
+def write_neighbor(
+    own: Record, other: Record, drone: Record, load: bool, row: Float32Array, at: int
+) -> None:
     """Write the fields of a neighbour as seen from a drone.
 
     Args:
         own: the drone's record, as it is measured.
         other: the neighbour's, as it is measured.
         drone: the neighbour's true record.
+        load: whether what it has to spare is written as well.
         row: written.
         at: where these fields begin.
     """
@@ -306,7 +338,10 @@ def write_neighbor(own: Record, other: Record, drone: Record, row: Float32Array,
         row[at + 3 + k] = (other.velocity[k] - own.velocity[k]) / SPEED_LIMIT
         row[at + 6 + k] = drone.goal[k] - other.position[k]
         row[at + 9 + k] = drone.type_code[k]
-    row[at + 12] = 1.0
+    end = at + 12
+    if load:
+        end = write_load(other, drone, row, end)
+    row[end] = 1.0
 
 
 @part
@@ -342,6 +377,8 @@ def write_observations(
     mask: BoolArray,
     out: Float32Array,
     num_obstacles: int,
+    load: bool,
+    force: FloatArray | None,
     seen: Records,
     columns: FloatArray,
     drones: Records,
@@ -360,6 +397,8 @@ def write_observations(
         mask: (E,) environments to write.
         out: (E, N, width) rows.
         num_obstacles: M.
+        load: whether thrust margins, masses and charges are observed.
+        force: (E, N, 3) predicted forces, N; None if they are not observed.
         seen: (E, N) records of the drones as they are measured.
         columns: (E, N, columns) the same memory as plain numbers; the first three are positions.
         drones: (E, N) true records.
@@ -370,7 +409,7 @@ def write_observations(
         others: (K,) scratch: for so many neighbours.
         square: (K,) scratch.
     """
-    direct = settings[0].level != SETPOINTS
+    direct, width = settings[0].level != SETPOINTS, 16 if load else 13
     for e in range(first, last):
         if not mask[e]:
             continue
@@ -385,15 +424,24 @@ def write_observations(
             row, own, d = out[e, i], seen[e, i], drones[e, i]
             for c in range(out.shape[2]):  # fields of neighbours and obstacles may stay zero
                 row[c] = 0.0
+            if d.active + d.crashed == 0.0:  # it ended in an earlier decision
+                continue
             start = write_self(own, d, direct, row)
+            if load:
+                start = write_load(own, d, row, start)
+            if force is not None:
+                for k in range(3):
+                    row[start + k] = force[e, i, k] / (d.nominal_mass * GRAVITY)
+                start += 3
             if order is None:
-                found = nearest(i, position, others, square)
+                found = nearest(i, position, drones[e], others, square)
             else:
-                found = nearest_sorted(i, place, position, order[e], others, square)
+                team = drones[e]
+                found = nearest_sorted(i, place, position, team, order[e], others, square)
             for k in range(found):
                 j = others[k]
-                write_neighbor(own, seen[e, j], drones[e, j], row, start + 13 * k)
-            start += 13 * others.shape[0]
+                write_neighbor(own, seen[e, j], drones[e, j], load, row, start + width * k)
+            start += width * others.shape[0]
             if obstacles is not None:
                 p = own.position
                 place_of = row[start : start + 4 * num_obstacles]

@@ -15,14 +15,16 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from swarm_envs import TASKS
 from swarm_envs.arguments import OneOf, Option, Range, options_of
-from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.config import MOST_OBSERVED, WORLDS, EnvConfig
 from swarm_envs.envs.parallel import RENDER_MODES, SwarmParallelEnv, SwarmTurnEnv
 from swarm_envs.errors import check_name
+from swarm_envs.hall import Hall
+from swarm_envs.physics.contact import ON_CONTACT
 from swarm_envs.tasks.base import Task
-from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.obstacles import Obstacle, parse_obstacles
 from swarm_envs.vehicles import Team, Vehicle, parse_team
 
-__all__ = ["Blueprint", "NumDrones", "TaskOptions", "batch_of", "task_views"]
+__all__ = ["AirTaskOptions", "Blueprint", "NumDrones", "TaskOptions", "batch_of", "task_views"]
 
 P = ParamSpec("P")
 
@@ -51,8 +53,9 @@ class TaskOptions(EnvConfig, ABC):
     """N small drones, if no team is given."""
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
-    obstacles: Sequence[Obstacle] = ()
-    """Obstacles: `Box` and `Column` of `swarm_envs.tasks.obstacles`."""
+    obstacles: Sequence[Obstacle] | str = ()
+    """Obstacles: `Box` and `Column` of `swarm_envs.tasks.obstacles`, or a string such as
+    `buildings=2:2,column=1:1:0.15`."""
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""
     render_mode: Annotated[str, OneOf(RENDER_MODES)] | None = None
@@ -60,10 +63,23 @@ class TaskOptions(EnvConfig, ABC):
 
     learned: ClassVar[str] = "learned"
     """The force model that `interactions="learned"` means in this version of the task."""
+    default_weights: ClassVar[Mapping[str, float]]
+    """Weight of each reward term that is not given."""
 
     @abstractmethod
     def make_task(self) -> Task:
         """The task that is flown."""
+
+    @property
+    def standing(self) -> tuple[Obstacle, ...]:
+        """What stands in the way."""
+        given = self.obstacles
+        return parse_obstacles(given) if isinstance(given, str) else tuple(given)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weight of each reward term."""
+        return {**self.default_weights, **(self.reward_weights or {})}
 
     @property
     def vehicles(self) -> Team:
@@ -81,6 +97,21 @@ class TaskOptions(EnvConfig, ABC):
             given["interactions"] = self.learned
         config = EnvConfig(**given)
         return Blueprint(self.make_task(), config, self.render_mode)
+
+
+@dataclass(frozen=True, kw_only=True)
+class AirTaskOptions(TaskOptions):
+    """Options of a task about downwash: those of every task, with other defaults."""
+
+    num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 7
+    """K, how many neighbours a drone observes."""
+    observe_load: bool = True
+    """Whether observations include thrust margin, mass and charge of the drone and of its
+    neighbors."""
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    """Effect of a contact: see `EnvConfig`."""
+    world: Annotated[str, OneOf(WORLDS)] | Hall = "hall"
+    """`hall`, `ideal` or a custom `swarm_envs.hall.Hall`; see `EnvConfig`."""
 
 
 class TaskViews(NamedTuple, Generic[P]):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import repeat
+from itertools import compress, repeat
 from typing import Any
 
 import numpy as np
@@ -38,9 +38,10 @@ RENDER_MODES = ("rgb_array", "human")
 class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     """A swarm as a PettingZoo parallel environment. Make it with a task's `parallel_env()`.
 
-    Agents are `drone_0` ... in the order of the team, and all end together. `infos[agent]` holds
-    `reward_terms` (each before its weight) and `contact` (what the drone touched); the last step's
-    also `episode_metrics`.
+    Agents are `drone_0` ... in the order of the team. All end together; with
+    `on_contact="end_pair"` those that touch something leave `agents` before the others.
+    `infos[agent]` holds `reward_terms` (each before its weight) and `contact` (what the drone
+    touched); the last step's also `episode_metrics`.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     @property
     def observation_layout(self) -> tuple[ObservationField, ...]:
         """Name, place, unit and scale of each field of an observation."""
-        return observation_layout(self.core.config.num_neighbors, self.core.num_obstacles)
+        return observation_layout(*self.core.form[1:])
 
     @property
     def view(self) -> View:
@@ -118,7 +119,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         self.agents = list(self.possible_agents)
         if self.render_mode == "human":
             self.render()
-        return self._split(rows), {agent: {} for agent in self.agents}
+        return self.split(rows), {agent: {} for agent in self.agents}
 
     def step(
         self, actions: Mapping[str, npt.ArrayLike]
@@ -132,7 +133,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """Fly until the next decision.
 
         Args:
-            actions: one for each agent.
+            actions: one for each of `agents`; those of agents that have left are not used.
 
         Returns:
             Observations, rewards, terminations, truncations and infos by agent.
@@ -144,21 +145,21 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """
         if not self.agents:
             self.check_running("step")
-        result = self.core.step(join_actions(self.core.mode, self.agents, actions))
-        agents, terminated = self.agents, bool(result.terminated[0])
-        truncated = bool(result.truncated[0])
-        infos = infos_by_agent(self.core, self.possible_agents, result, terminated or truncated)
-        if terminated or truncated:
-            self.agents = []
+        result, agents = self.core.step(self.join(actions)), self.agents
+        over, cut = bool(result.terminated[0] | result.truncated[0]), bool(result.truncated[0])
+        infos = infos_by_agent(self.core, self.possible_agents, result, over)
+        flew, ended = result.active[0].tolist(), result.ended[0].tolist()
+        ends = dict(zip(agents, compress(ended, flew), strict=True))
+        self.agents = [] if over else [agent for agent in agents if not ends[agent]]
         if self.render_mode == "human":
             self.render()
-        rows = map(self._shape, result.observations[0].copy())
+        rows = compress(map(self._shape, result.observations[0].copy()), flew)
         return (
             dict(zip(agents, rows, strict=True)),
-            dict(zip(agents, result.rewards[0].tolist(), strict=True)),
-            dict.fromkeys(agents, terminated),
-            dict.fromkeys(agents, truncated),
-            infos,
+            dict(zip(agents, compress(result.rewards[0].tolist(), flew), strict=True)),
+            ends,
+            {agent: cut and not ends[agent] for agent in agents},
+            {agent: infos[agent] for agent in agents},
         )
 
     def state(self) -> Float32Array:
@@ -186,7 +187,8 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """
         self._check_open("set_state")
         self.core.set_state(snapshot)
-        self.agents = list(self.possible_agents) if self.core.running[0] else []
+        flies = self.core.world.drones["active"][0] * self.core.running[0]
+        self.agents = list(compress(self.possible_agents, flies.tolist()))
 
     def render(self) -> npt.NDArray[np.uint8] | None:
         """An RGB picture (height, width, 3) of the swarm, drawn on the CPU; None without a mode.
@@ -244,10 +246,22 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         return self.possible_agents.index(agent)
 
     def join(self, actions: Mapping[str, npt.ArrayLike]) -> npt.NDArray[np.float64]:
-        """The agents' actions as the core takes them, (1, N, width), or an error as of `step`."""
-        return join_actions(self.core.mode, self.agents, actions)
+        """The agents' actions as the core takes them, (1, N, width), or an error as of `step`.
 
-    def _split(self, rows: Float32Array) -> dict[str, Observation]:
+        Those of drones that have ended are zeros.
+        """
+        if len(self.agents) == self.core.num_drones:
+            return join_actions(self.core.mode, self.agents, actions)
+        left = set(self.possible_agents) - set(self.agents)
+        if isinstance(actions, Mapping):  # TorchRL acts for who has left, too
+            actions = {agent: action for agent, action in actions.items() if agent not in left}
+        joined = join_actions(self.core.mode, self.agents, actions)
+        everyone = np.zeros((1, self.core.num_drones, self.core.mode.width))
+        everyone[0, [self._index(agent) for agent in self.agents]] = joined[0]
+        return everyone
+
+    def split(self, rows: Float32Array) -> dict[str, Observation]:
+        """What every drone of the team observes, by rows (1, N, width); zeros of one that ended."""
         own = map(self._shape, rows[0].copy())
         return dict(zip(self.possible_agents, own, strict=True))
 
@@ -322,20 +336,21 @@ def infos_by_agent(
         result: of the step.
         ended: whether the episode has ended; the infos then hold the metrics.
     """
-    # Whatever is touched ends the episode, so that until then nothing is.
     names, columns = repeat(core.task.reward_names), result.reward_terms[:, 0].T.tolist()
     infos: dict[str, dict[str, Any]] = {
         agent: {"reward_terms": terms, "contact": _NO_CONTACT.copy()}
         for agent, terms in zip(agents, map(dict, map(zip, names, columns)), strict=True)
     }
-    if ended:
+    if ended or core.config.on_contact != "end_team":  # else nothing is touched before the end
         for info, contact in zip(infos.values(), _contacts(core, agents), strict=True):
-            info["contact"], info["episode_metrics"] = contact, core.metrics()
+            info["contact"] = contact
+            if ended:
+                info["episode_metrics"] = core.metrics()
     return infos
 
 
 def _contacts(core: SwarmCore, agents: Sequence[str]) -> list[dict[str, Any]]:
-    """What each drone touched in the last decision, which ended the episode if it was anything."""
+    """What each drone touched in its last decision."""
     contacts = core.physics.contacts
     touched, obstacle = contacts.drone[0].tolist(), contacts.obstacle[0].tolist()
     floor, wall = contacts.floor[0].tolist(), contacts.wall[0].tolist()
@@ -389,4 +404,5 @@ class SwarmTurnEnv(parallel_to_aec_wrapper[str, Any, Any]):
         actions: dict[str, Any] = dict.fromkeys(self.env.agents, others)
         joined = self.env.join(actions | {agent: action})
         shape = (1, core.num_drones, core.mode.width)
-        check_actions(core.mode, as_actions(core.mode, joined, shape))
+        clip = core.config.clip_actions
+        check_actions(core.mode, as_actions(core.mode, joined, shape, clip))

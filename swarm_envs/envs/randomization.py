@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from dataclasses import dataclass, fields
+from typing import Annotated, Any
 
 import numpy as np
 
-from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_S, Interval, Range, typed
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_S, Interval, Range, parse_pairs, typed
+from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import World
 from swarm_envs.vehicles import GRAVITY, Team
@@ -69,6 +70,21 @@ class Randomization:
     """noise of observed attitudes, rad"""
     body_rate_noise: Annotated[float, NOT_NEGATIVE] = 0.0
     """noise of observed body rates, rad/s"""
+
+    @classmethod
+    def of(cls, given: Randomization | str | None) -> Randomization | None:
+        """What an option `randomization` stands for; text is such as `mass=0.9:1.1,thrust=1:1.2`.
+
+        Raises:
+            ValueError: the text names no field, or a value that it cannot have.
+        """
+        if not isinstance(given, str):
+            return given
+        values: dict[str, Any] = {}
+        for name, numbers in parse_pairs("randomization", given):
+            check_name("randomization", name, [field.name for field in fields(cls)])
+            values[name] = numbers[0] if len(numbers) == 1 else tuple(numbers)
+        return cls(**values)
 
     def check_team(self, team: Team) -> None:
         """Refuse what could leave a vehicle unable to hover.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,9 @@ from swarm_envs.errors import check_integer, check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tasks.base import Task
 
+if TYPE_CHECKING:
+    from swarm_envs.viewing.live import LiveViewer
+
 Infos = dict[str, Any]
 """What a step of a batch adds: arrays by name, an entry for each environment."""
 
@@ -28,8 +31,14 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
     """E teams that fly at once. Made by `gymnasium.make_vec("swarm_envs/Swap-v0", num_envs=E)`.
 
     Observations (E, N * width), actions (E, N * width of the action), rewards the mean of the
-    team's. `infos["rewards"]` has each drone's (E, N), and where an episode ends
-    `infos["episode_metrics"]`, with Gymnasium's masks.
+    team's. `infos["rewards"]` has each drone's (E, N), `infos["active"]` (E, N) which drones have
+    flown this decision, and where an episode ends `infos["episode_metrics"]`, with Gymnasium's
+    masks.
+
+    With `per_agent=True` every drone is a row, e * N + i for drone i of environment e: observations
+    (E * N, width), actions, rewards and ends likewise. All rows of a team are reset together; one
+    that ended before (`on_contact="end_pair"`) waits until then, with zero observations, reward 0
+    and `infos["active"]` False, and is terminated with the team again.
 
     Args:
         task: what is flown, by whom.
@@ -37,7 +46,10 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         num_envs: E.
         autoreset_mode: what happens after an episode's end: `NEXT_STEP` (the next step begins a
             new one, its action unused), `SAME_STEP` (the step itself does; `final_obs` and
-            `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`).
+            `final_info` have the end), or `DISABLED` (`reset(options={"reset_mask": ...})`). Or
+            their names in Gymnasium: `"NextStep"`, `"SameStep"`, `"Disabled"`.
+        per_agent: whether a row is a drone, and not a team. Reset masks stay those of teams, (E,).
+        render_mode: `human` shows the first 16 environments in a browser, in real time; or None.
     """
 
     def __init__(
@@ -46,7 +58,11 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         config: EnvConfig,
         num_envs: int = 1,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        per_agent: bool = False,
+        render_mode: str | None = None,
     ) -> None:
+        if render_mode is not None:
+            check_name("render_mode of many environments", render_mode, ("human",))
         check_num_envs(num_envs)
         modes = {mode.value: mode for mode in AutoresetMode}
         if not isinstance(autoreset_mode, AutoresetMode):
@@ -54,13 +70,20 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         check_flat(config)
         self.mode = AutoresetMode(autoreset_mode)
         self.core = SwarmCore(task, config, num_envs)
-        self.num_envs = num_envs
-        self.metadata = {"autoreset_mode": self.mode, "render_modes": []}
-        self.single_observation_space = joint_box(self.core.rows.shape[1:], np.inf)
+        self.num_teams, drones = num_envs, self.core.num_drones
+        check_value("per_agent", per_agent, bool)
+        self.per_agent = per_agent
+        self.num_envs = num_envs * drones if per_agent else num_envs
+        self.metadata = {"autoreset_mode": self.mode, "render_modes": ["human"]}
+        self.render_mode = render_mode
+        self._live: LiveViewer | None = None
+        together = 1 if per_agent else drones
+        width = self.core.rows.shape[-1]
+        self.single_observation_space = joint_box((together, width), np.inf)
         edge = 1.0 if self.core.mode.bounded else np.inf
-        self.single_action_space = joint_box((self.core.num_drones, self.core.mode.width), edge)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.single_action_space = joint_box((together, self.core.mode.width), edge)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._ended: BoolArray = np.ones(num_envs, dtype=np.bool_)
         self._begun: BoolArray = np.zeros(num_envs, dtype=np.bool_)
 
@@ -89,9 +112,10 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         given = dict(given)
         mask = given.pop("reset_mask", None)
         self.core.reset(self._seeds(seed), mask, given)
-        where = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
+        where = np.ones(self.num_teams, np.bool_) if mask is None else np.asarray(mask)
         self._ended[where] = False
         self._begun[where] = True
+        self.render()
         return self._observations(), {}
 
     def step(
@@ -108,32 +132,55 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         result = self.core.step(split_teams(actions, self.action_space.shape, self.core))
         if again.any():  # only where the next step resets
             self.core.reset(mask=again)
-        rewards = np.where(again, 0.0, result.rewards.mean(axis=1))
-        ended = (result.terminated | result.truncated) & ~again
-        infos: Infos = {"rewards": result.rewards.copy()}
-        for e in np.flatnonzero(ended).tolist():
-            infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, e)
-        self._ended[:] = ended
-        if self.mode is AutoresetMode.SAME_STEP and ended.any():
-            infos = self._begin_again(ended, infos)
-        return (
-            self._observations(),
-            rewards,
-            result.terminated & ~again,
-            result.truncated & ~again,
-            infos,
-        )
+        over = (result.terminated | result.truncated) & ~again
+        self._ended[:] = over
+        infos: Infos = {"active": result.active}
+        if self.per_agent:
+            ends = result.ended | (over[:, None] & ~result.active)  # who waited ends again
+            given = result.rewards, ends, result.truncated[:, None] & ~ends
+            again, infos = again[:, None], {"active": result.active.reshape(-1)}
+        else:
+            given = result.rewards.mean(axis=1), result.terminated, result.truncated
+            infos["rewards"] = result.rewards.copy()
+        rewards = np.where(again, 0.0, given[0]).reshape(-1)
+        terminated, truncated = ((part & ~again).reshape(-1) for part in given[1:])
+        for e in np.flatnonzero(over).tolist():
+            for row in self._rows_of(e):
+                infos = self._add_info(infos, {"episode_metrics": self.core.metrics(e)}, row)
+        if self.mode is AutoresetMode.SAME_STEP and over.any():
+            infos = self._begin_again(over, infos)
+        self.render()
+        return self._observations(), rewards, terminated, truncated, infos
+
+    def render(self) -> None:
+        """Show the environments as they are now, with `render_mode="human"`; else nothing."""
+        if self.render_mode is None:
+            return
+        if self._live is None:
+            from swarm_envs.viewing.live import LiveViewer
+
+            self._live = LiveViewer(self.core)
+        self._live.show()
+
+    def _rows_of(self, e: int) -> range:
+        """The rows of a team."""
+        each = self.num_envs // self.num_teams
+        return range(e * each, (e + 1) * each)
 
     def close_extras(self, **_: object) -> None:
         """Free what physics holds."""
         if "core" in vars(self):  # Gymnasium 1.1 closes even what was refused
             self.core.close()
+            if self._live is not None:
+                self._live.close()
 
     def _begin_again(self, ended: BoolArray, infos: Infos) -> Infos:
         for e in np.flatnonzero(ended).tolist():
-            final = {"episode_metrics": self.core.metrics(e)}
-            last = self.core.rows[e].reshape(-1).copy()
-            infos = self._add_info(infos, {"final_obs": last, "final_info": final}, e)
+            rows = self._rows_of(e)
+            ends = self.core.rows[e].reshape(len(rows), -1).copy()
+            for row, last in zip(rows, ends, strict=True):
+                final = {"episode_metrics": self.core.metrics(e)}
+                infos = self._add_info(infos, {"final_obs": last, "final_info": final}, row)
         self.core.reset(mask=ended)
         self._ended[:] = False
         return infos
@@ -156,15 +203,21 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
         if isinstance(seed, Sequence | np.ndarray):
             return list(seed)
         first = check_integer("seed", seed, 0)
-        return [first + e for e in range(self.num_envs)]
+        return [first + e for e in range(self.num_teams)]
 
     def _observations(self) -> Float32Array:
         return self.core.rows.reshape(self.num_envs, -1).copy()
 
 
 def make_vector(
-    task: str, num_envs: int = 1, autoreset_mode: Any = "NextStep", **options: Any
+    task: str,
+    num_envs: int = 1,
+    autoreset_mode: Any = "NextStep",
+    per_agent: bool = False,
+    render_mode: str | None = None,
+    **options: Any,
 ) -> SwarmVectorEnv:
     """E teams on the batched engine; options as of the task's `parallel_env()`."""
-    blueprint = batch_of(task, **options)
-    return SwarmVectorEnv(blueprint.task, blueprint.config, num_envs, autoreset_mode)
+    made = batch_of(task, **options)
+    views = autoreset_mode, per_agent, render_mode
+    return SwarmVectorEnv(made.task, made.config, num_envs, *views)

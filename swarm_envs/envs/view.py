@@ -10,7 +10,6 @@ import numpy.typing as npt
 
 from swarm_envs.physics.contact import Contacts
 from swarm_envs.state import FloatArray, Setpoint, SwarmState
-from swarm_envs.tasks.motion import REST
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.trajectories import Reference
 from swarm_envs.vehicles import Team
@@ -91,7 +90,7 @@ class View:
     @property
     def reference_moves(self) -> bool:
         """Whether the task says how to get there; else its reference rests at the goals."""
-        return self._core.task.motion.kind != REST
+        return not self._core.task.motion.rests
 
     def reference(self, time: float) -> Reference:
         """Where the drones should be at `time`, s: arrays (N, 3)."""

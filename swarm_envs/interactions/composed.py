@@ -69,7 +69,7 @@ def describe_turned(field: PackedField, total: int, scratch: Scratch) -> None:
     for at in range(scratch.counters[0]["pairs"]):
         pair = scratch.pairs[at]
         lower, upper = scratch.drones[pair["i"]], scratch.drones[pair["j"]]
-        here, there, motion = lower["position"], upper["position"], pair["motion"]
+        here, there, motion = lower["position"], upper["seen"], pair["motion"]
         x, y, dz = there[0] - here[0], there[1] - here[1], there[2] - here[2]
         beside = fade_weight(math.sqrt(x * x + y * y), window[0], window[1])
         pair["weight"] = beside * fade_weight(abs(dz), window[2], window[3])

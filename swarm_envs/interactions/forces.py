@@ -23,7 +23,7 @@ from swarm_envs.interactions.wake import wake_forces
 from swarm_envs.neighbors import sort_along_x, within_box
 from swarm_envs.state import FloatArray, IntArray
 
-__all__ = ["all_forces", "swarm_forces", "types_array"]
+__all__ = ["all_forces", "felt_forces", "swarm_forces", "types_array"]
 
 
 @equation
@@ -146,7 +146,7 @@ def describe_motion(field: PackedField, total: int, scratch: Scratch) -> None:
         here, there, motion = scratch.drones[pair["i"]], scratch.drones[pair["j"]], pair["motion"]
         outside = here["outside"] != 0
         for k in range(3):
-            motion[k] = there["position"][k] - here["position"][k]
+            motion[k] = there["seen"][k] - here["position"][k]
             motion[k + 3] = there["velocity"][k] - here["velocity"][k]
         for k in range(6):
             known = min(max(motion[k], measured[0, k]), measured[1, k])
@@ -174,10 +174,27 @@ def swarm_forces(field: PackedField, count: int, drones: int, scratch: Scratch) 
         scratch: knows their types, positions and velocities; forces (N, world frame) and marks are
             written, and their pairs.
     """
-    kind, counters, total = field.constants[0]["kind"], scratch.counters[0], count * drones
+    counters = scratch.counters[0]
     counters["pairs"] = counters["used"] = 0
-    if kind != NONE:
+    if field.constants[0]["kind"] != NONE:
         find_pairs(field, count, drones, scratch.order, scratch)
+    for slot in range(count * drones):
+        drone = scratch.drones[slot]
+        for k in range(3):
+            drone["seen"][k] = drone["position"][k]
+    felt_forces(field, count * drones, scratch)
+
+
+@equation
+def felt_forces(field: PackedField, total: int, scratch: Scratch) -> None:
+    """Write the forces that drones feel at `position` from others that are where they are `seen`.
+
+    Args:
+        field: the model.
+        total: drones.
+        scratch: knows drones and pairs.
+    """
+    kind, counters = field.constants[0]["kind"], scratch.counters[0]
     describe_motion(field, total, scratch)
     if kind == WAKE:
         wake_forces(field, total, scratch)

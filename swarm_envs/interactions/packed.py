@@ -237,6 +237,7 @@ DRONE = np.dtype(
         ("felt", np.int64),  # whether it feels anything of networks; else they give exactly 0
         ("pushed", np.float64),  # sum of all wakes on it, each to the power q
         ("pairs", np.float64, (3,)),  # sum of all pushes on it: horizontally in x and y, and down
+        ("seen", np.float64, (3,)),  # where the others find it, m; `position` is where it feels
     ],
     align=True,
 )
@@ -277,7 +278,7 @@ class Scratch(NamedTuple):
     drones: Records
     """(M,) records of `DRONE`."""
     columns: FloatArray
-    """(M, 21) the same memory as plain numbers; the first three are the position."""
+    """(M, 24) the same memory as plain numbers; the first three are the position."""
     order: IntArray | None
     """(2, M) the drones of each environment, by their index there, as last sorted along x; and
     indices for a moment. None if they are few."""

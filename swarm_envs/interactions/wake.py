@@ -101,7 +101,7 @@ def wake_forces(field: PackedField, total: int, scratch: Scratch) -> None:
     for at in range(scratch.counters[0]["pairs"]):
         pair = scratch.pairs[at]
         lower, upper = scratch.drones[pair["i"]], scratch.drones[pair["j"]]
-        here, there, speed = lower["position"], upper["position"], upper["velocity"]
+        here, there, speed = lower["position"], upper["seen"], upper["velocity"]
         dx, dy, dz = there[0] - here[0], there[1] - here[1], there[2] - here[2]
         delay = max(dz, 0.0) * model["wake_delay"][upper["type"]]
         x, y = dx - speed[0] * delay, dy - speed[1] * delay

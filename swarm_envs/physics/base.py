@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.arguments import Divides, Range, typed
+from swarm_envs.arguments import Divides, OneOf, Range, typed
 from swarm_envs.compiled import entry_point
 from swarm_envs.control.config import ControllerConfig, gains
 from swarm_envs.errors import check_array
@@ -25,7 +25,14 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.motors import BatteryModel
 from swarm_envs.neighbors import FEW
-from swarm_envs.physics.contact import NO_WALLS, ROW, Contacts, contacts_of, no_obstacles
+from swarm_envs.physics.contact import (
+    NO_WALLS,
+    ON_CONTACT,
+    ROW,
+    Contacts,
+    contacts_of,
+    no_obstacles,
+)
 from swarm_envs.physics.rigid_body import PHYSICS_RATE, TIME_STEP
 from swarm_envs.physics.step import (
     BEGIN,
@@ -84,6 +91,7 @@ class Physics:
             give in environments; None for still air. `step` leaves them out.
         hall: numbers of the world `"hall"`, of which environments draw what is constant in an
             episode; None for the ideal world.
+        interaction_torque: whether the interaction force, uneven over the rotors, turns bodies.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`; None for none.
         level: where commands enter: SETPOINTS, RATES or ROTORS of `swarm_envs.physics.step`.
         controller: of the tracking loop, for the first two.
@@ -91,6 +99,9 @@ class Physics:
         num_stages: S, sets of goals of an episode.
         force_bounds_g: bound on the vertical interaction force by vehicle token, gram-force, that
             metrics count; types that are left out have none.
+        on_contact: one of `ON_CONTACT`; with `bounce` drones bounce off each other, floor, walls
+            and obstacles as `swarm_envs.physics.bounce` says. Else the compiled engine lets them
+            pass through; so does Bullet with `end_pair`, and pushes them apart with `end_team`.
 
     Raises:
         ValueError: an argument names nothing valid.
@@ -111,12 +122,14 @@ class Physics:
         force_rate: Annotated[int, Divides(PHYSICS_RATE)] = PHYSICS_RATE,
         gusts: tuple[float, float] | None = None,
         hall: Hall | None = None,
+        interaction_torque: bool = False,
         obstacles: npt.ArrayLike | None = None,
         level: int = ROTORS,
         controller: ControllerConfig | None = None,
         threads: int = 1,
         num_stages: int = 1,
         force_bounds_g: Mapping[str, float] = FORCE_BOUNDS_G,
+        on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_team",
     ) -> None:
         self.team = parse_team(team)
         self.teams = [self.team] * num_envs
@@ -127,7 +140,7 @@ class Physics:
         self.arena = NO_WALLS if arena is None else check_array("arena", arena, (2, 3))
         rows = np.asarray(no_obstacles() if obstacles is None else obstacles)
         self.obstacles = check_array("obstacles", rows, (*rows.shape[:1], ROW), "(M, 7)")
-        self.hall = hall
+        self.hall, self._twisting = hall, interaction_torque
         self._battery = BatteryModel() if battery is None else battery
         self._bounds_g = force_bounds_g
         drones = len(self.team)
@@ -145,6 +158,8 @@ class Physics:
             gust_kept=float(np.exp(-TIME_STEP / correlation_s)),
             gust_strength=strength,
             arena=self.arena,
+            ends_team=on_contact == "end_team",
+            bounces=on_contact == "bounce",
             idle_current=self._battery.idle_current_a,
             current_per_newton=self._battery.current_per_newton,
             **gains(config, TIME_STEP),
@@ -181,6 +196,8 @@ class Physics:
             True if self.settings["gusty"][0] else None,
             True if self.settings["adaptation"][0] else None,
             None if self.hall is None else True,
+            True if self.settings["bounces"][0] else None,
+            True if self._twisting else None,
             self.interactions.packed,
             self.feedforward.packed if self.settings["compensates"][0] else None,
         )
@@ -395,7 +412,8 @@ class BatchPhysics(Physics):
     """The compiled engine. Any number of environments, no dependency on Bullet.
 
     It is the twin of `BulletPhysics`: the same step rule, to 1e-9 until the first contact. After a
-    contact it continues without response: drones pass through each other and through walls.
+    contact it continues without response, unless drones bounce: they pass through each other and
+    through walls.
     """
 
     name = "batch"

@@ -162,9 +162,9 @@ def import_bullet() -> Any:
 class BulletPhysics(Physics):
     """Rigid bodies in Bullet, built once for a team; a reset sets poses and velocities.
 
-    Bullet's contacts give the response after a collision; collisions themselves are decided by
-    the phase `TOUCH` of `fly`, as on the compiled engine. Call `close()` when done, or use it in
-    `with`.
+    Collisions are decided by the phase `TOUCH` of `fly`, as on the compiled engine. Where one ends
+    the team's episode Bullet's contacts give the response; else Bullet lets bodies pass.
+    Call `close()` when done, or use it in `with`.
 
     Raises:
         ImportError: pybullet is not installed, or broken.
@@ -210,10 +210,14 @@ class BulletPhysics(Physics):
         build_floor(bullet, client)
         for row in self.obstacles.tolist():
             build_obstacle(bullet, client, row)
-        return [
+        bodies = [
             build_body(bullet, client, vehicle, *inertia)
             for vehicle, inertia in zip(self.teams[e], self._inertias(e), strict=True)
         ]
+        if not self.settings["ends_team"][0]:
+            for body in bodies:  # neither group nor mask: nothing collides with it
+                bullet.setCollisionFilterGroupMask(body, -1, 0, 0, physicsClientId=client)
+        return bodies
 
     def _inertias(self, e: int) -> list[tuple[float, list[float]]]:
         """Mass and moments of inertia of each drone of environment `e`, for its body."""
@@ -301,11 +305,17 @@ class BulletPhysics(Physics):
         if not self.clients:
             self._check_open()
         kernel, given, where = self._compiled, (1, flown, *self._given[0]), flown.nonzero()[0]
+        ends_team, bounces = bool(self.settings["ends_team"][0]), bool(self.settings["bounces"][0])
         for k in range(steps):
             kernel(0, self.num_envs, before | (TOUCH if k else BEGIN), *given)
             for e in where.tolist():
+                if k and bounces:
+                    self.settle(e)
                 self._move_bodies(e, settles and k == steps - 1)
         kernel(0, self.num_envs, TOUCH, *given)
+        if not ends_team:  # who bounced, or has ended, is not where its body is
+            for e in where.tolist():
+                self.settle(e)
 
     def _move_bodies(self, e: int, settles: bool) -> None:
         """Let Bullet advance the bodies of environment `e`, and write where they are now.
@@ -322,9 +332,10 @@ class BulletPhysics(Physics):
         put, set_off = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
         write, memory, size = _BODY.pack_into, self._memory, self.world.drones.itemsize
         place = e * len(bodies) * size
-        for body in bodies:
+        for body, flies in zip(bodies, self.world.drones["active"][e].tolist(), strict=True):
             (position, quaternion), (velocity, rate) = pose(body, client), twist(body, client)
-            write(memory, place, *position, *quaternion, *velocity, *rate)
+            if flies:
+                write(memory, place, *position, *quaternion, *velocity, *rate)
             place += size
             if settles:
                 put(body, position, quaternion, client)

@@ -28,6 +28,7 @@ __all__ = [
     "COLUMN",
     "NO_DRONE",
     "NO_OBSTACLE",
+    "ON_CONTACT",
     "ROW",
     "Contacts",
     "distances",
@@ -96,6 +97,10 @@ NO_DRONE = -1
 """In `Contacts.drone`: touches no other drone."""
 NO_OBSTACLE = -1
 """In `Contacts.obstacle`: touches no obstacle."""
+
+ON_CONTACT = ("end_team", "end_pair", "bounce")
+"""What a contact does: it ends the episode of the whole team, it ends that of the drones that touch
+something, or they bounce and fly on."""
 
 NO_WALLS = np.array([[-np.inf, -np.inf, -np.inf], [np.inf, np.inf, np.inf]])
 """(2, 3) arena without walls, m."""

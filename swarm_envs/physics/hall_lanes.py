@@ -18,6 +18,7 @@ import math
 
 from swarm_envs.compiled import equation, part
 from swarm_envs.control.loop import four, three
+from swarm_envs.interactions.packed import Scratch
 from swarm_envs.noise import even_number, moved, pair_of_normals, stream_of
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.state import FloatArray, IntArray
@@ -82,6 +83,26 @@ def store_hall(columns: FloatArray, members: IntArray, count: int, tile: FloatAr
 
 
 @part
+def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratch: Scratch) -> None:
+    """Note which drones have another one in the interaction volume of the force model.
+
+    Args:
+        count: environments whose forces have just been evaluated.
+        drones: N.
+        due: (C,) their places among the blocks.
+        blocks: records of `LANES` drones.
+        scratch: of the force model, which lists the pairs.
+    """
+    for at in range(count * drones):
+        slot = due[at // drones] * drones + at % drones
+        blocks[slot // LANES].company[slot % LANES] = 0.0
+    for at in range(scratch.counters[0]["pairs"]):
+        i = scratch.pairs[at]["i"]
+        slot = due[i // drones] * drones + i % drones
+        blocks[slot // LANES].company[slot % LANES] = 1.0
+
+
+@part
 def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
     """Write the force that no model knows into `external` (N, world frame), and advance it.
 
@@ -105,6 +126,8 @@ def disturb(blocks: Records, count: int, settings: Records, adds: bool) -> None:
             force = math.sqrt(fx * fx + fy * fy + fz * fz)
             grown = force / (force + b.residual_half[lane])
             size = b.residual_quiet[lane] + b.residual_more[lane] * grown
+            alone = b.residual_alone[lane]
+            size = alone + b.company[lane] * (size - alone)
             x, y = (
                 kept * b.residual_process[0, lane] + fresh * x,
                 kept * b.residual_process[1, lane] + fresh * y,

@@ -132,8 +132,14 @@ def spin_rotors(blocks: Records, count: int) -> None:
 
 
 @part
-def integrate(blocks: Records, count: int) -> None:
-    """Advance the bodies of the first `count` blocks by one step of 1/240 s, in place."""
+def integrate(blocks: Records, count: int, twisting: bool | None = None) -> None:
+    """Advance the bodies of the first `count` blocks by one step of 1/240 s, in place.
+
+    Args:
+        blocks: records of `LANES` drones.
+        count: how many of them.
+        twisting: True if the air has a torque on them, else None.
+    """
     dt = TIME_STEP
     for n in range(count):
         b = blocks[n]
@@ -146,6 +152,9 @@ def integrate(blocks: Records, count: int) -> None:
             )
             gain = b.thrust_gain[lane]
             thrust, tx, ty, tz = gain * thrust, gain * tx, gain * ty, gain * tz
+            if twisting is not None:
+                x, y, z = three(b.interaction_torque, lane)
+                tx, ty, tz = tx + x, ty + y, tz + z
             # Euler's equations in the body frame.
             jx, jy, jz = three(b.inertia, lane)
             x, y, z = three(b.angular_velocity, lane)

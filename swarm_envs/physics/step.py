@@ -19,10 +19,11 @@ from swarm_envs.compiled import kernel, part
 from swarm_envs.control.adaptation import adapt
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
-from swarm_envs.interactions.forces import swarm_forces
+from swarm_envs.interactions.forces import felt_forces, swarm_forces
 from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
 from swarm_envs.motors import drain, limit_rotors
 from swarm_envs.neighbors import FEW
+from swarm_envs.physics.bounce import bounce
 from swarm_envs.physics.contact import (
     PLACES,
     SPOT_TYPE,
@@ -34,6 +35,7 @@ from swarm_envs.physics.contact import (
 from swarm_envs.physics.hall_lanes import (
     disturb,
     estimate,
+    find_company,
     load_hall,
     store_hall,
     use_estimate,
@@ -49,6 +51,7 @@ from swarm_envs.physics.rigid_body import (
 )
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import (
+    ACTIVE,
     ADAPTATION_END,
     BLOCK_TYPE,
     BODY_END,
@@ -69,6 +72,8 @@ SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
 BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
 """Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
+FAR = 1e6
+"""Where drones whose episode has ended are taken to be, and how far from each other, m."""
 
 
 class Work(NamedTuple):
@@ -111,6 +116,8 @@ def load_tile(
     The columns of the tracking loop, and of its adaptation, are left out if there is none. Where a
     decision begins, what was touched in the last one is forgotten. Lanes that are left over in the
     last block repeat the last drone, so that numbers there are sound; they are not written back.
+    Drones whose episode has ended come far away from all others, and are not written back either:
+    so they neither touch nor push anybody, and stay as they were at their end.
     """
     drones, slot = columns.shape[1], 0
     skipped = BODY_END if controlled else CONTROLLER_END
@@ -126,6 +133,8 @@ def load_tile(
             if begins:
                 for k in range(len(CONTACT_COLUMNS)):
                     block[CONTACT_COLUMNS[k], lane] = CONTACT_VALUES[k]
+            if row[ACTIVE] == 0.0:
+                block[0, lane] = FAR * (i + 1)
             slot += 1
     last, block = (slot - 1) % LANES, work.tile[(slot - 1) // LANES]
     for lane in range(last + 1, LANES):
@@ -145,11 +154,13 @@ def store_tile(
         for i in range(drones):
             row, lane = columns[work.members[place], i], slot % LANES
             block = work.tile[slot // LANES]
+            slot += 1
+            if row[ACTIVE] == 0.0:
+                continue
             for c in range(end):
                 row[c] = block[c, lane]
             for c in range(VEHICLE_END, learned):
                 row[c] = block[c, lane]
-            slot += 1
 
 
 @part
@@ -209,6 +220,8 @@ def fly(  # noqa: C901  # one step, on one screen
     gusty: bool | None,
     adaptive: bool | None,
     hall: bool | None,
+    bounces: bool | None,
+    twisting: bool | None,
     air: PackedField,
     feedforward: PackedField | None,
     work: Work,
@@ -235,6 +248,8 @@ def fly(  # noqa: C901  # one step, on one screen
         gusty: True if there are gusts, else None.
         adaptive: True if the controller adapts, else None.
         hall: True in the world "hall", else None.
+        bounces: True if drones bounce off what they touch, else None.
+        twisting: True if the air has a torque on bodies, else None.
         air: the force model of the environment.
         feedforward: the model whose forces the controller compensates; None without one.
         work: working memory of this thread.
@@ -256,7 +271,9 @@ def fly(  # noqa: C901  # one step, on one screen
             continue
         full = (count * size + LANES - 1) // LANES
         load_tile(columns, count, controlled, adapts, phases & BEGIN != 0, work)
-        if hall is not None:
+        if hall is not None:  # noqa: SIM114  # what is None is left out, but not from an `or`
+            load_hall(columns, environments, members, count, work.blocks, work.tile)
+        elif twisting is not None:
             load_hall(columns, environments, members, count, work.blocks, work.tile)
         for k in range(steps + 1):
             if phases & TOUCH and (k > 0) == moves:
@@ -270,6 +287,9 @@ def fly(  # noqa: C901  # one step, on one screen
                         meet_many(work.blocks, place * size, work.position, order[members[place]])
                 if obstacles is not None:
                     touch_obstacles(work.blocks, count * size, obstacles)
+                if bounces is not None:
+                    for place in range(count):
+                        bounce(work.blocks, place * size, size, settings, obstacles)
             if k == steps:
                 break
             if hall is not None and phases & CONTROL and controlled:
@@ -302,6 +322,10 @@ def fly(  # noqa: C901  # one step, on one screen
                     gather(due, size, compensated, work, scratch)
                     swarm_forces(air, due, size, scratch)
                     spread(due, size, compensated, environments, work, scratch)
+                    if hall is not None:
+                        find_company(due, size, work.due, work.blocks, scratch)
+                    if twisting is not None:
+                        twist(air, due, size, environments, work, scratch)
                 if gusty is not None and phases & CONTROL:
                     for place in range(count):
                         environment = environments[members[place]]
@@ -313,12 +337,56 @@ def fly(  # noqa: C901  # one step, on one screen
                 if open_circuit is not None:
                     empty_batteries(count, drones, settings, open_circuit, work)
             if phases & MOVE:
-                integrate(work.blocks, full)
+                integrate(work.blocks, full, twisting)
             elif phases & SPIN:
-                write_wrenches(count, drones, work)
+                write_wrenches(count, drones, work, twisting)
         store_tile(columns, count, controlled, adapts, work)
-        if hall is not None:
+        if hall is not None:  # noqa: SIM114  # likewise
             store_hall(columns, members, count, work.tile)
+        elif twisting is not None:
+            store_hall(columns, members, count, work.tile)
+
+
+@part
+def twist(
+    air: PackedField, count: int, drones: int, environments: Records, work: Work, scratch: Scratch
+) -> None:
+    """Write the torque of the air on bodies: each rotor feels a quarter of its place's force.
+
+    That is the vertical force that the model gives for the drone at the rotor's place, all others
+    where they are. Pairs, and where the model says so their weights, are those of the centres.
+
+    Args:
+        air: the force model, just evaluated.
+        count: how many places of `work.due` it was evaluated for.
+        drones: N.
+        environments: their records, with the factor of the force.
+        work: its blocks are written.
+        scratch: of the force model.
+    """
+    for rotor in range(4):
+        across = 1.0 if rotor == 0 or rotor == 3 else -1.0
+        along = 1.0 if rotor >= 2 else -1.0
+        for at in range(count * drones):
+            slot, felt = work.due[at // drones] * drones + at % drones, scratch.drones[at]
+            b, lane = work.blocks[slot // LANES], slot % LANES
+            r = rotation_entries(*four(b.quaternion, lane))
+            x, y = across * b.rotor_offset[lane], along * b.rotor_offset[lane]
+            for k in range(3):
+                felt["position"][k] = felt["seen"][k] + r[3 * k] * x + r[3 * k + 1] * y
+        felt_forces(air, count * drones, scratch)
+        for at in range(count * drones):
+            place = work.due[at // drones]
+            slot = place * drones + at % drones
+            b, lane = work.blocks[slot // LANES], slot % LANES
+            r = rotation_entries(*four(b.quaternion, lane))
+            x, y = across * b.rotor_offset[lane], along * b.rotor_offset[lane]
+            share = 0.25 * environments[work.members[place]].force_scale
+            force, torque = share * scratch.drones[at]["force"][2], b.interaction_torque
+            kept = 0.0 if rotor == 0 else 1.0
+            torque[0, lane] = kept * torque[0, lane] + y * force * r[8]
+            torque[1, lane] = kept * torque[1, lane] - x * force * r[8]
+            torque[2, lane] = kept * torque[2, lane] + force * (x * r[7] - y * r[6])
 
 
 @part
@@ -338,7 +406,7 @@ def empty_batteries(
 
 
 @part
-def write_wrenches(count: int, drones: Records, work: Work) -> None:
+def write_wrenches(count: int, drones: Records, work: Work, twisting: bool | None) -> None:
     """Write force (N) and torque (N m) on each body in its own frame, for Bullet to move it."""
     size = drones.shape[1]
     for slot in range(count * size):
@@ -353,6 +421,9 @@ def write_wrenches(count: int, drones: Records, work: Work) -> None:
         x, y, z = x + ex, y + ey, z + ez
         gain = b.thrust_gain[lane]
         thrust, out[3], out[4], out[5] = gain * thrust, gain * out[3], gain * out[4], gain * out[5]
+        if twisting is not None:
+            for k in range(3):
+                out[3 + k] += b.interaction_torque[k, lane]
         out[0] = r[0] * x + r[3] * y + r[6] * z
         out[1] = r[1] * x + r[4] * y + r[7] * z
         out[2] = r[2] * x + r[5] * y + r[8] * z + thrust

@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Annotated, NamedTuple, Self
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, typed
 from swarm_envs.control.config import INTEGRAL_LIMIT
 from swarm_envs.errors import check_array
-from swarm_envs.state import FloatArray
+from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, new_world
 from swarm_envs.tasks.motion import WRITERS, Motion, reference_of
 from swarm_envs.tasks.obstacles import Obstacle, obstacle_rows
@@ -25,6 +25,7 @@ __all__ = [
     "ACCELERATION_LIMIT",
     "NEAR_MISS",
     "SPEED_LIMIT",
+    "ByScore",
     "Placement",
     "Success",
     "Task",
@@ -59,6 +60,12 @@ class Placement(NamedTuple):
     """Seconds that the reference takes from one stage to the next; 0 if it rests at the goals."""
     orbit: Orbit | None = None
     """What the reference circles on, if it does."""
+    team: Team | None = None
+    """The vehicles of this episode, where the task draws payloads; None for the task's."""
+    chased: IntArray | None = None
+    """(N,) index of the drone that each one chases; -1, and None for all, if it chases nobody."""
+    key: int = 0
+    """Stream of random numbers from which kernels draw goals to come: 64 bits."""
 
 
 def place(world: World, e: int, placement: Placement) -> None:
@@ -66,6 +73,8 @@ def place(world: World, e: int, placement: Placement) -> None:
     drones, goals = world.drones[e], placement.goals
     drones["start"], drones["goal"], world.goals[e] = placement.start, goals[0], goals
     world.environments["duration"][e] = placement.duration
+    world.environments["goal_key"][e] = placement.key
+    drones["chased"] = -1 if placement.chased is None else placement.chased
     if placement.orbit is not None:
         drones["orbit"] = np.stack(placement.orbit[:3], axis=1)
         drones["orbit_rate"], drones["orbit_phase"] = placement.orbit.rate, placement.orbit.phase
@@ -76,6 +85,7 @@ def world_of(placement: Placement) -> World:
     stages, drones, _ = placement.goals.shape
     world = new_world(1, drones, stages)
     place(world, 0, placement)
+    world.drones["position"] = placement.start
     return world
 
 
@@ -98,6 +108,9 @@ class Success:
     """How near a drone must be to its goal, m."""
     hold_s: Annotated[float, NOT_NEGATIVE] = 0.5
     """For how long all must stay there, s, as seen at decisions."""
+    named: bool = True
+    """Whether each drone has a goal of its own. If not, a drone that comes to another's goal
+    exchanges goals with it, unless either stands at its own: any may take any."""
 
 
 @typed
@@ -111,6 +124,17 @@ class TrackingSuccess:
     """Errors count from this time on, s."""
 
 
+@typed
+@dataclass(frozen=True)
+class ByScore:
+    """A task that continues until the time limit, and succeeds with a sufficient score."""
+
+    radius: Annotated[float, POSITIVE_M]
+    """How near a drone must be to its goal, m."""
+    least: Annotated[float, NOT_NEGATIVE]
+    """The score, in the task's own unit, from which the episode is a success."""
+
+
 class Task(ABC):
     """A task for a team. Stateless: what changes over an episode lives in the `World`."""
 
@@ -118,7 +142,7 @@ class Task(ABC):
     """Versioned name, such as `swap_v0`."""
     team: Team
     """The drones, in the order of the agents."""
-    success: Success | TrackingSuccess
+    success: Success | TrackingSuccess | ByScore
     """When the team has done a stage, or the task."""
     obstacles: tuple[Obstacle, ...]
     """What stands in the way, the same in every episode."""
@@ -129,8 +153,13 @@ class Task(ABC):
     velocity_integral_limit: float = INTEGRAL_LIMIT
     """Of controllers that leave theirs to the task, m; see `ControllerConfig`."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
-    """A kernel that writes the bounded terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
+    """A kernel that writes the terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
+    score_names: tuple[str, ...] = ()
+    """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
+    advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None
+    """A kernel that scores a judged decision and sets new goals: `(flown, drones, environments,
+    goals, settings)`, `flown` (E,) being the environments that made one."""
 
     def with_team(self, team: Team) -> Self:
         """The same task for another team.
@@ -150,6 +179,11 @@ class Task(ABC):
     def num_stages(self) -> int:
         """S: how many sets of goals are flown to, one after another."""
         return 1
+
+    @property
+    def rules(self) -> dict[str, Any]:
+        """Fields of `swarm_envs.tables.SETTINGS` that its kernels read beside the usual ones."""
+        return {}
 
     @property
     def radius(self) -> FloatArray:

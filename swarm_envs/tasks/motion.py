@@ -18,7 +18,7 @@ from swarm_envs.trajectories import Reference
 
 __all__ = ["LINES", "ORBITS", "REST", "Motion", "reference_of", "stage_at"]
 
-REST, LINES, ORBITS = 0, 1, 2
+REST, LINES, ORBITS, OWN_GOALS, PURSUIT = 0, 1, 2, 3, 4
 """Kinds of motion."""
 _ROUNDING = 1e-9
 
@@ -28,12 +28,18 @@ class Motion(NamedTuple):
 
     kind: int = REST
     """`REST` at the goals; `LINES`: straight from each stage's goals to the next, where the
-    environment has a duration; `ORBITS`: on the drones' ellipses."""
+    environment has a duration; `ORBITS`: on the drones' ellipses; `OWN_GOALS`: at rest at the goal
+    that each drone has now; `PURSUIT`: goals on ellipses, or beside other drones."""
     ramp: float = 0.2
     """`LINES`: share of the duration in which the speed grows, and in which it falls. `ORBITS`:
     time in which the rate grows from rest, s."""
     stage_s: float = 0.0
     """Seconds that each stage lasts; 0 if there is only one."""
+
+    @property
+    def rests(self) -> bool:
+        """Whether the reference is the goal, at rest."""
+        return self.kind in (REST, OWN_GOALS)
 
     def settings(self) -> dict[str, float]:
         """The fields of `swarm_envs.tables.SETTINGS` that it gives."""
@@ -162,7 +168,47 @@ def write_orbits(
                 d.reference_jerk[k] = tangent * (ddw - w**3) - 3.0 * radial * w * dw
 
 
-WRITERS = {REST: write_rest, LINES: write_lines, ORBITS: write_orbits}
+@kernel
+def write_own_goals(
+    drones: Records, environments: Records, goals: FloatArray, settings: Records
+) -> None:
+    """Write that every drone should rest at its goal of now. Arguments as of `write_rest`."""
+    for e in range(drones.shape[0]):
+        for i in range(drones.shape[1]):
+            d = drones[e, i]
+            for k in range(3):
+                d.reference_position[k] = d.goal[k]
+                d.reference_velocity[k] = d.reference_acceleration[k] = d.reference_jerk[k] = 0.0
+
+
+@kernel
+def write_pursuit(
+    drones: Records, environments: Records, goals: FloatArray, settings: Records
+) -> None:
+    """Write goals that are on ellipses or, where a drone chases another, beside that one.
+
+    The goal of who chases is the centre of its ellipse, seen from whom it chases; its reference has
+    the velocity of that one, and no acceleration, which nobody observes. Arguments: `write_rest`.
+    """
+    write_orbits(drones, environments, goals, settings)
+    for e in range(drones.shape[0]):
+        for i in range(drones.shape[1]):
+            d = drones[e, i]
+            for k in range(3):
+                if d.chased >= 0.0:
+                    other = drones[e, int(d.chased)]
+                    d.reference_position[k] = other.position[k] + d.orbit[0, k]
+                    d.reference_velocity[k] = other.velocity[k] * other.active
+                d.goal[k] = d.reference_position[k]
+
+
+WRITERS = {
+    REST: write_rest,
+    LINES: write_lines,
+    ORBITS: write_orbits,
+    OWN_GOALS: write_own_goals,
+    PURSUIT: write_pursuit,
+}
 """The kernel that writes the reference, by kind of motion: what is not flown is not compiled."""
 
 

@@ -12,12 +12,20 @@ from typing import Annotated
 
 import numpy as np
 
-from swarm_envs.arguments import POSITIVE_M, typed
-from swarm_envs.errors import check_array, check_integer
+from swarm_envs.arguments import POSITIVE_M, parse_pairs, typed
+from swarm_envs.errors import check_array, check_integer, check_name
 from swarm_envs.physics.contact import BOX, COLUMN, ROW, distances, no_obstacles
 from swarm_envs.state import FloatArray
 
-__all__ = ["Box", "Column", "Obstacle", "buildings", "obstacle_distances", "obstacle_rows"]
+__all__ = [
+    "Box",
+    "Column",
+    "Obstacle",
+    "buildings",
+    "obstacle_distances",
+    "obstacle_rows",
+    "parse_obstacles",
+]
 
 Point = tuple[float, float, float]
 """x, y, z, m."""
@@ -113,6 +121,34 @@ def buildings(
         for x in places[0]
         for y in places[1]
     )
+
+
+def parse_obstacles(text: str) -> tuple[Obstacle, ...]:
+    """Obstacles of a text such as `buildings=2:2,column=1:1:0.15,box=0:0:0:1:1:2`.
+
+    `buildings` takes columns and rows, `column` x, y and radius, `box` both corners, m.
+
+    Raises:
+        ValueError: it names something else, or numbers that no obstacle has.
+    """
+    found: list[Obstacle] = []
+    for name, numbers in parse_pairs("obstacles", text):
+        wanted = _NUMBERS[check_name("obstacle", name, _NUMBERS)]
+        if len(numbers) != wanted:
+            raise ValueError(f"{name} has {len(numbers)} numbers, but must have {wanted}")
+        if name == "buildings":
+            if not all(number.is_integer() for number in numbers):
+                raise ValueError(f"buildings has {numbers}, but must have two integers")
+            found += buildings(int(numbers[0]), int(numbers[1]))
+        elif name == "column":
+            found.append(Column((numbers[0], numbers[1]), numbers[2]))
+        else:
+            x, y, z, *high = numbers
+            found.append(Box((x, y, z), (high[0], high[1], high[2])))
+    return tuple(found)
+
+
+_NUMBERS = {"buildings": 2, "column": 3, "box": 6}
 
 
 def obstacle_rows(obstacles: Sequence[Obstacle]) -> FloatArray:

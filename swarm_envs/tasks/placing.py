@@ -118,6 +118,7 @@ def draw_apart(
     distance: float,
     obstacles: FloatArray | None = None,
     margin: float = OBSTACLE_MARGIN,
+    given: FloatArray | None = None,
 ) -> FloatArray:
     """Draw n points (n, 3) in a box, all at least `distance` (m) apart, one after another.
 
@@ -129,6 +130,7 @@ def draw_apart(
         distance: smallest distance between two, m.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`, to be kept away from.
         margin: distance to keep from them, m.
+        given: (m, 3) the first m of the points, m, if they are not to be drawn.
 
     Raises:
         RuntimeError: the box is too full: no place was found in 10,000 draws.
@@ -136,6 +138,9 @@ def draw_apart(
     rows = np.zeros((0, 0)) if obstacles is None else obstacles
     points = np.empty((n, 3))
     placed, drawn, size, no_radius = 0, 0, np.subtract(high, low), np.zeros(n)
+    if given is not None:
+        placed = len(given)
+        points[:placed] = given
     while placed < n and drawn < 10_000:
         missing = min(n - placed, 10_000 - drawn)  # all of them are drawn, whatever fits
         drawn += missing

@@ -1,6 +1,6 @@
-"""Bounded shapes that rewards are made of, and their weighted sum.
+"""What rewards are made of, and their weighted sum.
 
-Every term lies in [0, 1], or in [-1, 1] where it has a sign, so weights alone set the scale.
+Terms are seconds, or events that count 1, so weights alone set the scale.
 """
 
 from __future__ import annotations
@@ -8,13 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from swarm_envs.compiled import equation, kernel
+import numpy as np
+
+from swarm_envs.compiled import equation, kernel, part
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import SPEED_LIMIT
 
-__all__ = ["REWARD_NAMES", "check_reward_weights", "weigh", "write_terms"]
+__all__ = ["REWARD_NAMES", "check_reward_weights", "weigh", "write_terms", "write_terms_v0"]
 
 REWARD_NAMES = ("progress", "at_goal", "tracking", "effort", "proximity", "crash", "success")
 """The reward terms of every task; see `write_terms`."""
@@ -28,42 +30,68 @@ def bell(x: float, width: float) -> float:
 
 @kernel
 def write_terms(drones: Records, environments: Records, settings: Records, out: FloatArray) -> None:
-    """Write the bounded reward terms (T, E, N), in the order of `REWARD_NAMES`.
+    """Write the reward terms (T, E, N), in the order of `REWARD_NAMES`.
 
-    Terms per step are multiplied by the step duration (s, or its share of the episode), so that
-    returns do not depend on the decision rate:
+    Returns depend neither on the decision rate nor on the time limit:
 
-    - `progress`: speed towards the goal, over the speed limit, in [-1, 1]; times seconds.
-    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); sums to at most 1 over an episode.
-    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); sums to at most 1.
+    - `progress`: decrease of the distance to the goal, over the speed limit, in seconds: a
+      difference of potentials (Ng, Harada and Russell, 1999), so that closed paths sum to 0.
+    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); times seconds.
+    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); times seconds.
     - `effort`: mean square action; times seconds.
     - `proximity`: 1 where a drone touches a drone or an obstacle, falling to 0 at 2.5 times that
       distance; times seconds.
     - `crash`: 1 on the step on which the drone crashes.
     - `success`: 1 on the step on which the team succeeds, or one over the number of stages for
-      each stage.
+      each stage, for the drones that still fly.
 
     Args:
         drones: (E, N) records, after a decision has been judged.
         environments: (E,) records.
-        settings: (1,) record, with the time between decisions and the clock.
+        settings: (1,) record, with the time between decisions.
         out: (T, E, N), written.
     """
-    decision_s, horizon_s = settings[0].decision_s, settings[0].horizon_s
-    farthest, share = SPEED_LIMIT * decision_s, decision_s / horizon_s
+    write_by_clock(drones, environments, settings[0].decision_s, 1.0, np.inf, out)
+
+
+@kernel
+def write_terms_v0(
+    drones: Records, environments: Records, settings: Records, out: FloatArray
+) -> None:
+    """Write the terms of version 0 of the tasks.
+
+    They differ from those of `write_terms` in that `at_goal` and `tracking` are shares of the
+    clock, so that their sum over an episode is at most 1, and that `progress` is cut off at the
+    speed limit. Arguments as of `write_terms`.
+    """
+    rules = settings[0]
+    write_by_clock(drones, environments, rules.decision_s, rules.horizon_s, 1.0, out)
+
+
+@part
+def write_by_clock(
+    drones: Records,
+    environments: Records,
+    decision_s: float,
+    unit_s: float,
+    most: float,
+    out: FloatArray,
+) -> None:
+    """Write the terms: bells over `unit_s`, and speeds up to `most` times the limit."""
+    farthest, share = SPEED_LIMIT * decision_s, decision_s / unit_s
     for e in range(out.shape[1]):
         for i in range(out.shape[2]):
             d = drones[e, i]
             near = min(d.clearance, d.obstacle_clearance)
             covered = (d.last_distance - d.distance) / farthest
             proximity = min(max((near - 2.5) / (1.0 - 2.5), 0.0), 1.0)
-            out[0, e, i] = decision_s * min(max(covered, -1.0), 1.0)
+            out[0, e, i] = decision_s * min(max(covered, -most), most)
             out[1, e, i] = share * bell(d.distance, 0.15)
             out[2, e, i] = share * bell(d.tracking_error, 0.10)
             out[3, e, i] = decision_s * d.effort
             out[4, e, i] = decision_s * proximity
             out[5, e, i] = d.crashed
-            out[6, e, i] = environments[e].achieved
+            out[6, e, i] = environments[e].achieved * d.active
 
 
 def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> None:
@@ -79,18 +107,23 @@ def check_reward_weights(weights: Mapping[str, float], names: Sequence[str]) -> 
 
 
 @kernel
-def weigh(terms: FloatArray, weights: FloatArray, running: BoolArray, rewards: FloatArray) -> None:
+def weigh(
+    terms: FloatArray, weights: FloatArray, drones: Records, running: BoolArray, rewards: FloatArray
+) -> None:
     """Sum weighted terms, in their order: compiled, so that no batch changes the last bit.
 
     Args:
-        terms: (T, E, N).
+        terms: (T, E, N); set to 0 for drones that ended in an earlier decision.
         weights: (T,).
+        drones: (E, N) records.
         running: (E,) environments that fly; the others get nothing.
         rewards: (E, N), written.
     """
     for e in range(rewards.shape[0]):
         for i in range(rewards.shape[1]):
-            total = 0.0
+            total, flew = 0.0, drones[e, i].active + drones[e, i].crashed > 0.0
             for t in range(terms.shape[0]):
+                if not flew:
+                    terms[t, e, i] = 0.0
                 total += weights[t] * terms[t, e, i]
             rewards[e, i] = total if running[e] else 0.0

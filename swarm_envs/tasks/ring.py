@@ -204,7 +204,7 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
         "progress": 0.0,
         "at_goal": 0.0,
-        "tracking": 3.0,
+        "tracking": 0.25,
         "effort": -0.1,
         "proximity": -4.0,
         "crash": -1.0,

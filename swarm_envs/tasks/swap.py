@@ -38,7 +38,13 @@ from swarm_envs.tasks.placing import (
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
 from swarm_envs.vehicles import Team
 
-__all__ = ["REWARD_WEIGHTS", "CircleLayout", "Layout", "StackedLayout", "SwapTask"]
+__all__ = [
+    "REWARD_WEIGHTS",
+    "CircleLayout",
+    "Layout",
+    "StackedLayout",
+    "SwapTask",
+]
 
 LAYOUTS = ("stacked", "circle", "random")
 """Every layout by name."""
@@ -50,7 +56,7 @@ _RAMP = 0.2
 REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
     {
         "progress": 1.0,
-        "at_goal": 2.0,
+        "at_goal": 0.1,
         "tracking": 0.0,
         "effort": -0.1,
         "proximity": -4.0,
@@ -58,8 +64,8 @@ REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
         "success": 3.0,
     }
 )
-"""Default weight of each reward term; see `write_terms`. A whole clock spent at the goal earns less
-than success, so that lingering never pays."""
+"""Default weight of each reward term; see `write_terms`. Success is worth 30 s at the goal, or a
+stage of a formation more than its 6 s there, so that lingering does not pay."""
 
 
 @typed

@@ -43,11 +43,11 @@ class LiveViewer:
 
     Args:
         core: the environments; the first 16 of them are shown.
-        wait_s: how long the first frame waits for a browser, s.
+        wait_s: how long the first frame waits for a browser, s; None for 10.
     """
 
-    def __init__(self, core: SwarmCore, wait_s: float = _WAIT_S) -> None:
-        self._core, self._wait_s = core, wait_s
+    def __init__(self, core: SwarmCore, wait_s: float | None = None) -> None:
+        self._core, self._wait_s = core, _WAIT_S if wait_s is None else wait_s
         self._server = _Server(("127.0.0.1", 0), _Handler)
         self._server.scene = self._scene()
         self.url = f"http://127.0.0.1:{self._server.server_port}/?token={self._server.token}"

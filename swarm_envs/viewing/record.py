@@ -200,7 +200,7 @@ class Recorder:
             decision_rate=env.core.config.decision_rate,
             arena=tuple(map(tuple, task.arena.tolist())),
             solids=solids(getattr(task, "obstacles", ()), float(task.arena[1, 2])),
-            metrics=by_drone[0].get("episode_metrics", {}),
+            metrics=next((i["episode_metrics"] for i in by_drone if "episode_metrics" in i), {}),
         )
         row = _sample(env)
         row["reward"] = np.array([(rewards or {}).get(agent, np.nan) for agent in agents])

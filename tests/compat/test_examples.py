@@ -43,4 +43,5 @@ def test_skrl(tmp_path):
 def test_every_example_is_run():
     names = {file.stem for file in EXAMPLES.glob("*.py")}
     elsewhere = {"fly_crazyflie"}  # tests/deploy/test_fly_script.py
+    elsewhere |= {"ppo", "dagger"}  # tests/training/test_dagger.py
     assert names == {"sb3_ppo", "torchrl_mappo", "skrl_ppo"} | elsewhere

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import TASKS, swap_v0
+from swarm_envs import TASKS, swap_v0, swap_v1
 
 pytest.importorskip("torchrl", reason="run by `make test-compat`")
 
@@ -33,6 +33,20 @@ def test_turns():
     """The AEC interface, in which each drone is a group and all but one are masked."""
     env = PettingZooWrapper(env=swap_v0.env(**OPTIONS), use_mask=True)
     check_env_specs(env)
+
+
+def test_drones_that_ended_are_masked():
+    """Random drones fall one after another; each is masked from the step after its end on."""
+    env = PettingZooWrapper(
+        env=swap_v1.parallel_env(**OPTIONS | {"action": "rotors"}, on_contact="end_pair"),
+        use_mask=True,
+        done_on_any=False,
+    )
+    check_env_specs(env)
+    flight = env.rollout(200)
+    ended, mask = flight["next", "drone", "terminated"][..., 0], flight["next", "drone", "mask"]
+    assert ended.any() and not mask.all()
+    assert not flight["next", "drone", "reward"][1:][~mask[:-1]].any()
 
 
 def test_a_rollout_is_our_flight():

@@ -23,7 +23,7 @@ from swarm_envs import make
 from swarm_envs.agents import load
 from swarm_envs.agents.c_header import KnownState, costs, decide, draw_state, policy_header
 from swarm_envs.agents.features import GOAL, REFERENCE, TYPED
-from swarm_envs.agents.networks import ANY, Layers, Network, to_tensors
+from swarm_envs.agents.networks import POOLINGS, Layers, Network, to_tensors
 from swarm_envs.agents.policy import Policy, PolicyAgent, PolicyNote
 from swarm_envs.cli import main
 from swarm_envs.envs.actions import ACTIONS
@@ -107,7 +107,7 @@ def in_c(policy: Policy, folder: Path, rows: np.ndarray) -> np.ndarray:
     return run_program(folder, program, rows).reshape(-1, 17)
 
 
-SHIPPED = ("swap-ppo", "swap-ppo-8", "formation-ppo", "ring-ppo")
+SHIPPED = ("swap-ppo", "swap-ppo-8", "swap-dagger", "formation-ppo", "ring-ppo")
 
 
 def shipped(name: str) -> PolicyAgent:
@@ -128,23 +128,32 @@ def layers(rng: np.random.Generator, *widths: int) -> Layers:
 
 
 def odd_policy(
-    features: str, encoder: str, pooling: str, per_type: bool, action: str = "velocity"
+    features: str,
+    encoder: str,
+    pooling: str,
+    per_type: bool,
+    action: str = "velocity",
+    activation: str = "tanh",
 ) -> Policy:
     """Random networks of odd widths."""
     rng = np.random.default_rng(3)
     typed = features != GOAL
     types = ("S", "S*") if typed else ()
     note = PolicyNote(
-        "swap_v0", 6, action, 12, 3, features, encoder, pooling, types, per_type and typed
+        *("swap_v0", 6, action, 12, 3, features, encoder, pooling, types),
+        per_type=per_type and typed,
+        activation=activation,
     )
     sizes, width = note.sizes, ACTIONS[action].width
     networks = {}
     for owner in note.owners:
-        phi = None
-        if encoder == "deep-set":
-            phi = {token: layers(rng, sizes.neighbor, 9, 5) for token in types or (ANY,)}
-        told = sizes.own + 5 if phi else sizes.width
-        networks[owner] = Network(layers(rng, told, 11, 7, width), phi, pooling)
+        told, phi = sizes.width, None
+        if encoder != "mlp":
+            phi = layers(rng, sizes.own + sizes.neighbor, 9, 5)
+            told = sizes.own + (10 if pooling == "max-sum" else 5)
+        score = layers(rng, 10, 4, 1) if encoder == "attention" else None
+        actor = layers(rng, told, 11, 7, width)
+        networks[owner] = Network(actor, phi, score, pooling, activation)
     note.networks(to_tensors(networks))  # such a policy could come from a file
     return Policy(note, networks, {"config": {"name": "closes /* the */ comment"}})
 
@@ -167,7 +176,10 @@ def edge_states(policy: Policy, rng: np.random.Generator) -> list[KnownState]:
 POLICIES = [
     *((shipped, (name,)) for name in SHIPPED),
     *((odd_policy, (kind, "deep-set", "mean", True)) for kind in (GOAL, TYPED, REFERENCE)),
-    *((odd_policy, (TYPED, "deep-set", pooling, False)) for pooling in ("mean", "max", "sum")),
+    *((odd_policy, (TYPED, "deep-set", pooling, False)) for pooling in POOLINGS),
+    (odd_policy, (GOAL, "deep-set", "max-sum", False, "acceleration", "relu")),
+    (odd_policy, (TYPED, "attention", "mean", True)),
+    (odd_policy, (REFERENCE, "attention", "mean", False, "velocity", "relu")),
     (odd_policy, (TYPED, "mlp", "mean", True, "acceleration")),
     (odd_policy, (TYPED, "mlp", "mean", False, "ctbr")),
     (odd_policy, (GOAL, "mlp", "mean", False, "rotors")),
@@ -309,7 +321,7 @@ def test_costs_are_counted() -> None:
     assert found.flash_bytes == 4 * (found.products + 64 + 64 + 3)
     assert found.functions == 128 + 1 + 3 * 5
     set_of = costs(odd_policy(TYPED, "deep-set", "mean", False))
-    assert set_of.products == 3 * (20 * 9 + 9 * 5) + (21 + 5) * 11 + 11 * 7 + 7 * 3
+    assert set_of.products == 3 * (41 * 9 + 9 * 5) + (21 + 5) * 11 + 11 * 7 + 7 * 3
     assert set_of.functions == 3 * (9 + 5) + 11 + 7 + 1 + 3 * 5
 
 

@@ -24,6 +24,9 @@ CASES: list[tuple[str, dict[str, Any]]] = [
     ("ring_v0", {"horizon_s": 2.0}),
     ("formation_v0", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
     ("formation_v0", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
+    ("crowd_v0", {"num_drones": 4, "layout": "open", "horizon_s": 2.0}),
+    ("pursuit_v0", {"num_drones": 4, "layout": "chase", "horizon_s": 2.0}),
+    ("gates_v0", {"num_drones": 2, "radius_m": 0.4, "horizon_s": 2.0}),
 ]
 """Every kind of episode: task and options."""
 

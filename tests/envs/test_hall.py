@@ -16,7 +16,7 @@ from swarm_envs.envs.core import SwarmCore
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.hall import Hall
 from swarm_envs.motors import FULL_VOLTAGE, pwm_for_force, rotor_force_g
-from swarm_envs.physics import bullet_available
+from swarm_envs.physics import BatchPhysics, BulletPhysics, bullet_available
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
 
@@ -24,6 +24,7 @@ STEP = 1 / 240
 EXACT = Hall(
     residual_quiet=(0.0, 0.0),
     residual_wake=(0.0, 0.0),
+    residual_alone=(0.0, 0.0),
     offset=(0.0, 0.0),
     thrust_error=0.0,
     frame_loss=0.0,
@@ -76,7 +77,7 @@ def accelerations(made: SwarmCore, steps: int) -> tuple[np.ndarray, np.ndarray, 
 
 
 def test_the_residual_has_the_variance_and_correlation_that_it_says():
-    made = core(hall(residual_quiet=(0.05, 0.05), residual_time_s=0.1), 2000, decision_rate=240)
+    made = core(hall(residual_alone=(0.05, 0.05), residual_time_s=0.1), 2000, decision_rate=240)
     _, residual, _ = accelerations(made, 60)
     assert residual.mean() == pytest.approx(0.0, abs=0.03)
     assert (residual**2).mean() == pytest.approx(1.0, abs=0.03)
@@ -94,11 +95,12 @@ def test_the_residual_pushes_and_grows_with_the_modelled_force():
         "residual_wake": (0.1, 0.1),
         "residual_half": (0.05, 0.08),
         "residual_sideways": 0.5,
+        "residual_alone": (0.01, 0.04),
     }
-    options: Any = {"interactions": "wake", "decision_rate": 240, "action": "rotors", "team": "SL"}
+    options: Any = {"interactions": "wake", "decision_rate": 240, "action": "rotors", "team": "SLL"}
     plain, shaken = (core(world, 3, **options) for world in (EXACT, hall(**numbers)))
     for made in (plain, shaken):
-        below = [[0.0, 0.0, 1.0], [0.02, 0.0, 1.4]]
+        below = [[0.0, 0.0, 1.0], [0.02, 0.0, 1.4], [0.4, 0.0, 1.4]]
         made.reset(options={"start": below})
     still, _, _ = accelerations(plain, 1)
     moved, residual, force = accelerations(shaken, 1)
@@ -106,10 +108,34 @@ def test_the_residual_pushes_and_grows_with_the_modelled_force():
     pushed = (moved - still)[0] * shaken.world.drones["mass"][..., None]
     share = np.linalg.norm(force[0], axis=-1) / weight
     assert share.max() > 0.05
-    quiet, half = np.array([0.02, 0.03]), np.array([0.05, 0.08])  # of S and of L
+    quiet, half = np.array([0.02, 0.03, 0.03]), np.array([0.05, 0.08, 0.08])  # of S, L and L
     size = weight * (quiet + (0.1 - quiet) * share / (share + half))
+    size[:, 2] = 0.04 * weight[:, 2]  # nobody is near
     np.testing.assert_allclose(pushed[..., 2], size * residual[0, ..., 2], atol=1e-10)
     np.testing.assert_allclose(pushed[..., 0], 0.5 * size * residual[0, ..., 0], atol=1e-10)
+
+
+@pytest.mark.parametrize(("drones", "engine"), [(4, "batch"), (30, "batch"), (4, "bullet")])
+def test_company_is_whoever_is_in_the_interaction_volume(drones, engine):
+    """For few drones and for many, also where forces are evaluated every fifth step only."""
+    if engine == "bullet" and not bullet_available():
+        pytest.skip("pybullet is not installed")
+    made = (BulletPhysics if engine == "bullet" else BatchPhysics)(
+        "S" * drones, 6, "wake", force_rate=48, hall=hall()
+    )
+    rng, d = np.random.default_rng(5), made.world.drones
+    spread = [1.0, 1.0, 1.5] if drones == 4 else [3.0, 3.0, 1.5]
+    places = rng.uniform(-0.5, 0.5, d["position"].shape) * spread + [0.0, 0.0, 1.5]
+    apart = np.abs(places[:, :, None] - places[:, None])
+    near = (apart < [0.35, 0.35, 1.1]).all(axis=-1) & ~np.eye(drones, dtype=bool)
+    expected = near.any(axis=-1)
+    assert 0.1 < expected.mean() < 0.9
+    made.reset(made.state._replace(position=places))
+    for _ in range(2):
+        made.step(np.zeros((6, drones, 4)))
+        np.testing.assert_array_equal(d["company"], expected)
+        d["position"] += np.arange(drones)[:, None] * [5.0, 0.0, 0.0]  # held all the same
+    made.close()
 
 
 @pytest.mark.parametrize("engine", ["batch", "bullet"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from swarm_envs import swap_v0
-from swarm_envs.envs.observation import ObservationField, observation_layout
+from swarm_envs.envs.observation import ObservationField, observation_layout, shaper
 from swarm_envs.envs.parallel import SwarmParallelEnv
-from swarm_envs.vehicles import VEHICLES
+from swarm_envs.interactions import load
+from swarm_envs.motors import BatteryModel
+from swarm_envs.vehicles import SMALL, VEHICLES, parse_team
 
 TEAM = "LSS*SL"
 TYPES = list(VEHICLES)
@@ -91,6 +94,36 @@ def test_neighbors(num_neighbors):
         for k in range(len(others), num_neighbors):
             for name in ("position", "velocity", "goal", "type", "mask"):
                 assert not seen[f"neighbor_{k}.{name}"].any()
+
+
+def test_load_and_predicted_force():
+    """As estimated in the hall, beside the other fields, which stay what they were."""
+    heavy = replace(SMALL, mass=0.05)
+    given: dict[str, Any] = {"team": (heavy, *parse_team("LS*S")), "world": "hall"}
+    given |= {"battery": BatteryModel(), "num_neighbors": 3}
+    env, observations = shaken(**given, observe_load=True, observe_force="learned")
+    plain, rows = shaken(**given)
+    state, team = env.view.state, env.view.team
+    mass = np.array([vehicle.mass for vehicle in team])
+    drones = env.core.world.drones[0]
+    margin = 4 * drones["rotor_limit"] / (9.80665 * mass) - 1
+    battery = drones["battery"]
+    assert (battery < 1.0).all()
+    position = state.position + drones["position_error"]
+    velocity = state.velocity + drones["velocity_error"]
+    force = load("learned").forces(position[None], velocity[None], team)[0]
+    for i, agent in enumerate(env.agents):
+        seen, before = fields(env, observations[agent]), fields(plain, rows[agent])
+        assert all((seen[name] == value).all() for name, value in before.items())
+        near(seen["self.force"], force[i] / (9.80665 * mass[i]))
+        others = [j for j in np.argsort(np.linalg.norm(position - position[i], axis=1)) if j != i]
+        for name, j in zip(("self", *(f"neighbor_{k}" for k in range(3))), (i, *others)):
+            near(seen[f"{name}.thrust_margin"], margin[j])
+            near(seen[f"{name}.mass_ratio"], mass[j] / 0.034)
+            near(seen[f"{name}.battery"], battery[j])
+    shaped = shaper("dict", 3, 0, True, True)(observations["drone_0"])
+    assert shaped["neighbors"].shape == (3, 15)
+    assert shaped["mask"].tolist() == [1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("layout", ["random", "stacked"])

@@ -85,6 +85,11 @@ PRODUCTS = {
         (LEARNED_V0,),
         "the commands in agents/weights/MODEL_CARD.md",
     ),
+    "imitation": Product(
+        ("agents/weights/swap-dagger.safetensors",),
+        (LEARNED,),
+        "the commands in agents/weights/MODEL_CARD.md",
+    ),
     "benchmark": Product(
         ("docs/benchmark.png", "docs/generated/benchmark.md"),
         (

@@ -18,7 +18,9 @@ from swarm_envs.commands.fly import find_task
 from swarm_envs.envs.observation import observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.physics import bullet_available
+from swarm_envs.tasks.base import SPEED_LIMIT
 from swarm_envs.tasks.motion import WRITERS
+from swarm_envs.tasks.pursuit import PURSUIT_LAYOUTS
 from swarm_envs.tasks.rewards import REWARD_NAMES
 
 every_task = pytest.mark.parametrize("task", TASKS)
@@ -29,6 +31,10 @@ EACH: list[tuple[str, dict[str, Any]]] = [
     ("ring_v0", {}),
     ("formation_v0", {"num_drones": 4, "shape_s": 0.5, "travel_s": 0.4}),
     ("formation_v0", {"num_drones": 4, "labels": "random", "shape_s": 0.5, "travel_s": 0.4}),
+    ("crowd_v0", {"num_drones": 4}),
+    ("crowd_v0", {"num_drones": 3, "layout": "buildings"}),
+    *(("pursuit_v0", {"num_drones": 4, "layout": layout}) for layout in PURSUIT_LAYOUTS),
+    ("gates_v0", {"num_drones": 2}),
 ]
 every_layout = pytest.mark.parametrize(("task", "options"), EACH)
 
@@ -46,7 +52,7 @@ def test_the_module(task):
     module = importlib.import_module(f"swarm_envs.{task}")
     env = make(task)
     assert env.metadata["name"] == env.core.task.name == task
-    assert set(env.core.task.reward_weights) == set(REWARD_NAMES)
+    assert set(env.core.task.reward_weights) == set(env.core.task.reward_names)
     assert env.core.task.write_reference is WRITERS[env.core.task.motion.kind]
     newest = importlib.import_module(f"swarm_envs.{find_task(task_family(task))}")
     assert {"Start", "Success", "Rewards", "End", "Versions"} <= set(sections(newest.__doc__ or ""))
@@ -97,30 +103,59 @@ def test_starts_are_random(task, options):
 
 @every_layout
 def test_rewards_are_weighted_sums_of_bounded_terms(task, options):
-    """A decision's by the clock, those of an episode by 1."""
+    """A decision's by its duration, those of an episode by 1 or by the seconds flown."""
     env = make(task, reward_weights={"progress": 0.3, "effort": -0.2}, **options)
     weights, rng = env.core.task.reward_weights, np.random.default_rng(0)
     assert (weights["progress"], weights["effort"]) == (0.3, -0.2)
     for seed in range(4):
         env.reset(seed=seed)
-        sums: dict[str, float] = dict.fromkeys(REWARD_NAMES, 0.0)
+        names = env.core.task.reward_names
+        sums: dict[str, float] = dict.fromkeys(names, 0.0)
+        assert names[: len(REWARD_NAMES)] == REWARD_NAMES
         while env.agents:
             actions = {a: 0.2 * action for a, action in random_actions(env, rng).items()}
             _, rewards, _, _, infos = env.step(actions)
             for agent, info in infos.items():
                 terms = info["reward_terms"]
-                assert tuple(terms) == REWARD_NAMES
-                total = sum(weights[name] * terms[name] for name in REWARD_NAMES)
+                assert tuple(terms) == names
+                total = sum(weights[name] * terms[name] for name in names)
                 assert rewards[agent] == pytest.approx(total)
                 assert terms["effort"] == pytest.approx(np.mean(actions[agent] ** 2.0) / 48)
                 for name, value in terms.items():
-                    low = -1 / 48 if name == "progress" else 0.0
-                    high = 1.0 if name in ("crash", "success") else 1 / 48
+                    low = -1 / 48 if name == "progress" else 0.0  # actions ask for 2 m/s at most
+                    high = 1.0 if name in ("crash", "success", "reached") else 1 / 48
                     assert low - 1e-12 <= value <= high + 1e-12
-            for name in sums:
-                sums[name] += infos["drone_0"]["reward_terms"][name]
+            for name in sums:  # until its own episode ends
+                sums[name] += infos["drone_0"]["reward_terms"][name] if "drone_0" in infos else 0.0
         for name in ("at_goal", "tracking", "success", "crash"):
-            assert 0.0 <= sums[name] <= 1.0 + 1e-9
+            seconds = env.view.time if name in ("at_goal", "tracking") else 1.0
+            most = 1.0 if task in ("swap_v0", "ring_v0", "formation_v0") else seconds
+            assert 0.0 <= sums[name] <= most + 1e-9
+
+
+@pytest.mark.parametrize("version", ["v0", "v1"])
+@pytest.mark.parametrize("family", ["swap", "ring", "formation"])
+def test_the_same_flight_returns_the_same_on_every_clock(family, version):
+    """Two seconds of flight, with 2, 4 and 8 s on the clock; of version 0 alone they differ."""
+    returns, progress = [], np.inf
+    for horizon_s in (2.0, 4.0, 8.0):
+        given = {"layout": "stacked", "team": "SSS"} if family == "swap" else {"num_drones": 3}
+        weights = {"tracking": 1.0}
+        env = make(f"{family}_{version}", horizon_s=horizon_s, reward_weights=weights, **given)
+        env.reset(seed=4)
+        before = env.core.world.drones["distance"][0, 0]
+        rng, total, progress = np.random.default_rng(1), 0.0, 0.0
+        for _ in range(96):
+            actions = {a: 0.05 * action for a, action in random_actions(env, rng).items()}
+            _, rewards, _, _, infos = env.step(actions)
+            terms = infos["drone_0"]["reward_terms"]
+            won = terms["success"] * env.core.task.reward_weights["success"]
+            total, progress = total + rewards["drone_0"] - won, progress + terms["progress"]
+        returns.append(total)
+        covered = before - env.core.world.drones["distance"][0, 0]
+    assert (np.ptp(returns) < 1e-12) == (version == "v1")
+    if family == "swap":  # goals that stay: potentials add up
+        assert progress == pytest.approx(covered / SPEED_LIMIT, abs=1e-12)
 
 
 @pytest.mark.parametrize("bound", [0.5, 5.0, 1e6])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.tables import SETTINGS_TYPE, new_world
 from swarm_envs.tasks.base import SPEED_LIMIT, Success
-from swarm_envs.tasks.rewards import REWARD_NAMES, bell, weigh, write_terms
+from swarm_envs.tasks.rewards import REWARD_NAMES, bell, weigh, write_terms, write_terms_v0
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import parse_team
 
@@ -30,14 +31,20 @@ def test_bell(x):
 
 def written(**fields: float) -> dict[str, float]:
     """The terms of a drone of whom this is known, 25 times a second on a clock of 10 s."""
+    return written_by(write_terms, **fields)
+
+
+def written_by(write: Callable[..., None], **fields: float) -> dict[str, float]:
+    """The same, as a kernel writes them."""
     world, settings = new_world(1, 1), np.zeros(1, SETTINGS_TYPE)
     settings["decision_s"], settings["horizon_s"] = 0.04, 10.0
+    world.drones["active"] = 1.0
     world.drones["clearance"] = world.drones["obstacle_clearance"] = math.inf
     for name, value in fields.items():
         table = world.environments if name == "achieved" else world.drones
         table[name] = value
     out = np.full((len(REWARD_NAMES), 1, 1), np.nan)
-    write_terms(world.drones, world.environments, settings, out)
+    write(world.drones, world.environments, settings, out)
     return dict(zip(REWARD_NAMES, out.ravel().tolist(), strict=True))
 
 
@@ -61,10 +68,14 @@ def test_proximity_of_a_lone_drone_is_nothing():
 
 @given(number, number)
 def test_progress(before, now):
-    """Of the most that is covered at the speed limit, in a decision."""
+    """Seconds at the speed limit; of version 0, of the most that it covers in a decision."""
 
     def progress(before: float, now: float) -> float:
-        return written(last_distance=before, distance=now)["progress"] / 0.04
+        told = written_by(write_terms_v0, last_distance=before, distance=now)
+        return told["progress"] / 0.04
+
+    seconds = written(last_distance=before, distance=now)["progress"]
+    assert seconds == pytest.approx((before - now) / SPEED_LIMIT, abs=1e-9)
 
     most = SPEED_LIMIT * 0.04
     assert progress(1.0, 1.0 - 0.5 * most) == pytest.approx(0.5)
@@ -74,9 +85,11 @@ def test_progress(before, now):
 
 
 @given(st.floats(0.0, 1e3))
-def test_bells_are_shares_of_the_clock(x):
-    assert written(distance=x)["at_goal"] == pytest.approx(0.004 * bell(x, 0.15))
-    assert written(tracking_error=x)["tracking"] == pytest.approx(0.004 * bell(x, 0.10))
+def test_bells_are_seconds_or_shares_of_the_clock(x):
+    for write, share in ((write_terms, 0.04), (write_terms_v0, 0.004)):
+        at_goal, tracking = share * bell(x, 0.15), share * bell(x, 0.10)
+        assert written_by(write, distance=x)["at_goal"] == pytest.approx(at_goal)
+        assert written_by(write, tracking_error=x)["tracking"] == pytest.approx(tracking)
 
 
 def test_effort_lasts_and_events_do_not():
@@ -89,8 +102,12 @@ def test_weighted_sum():
     rng = np.random.default_rng(0)
     terms, weights = rng.normal(size=(7, 3, 4)), rng.normal(size=7)
     rewards = np.full((3, 4), 5.0)
-    weigh(terms, weights, np.array([True, False, True]), rewards)
+    drones = new_world(3, 4).drones
+    drones["active"], drones["active"][0, 1] = 1.0, 0.0  # one has ended, another now
+    drones["active"][2, 2], drones["crashed"][2, 2] = 0.0, 1.0
     expected = np.tensordot(weights, terms, 1)
+    expected[0, 1] = 0.0
+    weigh(terms, weights, drones, np.array([True, False, True]), rewards)
     np.testing.assert_allclose(rewards[[0, 2]], expected[[0, 2]], rtol=1e-13)
     np.testing.assert_array_equal(rewards[1], 0.0)
 

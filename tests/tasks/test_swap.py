@@ -30,7 +30,7 @@ def test_stacked_stands_on_a_cylinder_in_the_order_of_the_team(team):
     task = SwapTask(team=parse_team(team), layout="stacked")
     radii, gaps, times = [], [], []
     for seed in SEEDS:
-        start, (goal,), duration, _ = drawn(task, seed)
+        start, (goal,), duration, *_ = drawn(task, seed)
         radius = np.hypot(start[:, 0], start[:, 1])
         np.testing.assert_allclose(radius, radius[0], rtol=1e-12)
         assert start[-1, 2] == pytest.approx(0.8)
@@ -70,7 +70,7 @@ def test_random_starts_are_apart_and_goals_deranged(n):
     grown = max(1.0, (n / 16) ** (1 / 3))
     np.testing.assert_allclose(task.arena, np.array([[-2, -2, 0], [2, 2, 2.5]]) * grown)
     for seed in SEEDS if n < 40 else range(3):
-        start, (goal,), duration, _ = drawn(task, seed)
+        start, (goal,), duration, *_ = drawn(task, seed)
         assert duration == 0.0
         assert start.shape == goal.shape == (n, 3)
         assert (np.abs(start[:, :2]) <= 2.0 * grown - 0.3).all()

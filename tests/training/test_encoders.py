@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,12 +12,14 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 import torch
+from torch.distributions import Normal, kl_divergence
 
 from swarm_envs import swap_v0
 from swarm_envs.agents import fly_episode
 from swarm_envs.agents.features import FEATURE_SETS, TYPED
-from swarm_envs.agents.networks import ANY, Network
+from swarm_envs.agents.networks import ANY, Network, to_tensors
 from swarm_envs.agents.policy import Policy, PolicyAgent, read_policy, write_policy
+from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.ppo import PpoLearner
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.rl.run import policy_note
@@ -25,14 +29,20 @@ KINDS = {
     "sizes": {"drones": (2, 4), "num_neighbors": 3},
     "mean": {"drones": 4, **SET},
     "max": {"team": ("SSLL", "SL"), "pooling": "max", **SET},
+    "max and sum": {"drones": (2, 6), "pooling": "max-sum", "activation": "relu", **SET},
     "sum of each type": {"team": ("SSLL",), "pooling": "sum", "per_type": True, **SET},
+    "attention": {"drones": (2, 6), "encoder": "attention", "num_neighbors": 4},
+    "attention of types": {
+        **{"team": ("SSLL", "SL"), "encoder": "attention", "num_neighbors": 3},
+        "activation": "relu",
+    },
     "a perceptron each": {"team": ("SSLL",), "per_type": True},
 }
 
 
 def make(**given) -> PpoLearner:
     """A learner whose last layers are no longer small, so that actions tell networks apart."""
-    options = {"environments": 4, "rollout": 16, "batch_size": 64, "hidden": (8, 8), **given}
+    options = {"environments": 4, "n_steps": 16, "batch_size": 64, "hidden": (8, 8), **given}
     config = RlConfig(out=Path("never"), interactions="none", **options)
     learner = PpoLearner(config, "swap_v0")
     with torch.no_grad():
@@ -75,7 +85,10 @@ def test_what_flies_is_what_was_trained(kind, tmp_path):
     assert fly_episode(env, agent, seed=0)["length_s"] > 0
 
 
-@pytest.mark.parametrize("kind", ["mean", "max", "sum of each type"])
+SETS = [kind for kind, options in KINDS.items() if "encoder" in options]
+
+
+@pytest.mark.parametrize("kind", SETS)
 def test_the_order_of_neighbours_changes_nothing(kind):
     learner = make(**KINDS[kind])
     sizes = learner.sizes
@@ -92,26 +105,26 @@ def test_the_order_of_neighbours_changes_nothing(kind):
     np.testing.assert_allclose(after, before, atol=2e-6)
 
 
-def test_who_is_not_there_is_not_in_the_set():
-    """Four slots with one neighbour act as one slot with the same neighbour, and none as none."""
-    for pooling in ("mean", "max", "sum"):
-        learner = make(drones=4, pooling=pooling, **SET)
-        sizes, network = learner.sizes, learner.actor()[ANY]
-        values = learner.env.observe(rows_of(learner))
-        own, around = sizes.split(values)
-        alone = np.concatenate([own, around[:, 0]], axis=1)
-        around[:, 1:] = 0.0
-        padded = np.concatenate([own, around.reshape(len(own), -1)], axis=1)
-        np.testing.assert_allclose(
-            network(padded, sizes), network(alone, sizes._replace(num_neighbors=1)), atol=2e-6
-        )
-        nobody = np.concatenate([own, np.zeros_like(around).reshape(len(own), -1)], axis=1)
-        none = sizes._replace(num_neighbors=0)
-        np.testing.assert_allclose(network(nobody, sizes), network(own, none), atol=2e-6)
+@pytest.mark.parametrize("kind", SETS)
+def test_who_is_not_there_is_not_in_the_set(kind):
+    """Slots with one neighbour act as one slot with the same neighbour, and none as none."""
+    learner = make(**KINDS[kind])
+    sizes, network = learner.sizes, next(iter(learner.actor().values()))
+    values = learner.env.observe(rows_of(learner))
+    own, around = sizes.split(values)
+    alone = np.concatenate([own, around[:, 0]], axis=1)
+    around[:, 1:] = 0.0
+    padded = np.concatenate([own, around.reshape(len(own), -1)], axis=1)
+    np.testing.assert_allclose(
+        network(padded, sizes), network(alone, sizes._replace(num_neighbors=1)), atol=2e-6
+    )
+    nobody = np.concatenate([own, np.zeros_like(around).reshape(len(own), -1)], axis=1)
+    none = sizes._replace(num_neighbors=0)
+    np.testing.assert_allclose(network(nobody, sizes), network(own, none), atol=2e-6)
 
 
-def test_every_type_flies_and_sees_by_networks_of_its_own():
-    """Whose network is broken, and of which neighbour's type, shows in who acts otherwise."""
+def test_every_type_flies_by_a_network_of_its_own():
+    """Whose network is broken shows in who acts otherwise; a phi that is broken, likewise."""
     learner = make(**KINDS["sum of each type"])
     networks, sizes = learner.actor(), learner.sizes
     rows = rows_of(learner)
@@ -124,13 +137,61 @@ def test_every_type_flies_and_sees_by_networks_of_its_own():
         return (first.act_batch(rows) != second.act_batch(rows)).any(axis=1)
 
     mute = tuple((weight, bias + 0.3) for weight, bias in networks["L"].layers)
-    assert np.array_equal(
-        changed({**networks, "L": Network(mute, networks["L"].phi, "sum")}), large
+    assert np.array_equal(changed({**networks, "L": replace(networks["L"], layers=mute)}), large)
+    blind = tuple((0.0 * weight, bias) for weight, bias in networks["S"].phi or ())
+    assert np.array_equal(changed({**networks, "S": replace(networks["S"], phi=blind)}), ~large)
+
+
+@pytest.mark.parametrize("encoder", ["mlp", "deep-set", "attention"])
+@pytest.mark.parametrize("algo", ["mappo", "sac"])
+def test_every_algorithm_has_every_encoder(algo, encoder):
+    """The network that flies gives the means that are trained; SAC's through a tanh."""
+    options: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64, "n_steps": 16}
+    options |= {"algo": algo, "encoder": encoder, "interactions": "none", "hidden": (8, 8)}
+    config = RlConfig(out=Path("never"), environments=4, **options)
+    learner: Any = make_learner(config, "swap_v0")
+    values = learner.env.observe(rows_of(learner))
+    seen = torch.from_numpy(values)
+    network = learner.network()
+    sac = algo == "sac"
+    means = network.actor.get_action_dist_params(seen)[0].tanh() if sac else network.actor(seen)
+    found = learner.actor()[ANY](values, learner.sizes)
+    np.testing.assert_allclose(found, means.detach().numpy(), atol=2e-6)
+
+
+@pytest.mark.parametrize("algo", ["mappo", "dagger"])
+def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
+    first = make(drones=4, **SET)
+    write_policy(tmp_path / "policy.safetensors", policy_of(first))
+    options: dict[str, Any] = {"algo": algo, "start": str(tmp_path), "hidden": (8, 8), **SET}
+    options |= {"batch_size": 64, "n_steps": 16} if algo == "mappo" else {}
+    config = RlConfig(out=Path("never"), environments=12, interactions="none", **options)
+    found = to_tensors(make_learner(config, "swap_v0").actor())
+    for name, tensor in to_tensors(first.actor()).items():
+        assert np.array_equal(found[name], tensor), name
+
+
+def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path):
+    """The divergence in the loss is that of two normal distributions of the same deviation."""
+    first = make(drones=4, **SET)
+    write_policy(tmp_path / "policy.safetensors", policy_of(first))
+    learner: Any = make_learner(
+        replace(first.config, start=str(tmp_path), start_kl=3.0, seed=9), "swap_v0"
     )
-    phi = dict(networks["S"].phi or {})
-    phi["S"] = tuple((0.0 * weight, bias) for weight, bias in phi["S"])
-    blind = changed({**networks, "S": Network(networks["S"].layers, phi, "sum")})
-    assert np.array_equal(blind, ~large)
+    values = learner.env.observe(rows_of(learner))
+    before = first.model.predict(values, deterministic=True)[0]
+    np.testing.assert_allclose(learner.model.predict(values, deterministic=True)[0], before)
+    policy, seen = learner.model.policy, torch.from_numpy(values)
+    with torch.no_grad():
+        policy.action_net.bias += 0.2
+    acted = torch.zeros(len(values), 3)
+    bonus = policy.evaluate_actions(seen, acted)[2]
+    normal = policy.get_distribution(seen).distribution
+    kl = kl_divergence(normal, Normal(normal.mean - 0.2, normal.stddev)).sum(-1)
+    entropy = learner.config.ent_coef * normal.entropy().sum(-1)
+    torch.testing.assert_close(bonus, entropy - 3.0 * kl, atol=1e-4, rtol=1e-4)
+    with pytest.raises(ValueError, match="the policy to start from has networks"):
+        make(drones=4, start=str(tmp_path))
 
 
 def test_two_types_learn_apart():

@@ -11,6 +11,7 @@ import pytest
 from swarm_envs.cli import main
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import load
+from swarm_envs.training.force_model.compare import flight_folds
 from swarm_envs.training.force_model.residual_config import ResidualConfig
 from swarm_envs.training.force_model.residual_fit import fit_residual, predicted_g
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
@@ -18,24 +19,30 @@ from swarm_envs.vehicles import GRAM_FORCE
 
 WEIGHT_G = (34.0, 67.0)
 QUIET, WAKE, HALF = (0.03, 0.05), (0.12, 0.10), (0.08, 0.05)
+ALONE = (0.01, 0.02)
 TIME_S, OFFSET, WHITE_G, SIDEWAYS = 0.2, 0.04, 0.6, 0.5
 
 
 def planted(flights: int = 60, count: int = 600) -> InteractionRows:
-    """Flights of S under L and of L under S, whose labels are `wake` and a planted residual."""
+    """Flights of S under L and of L under S, whose labels are `wake` and a planted residual.
+
+    In every third pair of flights the other drone is far away.
+    """
     rng, parts = np.random.default_rng(1), []
     for flight in range(flights):
         kind = flight % 2
         time = 0.03 * np.arange(count)
         swing = 0.35 * np.sin(0.5 * time + flight)
         neighbor = np.zeros((count, 1, 6))
-        neighbor[:, 0, 0], neighbor[:, 0, 2] = swing, 0.4
+        lonely = flight // 2 % 3 == 0
+        neighbor[:, 0, 0], neighbor[:, 0, 2] = swing + 5.0 * lonely, 0.4
         position = np.tile([0.0, 0.0, 1.0], (count, 1))
         pair = np.stack([position, position + neighbor[:, 0, :3]], axis=1)
         team = ("S", "L")[kind] + ("L", "S")[kind]
         modelled = load("wake").forces(pair, np.zeros_like(pair), team)[:, 0, 2] / GRAM_FORCE
         share = np.abs(modelled) / WEIGHT_G[kind]
         size = QUIET[kind] + (WAKE[kind] - QUIET[kind]) * share / (share + HALF[kind])
+        size = ALONE[kind] + 0.0 * size if lonely else size
         kept, x = np.exp(-0.03 / TIME_S), np.zeros((count, 3))
         x[0] = rng.standard_normal(3)
         for k in range(1, count):
@@ -70,7 +77,7 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def options(table: Path, out: Path, **given: object) -> ResidualConfig:
-    small = {"bootstrap": 20, "progress": False, "rows": 4000}
+    small = {"bootstrap": 20, "progress": False, "rows": 4000, "force": "wake"}
     return ResidualConfig(**{"data": table, "out": out, **small, **given})  # type: ignore[arg-type]
 
 
@@ -83,6 +90,7 @@ def test_a_planted_process_is_found_under_the_true_force(table, tmp_path, monkey
     found = {name: np.array(values) for name, values in report.residual.items()}
     assert not report.cross_validated
     assert found["residual_quiet"] == pytest.approx(QUIET, rel=0.15)
+    assert found["residual_alone"] == pytest.approx(ALONE, rel=0.15)
     modelled = np.array([0.2, 0.12])  # over the weight: the largest there are
     grown = [
         quiet + (wake - quiet) * modelled / (modelled + half)
@@ -107,10 +115,7 @@ def test_a_flight_is_predicted_by_a_wake_that_has_not_seen_it(table, tmp_path):
     rows = planted(20, 150)
     config = options(table, tmp_path, folds=2, rows=1000)
     honest = predicted_g(rows, config)
-    order = np.random.default_rng(config.seed).permutation(
-        np.unique(rows.flight[rows.scenario == 0])
-    )
-    own = np.isin(rows.flight, order[::2])
+    own = flight_folds(rows, config.folds, config.seed) == 0
     assert 0 < own.sum() < len(rows)
     spoiled = rows.with_vertical_force(np.where(own, rows.force_g[:, 2] + 5.0, rows.force_g[:, 2]))
     again = predicted_g(spoiled, config)
@@ -120,12 +125,12 @@ def test_a_flight_is_predicted_by_a_wake_that_has_not_seen_it(table, tmp_path):
 
 def test_the_command_line_and_what_it_refuses(table, tmp_path, capsys):
     arguments = ["fit", "--residual", "--data", str(table), "--out", str(tmp_path / "out")]
-    quick = ["--bootstrap", "5", "--rows", "2000", "--no-progress"]
+    quick = ["--bootstrap", "5", "--rows", "2000", "--no-progress", "--force", "wake"]
     assert main([*arguments, *quick]) == 0
     said = capsys.readouterr().out
     assert "residual_time_s" in said and "white noise of the labels" in said
     assert main([*arguments, *quick, "--folds", "61"]) == 1
-    assert "there are 60 flights, but 61 folds need as many" in capsys.readouterr().err
+    assert "there are 60 flights for 61 folds" in capsys.readouterr().err
 
 
 @pytest.mark.slow

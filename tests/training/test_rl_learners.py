@@ -17,7 +17,9 @@ from gymnasium import spaces
 from torch import nn
 from torch.distributions import Normal, TanhTransform, TransformedDistribution
 
+from swarm_envs.agents.features import FeatureSizes
 from swarm_envs.agents.policy import Policy, PolicyNote
+from swarm_envs.training.rl.encoders import EncoderSpec
 from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.mappo import (
     ActorCriticNetworks,
@@ -53,9 +55,12 @@ def test_advantages_are_weighed_sums_of_later_errors_of_the_episode():
             assert float(found[t, column]) == pytest.approx(expected, abs=1e-12)
 
 
+SPEC = EncoderSpec(FeatureSizes(0, 4, 0, 0), "mlp", "mean", (8,), (), "tanh", ("",))
+
+
 def test_values_are_in_units_of_the_spread_of_returns():
     torch.manual_seed(0)
-    networks = ActorCriticNetworks(observed=4, state=6, hidden=(8,), actions=3, deviation=0.5)
+    networks = ActorCriticNetworks(SPEC, state=6, actions=3, deviation=0.5)
     returns = 40.0 + 3.0 * torch.randn(10_000)
     networks.note_returns(returns)
     mean, deviation = networks.spread()
@@ -71,7 +76,7 @@ def test_values_are_in_units_of_the_spread_of_returns():
 
 
 def test_a_decision_is_as_probable_as_the_normal_distribution_says():
-    networks = ActorCriticNetworks(observed=4, state=6, hidden=(8,), actions=3, deviation=0.3)
+    networks = ActorCriticNetworks(SPEC, state=6, actions=3, deviation=0.3)
     means, actions = torch.randn(7, 3), torch.randn(7, 3)
     normal = torch.distributions.Normal(means, 0.3)
     wanted = normal.log_prob(actions).sum(-1)
@@ -196,7 +201,7 @@ def test_twin_critics_are_two_networks():
 
 
 def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none():
-    options = SacConfig(rollout=5, learning_starts=1000, buffer_size=120)
+    options = SacConfig(train_freq=5, learning_starts=1000, buffer_size=120)
     config = RlConfig(
         out=Path("never"), algo="sac", drones=2, environments=4, steps=200, sac=options
     )
@@ -220,7 +225,7 @@ MARGIN = 0.5
 
 
 PPO: dict[str, Any] = {
-    **{"steps": 200_000, "rollout": 16, "batch_size": 1024, "passes": 8, "learning_rate": 3e-3},
+    **{"steps": 200_000, "n_steps": 16, "batch_size": 1024, "n_epochs": 8, "learning_rate": 3e-3},
     **{"num_neighbors": 1, "second_stage": 0.0, "checkpoint_rollouts": 1000},
 }
 SAC = {"algo": "sac", "layout": "circle", "steps": 800_000}

@@ -29,7 +29,13 @@ from swarm_envs.training.force_model.force_fit_config import FitConfig, Model, w
 from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
 from swarm_envs.training.force_model.pipeline import network_spec, training_recipe
 from swarm_envs.training.force_model.train import predict, to_batch, train_taught
-from swarm_envs.training.force_model.wake_fit import draw_rows, fit_wake, wake_force_g, wake_rows
+from swarm_envs.training.force_model.wake_fit import (
+    MOST_ROWS,
+    draw_rows,
+    fit_wake,
+    wake_force_g,
+    wake_rows,
+)
 from swarm_envs.training.interaction_rows.rows import (
     BoolArray,
     FloatArray,
@@ -167,7 +173,8 @@ def compare(config: CompareConfig) -> ModelComparison:
         label = target.force_g[:, 2]
         path = config.out / f"{model}-{k}.npy"
         if not path.is_file():
-            said = _predicted(dataclasses.replace(target, validation=held_out), model, config)
+            own = dataclasses.replace(target, validation=held_out)
+            said = fitted_force_g(own, _fit_config(model, config))[:, 2]
             with written_whole(path) as partial, partial.open("wb") as stream:
                 np.save(stream, said[held_out])
         squared[model][held_out] = (np.load(path) - label[held_out]) ** 2
@@ -199,17 +206,30 @@ def _target(rows: InteractionRows, model: Model, config: CompareConfig) -> Inter
     return treat(rows, _fit_config(model, config)).target
 
 
-def _predicted(target: InteractionRows, model: Model, config: CompareConfig) -> FloatArray:
-    """Vertical force of every row, (R,) gram-force, by a model fitted to the training rows."""
-    options = _fit_config(model, config)
-    if model == "wake":
-        fitted = fit_wake(draw_rows(target, config.seed), "neighbor")
-        return wake_force_g(fitted, wake_rows(target, "neighbor"))
-    known = flown(target) if model == "composed" else target
+def fitted_force_g(
+    target: InteractionRows, options: FitConfig, wake_rows_drawn: int = MOST_ROWS
+) -> FloatArray:
+    """Force of every row, (R, 3) gram-force, by a model fitted to the training rows.
+
+    Args:
+        target: rows with the labels to be fitted; training rows are those not held out.
+        options: with the defaults of its model. A wake and a deep set have no horizontal force.
+        wake_rows_drawn: training rows of a wake, drawn at random.
+    """
+    found = np.zeros((len(target), 3))
+    if options.model == "wake":
+        fitted = fit_wake(draw_rows(target, options.seed, wake_rows_drawn), "neighbor")
+        found[:, 2] = wake_force_g(fitted, wake_rows(target, "neighbor"))
+        return found
+    known = flown(target) if options.model == "composed" else target
     run = train_taught(
         known, network_spec(target, options), training_recipe(options), progress=False
     )
-    return predict(run.network, to_batch(target)).double().numpy()
+    heads = predict(run.network, to_batch(target), every=True).double().numpy()
+    found[:, 2] = heads[:, 0]
+    if options.model == "composed":
+        found[:, :2] = heads[:, 1:]
+    return found
 
 
 def _compared(

@@ -168,14 +168,9 @@ def _check_left_out(config: TrainConfig, what: str) -> None:
             )
 
 
-@typed_options
 @dataclass(frozen=True, kw_only=True)
-class FitConfig(TrainConfig):
-    """Fit a model of the interaction forces to flight logs or to rows of measured force.
-
-    Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
-    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed.
-    """
+class FitFiles:
+    """What a fit cannot do without: fields of the last base class come first in the help."""
 
     data: Path
     """rows: the published flights' table, or what `save_rows` wrote (.npz); or a flight log (.csv,
@@ -184,6 +179,17 @@ class FitConfig(TrainConfig):
     """folder for model, report and checkpoint: `learned.safetensors` and `learned.json` of a deep
     set, `composed.safetensors` and `composed.json`, `pairwise.safetensors` and `pairwise.json`,
     `wake.json` and its report `wake-fit.json`"""
+
+
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class FitConfig(TrainConfig, FitFiles):
+    """Fit a model of the interaction forces to flight logs or to rows of measured force.
+
+    Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
+    checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed.
+    """
+
     model: Model = "deep-set"
     """`deep-set`: Neural-Swarm2, eq. 10; `composed`: a wake and a network per pair of types, joined
     so that any number stays physical; `pairwise`: a network per pair of types, summed up; `wake`:

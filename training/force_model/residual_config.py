@@ -11,6 +11,9 @@ from swarm_envs.training.flight_logs.log_options import LogOptions
 
 __all__ = ["ResidualConfig"]
 
+FITTED = ("composed", "wake")
+"""Force models that are refitted, to flights other than those that they are judged on."""
+
 
 @typed_options
 @dataclass(frozen=True, kw_only=True)
@@ -25,9 +28,10 @@ class ResidualConfig:
     .parquet; the format: docs/flight-logs.md); or a folder of any of them"""
     out: Path
     """folder for `residual.json`"""
-    force: str = "wake"
-    """the force model: `wake`, refitted for each fold of flights; or the file of a model, which
-    is taken as it is, so that flights it was fitted to flatter it"""
+    force: str = "composed"
+    """the force model: `composed`, that of environments, or `wake`, refitted for each fold of
+    flights; or the file of a model, which is taken as it is, so that flights it was fitted to
+    flatter it"""
     folds: Annotated[int, Range(2)] = 5
     """parts into which the flights of each scenario are dealt"""
     rows: Count = 30_000

@@ -5,9 +5,11 @@ The vertical label of drone i at time t, less the modelled force f, is taken as
     offset_i + s(|f|) x(t) + white noise,  s(|f|) / W = quiet + (wake - quiet) |f| / (|f| + half W),
 
 W being the drone's weight and x an Ornstein-Uhlenbeck process of unit variance and one
-correlation time. The offset belongs to a drone in a flight: calibration of mass and thrust. Labels
-hold noise of the sensors, which no drone feels: it is white, so the autocovariance jumps by its
-variance at lag zero (the *nugget*), and is kept apart by fitting the other lags.
+correlation time. Where nobody is in the interaction volume, s / W is one number, `alone`, and the
+correlation time is that of drones in company. The offset belongs to a drone in a flight:
+calibration of mass and thrust. Labels hold noise of the sensors, which no drone feels: it is white,
+so the autocovariance jumps by its variance at lag zero (the *nugget*), and is kept apart by fitting
+the other lags. Rows of drones that fall are left out, as they are where models are fitted.
 
 The model is refitted for each fold of whole flights, and looked at on the flights left out.
 Intervals are percentiles of a bootstrap over flights. These numbers are the defaults of
@@ -23,17 +25,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
+from tqdm import tqdm
 
 from swarm_envs.arguments import typed
 from swarm_envs.errors import check_name
 from swarm_envs.files import write_json
 from swarm_envs.interactions import load
+from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.interactions.forces import all_forces
+from swarm_envs.training.force_model.compare import fitted_force_g, flight_folds
 from swarm_envs.training.force_model.fit_data import data_sha256, read_data
-from swarm_envs.training.force_model.force_fit_config import FitConfig
-from swarm_envs.training.force_model.labels import treat
-from swarm_envs.training.force_model.residual_config import ResidualConfig
-from swarm_envs.training.force_model.wake_fit import fit_wake, wake_force_g, wake_rows
+from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
+from swarm_envs.training.force_model.labels import flown, treat
+from swarm_envs.training.force_model.residual_config import FITTED, ResidualConfig
 from swarm_envs.training.interaction_rows.rows import (
     BoolArray,
     FloatArray,
@@ -50,7 +54,7 @@ REPORT = "residual.json"
 LAGS = 7
 """Lags of the autocovariance, in rows, zero included: 0 to 180 ms at 33 Hz."""
 EDGES = (0.0, 0.01, 0.03, 0.06, 0.1, 0.16, 0.25, np.inf)
-"""Edges of the bins of |f| / W."""
+"""Edges of the bins of |f| / W in company; those of lone drones are in a bin before them."""
 CALM = 0.03
 """Offsets are means over rows with less |f| / W than this: the model can err little there."""
 _START = (0.03, 0.08, 0.03, 0.13)
@@ -59,7 +63,7 @@ _HIGHEST = (1.0, 2.0, 2.0, 3.0)
 
 
 class Moments(NamedTuple):
-    """Sums over pairs of rows of one drone: flights F, types T, bins B of |f| / W, lags L."""
+    """Sums over pairs of rows of one drone: flights F, types T, bins B, lags L."""
 
     product: FloatArray
     """(F, T, B, L) products of the residuals, over the squared weight."""
@@ -126,11 +130,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
     rows, _ = read_data(config.data, config.logs, config.progress, offsets=False)
     for name in rows.types:
         check_name("vehicle type", name, tuple(VEHICLES))
-    if len(np.unique(rows.flight)) < config.folds:
-        raise ValueError(
-            f"there are {len(np.unique(rows.flight))} flights, but {config.folds} folds need as "
-            "many; add flights, or give --folds"
-        )
+    rows = flown(dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_)))
     modelled = predicted_g(rows, config)
     moments = measured_moments(rows, modelled, config.logs.rate_hz)
     everyone: FloatArray = np.ones(len(moments.number))
@@ -151,7 +151,7 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
         data_sha256=data_sha256(config.data),
         flights=flights,
         rows=len(rows),
-        cross_validated=config.force == "wake",
+        cross_validated=config.force in FITTED,
     )
     for path in (config.out / REPORT, config.json):
         if path is not None:
@@ -160,30 +160,24 @@ def fit_residual(config: ResidualConfig) -> ResidualReport:
 
 
 def predicted_g(rows: InteractionRows, config: ResidualConfig) -> FloatArray:
-    """(R,) modelled vertical force, drag included, gram-force."""
-    if config.force != "wake":
+    """(R, 3) modelled force, drag included, gram-force."""
+    if config.force not in FITTED:
         return _force_of_file(rows, config.force)
-    rng, part = np.random.default_rng(config.seed), np.zeros(int(rows.flight.max()) + 1, np.int64)
-    for scenario in np.unique(rows.scenario):
-        flights = rng.permutation(np.unique(rows.flight[rows.scenario == scenario]))
-        part[flights] = np.arange(len(flights)) % config.folds
-    fold, found = part[rows.flight], np.zeros(len(rows))
-    options = FitConfig(data=config.data, out=config.out, model="wake")
-    for k in range(config.folds):
+    model: Any = config.force
+    given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
+    options = with_mode_defaults(given, given.mode, model)
+    fold, found = flight_folds(rows, config.folds, config.seed), np.zeros((len(rows), 3))
+    for k in tqdm(range(config.folds), disable=not config.progress, unit="fit"):
         held = fold == k
         treated = treat(dataclasses.replace(rows, validation=held), options)
-        train = np.flatnonzero(~held)
-        chosen = rng.choice(train, min(config.rows, len(train)), replace=False)
-        wake = fit_wake(treated.target.select(np.sort(chosen)), "neighbor")
-        own = rows.select(held)
-        drag = treated.drag[own.ego_type, 2] * own.velocity[:, 2] / GRAM_FORCE
-        found[held] = wake_force_g(wake, wake_rows(own, "neighbor")) - drag
+        drag = treated.drag[rows.ego_type] * rows.velocity / GRAM_FORCE
+        found[held] = (fitted_force_g(treated.target, options, config.rows) - drag)[held]
     return found
 
 
 def _force_of_file(rows: InteractionRows, name: str) -> FloatArray:
-    """Vertical force (R,) of a model as it is, gram-force."""
-    model, found = load(name), np.zeros(len(rows))
+    """Force (R, 3) of a model as it is, gram-force."""
+    model, found = load(name), np.zeros((len(rows), 3))
     place = np.array([model.types.index(kind) for kind in rows.types])
     for count in range(rows.neighbor_type.shape[1] + 1):
         own = rows.select(rows.has_neighbor.sum(axis=1) == count)
@@ -197,7 +191,7 @@ def _force_of_file(rows: InteractionRows, name: str) -> FloatArray:
         kinds = place[np.concatenate([own.ego_type[:, None], others], axis=1)]
         out = np.empty_like(position)
         all_forces(model.packed, kinds, position, velocity, out)
-        found[rows.has_neighbor.sum(axis=1) == count] = out[:, 0, 2] / GRAM_FORCE
+        found[rows.has_neighbor.sum(axis=1) == count] = out[:, 0] / GRAM_FORCE
     return found
 
 
@@ -206,26 +200,30 @@ def measured_moments(rows: InteractionRows, modelled_g: FloatArray, rate_hz: flo
 
     Args:
         rows: of all flights; gaps are left out.
-        modelled_g: (R,) what the model says.
+        modelled_g: (R, 3) what the model says.
         rate_hz: steps of the rows' clock a second.
     """
     weight = _weights_g(rows.types)[rows.ego_type]
-    force = np.abs(modelled_g) / weight
+    force = np.linalg.norm(modelled_g, axis=1) / weight
+    inside = (np.abs(rows.neighbor[..., :3]) < INTERACTION_VOLUME).all(axis=-1)
+    alone: BoolArray = np.asarray(~(inside & rows.has_neighbor).any(axis=1))
     flights, flight = np.unique(rows.flight, return_inverse=True)
     who = np.stack([flight, rows.vehicle, rows.ego_type])
     drones, owner = np.unique(who, axis=1, return_inverse=True)
     owner = owner.reshape(-1)
-    left = rows.force_g / weight[:, None]
-    left[:, 2] -= modelled_g / weight
+    left = (rows.force_g - modelled_g) / weight[:, None]
     offset, known = _means(left, owner, force < CALM)
     left = left - offset[owner]
-    table = np.zeros((3, len(flights), len(rows.types), len(EDGES) - 1, LAGS))
+    table = np.zeros((3, len(flights), len(rows.types), len(EDGES), LAGS))
     sideways = np.zeros((len(flights), 2))
     every = int(np.median(np.diff(np.unique(rows.step))))
     for lag in range(LAGS):
         first, second = _pairs(owner, rows.step, lag * every)
+        same = alone[first] == alone[second]
+        first, second = first[same], second[same]
         product, both = left[first] * left[second], 0.5 * (force[first] + force[second])
-        where: Any = (flight[first], rows.ego_type[first], np.digitize(both, EDGES) - 1, lag)
+        place = np.where(alone[first], 0, np.digitize(both, EDGES))
+        where: Any = (flight[first], rows.ego_type[first], place, lag)
         for slot, values in enumerate((product[:, 2], both, np.ones(len(first)))):
             np.add.at(table[slot], where, values)
         if lag == 1:
@@ -280,7 +278,8 @@ def identified(moments: Moments, times: FloatArray) -> tuple[dict[str, list[floa
     for kind in range(len(product)):
         own = share * (moments.kind == kind)
         offsets.append(float(np.sqrt(own @ moments.offset**2 / max(own.sum(), 1.0))))
-    found = dict(zip(("residual_quiet", "residual_wake", "residual_half"), sizes, strict=True))
+    names = ("residual_quiet", "residual_wake", "residual_half", "residual_alone")
+    found = dict(zip(names, sizes, strict=True))
     return {
         **{name: values.tolist() for name, values in found.items()},
         "offset": offsets,
@@ -292,10 +291,13 @@ def identified(moments: Moments, times: FloatArray) -> tuple[dict[str, list[floa
 def _autocovariance(
     product: FloatArray, force: FloatArray, number: FloatArray, interval_s: float
 ) -> tuple[FloatArray, float, FloatArray]:
-    """Fit tables (T, B, L): sizes (3, T), a correlation time, and (T,) roots of the nuggets."""
+    """Fit tables (T, B, L): sizes (4, T), a correlation time, and (T,) roots of the nuggets."""
     types, some = len(product), np.maximum(number, 1.0)
-    covariance, place = product / some, force / some
-    importance = np.sqrt(number[..., 1:]) / np.maximum(covariance[..., 1:2], 1e-8)
+    (alone, covariance), (alone_pairs, pairs) = (
+        (table[:, 0], table[:, 1:]) for table in (product / some, number)
+    )
+    place = (force / some)[:, 1:]
+    importance = np.sqrt(pairs[..., 1:]) / np.maximum(covariance[..., 1:2], 1e-8)
     lag_s = interval_s * np.arange(LAGS)
 
     def expected(numbers: FloatArray) -> FloatArray:
@@ -307,9 +309,13 @@ def _autocovariance(
 
     start, low, high = (np.repeat(ends, [types] * 3 + [1]) for ends in (_START, _LOWEST, _HIGHEST))
     numbers = least_squares(error, start, bounds=(low, high), x_scale=start).x
-    jump = (number * (covariance - expected(numbers)))[..., 0].sum(axis=1)
-    white = np.sqrt(np.maximum(jump / np.maximum(number[..., 0].sum(axis=1), 1.0), 0.0))
-    return numbers[:-1].reshape(3, types), float(numbers[-1]), np.asarray(white)
+    jump = (pairs * (covariance - expected(numbers)))[..., 0].sum(axis=1)
+    white = np.sqrt(np.maximum(jump / np.maximum(pairs[..., 0].sum(axis=1), 1.0), 0.0))
+    kept = np.exp(-lag_s / numbers[-1])[1:]
+    share = alone_pairs[:, 1:] * kept**2
+    variance = (alone_pairs * alone)[:, 1:] @ kept / np.maximum(share.sum(axis=1), 1e-12)
+    sizes = [*numbers[:-1].reshape(3, types), np.sqrt(np.maximum(variance, 0.0))]
+    return np.array(sizes), float(numbers[-1]), np.asarray(white)
 
 
 def _bins(types: Sequence[str], moments: Moments) -> list[dict[str, Any]]:
@@ -322,6 +328,7 @@ def _bins(types: Sequence[str], moments: Moments) -> list[dict[str, Any]]:
         found.append(
             {
                 "type": types[t],
+                "alone": bool(b == 0),
                 "rows": int(count[t, b, 0]),
                 "force_g": float(weight * force[t, b, 0] / count[t, b, 0]),
                 "std_g": float(weight * np.sqrt(covariance[0])),

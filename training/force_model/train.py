@@ -148,12 +148,13 @@ def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch
     )
 
 
-def predict(network: ForceNetwork, batch: Batch, chunk: int = 65536) -> Tensor:
-    """Vertical force from the network, (R,) in gram-force, without gradient."""
+def predict(network: ForceNetwork, batch: Batch, chunk: int = 65536, every: bool = False) -> Tensor:
+    """Vertical force from the network, (R,) in gram-force, or `every` head, without gradient."""
+    answer = network.heads if every else network
     with torch.no_grad():
         count = len(batch.ego_type)
         parts = [
-            network(Batch(*(values[start : start + chunk] for values in batch)))
+            answer(Batch(*(values[start : start + chunk] for values in batch)))
             for start in range(0, count, chunk)
         ]
     return torch.cat(parts) if parts else torch.zeros(0)

@@ -30,6 +30,7 @@ CRASH_M = 0.12
 _SEQUENCE_LIMIT_S, _CIRCLE_LIMIT_S = 120.0, 60.0  # when a flight is given up
 _RADIUS_M, _HEIGHT_M = 1.5, 1.0  # of the circle
 _SAMPLES = 10  # instants kept of each round
+_PUBLISHED = MlrDmpcConfig(planes="fixed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,13 +80,13 @@ class ReferenceFlight:
 def fly_sequence(setup: SwarmSetup) -> ReferenceFlight:
     """Plane, pyramid, cube, sphere and plane (Fig. 3a) by 16 drones."""
     places = [formation(name, DRONES) for name in SEQUENCE]
-    return fly_references(places[0], places[1:], setup, _SEQUENCE_LIMIT_S, MlrDmpcConfig())
+    return fly_references(places[0], places[1:], setup, _SEQUENCE_LIMIT_S, _PUBLISHED)
 
 
 def fly_circle(setup: SwarmSetup) -> ReferenceFlight:
     """Each of 16 drones to the opposite side of a circle."""
     starts, targets = circle_swap(DRONES, _RADIUS_M, _HEIGHT_M)
-    return fly_references(starts, [targets], setup, _CIRCLE_LIMIT_S, MlrDmpcConfig())
+    return fly_references(starts, [targets], setup, _CIRCLE_LIMIT_S, _PUBLISHED)
 
 
 def fly_references(

@@ -38,6 +38,7 @@ _EMPTY = replace(
     _WHOLE,
     residual_quiet=(0.0, 0.0),
     residual_wake=(0.0, 0.0),
+    residual_alone=(0.0, 0.0),
     offset=(0.0, 0.0),
     thrust_error=0.0,
     frame_delay_s=0.0,
@@ -49,7 +50,7 @@ _EMPTY = replace(
 )
 """A hall in which nothing is otherwise than in the ideal world."""
 _PARTS = {
-    "random force": ("residual_quiet", "residual_wake"),
+    "random force": ("residual_quiet", "residual_wake", "residual_alone"),
     "offset of the force": ("offset",),
     "thrust curve": ("thrust_error",),
     "state estimate": (

@@ -26,7 +26,7 @@ from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import Success
+from swarm_envs.tasks.base import TrackingSuccess
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.provenance import differing
@@ -177,7 +177,7 @@ def _height_error_cm(flights: Flights) -> FloatArray:
 def _prediction(case: FlightCase, flights: Flights) -> dict[str, FloatArray]:
     """How well the belief of compensated flights follows the force, and how many were near."""
     success = case.test.task.success
-    begins = 0.0 if isinstance(success, Success) else success.settle_s
+    begins = success.settle_s if isinstance(success, TrackingSuccess) else 0.0
     flying = np.arange(len(flights.time)) < flights.samples[:, None]
     flying &= (flights.time > 0.0) & (flights.time >= begins)
     force = flights.force[flying][..., 2] / GRAM_FORCE

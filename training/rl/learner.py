@@ -1,4 +1,4 @@
-"""What PPO, SAC and MAPPO share: environments, episode statistics, segments, named tensors.
+"""What PPO, SAC, MAPPO and DAgger share: environments, episode statistics, segments, named tensors.
 
 Every algorithm flies in segments that can be repeated: each begins with new episodes, and with
 generators that follow from the run's seed and the segment's place. So a checkpoint between two
@@ -10,17 +10,21 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
-import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import Tensor, nn
 
 from swarm_envs.agents.features import FEATURE_SETS, TYPES
-from swarm_envs.agents.networks import Layers, Network
+from swarm_envs.agents.networks import Network
+from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.registry import load_agent
 from swarm_envs.envs.options import Blueprint, batch_of
+from swarm_envs.tasks.rewards import write_terms
+from swarm_envs.training.rl.encoders import Actor, Trunks, encoder_spec, fill
 from swarm_envs.training.rl.recipes import recipe_of, with_recipe
 from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.training.shared_policy import SharedPolicyVecEnv
@@ -30,7 +34,10 @@ Entry = dict[str, float]
 Watch = Callable[[], None]
 """Called after every rollout: where a progress bar moves."""
 
-_LEARNERS = {"ppo": "PpoLearner", "mappo": "MappoLearner", "sac": "SacLearner"}
+_LEARNERS = {
+    **{"ppo": "PpoLearner", "mappo": "MappoLearner"},
+    **{"sac": "SacLearner", "dagger": "DaggerLearner"},
+}
 """The class of each algorithm, in the module of its name."""
 
 
@@ -62,9 +69,30 @@ class Learner(ABC):
         self.features = recipe.features_of_types if len(flown) > 1 else recipe.features
         self.sizes = FEATURE_SETS[self.features].sizes(config.num_neighbors)
         self.types = flown if self.sizes.typed else ()
-        share = config.environments // len(blueprints)
-        self.env = SharedPolicyVecEnv(blueprints, share, config.seed, features=self.features)
+        self.spec = encoder_spec(config, self.sizes, self.types)
+        self.env = self.make_env(blueprints, config.environments // len(blueprints))
+        self.env.decision_cost = config.time_cost * config.reward_scale / config.decision_rate
         self.start_counting()
+
+    def make_env(self, blueprints: list[Blueprint], share: int) -> SharedPolicyVecEnv:
+        """The environments of all teams, so many of each."""
+        return SharedPolicyVecEnv(blueprints, share, self.config.seed, features=self.features)
+
+    def start_from(self, trunks: Trunks, head: nn.Linear) -> Actor | None:
+        """Fill an actor with the policy to start from, and return that frozen; None without one.
+
+        Raises:
+            ValueError: there is no such policy, or its networks are of another kind.
+        """
+        if self.config.start is None:
+            return None
+        agent = load_agent(self.config.start)
+        if not isinstance(agent, PolicyAgent):
+            raise ValueError(f"--start is {self.config.start!r}, but must be a trained policy")
+        fill(trunks, head, agent.policy.networks)
+        frozen = Actor(self.spec, head.out_features).requires_grad_(False)
+        fill(frozen.trunks, frozen.head, agent.policy.networks)
+        return frozen
 
     @abstractmethod
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
@@ -179,12 +207,12 @@ class _RolloutCallback(BaseCallback):  # type: ignore[misc]  # SB3's base has no
     def __init__(self, learner: Sb3Learner, watch: Watch | None) -> None:
         super().__init__()
         self._learner, self._watch = learner, watch
+        self._firsts = learner.env.first_drones
 
     def _on_step(self) -> bool:
-        infos = self.locals["infos"]
-        ends = [infos[k]["episode_metrics"] for k in np.flatnonzero(self.locals["dones"])]
-        for metrics in {id(metrics): metrics for metrics in ends}.values():  # one a team
-            self._learner.count(metrics)
+        for k in self._firsts:
+            if "episode_metrics" in (info := self.locals["infos"][k]):
+                self._learner.count(info["episode_metrics"])
         return True
 
     def _on_rollout_start(self) -> None:
@@ -222,17 +250,15 @@ def training_blueprint(config: RlConfig, task: str, team: Mapping[str, Any]) -> 
         num_neighbors=config.num_neighbors,
         horizon_s=config.horizon_s,
         threads=config.threads,
+        **config.air(),
     )
-    return found._replace(task=recipe.curriculum(found.task, config))
-
-
-def layers_of(network: nn.Module) -> Layers:
-    """Weights and biases of the linear layers in numpy, in order."""
-    return tuple(
-        (layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy())
-        for layer in network.modules()
-        if isinstance(layer, nn.Linear)
-    )
+    flown = recipe.curriculum(found.task, config)
+    if flown.write_reward_terms is write_terms:  # which counts these by the second
+        assert config.horizon_s is not None  # the recipe has one
+        weights = dict(flown.reward_weights)
+        weights |= {name: weights[name] / config.horizon_s for name in ("at_goal", "tracking")}
+        flown = replace(flown, reward_weights=weights)  # type: ignore[type-var]  # a dataclass
+    return found._replace(task=flown)
 
 
 def _without_prefix(tensors: Mapping[str, Tensor], prefix: str) -> dict[str, Tensor]:

@@ -10,15 +10,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from swarm_envs.agents.networks import Network, plain
-from swarm_envs.training.rl.learner import Entry, Learner, Watch, layers_of
+from swarm_envs.agents.networks import Network
+from swarm_envs.training.rl.encoders import (
+    Actor,
+    EncoderSpec,
+    hidden_layers,
+)
+from swarm_envs.training.rl.learner import Entry, Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
 
 _LARGEST_GRADIENT = 0.5
@@ -29,22 +33,23 @@ class ActorCriticNetworks(nn.Module):
     """Actor, critic, and the spread of returns, in whose units the critic is trained.
 
     Args:
-        observed: numbers that the actor observes.
+        spec: of the actor.
         state: numbers that the critic takes of the team, from one drone.
-        hidden: widths of the hidden layers of both.
         actions: width of an action.
         deviation: of actions, at the start.
     """
 
-    def __init__(
-        self, observed: int, state: int, hidden: tuple[int, ...], actions: int, deviation: float
-    ) -> None:
+    def __init__(self, spec: EncoderSpec, state: int, actions: int, deviation: float) -> None:
         super().__init__()
-        self.actor = _mlp((observed, *hidden, actions), 0.01)
-        self.critic = _mlp((state, *hidden, 1), 1.0)
+        self.actor = Actor(spec, actions)
+        critic = hidden_layers((state, *spec.hidden), "tanh")
+        self.critic = nn.Sequential(*critic, nn.Linear(spec.hidden[-1], 1))
+        _make_orthogonal(self.actor, 0.01)
+        _make_orthogonal(self.critic, 1.0)
         self.log_deviation = nn.Parameter(torch.full((actions,), float(np.log(deviation))))
         self.register_buffer("moments", torch.tensor([0.0, 1.0, 0.0]))
         self.moments: Tensor
+        self.start: Actor | None = None
 
     def log_probability(self, means: Tensor, actions: Tensor) -> Tensor:
         """Of actions (..., width) that are drawn around these means."""
@@ -95,7 +100,9 @@ class MappoLearner(Learner):
         observed = self.env.observation_space.shape[0]
         state = observed + (self.core.num_drones - 1) * self.core.team_state().shape[-1]
         width, deviation = self.core.mode.width, config.deviation
-        self.networks = ActorCriticNetworks(observed, state, config.hidden, width, deviation)
+        self.networks = ActorCriticNetworks(self.spec, state, width, deviation)
+        actor = self.networks.actor
+        self.networks.start = self.start_from(actor.trunks, actor.head)
         self._adam(config.learning_rate)
         self._draws = torch.Generator()
 
@@ -124,10 +131,10 @@ class MappoLearner(Learner):
 
     @torch.no_grad()
     def _collect(self) -> _Rollout:
-        discount = self.config.discount
+        discount = self.config.gamma
         assert discount is not None  # the recipe has one
-        steps = [self._step() for _ in range(self.config.rollout)]
-        observations, states, actions, log_probs, values, rewards, after, ended = map(
+        steps = [self._step() for _ in range(self.config.n_steps)]
+        observations, states, actions, log_probs, values, rewards, after, ended, active = map(
             torch.stack, zip(*steps, strict=True)
         )
         last = self.networks.value(self._states(self._observations()))
@@ -135,7 +142,7 @@ class MappoLearner(Learner):
         errors = rewards + discount * following - values
         advantages = generalised_advantages(errors, ended, discount * self.config.gae_lambda)
         rows = (observations, states, actions, log_probs, advantages, advantages + values)
-        return _Rollout(*(row.flatten(0, 2) for row in rows))
+        return _Rollout(*(row[active] for row in rows))
 
     def _step(self) -> tuple[Tensor, ...]:
         """One decision of every drone: what it observed, what it did, what came of it."""
@@ -145,19 +152,19 @@ class MappoLearner(Learner):
         noise = torch.randn(means.shape, generator=self._draws)
         actions = means + self.networks.log_deviation.exp() * noise
         result = self.core.step(actions.clamp(-1.0, 1.0).numpy())
-        rewards = torch.from_numpy(result.rewards.astype(np.float32))
+        rewards = torch.from_numpy(result.rewards.astype(np.float32)) - self.env.decision_cost
         after, ended = torch.zeros_like(rewards), result.terminated | result.truncated
         if result.truncated.any():  # cut by the clock alone: what would follow has a value
-            cut = torch.from_numpy(result.truncated & ~result.terminated)
+            cut = torch.from_numpy(result.truncated[:, None] & ~result.ended)
             after[cut] = self.networks.value(self._states(self._observations())[cut])
         if ended.any():
             for e in np.flatnonzero(ended).tolist():
                 self.count(self.core.metrics(e))
             self.core.reset(mask=ended)
-        over = torch.from_numpy(ended)[:, None].expand(rewards.shape)
+        over, active = map(torch.from_numpy, (ended[:, None] | result.ended, result.active))
         log_probs = self.networks.log_probability(means, actions)
         values = self.networks.value(states)
-        return observations, states, actions, log_probs, values, rewards, after, over
+        return observations, states, actions, log_probs, values, rewards, after, over, active
 
     def _observations(self) -> Tensor:
         """(E, N, features) of every drone now."""
@@ -189,29 +196,34 @@ class MappoLearner(Learner):
 
     def _batches(self, rollout: _Rollout) -> Iterator[_Rollout]:
         size = self.config.batch_size
-        for _ in range(self.config.passes):
+        for _ in range(self.config.n_epochs):
             order = torch.randperm(len(rollout.returns), generator=self._draws)
             for chosen in torch.split(order, size):
                 yield _Rollout(*(row[chosen] for row in rollout))
 
     def _losses(self, batch: _Rollout) -> tuple[Tensor, Tensor, Tensor]:
         config, networks = self.config, self.networks
-        log_probs = networks.log_probability(networks.actor(batch.observations), batch.actions)
+        means = networks.actor(batch.observations)
+        log_probs = networks.log_probability(means, batch.actions)
         change = log_probs - batch.log_probs
         ratio, good = change.exp(), batch.advantages
         good = (good - good.mean()) / (good.std() + 1e-8)
-        clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+        clipped = ratio.clamp(1.0 - config.clip_range, 1.0 + config.clip_range)
         gain = torch.minimum(ratio * good, clipped * good).mean()
         mean, deviation = networks.spread()
         expected = networks.critic(batch.states).squeeze(-1)
         value_loss = nn.functional.huber_loss(expected, (batch.returns - mean) / deviation)
         entropy = networks.log_deviation.sum()  # but for a constant
         kl = (ratio - 1.0 - change).mean().detach()
-        return kl, value_loss.detach(), value_loss - gain - config.entropy * entropy
+        loss = value_loss - gain - config.ent_coef * entropy
+        if networks.start is not None:
+            away = (means - networks.start(batch.observations)) / networks.log_deviation.exp()
+            loss = loss + config.start_kl * 0.5 * away.square().sum(-1).mean()
+        return kl, value_loss.detach(), loss
 
     def actor(self) -> dict[str, Network]:
-        """The network whose output is the mean action."""
-        return plain(layers_of(self.networks.actor))
+        """The networks whose output is the mean action."""
+        return self.networks.actor.networks()
 
     def network(self) -> nn.Module:
         """Actor, critic, and the spread of returns."""
@@ -231,15 +243,12 @@ class MappoLearner(Learner):
         self._adam(self.config.second_rate)
 
 
-def _mlp(widths: tuple[int, ...], last_gain: float) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    gains = [float(np.sqrt(2.0))] * (len(widths) - 2) + [last_gain]
-    for (before, after), gain in zip(pairwise(widths), gains, strict=True):
-        linear = nn.Linear(before, after)
-        nn.init.orthogonal_(linear.weight, gain)
-        nn.init.zeros_(linear.bias)
-        layers += [linear, nn.Tanh()]
-    return nn.Sequential(*layers[:-1])
+def _make_orthogonal(network: nn.Module, last_gain: float) -> None:
+    """Draw orthogonal weights, sqrt(2) in size but for the last layer, and no biases."""
+    *hidden, last = [layer for layer in network.modules() if isinstance(layer, nn.Linear)]
+    for layer in (*hidden, last):
+        nn.init.orthogonal_(layer.weight, last_gain if layer is last else math.sqrt(2.0))
+        nn.init.zeros_(layer.bias)
 
 
 def generalised_advantages(errors: Tensor, ended: Tensor, decay: float) -> Tensor:

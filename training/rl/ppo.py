@@ -1,17 +1,11 @@
 """Stable-Baselines3's PPO with parameter sharing: all drones of all teams share one policy.
 
-Its networks are twins of those in `swarm_envs.agents.networks`, which fly: perceptrons, or deep
-sets over the neighbours, one network a type. Stable-Baselines3 puts a linear layer behind what
-comes out of them, for actions and for values. Where every type of vehicle has a policy of its own,
-each type's trunk fills its own columns, one of them with ones, and zeros stand in the others: that
-linear layer then has weights and a bias for each.
+Its networks are those of `swarm_envs.training.rl.encoders`; Stable-Baselines3 puts a linear layer
+behind what comes out of them, for actions and for values.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,9 +14,9 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.policies import ActorCriticPolicy
 from torch import Tensor, nn
 
-from swarm_envs.agents.features import FeatureSizes
-from swarm_envs.agents.networks import ANY, Network
-from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch, layers_of
+from swarm_envs.agents.networks import Network
+from swarm_envs.training.rl.encoders import Actor, EncoderSpec, Trunks, plain_networks
+from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
 
 
@@ -37,32 +31,24 @@ class PpoLearner(Sb3Learner):
             TeamPolicy,
             self.env,
             learning_rate=lambda _: config.learning_rate_after(self.rollouts),
-            n_steps=config.rollout,
+            n_steps=config.n_steps,
             batch_size=config.batch_size,
-            n_epochs=config.passes,
-            gamma=config.discount,
+            n_epochs=config.n_epochs,
+            gamma=config.gamma,
             gae_lambda=config.gae_lambda,
-            clip_range=config.clip,
-            ent_coef=config.entropy,
+            clip_range=config.clip_range,
+            ent_coef=1.0,  # `TeamPolicy` weighs it
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "spec": self._encoder_spec(),
+                "spec": self.spec,
                 "log_std_init": float(np.log(config.deviation)),
+                "entropy_weight": config.ent_coef,
+                "start_kl": config.start_kl,
             },
         )
-
-    def _encoder_spec(self) -> _EncoderSpec:
-        config = self.config
-        return _EncoderSpec(
-            sizes=self.sizes,
-            encoder=config.encoder,
-            pooling=config.pooling,
-            hidden=config.hidden,
-            set_hidden=config.set_hidden,
-            neighbor_types=self.types or (ANY,),
-            owners=self.types if config.per_type else (ANY,),
-        )
+        policy = self.model.policy
+        policy.start = self.start_from(policy.mlp_extractor.policy_net, policy.action_net)
 
     def fly(self, segment: range, watch: Watch | None = None) -> Entry:
         """Train for the rollouts of a segment."""
@@ -88,102 +74,18 @@ class PpoLearner(Sb3Learner):
 
     def actor(self) -> dict[str, Network]:
         """The networks whose output is the mean action."""
-        return actor_networks(self.model.policy)
+        policy = self.model.policy
+        return plain_networks(policy.mlp_extractor.policy_net, policy.action_net)
 
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
         """Adam."""
         return {"optimiser.": self.model.policy.optimizer}
 
 
-@dataclass(frozen=True)
-class _EncoderSpec:
-    """What the networks of a policy look like."""
-
-    sizes: FeatureSizes  # numbers that are taken in
-    encoder: str  # one of `swarm_envs.agents.networks.ENCODERS`
-    pooling: str  # how neighbours become one row
-    hidden: tuple[int, ...]  # widths of the hidden layers
-    set_hidden: tuple[int, ...]  # widths of phi's layers
-    neighbor_types: tuple[str, ...]  # types of neighbours with a phi of their own, or `ANY` alone
-    owners: tuple[str, ...]  # types of drones with a network of their own, or `ANY` alone
-
-
-class SetEncoder(nn.Module):
-    """A drone's own numbers, and those of its neighbours as a set."""
-
-    def __init__(self, spec: _EncoderSpec) -> None:
-        super().__init__()
-        self._spec = spec
-        self.phi = nn.ModuleList(
-            _tanh_layers(spec.sizes.neighbor, spec.set_hidden) for _ in spec.neighbor_types
-        )
-
-    @property
-    def width(self) -> int:
-        """How many numbers come out."""
-        return self._spec.sizes.own + self._spec.set_hidden[-1]
-
-    def forward(self, values: Tensor) -> Tensor:
-        """(B, `width`) for features (B, `sizes.width`)."""
-        sizes = self._spec.sizes
-        own = values[:, : sizes.own]
-        around = values[:, sizes.own :].reshape(-1, sizes.num_neighbors, sizes.neighbor)
-        present = around[..., sizes.mask, None]
-        members = torch.zeros(())
-        for token, phi in zip(self._spec.neighbor_types, self.phi, strict=True):
-            column = sizes.mask if token == ANY else sizes.neighbor_column(token)
-            members = members + around[..., column, None] * phi(around)
-        return torch.cat([own, _pooled(members, present, self._spec.pooling)], dim=1)
-
-
-def _pooled(members: Tensor, present: Tensor, pooling: str) -> Tensor:
-    """Twin of `swarm_envs.agents.networks.pooled`: (B, width) of (B, K, width) and (B, K, 1)."""
-    if pooling == "max":
-        found = members.masked_fill(present == 0, -1.0).amax(dim=1)
-        return found * present.amax(dim=1)
-    total = members.sum(dim=1)
-    return total if pooling == "sum" else total / present.sum(dim=1).clamp(min=1.0)
-
-
-class Trunk(nn.Module):
-    """From features to the last hidden layer."""
-
-    def __init__(self, spec: _EncoderSpec) -> None:
-        super().__init__()
-        self.set = SetEncoder(spec) if spec.encoder == "deep-set" else None
-        self.body = _tanh_layers(self.set.width if self.set else spec.sizes.width, spec.hidden)
-
-    def forward(self, values: Tensor) -> Tensor:
-        """(B, last width) for features (B, `sizes.width`)."""
-        latent: Tensor = self.body(values if self.set is None else self.set(values))
-        return latent
-
-
-class Trunks(nn.Module):
-    """The trunk of each type of drone; see the module for what comes out."""
-
-    def __init__(self, spec: _EncoderSpec) -> None:
-        super().__init__()
-        self.owners, self._sizes = spec.owners, spec.sizes
-        self.trunks = nn.ModuleList(Trunk(spec) for _ in spec.owners)
-        self.width = len(spec.owners) * (spec.hidden[-1] + (spec.owners != (ANY,)))
-
-    def forward(self, values: Tensor) -> Tensor:
-        """(B, `width`) for features (B, `sizes.width`)."""
-        if self.owners == (ANY,):
-            latent: Tensor = self.trunks[0](values)
-            return latent
-        parts = []
-        for token, trunk in zip(self.owners, self.trunks, strict=True):
-            own = values[:, self._sizes.own_column(token), None]
-            parts += [own * trunk(values), own]
-        return torch.cat(parts, dim=1)
-
-
 class ActorCritic(nn.Module):
     """Actor and critic, which share nothing, as Stable-Baselines3 calls them."""
 
-    def __init__(self, spec: _EncoderSpec) -> None:
+    def __init__(self, spec: EncoderSpec) -> None:
         super().__init__()
         self.policy_net, self.value_net = Trunks(spec), Trunks(spec)
         self.latent_dim_pi = self.latent_dim_vf = self.policy_net.width
@@ -204,39 +106,33 @@ class ActorCritic(nn.Module):
 
 
 class TeamPolicy(ActorCriticPolicy):  # type: ignore[misc]  # SB3's base has no types here
-    """Stable-Baselines3's policy with the networks of a spec, which is given by `spec`."""
+    """Stable-Baselines3's policy with the networks of a spec, which is given by `spec`.
 
-    def __init__(self, *arguments: Any, spec: _EncoderSpec, **options: Any) -> None:
-        self._spec = spec
+    What it calls entropy is what the loss takes off with a weight of 1: the weighed entropy, less
+    the weighed divergence from the policy that it started from.
+    """
+
+    def __init__(
+        self,
+        *arguments: Any,
+        spec: EncoderSpec,
+        entropy_weight: float,
+        start_kl: float,
+        **options: Any,
+    ) -> None:
+        self._spec, self._entropy_weight, self._start_kl = spec, entropy_weight, start_kl
         super().__init__(*arguments, **options)
+        self.start: Actor | None = None
+
+    def evaluate_actions(self, obs: Tensor, actions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Values and log probabilities (B,), and what the loss takes off, weighed (B,)."""
+        values, log_probability, entropy = super().evaluate_actions(obs, actions)
+        bonus = self._entropy_weight * entropy
+        if self.start is not None:
+            means, deviation = self.action_net(self.mlp_extractor.forward_actor(obs)), self.log_std
+            away = (means - self.start(obs)) / deviation.exp()
+            bonus = bonus - self._start_kl * 0.5 * away.square().sum(-1)
+        return values, log_probability, bonus
 
     def _build_mlp_extractor(self) -> None:
         self.mlp_extractor = ActorCritic(self._spec)
-
-
-def actor_networks(policy: ActorCriticPolicy) -> dict[str, Network]:
-    """The actor of a trained policy, in numpy, by type of drone."""
-    spec, last = policy._spec, policy.action_net
-    found, column = {}, 0
-    for token, trunk in zip(spec.owners, policy.mlp_extractor.policy_net.trunks, strict=True):
-        width = spec.hidden[-1]
-        weight, bias = last.weight[:, column : column + width], last.bias
-        if token != ANY:
-            bias = bias + last.weight[:, column + width]
-        column += width + (token != ANY)
-        phi = None
-        if trunk.set is not None:
-            phi = dict(zip(spec.neighbor_types, map(layers_of, trunk.set.phi), strict=True))
-        layers = (
-            *layers_of(trunk.body),
-            (weight.detach().numpy().copy(), bias.detach().numpy().copy()),
-        )
-        found[token] = Network(layers, phi, spec.pooling)
-    return found
-
-
-def _tanh_layers(width: int, hidden: Sequence[int]) -> nn.Sequential:
-    parts: list[nn.Module] = []
-    for into, out in pairwise((width, *hidden)):
-        parts += [nn.Linear(into, out), nn.Tanh()]
-    return nn.Sequential(*parts)

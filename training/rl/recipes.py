@@ -57,6 +57,11 @@ STRETCH = (0.8, 1.0)
 class SwapCurriculum(SwapTask):
     """A random swap whose episodes are at times on a circle, and at times crowded."""
 
+    circle_share: float = CIRCLE_SHARE
+    """Of the episodes on a circle."""
+    crowded_share: float = CROWDED_SHARE
+    """Of the episodes in a small cube."""
+
     @cached_property
     def _circle(self) -> SwapTask:
         options = {field.name: getattr(self, field.name) for field in fields(SwapTask)}
@@ -76,9 +81,9 @@ class SwapCurriculum(SwapTask):
         kind = rng.random()
         if start is not None or goal is not None or len(self.team) < 2:
             return super().draw(rng, start, goal)
-        if kind < CIRCLE_SHARE:
+        if kind < self.circle_share:
             return self._circle.draw(rng)
-        if kind < CIRCLE_SHARE + CROWDED_SHARE:
+        if kind < self.circle_share + self.crowded_share:
             return self._draw_crowded(rng)
         return super().draw(rng)
 
@@ -97,8 +102,29 @@ class SwapCurriculum(SwapTask):
 def swap_curriculum(task: Task, config: RlConfig) -> Task:
     """The task in which a swap is learned: in the layout `random`, hard starts too if wanted."""
     if config.layout == "random" and config.hard_starts:
-        return SwapCurriculum(team=task.team, reward_weights=task.reward_weights)
+        return SwapCurriculum(
+            team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+        )
     return task
+
+
+def swap_parts(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
+    """Random swaps, crowded ones and circles apart: a teacher may be for one of them alone."""
+    if not isinstance(task, SwapCurriculum):
+        return _whole(task, config)
+    shares = {
+        "random": (0.6, (0.0, 0.0)),
+        "crowded": (0.25, (0.0, 1.0)),
+        "circle": (0.15, (1.0, 0.0)),
+    }
+    return {
+        name: (share, replace(task, circle_share=circle, crowded_share=crowded))
+        for name, (share, (circle, crowded)) in shares.items()
+    }
+
+
+def _whole(task: Task, config: RlConfig) -> dict[str, tuple[float, Task]]:
+    return {str(config.layout): (1.0, task)}
 
 
 def _pairs(rng: np.random.Generator, n: int) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
@@ -147,11 +173,14 @@ def formation_curriculum(task: Task, config: RlConfig) -> Task:
     """The task in which formations are learned: the same unless hard starts are wanted."""
     if not config.hard_starts:
         return task
-    return FormationCurriculum(team=task.team, reward_weights=task.reward_weights)
+    return FormationCurriculum(
+        team=task.team, reward_weights=task.reward_weights, obstacles=task.obstacles
+    )
 
 
-_REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "discount": 0.98}
+_REACH = {"horizon_s": 3.5, "deviation": math.exp(-0.5), "gamma": 0.98}
 """Defaults where places are to be found: explored widely, rewarded late."""
+_WHOLE_CLOCK: Mapping[str, float] = MappingProxyType({**REWARD_WEIGHTS, "at_goal": 2.0})
 Metrics = Mapping[str, Any]
 """`episode_metrics` of one episode."""
 LOST_M = 0.15
@@ -184,10 +213,14 @@ class Recipe:
     """of those options of `RlConfig` that are None unless they are given"""
     evaluated: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """layouts on which the policy of a layout is evaluated; itself alone where nothing is said"""
-    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
-    """of the reward in training; those of proximity and of a crash come from the options"""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: _WHOLE_CLOCK)
+    """of the reward in training; those of proximity and of a crash come from the options, and
+    those of `at_goal` and `tracking` are for a whole clock, in every version"""
     curriculum: Callable[[Task, RlConfig], Task] = lambda task, _: task
     """the task that is flown in training, made from the layout's"""
+    parts: Callable[[Task, RlConfig], Mapping[str, tuple[float, Task]]] = _whole
+    """that task as parts by name, for which `--algo dagger` may have teachers of their own: the
+    share of the environments, and what is flown there"""
     features: str = GOAL
     """name of the features that the network takes of an observation row"""
     features_of_types: str = TYPED
@@ -224,6 +257,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
             defaults={"layout": "random", **_REACH},
             evaluated={"random": ("random", "circle")},
             curriculum=swap_curriculum,
+            parts=swap_parts,
         ),
         "formation": Recipe(
             layouts={name: {"layout": name} for name in ("shuffle", "cube", "tour")},
@@ -233,7 +267,7 @@ RECIPES: Mapping[str, Recipe] = MappingProxyType(
         ),
         "ring": Recipe(
             layouts={"rings": {}},
-            defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2, "discount": 0.95},
+            defaults={"layout": "rings", "horizon_s": 5.0, "deviation": 0.2, "gamma": 0.95},
             reward_weights={**RING_REWARDS, "progress": 1.0, "at_goal": 3.0, "tracking": 6.0},
             features=REFERENCE,
             features_of_types=REFERENCE,

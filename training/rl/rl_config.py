@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import tyro
 
 from swarm_envs.arguments import NOT_NEGATIVE, Count, Divides, Range, Seed, typed
+from swarm_envs.envs.setting import AirOptions
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.vehicles import parse_team
 
@@ -27,7 +29,7 @@ Rate = Annotated[float, Range(1e-7, 1.0)]
 class SacConfig:
     """Of `--algo sac`: how often it learns from what it remembers."""
 
-    rollout: Count = 8
+    train_freq: Count = 8
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: Count = 32
     """of a round; each takes a batch from all that is remembered"""
@@ -43,21 +45,47 @@ class SacConfig:
     """decisions of single drones, drawn at random, before the first gradient step"""
     buffer_size: Count = 300_000
     """decisions that are remembered, the latest; checkpoints hold them, 0.6 kB each"""
-    smoothing: Rate = 0.02
-    """tau: share by which target critics follow the critics at each gradient step"""
-    temperature: Rate = 0.002
+    tau: Rate = 0.02
+    """share by which target critics follow the critics at each gradient step"""
+    ent_coef: Rate = 0.002
     """weight of entropy beside reward at the start; it is learned. Far above what a decision's
     reward is, the policy is rewarded for jitter"""
 
 
-@partial(typed, owner="--")
-@dataclass(frozen=True, kw_only=True)
-class RlConfig:
-    """Train one policy for all drones by reinforcement learning.
+@partial(typed, owner="--dagger.")
+@dataclass(frozen=True)
+class DaggerConfig:
+    """Of `--algo dagger`: who teaches, and how often it is learned from what it said."""
 
-    Interrupted or killed at any moment, the same command resumes from the last checkpoint, and ends
-    with the policy that an uninterrupted run would have. A finished run is not overwritten.
-    """
+    teacher: tuple[str, ...] = ("roundabout",)
+    """who says what to do: an agent's name or file; or several, each with where it teaches before
+    it, a layout, a number of drones or both, such as `circle=NAME` or `random,16=NAME`: of those
+    that fit a team the last. An agent that acts on arrays and sees what drones observe"""
+    train_freq: Count = 10
+    """decisions of each drone between two rounds of gradient steps"""
+    gradient_steps: Count = 12
+    """of a round; each takes a batch from all that is remembered"""
+    batch_size: Count = 1024
+    """decisions per gradient step"""
+    learning_rate: Rate = 2e-3
+    """of Adam at the start; it falls as a cosine"""
+    last_rate: Rate = 0.02
+    """what is left of it at the end, as a share"""
+    buffer_size: Count = 400_000
+    """decisions that are remembered, the latest; checkpoints hold them, 0.6 kB each"""
+    guided: Share = 0.125
+    """of the run: over it, the share of decisions that the teacher flies falls from 1 to 0"""
+    noise: Share = 0.1
+    """deviation of what is added to the actions of a third of the environments"""
+    avoiding: Annotated[float, Range(0.0, 100.0)] = 3.0
+    """weight of decisions in which others change what the teacher does; of the rest it is 1"""
+    huber: Annotated[float, Range(1e-3, 10.0)] = 0.1
+    """error of an action from which on the loss grows linearly"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """What is trained, and where it is kept: these come first in the help."""
 
     out: Path
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
@@ -66,14 +94,21 @@ class RlConfig:
     layout: str | None = None
     """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
     crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""
-    algo: Literal["ppo", "mappo", "sac"] = "ppo"
+    algo: Literal["ppo", "mappo", "sac", "dagger"] = "ppo"
     """one policy for all drones by: `ppo`, proximal policy optimisation; `mappo`, with a critic
-    that sees the whole team; `sac`, soft actor-critic, which learns from every decision often"""
+    that sees the whole team; `sac`, soft actor-critic, which learns from every decision often;
+    `dagger`, which imitates another agent where the policy itself has flown"""
+    start: str | None = None
+    """a trained policy, by name, file or folder, from which the actor begins"""
+    start_kl: Annotated[float, Range(0.0, 1e4)] = 0.0
+    """weight in the loss of the policy's divergence from that policy (Kullback-Leibler)"""
     drones: Count | tuple[Count, ...] = 4
     """number of drones; of several numbers, such as `4 8`, each has an equal share of the
     environments; the policy will fly in teams from the smallest to the largest"""
     fewest: int | None = None
     """smallest team in which the policy will fly; that of its training if not given"""
+    most: int | None = None
+    """largest team in which the policy will fly; that of its training if not given"""
     team: tuple[str, ...] = ()
     """the vehicles, such as `SSLL`, one team or more; overrides --drones"""
     steps: Count = 3_000_000
@@ -83,37 +118,50 @@ class RlConfig:
     json: Path | None = None
     """write the report to this file too"""
 
+
+@partial(typed, owner="--")
+@dataclass(frozen=True, kw_only=True)
+class RlConfig(AirOptions, RunOptions):
+    """Train one policy for all drones by reinforcement learning.
+
+    Interrupted or killed at any moment, the same command resumes from the last checkpoint, and ends
+    with the policy that an uninterrupted run would have. A finished run is not overwritten.
+    """
+
     environments: Count = 128
     """teams that fly at once, of all sizes together"""
     threads: Count = 2
     """of the environments; their number changes nothing of what is learned"""
-    rollout: Count = 32
+    n_steps: Count = 32
     """decisions of each drone between two updates of the policy"""
     batch_size: Count = 2048
     """decisions per gradient step"""
-    passes: Count = 5
+    n_epochs: Count = 5
     """over the decisions of a rollout"""
     learning_rate: Rate = 1e-3
     """of Adam at the start; it falls linearly"""
     last_rate: Share = 0.02
     """what is left of it at the end, as a share"""
-    discount: Share | None = None
-    """gamma: what a reward is worth one decision later; the recipe's if not given"""
+    gamma: Share | None = None
+    """what a reward is worth one decision later; the recipe's if not given"""
     gae_lambda: Share = 0.95
     """lambda of generalised advantage estimation"""
-    clip: Annotated[float, Range(1e-3, 1.0)] = 0.2
+    clip_range: Annotated[float, Range(1e-3, 1.0)] = 0.2
     """how far a decision's probability may move per update, as a ratio"""
-    entropy: Share = 0.003
+    ent_coef: Share = 0.003
     """weight of the policy's entropy in the loss: keeps it exploring"""
     hidden: tuple[Count, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
-    encoder: Literal["mlp", "deep-set"] = "mlp"
-    """how neighbours are encoded: `mlp`, one after another, nearest first; `deep-set`, each
-    through a small network of its type of vehicle, then pooled"""
-    pooling: Literal["mean", "max", "sum"] = "mean"
-    """of a deep set"""
+    activation: Literal["tanh", "relu"] = "tanh"
+    """what follows every hidden layer of the actor"""
+    encoder: Literal["mlp", "deep-set", "attention"] = "mlp"
+    """how neighbours are encoded: `mlp`, one after another, nearest first; `deep-set`, each beside
+    the drone's own numbers through a small network, then pooled; `attention`, the same, pooled by
+    weights that are learned"""
+    pooling: Literal["mean", "max", "sum", "max-sum"] = "mean"
+    """of a deep set; `max-sum` is both"""
     set_hidden: tuple[Count, ...] = (32, 32)
-    """widths of the network that a deep set gives each neighbour to"""
+    """widths of the network that a set gives each neighbour to"""
     per_type: bool = False
     """a policy of its own for each type of vehicle in the team"""
     deviation: Annotated[float, Range(1e-3, 10.0)] | None = None
@@ -137,7 +185,7 @@ class RlConfig:
     """decisions per second, in training and in flight"""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """evaluations of the air's force per second in training"""
-    num_neighbors: Count = 3
+    num_neighbors: Annotated[Count, tyro.conf.arg(aliases=["--neighbors"])] = 3
     """K, how many neighbours a drone observes"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
@@ -148,6 +196,8 @@ class RlConfig:
     much for too long, and drones hover beside their goals"""
     crash: Annotated[float, Range(0.0, 1e6)] = 1.0
     """cost of a collision, which also ends the episode"""
+    time_cost: Annotated[float, Range(0.0, 1e3)] = 0.0
+    """cost of every second until the episode ends"""
     reward_scale: Annotated[float, Range(1e-6, 1e6)] = 1.0
     """all rewards times this"""
 
@@ -164,6 +214,8 @@ class RlConfig:
     """show a progress bar"""
     sac: SacConfig = SacConfig()
     """of `--algo sac`, in place of those above that it has not: batches, rates, stages"""
+    dagger: DaggerConfig = DaggerConfig()
+    """of `--algo dagger`, in place of those above that it has not"""
 
     def __post_init__(self) -> None:
         """Refuse options that do not fit each other."""
@@ -185,6 +237,13 @@ class RlConfig:
                 f"--fewest is {self.fewest}, but must be from 1 to {min(self.team_sizes)}, the "
                 "smallest team that is trained"
             )
+        if self.most is not None and self.most < max(self.team_sizes):
+            raise ValueError(
+                f"--most is {self.most}, but must be at least {max(self.team_sizes)}, the largest "
+                "team that is trained"
+            )
+        if self.start is None and self.start_kl:
+            raise ValueError("--start-kl was given, but no --start from which to diverge")
 
     def _check_belongs(self) -> None:
         for name, value in _changed(self):
@@ -195,8 +254,11 @@ class RlConfig:
                     f"{_option(named)} was given ({given}), but --algo {self.algo} has no such "
                     "option"
                 )
-            if name in ("pooling", "set_hidden") and self.encoder != "deep-set":
-                raise ValueError(f"{_option(name)} was given, but only --encoder deep-set has sets")
+            encoders = _OF_ENCODERS.get(name, (self.encoder,))
+            if self.encoder not in encoders:
+                raise ValueError(
+                    f"{_option(name)} was given, but only --encoder {' or '.join(encoders)} has it"
+                )
 
     def _check_sizes(self) -> None:
         teams, size = len(self.team_sizes), self.rollout_steps
@@ -210,11 +272,20 @@ class RlConfig:
                 f"--algo mappo trains one team, whose critic sees all of it, not {teams} side by "
                 "side; take --algo ppo"
             )
-        if self.algo != "sac" and size % self.batch_size:
+        if self.on_policy and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
-                f"rollout: drones of all environments x rollout, such as {size}"
+                f"rollout: drones of all environments x --n-steps, such as {size}"
             )
+
+    @property
+    def on_policy(self) -> bool:
+        """Whether each decision is learned from once, after its rollout: with stages and clips."""
+        return self.algo in ("ppo", "mappo")
+
+    @property
+    def _off_policy(self) -> SacConfig | DaggerConfig:
+        return self.sac if self.algo == "sac" else self.dagger
 
     def uses(self, option: str) -> bool:
         """Whether the run's algorithm depends on an option."""
@@ -238,7 +309,7 @@ class RlConfig:
     @property
     def rollout_steps(self) -> int:
         """Decisions of single drones in a rollout."""
-        decisions = self.sac.rollout if self.algo == "sac" else self.rollout
+        decisions = self.n_steps if self.on_policy else self._off_policy.train_freq
         return self.environments // len(self.team_sizes) * sum(self.team_sizes) * decisions
 
     @property
@@ -249,7 +320,7 @@ class RlConfig:
     @property
     def first_stage(self) -> int:
         """Rollouts of the first stage."""
-        share = 0.0 if self.algo == "sac" else self.second_stage
+        share = self.second_stage if self.on_policy else 0.0
         return max(1, self.rollouts - round(share * self.rollouts))
 
     def segments(self) -> list[range]:
@@ -266,9 +337,15 @@ class RlConfig:
         return int(words[0]) >> 1
 
     def learning_rate_after(self, rollouts: int) -> float:
-        """Adam's rate: it falls linearly over each stage, or over the whole run of SAC."""
-        if self.algo == "sac":
-            start, done, last = self.sac.learning_rate, rollouts / self.rollouts, self.sac.last_rate
+        """Adam's rate: it falls linearly over each stage, or over the whole run of SAC.
+
+        Of DAgger it falls as a cosine.
+        """
+        if not self.on_policy:
+            start, last = self._off_policy.learning_rate, self._off_policy.last_rate
+            done = rollouts / self.rollouts
+            if self.algo == "dagger":
+                done = 0.5 - 0.5 * math.cos(math.pi * done)
         elif rollouts < self.first_stage:
             start, done, last = self.learning_rate, rollouts / self.first_stage, self.last_rate
         else:
@@ -296,13 +373,24 @@ def _changed(settings: object) -> list[tuple[str, Any]]:
 
 
 _ON_POLICY = (
-    *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
-    *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
+    *(
+        "n_steps",
+        "batch_size",
+        "n_epochs",
+        "learning_rate",
+        "last_rate",
+        "gae_lambda",
+        "clip_range",
+    ),
+    *("ent_coef", "deviation", "second_stage", "second_rate", "second_deviation"),
 )
-_NETWORKS = ("encoder", "pooling", "set_hidden", "per_type")
+_REWARDS = ("gamma", "proximity", "crash", "time_cost", "reward_scale")
 _FOREIGN = {
-    "ppo": ("sac",),
-    "mappo": ("sac", *_NETWORKS),
-    "sac": (*_ON_POLICY, *_NETWORKS),
+    "ppo": ("sac", "dagger"),
+    "mappo": ("sac", "dagger"),
+    "sac": (*_ON_POLICY, "start", "start_kl", "activation", "dagger"),
+    "dagger": (*_ON_POLICY, "start_kl", *_REWARDS, "sac"),
 }
 """Options that an algorithm has not."""
+_OF_ENCODERS = {"pooling": ("deep-set",), "set_hidden": ("deep-set", "attention")}
+"""Encoders that have an option."""

@@ -1,6 +1,7 @@
 """A training run from its options to its report: begun, gone on with, or found finished.
 
-Read this first, then `learner` (what the algorithms share) and one of `ppo`, `sac` and `mappo`.
+Read this first, then `learner` (what the algorithms share) and one of `ppo`, `sac`, `mappo` and
+`dagger`.
 """
 
 from __future__ import annotations
@@ -31,7 +32,11 @@ REPORT, CURVE = "report.json", "curve.csv"
 """Files of a run: its report, where it continues, and its curve."""
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
-_EARLIER = {"action": "acceleration"}
+_EARLIER = {
+    **{"action": "acceleration", "activation": "tanh", "encoder": "mlp", "pooling": "mean"},
+    **{"set_hidden": [32, 32], "per_type": False, "most": None, "start": None, "start_kl": 0.0},
+    "time_cost": 0.0,
+}
 """What all runs did before there was an option for it."""
 
 
@@ -134,7 +139,7 @@ def _evaluate(config: RlConfig, task: str, learner: Learner, progress: _Progress
         task,
         recipe.evaluation_layouts(str(config.layout)),
         choosing_seeds(config.judge_episodes),
-        {"interactions": config.interactions, "force_rate": config.force_rate},
+        {"interactions": config.interactions, "force_rate": config.force_rate, **config.air()},
         config.teams,
     )
     quality = recipe.quality(rates)
@@ -150,7 +155,7 @@ def policy_note(learner: Learner, task: str) -> PolicyNote:
     config = learner.config
     return PolicyNote(
         task,
-        max(config.team_sizes),
+        max(config.team_sizes) if config.most is None else config.most,
         config.action,
         config.decision_rate,
         config.num_neighbors,
@@ -160,6 +165,7 @@ def policy_note(learner: Learner, task: str) -> PolicyNote:
         types=learner.types,
         per_type=config.per_type,
         fewest=min(config.team_sizes) if config.fewest is None else config.fewest,
+        activation=config.activation,
     )
 
 
@@ -209,7 +215,7 @@ def finished_report(config: RlConfig, task: str) -> dict[str, Any] | None:
 
 def _differing_runs(there: Mapping[str, Any], here: Mapping[str, Any]) -> str:
     """Options in which two runs differ, in words; of two algorithms the names alone."""
-    there = {**_EARLIER, **there}
+    there = {**{name: old for name, old in _EARLIER.items() if name in here}, **there}
     if there.get("algo") != here["algo"]:
         return differing({"algo": there.get("algo")}, {"algo": here["algo"]})
     return differing(there, here)

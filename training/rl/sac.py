@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -22,12 +23,14 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac.policies import SACPolicy
 from torch import Tensor, nn
 from torch.nn import functional
 
-from swarm_envs.agents.networks import Network, plain
-from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch, layers_of
+from swarm_envs.agents.networks import Network
+from swarm_envs.training.rl.encoders import EncoderSpec, Trunks, plain_networks
+from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
 
 ACTOR_EVERY = 2
@@ -43,24 +46,25 @@ class SacLearner(Sb3Learner):
     def __init__(self, config: RlConfig, task: str) -> None:
         super().__init__(config, task)
         config, options = self.config, self.config.sac
-        assert config.discount is not None  # the recipe has one
+        assert config.gamma is not None  # the recipe has one
         self.model = SoftActorCritic(
             self.env,
             lookahead=options.lookahead,
-            gamma=config.discount,
+            gamma=config.gamma,
             learning_rate=lambda _: config.learning_rate_after(self.rollouts),
             buffer_size=options.buffer_size,
             learning_starts=options.learning_starts,
             batch_size=options.batch_size,
-            tau=options.smoothing,
-            train_freq=options.rollout,
+            tau=options.tau,
+            train_freq=options.train_freq,
             gradient_steps=options.gradient_steps,
-            ent_coef=f"auto_{options.temperature}",
+            ent_coef=f"auto_{options.ent_coef}",
             seed=config.seed,
             device="cpu",
             policy_kwargs={
-                "net_arch": list(config.hidden),
-                "activation_fn": nn.Tanh,
+                "net_arch": {"pi": [], "qf": list(config.hidden)},
+                "features_extractor_class": TrunkExtractor,
+                "features_extractor_kwargs": {"spec": self.spec},
                 "optimizer_kwargs": {"fused": True},
             },
         )
@@ -77,14 +81,15 @@ class SacLearner(Sb3Learner):
         }
 
     def actor(self) -> dict[str, Network]:
-        """The network whose output is the mean action.
+        """The networks whose output is the mean action.
 
         SAC's last layer has a tanh, which a policy's has not: another follows, which changes
         nothing.
         """
         actor, width = self.model.actor, self.env.action_space.shape[0]
         identity = (np.eye(width, dtype=np.float32), np.zeros(width, np.float32))
-        return plain((*layers_of(actor.latent_pi), *layers_of(actor.mu), identity))
+        found = plain_networks(actor.features_extractor.trunks, actor.mu)
+        return {owner: replace(n, layers=(*n.layers, identity)) for owner, n in found.items()}
 
     def tensors(self) -> dict[str, Tensor]:
         """Weights, Adam's averages, the temperature; and while it learns, the replay buffer."""
@@ -165,6 +170,20 @@ class TwinCritic(nn.Module):
     def set_training_mode(self, mode: bool) -> None:
         """As Stable-Baselines3 calls `train`."""
         self.train(mode)
+
+
+class TrunkExtractor(BaseFeaturesExtractor):  # type: ignore[misc]  # SB3's base has no types here
+    """The actor's hidden layers, where Stable-Baselines3 has features extracted."""
+
+    def __init__(self, observation_space: Any, spec: EncoderSpec) -> None:
+        trunks = Trunks(spec)
+        super().__init__(observation_space, trunks.width)
+        self.trunks = trunks
+
+    def forward(self, values: Tensor) -> Tensor:
+        """What comes out of the trunks."""
+        latent: Tensor = self.trunks(values)
+        return latent
 
 
 class TwinPolicy(SACPolicy):  # type: ignore[misc]  # SB3's base has no types here

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from swarm_envs import make
 from swarm_envs.agents import Agent
 from swarm_envs.agents.evaluation import (
     TIMED,
@@ -34,6 +33,7 @@ from swarm_envs.agents.registry import FILTER, SHIPPED, load_agent
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.files import written_whole
 from swarm_envs.training.scale_out.jobs import Job, WorkerPool
+from swarm_envs.training.scoreboard.tasks import make_scored
 
 __all__ = ["AgentEpisodes", "EvaluationSpec", "evaluate_distributed"]
 
@@ -224,8 +224,8 @@ def _at_hand(key: str) -> tuple[Agent, SwarmParallelEnv]:
         _close()
         agent, task, setting, files = json.loads(key)
         received = {name: str(receive(file)) for name, file in files.items()}
-        made = _load(agent)
-        _prepared[key] = made, make(task, **{**setting, **received, **made.requires})
+        made = _load(agent, task)
+        _prepared[key] = made, make_scored(task, {**setting, **received, **made.requires})
     return _prepared[key]
 
 
@@ -235,12 +235,12 @@ def _close() -> None:
         env.close()
 
 
-def _load(agent: Mapping[str, Any]) -> Agent:
+def _load(agent: Mapping[str, Any], task: str) -> Agent:
     name = agent["name"]
     if "file" in agent:
         part, behind = agent["part"], FILTER if name.endswith(FILTER) else ""
         name = str(receive(agent["file"])) + (part if ":" in part else "") + behind
-    made = load_agent(name)
+    made = load_agent(name, task)
     if source_digest(made) != agent["digest"]:
         raise ValueError(
             f"agent {agent['name']!r} is another here than where the command was given: install "

@@ -18,7 +18,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from swarm_envs import make
 from swarm_envs.agents.evaluation import (
     COLLISIONS,
     Episode,
@@ -31,7 +30,7 @@ from swarm_envs.envs.view import View
 from swarm_envs.files import pyarrow, written_whole
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Success, TrackingSuccess
 from swarm_envs.training.scoreboard.board import Metric
-from swarm_envs.training.scoreboard.tasks import ScoredTask
+from swarm_envs.training.scoreboard.tasks import ScoredTask, make_scored
 
 EpisodeRow = dict[str, Any]
 """An episode as a row of the table of episodes: columns by name."""
@@ -41,6 +40,7 @@ _TEXT = ("task_id", "agent", "refusal")
 _FLAGS = ("refused", "success", "collided", "near_miss")
 _WHOLE = ("drones", "seed", "episode", "decisions")
 LABELS = {
+    "mixed": "score of each task",
     "time": "success weighted by completion time",
     "shapes": "share of shapes reached",
     "tracking": "margin to the tracking limit",
@@ -146,7 +146,7 @@ def row_of(
 
 def _makespan(task: ScoredTask, metrics: Mapping[str, Any]) -> float | None:
     """When the team was done, s; nobody is in a ring before the clock ends."""
-    if task.task == "ring":
+    if task.score == "tracking":
         return None
     found: float = metrics["length_s" if task.score == "shapes" else "time_to_goal_s"]
     return found
@@ -157,10 +157,13 @@ def values_of(rows: Sequence[EpisodeRow], act_us: Sequence[int]) -> dict[str, di
 
     `act_us` are the times of its decisions, microseconds.
     """
-    return {metric.name: _value(metric, rows, act_us) for metric in METRICS}
+    return {metric.name: value_of_metric(metric, rows, act_us) for metric in METRICS}
 
 
-def _value(metric: Measured, rows: Sequence[EpisodeRow], act_us: Sequence[int]) -> dict[str, Any]:
+def value_of_metric(
+    metric: Measured, rows: Sequence[EpisodeRow], act_us: Sequence[int]
+) -> dict[str, Any]:
+    """One of them: `value` and `interval`."""
     column = metric.column or metric.name
     if metric.statistic == "percentile":
         share = float(metric.name.rpartition("_p")[2])
@@ -186,7 +189,7 @@ def fastest_times(task: ScoredTask, seeds: Sequence[int]) -> dict[int, float]:
     From rest to rest on a straight line at the limits of acceleration and speed; where the task
     gives a moving reference, no less than that takes, as nobody is asked to be faster.
     """
-    env = make(task.environment, **task.setting)
+    env = make_scored(task.environment, task.setting)
     try:
         times = {}
         for seed in seeds:

@@ -11,11 +11,11 @@ from typing import Any
 
 from tqdm import tqdm
 
-from swarm_envs import make
 from swarm_envs.agents import load, record_episode
 from swarm_envs.training.scale_out.jobs import Job
 from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.board import Board, read
+from swarm_envs.training.scoreboard.tasks import make_scored
 from swarm_envs.viewing.replay import check_replay_path, share_script, write_replay
 
 __all__ = ["record_replays"]
@@ -147,8 +147,8 @@ def record_one(
     Returns:
         A warning, if it now ends in another way than when it was scored, where that is known.
     """
-    loaded = load(agent)
-    env = make(environment, **{**options, **loaded.requires})
+    loaded = load(agent, environment)
+    env = make_scored(environment, {**options, **loaded.requires})
     try:
         recording = record_episode(env, loaded, seed, name=agent)
     finally:

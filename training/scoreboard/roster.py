@@ -49,6 +49,11 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "random": Place("random", "Draws every action evenly: what chance is worth.", 2, 0.0005),
         "straight-line": Place("straight line", "A PD law to the goal that ignores others."),
         "straight-line+filter": Place("straight line + filter", _FILTERED),
+        "fast-line": Place("fast line", "A faster PD law, behind the filter.", 1, 0.0015),
+        "orca": Place("ORCA", "Reciprocal velocity obstacles.", 1, 0.0015),
+        "roundabout": Place(
+            "roundabout", "Where several ways meet: right, slower, on several floors.", 1, 0.0015
+        ),
         "tracking": Place("tracking", "The controller of Neural-Swarm2, uncompensated.", 2),
         "tracking-compensated": Place("tracking, compensated", _COMPENSATED, 2),
         "tracking-adaptive": Place("tracking, adaptive", _ADAPTIVE, 2),
@@ -61,6 +66,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "swap-ppo+filter": Place("swap PPO + filter", _FILTERED),
         "swap-ppo-8": Place("swap PPO 8", f"{_POLICY} Trained on swaps of four and of eight."),
         "swap-ppo-8+filter": Place("swap PPO 8 + filter", _FILTERED),
+        "swap-dagger": Place("swap DAgger", f"{_POLICY} It imitates a roundabout."),
         "formation-ppo": Place("formation PPO", f"{_POLICY} Trained on formations."),
         "formation-ppo+filter": Place("formation PPO + filter", _FILTERED),
         "ring-ppo": Place("ring PPO", f"{_POLICY} Trained on the ring of five."),

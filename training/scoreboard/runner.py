@@ -17,7 +17,6 @@ from typing import Any, Literal
 import numpy as np
 from tqdm import tqdm
 
-import swarm_envs
 from swarm_envs import __version__
 from swarm_envs.agents import Agent, load
 from swarm_envs.agents.evaluation import Episode, EpisodeFile, frozen_seeds, source_digest
@@ -40,7 +39,7 @@ from swarm_envs.training.scoreboard.metrics import (
     row_of,
     write_rows,
 )
-from swarm_envs.training.scoreboard.tasks import COMMON, SEED, ScoredTask, digest
+from swarm_envs.training.scoreboard.tasks import COMMON, SEED, ScoredTask, digest, make_scored
 
 __all__ = ["BenchmarkPlan", "fly_benchmark"]
 
@@ -210,7 +209,7 @@ def _prepare(task: ScoredTask, loaded: LoadedAgent, seeds: Sequence[int], out: P
         return cell
     try:
         check_options_agree(agent, task.setting)
-        env = swarm_envs.make(task.environment, **{**task.setting, **agent.requires})
+        env = make_scored(task.environment, {**task.setting, **agent.requires})
     except (ValueError, TypeError, ImportError) as error:
         cell.refusal = str(error)
         return cell

@@ -19,7 +19,7 @@ import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from tqdm import tqdm
@@ -31,7 +31,7 @@ from swarm_envs.training.scoreboard.board import FILE, FORMAT, VERSION
 from swarm_envs.training.scoreboard.metrics import LABELS, METRICS, EpisodeRow, values_of
 from swarm_envs.training.scoreboard.replays import choose_episode
 from swarm_envs.training.scoreboard.roster import place_of
-from swarm_envs.training.scoreboard.tasks import ScoredTask
+from swarm_envs.training.scoreboard.tasks import ScoredTask, digest
 
 if TYPE_CHECKING:
     from swarm_envs.training.scoreboard.runner import Evaluation, LoadedAgent
@@ -42,6 +42,8 @@ THRESHOLDS = tuple(float(k) / 50.0 for k in range(51))
 """Scores at which profiles are given."""
 _AT_ONCE = 4_000_000
 """Numbers that a bootstrap holds at once."""
+RESULTS = ("refused", "success", "score", "makespan_s")
+"""What the file holds of every episode of a cell, in the order of the seeds."""
 _METRIC_KEYS = ("name", "label", "unit", "better", "help")
 """What the file says of a metric."""
 NOTE = "* sees the true state; (k of n): of the tasks it supports, all where nothing stands"
@@ -129,7 +131,8 @@ def scores_of(
     """What `scores.json` holds, out of each evaluation and the rows of its episodes."""
     tasks = list({cell.task.id: cell.task for cell in cells}.values())
     agents = list({cell.loaded.name: cell.loaded for cell in cells}.values())
-    standings, profiles = _families(cells, rows)
+    reached = [_reached(cell, part) for cell, part in zip(cells, rows, strict=True)]
+    standings, profiles = families_of(reached)
     shown = zip(cells, rows, strict=True)
     bar = tqdm(shown, total=len(cells), desc="intervals", unit="cell", mininterval=0.5)
     return {
@@ -149,12 +152,13 @@ def _task(task: ScoredTask, cells: Sequence[Evaluation]) -> dict[str, Any]:
     names = ("id", "task", "environment", "label", "drones")
     most = max(len(cell.seeds) for cell in cells if cell.task is task)
     about = {name: getattr(task, name) for name in names}
-    return {**about, "options": task.setting, "episodes": most, "help": task.help}
+    told = {"options": task.setting, "episodes": most, "help": task.help}
+    return {**about, **told, "digest": digest(task)}
 
 
 def _agent(loaded: LoadedAgent) -> dict[str, Any]:
     place = place_of(loaded.name)
-    about = {"name": loaded.name, "privileged": loaded.privileged}
+    about = {"name": loaded.name, "privileged": loaded.privileged, "digest": loaded.digest}
     return {**about, "label": place.label, "help": place.help}
 
 
@@ -169,13 +173,30 @@ def _cell(cell: Evaluation, rows: Sequence[EpisodeRow]) -> dict[str, Any]:
         "episodes": len(rows) - len(cell.refused),
         "refused": len(cell.refused),
         "values": values_of(rows, cell.act_us) if flown else {},
+        "results": {key: [row[key] for row in rows] for key in RESULTS} if flown else {},
         "replay": choose_episode(cell.task.id, cell.loaded.name, rows) if flown else None,
     }
 
 
-def _families(
-    cells: Sequence[Evaluation], rows: Sequence[Sequence[EpisodeRow]]
-) -> tuple[dict[str, Any], dict[str, Any]]:
+class Reached(NamedTuple):
+    """What an agent scored on a task."""
+
+    task: ScoredTask
+    """What was flown."""
+    agent: str
+    """Its name."""
+    status: str
+    """`flown`, `failed` or `unsupported`."""
+    scores: Sequence[float]
+    """Of its episodes."""
+
+
+def _reached(cell: Evaluation, rows: Sequence[EpisodeRow]) -> Reached:
+    scores = [row["score"] for row in rows]
+    return Reached(cell.task, cell.loaded.name, cell.outcome[0], scores)
+
+
+def families_of(cells: Sequence[Reached]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Aggregates and profiles of each family of tasks.
 
     Of the tasks that an agent supports: `tasks` of `of` says how many. One on which it failed
@@ -183,15 +204,15 @@ def _families(
     """
     scores: dict[str, dict[str, list[FloatArray]]] = {}
     kinds: dict[str, set[str]] = {}
-    for cell, part in zip(cells, rows, strict=True):
+    measured: dict[str, set[str]] = {}
+    for cell in cells:
         agents = scores.setdefault(cell.task.task, {})
         kinds.setdefault(cell.task.task, set()).add(cell.task.id)
-        status, _ = cell.outcome
-        if status != "unsupported":
-            failed = status == "failed"
-            reached = np.zeros(1) if failed else np.array([row["score"] for row in part])
-            agents.setdefault(cell.loaded.name, []).append(reached)
-    labels = {cell.task.task: LABELS[cell.task.score] for cell in cells}
+        measured.setdefault(cell.task.task, set()).add(cell.task.score)
+        if cell.status != "unsupported":
+            reached = np.zeros(1) if cell.status == "failed" else np.array(cell.scores)
+            agents.setdefault(cell.agent, []).append(reached)
+    labels = {k: LABELS[min(v) if len(v) == 1 else "mixed"] for k, v in measured.items()}
     standings: dict[str, Any] = {}
     profiles: dict[str, Any] = {}
     for family, agents in scores.items():

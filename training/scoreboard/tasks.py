@@ -1,4 +1,10 @@
-"""The benchmark's tasks: this table is their definition.
+"""The benchmark's tasks: these tables are their definition.
+
+Version 1 flies version 0 of the environments, in the numbers of release 0.1.0. Version 2 flies the
+newest, in families: *classic*, the tasks of version 1 with clocks that are long enough for
+planners; *crowd*, more drones; *robust*, other worlds, vehicles and engines; *transfer*, air in
+which nothing that ships was trained. To add a task, add a row and its digest
+(`tests/training/scoreboard`).
 
 An id names what is flown for good: the task's version, every option, the force model by the digest
 of its weights, the seeds and the score. To change any of it is to make another benchmark, so the
@@ -11,17 +17,21 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
 from types import MappingProxyType
 from typing import Any, Literal
 
+from swarm_envs import make
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.envs.randomization import Randomization
 from swarm_envs.errors import unknown_name
+from swarm_envs.hall import Hall
 from swarm_envs.training.scoreboard.board import TaskInfo
 from swarm_envs.vehicles import parse_team
 
-__all__ = ["COMMON", "SEED", "TASKS", "choose_tasks", "digest"]
+__all__ = ["COMMON", "SEED", "TASKS", "choose_tasks", "digest", "make_scored"]
 
 SEED = 2026
 """What the frozen seeds are drawn from, for every task and agent: one on which nothing that ships
@@ -48,6 +58,9 @@ class ScoredTask(TaskInfo):
     """What an episode is scored by."""
     clock_s: float
     """How long an episode lasts at most, s."""
+    certificate: str = ""
+    """Agent that succeeds in 95 % of the episodes or more: the task can be solved. With `@` and a
+    number behind it, within a clock of so many seconds. Empty in version 1."""
 
     @property
     def drones(self) -> int:
@@ -55,10 +68,23 @@ class ScoredTask(TaskInfo):
         team = self.options.get("team")
         return int(self.options["num_drones"]) if team is None else len(parse_team(team))
 
+    def changed(self, options: Mapping[str, Any]) -> ScoredTask:
+        """The task with other options, under an id of its own, since scores do not compare."""
+        if not options:
+            return self
+        new = json.dumps(options, sort_keys=True)
+        kept = {k: v for k, v in self.options.items() if "team" not in options or k != "num_drones"}
+        return replace(
+            self,
+            id=f"{self.id}-{hashlib.sha256(new.encode()).hexdigest()[:8]}",
+            label=", ".join([self.label, *(f"{name} {value}" for name, value in options.items())]),
+            options={**kept, **options},
+        )
+
     @property
     def setting(self) -> dict[str, Any]:
         """Every option of its environments beside those that an agent requires."""
-        return {**self.options, **COMMON}
+        return {**self.options, **{k: v for k, v in COMMON.items() if k not in self.options}}
 
 
 def definition(task: ScoredTask) -> dict[str, Any]:
@@ -66,13 +92,25 @@ def definition(task: ScoredTask) -> dict[str, Any]:
 
     How many episodes are flown is no part of it: fewer seeds are the first of more.
     """
+    old, setting = task.environment.endswith("_v0"), task.setting
+    air = "learned-v0" if old else setting["interactions"]  # what `_v0` calls learned
+    world = Hall.of(setting.get("world", "ideal"))
     return {
         "environment": task.environment,
-        "setting": task.setting,
-        "force_model": _force_model("learned-v0"),  # what `_v0` calls learned
+        "setting": setting,
+        "force_model": _force_model(air),
         "seed": SEED,
         "score": task.score,
+        **({} if world is None else {"world": asdict(world)}),
     }
+
+
+def make_scored(environment: str, setting: Mapping[str, Any]) -> SwarmParallelEnv:
+    """An environment of a setting that is ready for JSON, as `swarm_envs.make` makes it."""
+    options = dict(setting)
+    if "randomization" in options:
+        options["randomization"] = Randomization(**options["randomization"])
+    return make(environment, **options)
 
 
 def digest(task: ScoredTask) -> str:
@@ -159,15 +197,105 @@ _TABLE = (
     _task("formation", "shuffle", 16, _SHUFFLE),
 )
 
-TASKS: Mapping[str, ScoredTask] = MappingProxyType({task.id: task for task in _TABLE})
+_LONG_S = 12.0
+"""The clock of swaps of 16 drones and more, in which planners arrive."""
+
+
+def _classic(task: ScoredTask) -> ScoredTask:
+    """The task of version 1 in version 2."""
+    options, clock_s = dict(task.options), task.clock_s
+    if task.task == "swap" and task.drones >= 16:
+        options["horizon_s"] = clock_s = _LONG_S
+    return replace(
+        task,
+        id=task.id.replace("-v1", "-v2"),
+        task="classic",
+        environment=task.environment.replace("_v0", "_v1"),
+        options=options,
+        clock_s=clock_s,
+        score="time" if "shuffle" in task.id else task.score,
+        certificate="detour-compensated",
+    )
+
+
+def _new(
+    name: str, help_: str, base: str, certificate: str, episodes: int, **options: Any
+) -> ScoredTask:
+    """A row of version 2: another task of version 2, with other options.
+
+    Args:
+        name: the id without its version; its first word is the family.
+        help_: what it is, in a sentence.
+        base: id of the other, without its version.
+        certificate: as of `ScoredTask`.
+        episodes: of each agent.
+        **options: what differs.
+    """
+    other = _CLASSIC[f"{base}-v2"]
+    team = {"num_drones", "team"} & set(options)
+    kept = {k: v for k, v in other.options.items() if not team or k not in ("num_drones", "team")}
+    return replace(
+        other,
+        id=f"{name}-v2",
+        task=name.partition("-")[0],
+        options={**kept, **options},
+        label=name.replace("-", " "),
+        help=help_,
+        clock_s=options.get("horizon_s", other.clock_s),
+        certificate=certificate,
+        episodes=episodes,
+    )
+
+
+_CLASSIC = {task.id: task for task in map(_classic, _TABLE)}
+_HALL = "Force that no model knows, and a state that is estimated."
+_NOISE = {
+    "mass": (0.95, 1.05),
+    "thrust": (0.9, 1.1),
+    "motor_rate": (0.8, 1.2),
+    "position_noise_m": 0.005,
+    "velocity_noise": 0.05,
+}
+_DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
+_ADAPTIVE = "tracking-compensated-adaptive"
+_OTHER_AIR = "Air in which nothing that ships was trained."
+
+_NEW = (
+    _new("crowd-random-32", _RANDOM, "swap-random-16", _ROUND, 64, num_drones=32),
+    _new("crowd-random-64", _RANDOM, "swap-random-16", _ROUND, 32, num_drones=64),
+    _new("crowd-circle-32", _CIRCLE, "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
+    _new("robust-random-8-hall", _HALL, "swap-random-8", _ROUND, 128, world="hall"),
+    _new("robust-circle-8-hall", _HALL, "swap-circle-8", _ROUND, 128, world="hall"),
+    _new("robust-stacked-L2S-hall", _HALL, "swap-stacked-L2S", _ADAPTIVE, 128, world="hall"),
+    _new("robust-ring-5-hall", _HALL, "ring-5", _ADAPTIVE, 64, world="hall"),
+    _new("robust-shuffle-8-hall", _HALL, "formation-shuffle-8", _ROUND, 64, world="hall"),
+    _new("robust-random-8-noise", "Mass, thrust and motors differ; what is observed is noisy.",
+         "swap-random-8", _ROUND, 128, randomization=_NOISE),
+    _new("robust-random-LLLLSSSS", "Four large drones and four small ones.",
+         "swap-random-8", _ROUND, 128, team="LLLLSSSS"),
+    _new("robust-random-4-bullet", "On Bullet, where drones push each other.",
+         "swap-random-4", _ROUND, 32, physics="bullet"),
+    _new("transfer-random-8-none", _OTHER_AIR, "swap-random-8", _ROUND, 128, interactions="none"),
+    _new("transfer-random-8-wake", _OTHER_AIR, "swap-random-8", _ROUND, 128, interactions="wake"),
+    _new("transfer-stacked-L2S-wake", _OTHER_AIR, "swap-stacked-L2S", _TRACKING, 128,
+         interactions="wake"),
+    _new("transfer-ring-5-wake", _OTHER_AIR, "ring-5", _TRACKING, 64, interactions="wake"),
+)  # fmt: skip
+
+TASKS: Mapping[str, ScoredTask] = MappingProxyType(
+    {task.id: task for task in (*_TABLE, *_CLASSIC.values(), *_NEW)}
+)
 """Every task by its id, in the order in which they are shown."""
 
 
-def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
+def choose_tasks(
+    patterns: Sequence[str], options: Mapping[str, Any] = MappingProxyType({})
+) -> list[ScoredTask]:
     """The tasks whose ids match any of the patterns, in the table's order.
 
     Args:
         patterns: ids, or such as `swap-*` (`*`, `?`, `[...]` as in file names).
+        options: of the environment, to be changed in each.
 
     Raises:
         ValueError: a pattern matches none; the message names the nearest id.
@@ -177,7 +305,9 @@ def choose_tasks(patterns: Sequence[str]) -> list[ScoredTask]:
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in TASKS):
             raise ValueError(unknown_name("task", pattern, TASKS, "of the benchmark"))
-    return [t for t in _TABLE if any(fnmatchcase(t.id, pattern) for pattern in patterns)]
+    tasks = TASKS.values()
+    chosen = [t for t in tasks if any(fnmatchcase(t.id, pattern) for pattern in patterns)]
+    return [task.changed(options) for task in chosen]
 
 
 choose = choose_tasks

@@ -19,7 +19,7 @@ static inline int @name@_act(const struct @name@_drone *self, const struct @name
     if (!sound) return 0;
     count = @name@_nearest(self, others, other, found);
     @name@_features(self, own, count, found, other, values);
-    result = @name@_apply(@actor_of@, 0, values);
+    result = @name@_apply(&@name@_actors[@who@], 0, values);
     for (k = 0; k < @actions@; k++) action[k] = @name@_clamp(result[k], -1.0f, 1.0f);
     return 1;
 }

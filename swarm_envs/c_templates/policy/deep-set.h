@@ -3,18 +3,23 @@ static inline void @name@_features(const struct @name@_drone *self, const struct
                                    int count, const int *found,
                                    const struct @name@_drone *other, float values[2][@widest@])
 {
-    float inner[2][@widest@], code[@code@];
+    float inner[2][@widest@], sum[@code@], largest[@code@];
     int j, k;
-    for (k = 0; k < @code@; k++) code[k] = @first@;
-    for (j = 0; j < count; j++) {
-        const struct @name@_drone *o = &other[found[j]];
-        const struct @name@_network *net = @phi_of@;
-        const float *member;
-        @name@_neighbour_features(self, o, inner[0]);
-        member = @name@_apply(net, 1, inner);
-        for (k = 0; k < @code@; k++) @pool@
-    }
+    for (k = 0; k < @code@; k++) sum[k] = 0.0f, largest[k] = -1.0f;
     @name@_own_features(self, own, values[0]);
-    for (k = 0; k < @code@; k++) values[0][@own_width@ + k] = @result@;
+    for (j = 0; j < count; j++) {
+        const float *member;
+        for (k = 0; k < @own_width@; k++) inner[0][k] = values[0][k];
+        @name@_neighbour_features(self, &other[found[j]], inner[0] + @own_width@);
+        member = @name@_apply(&@name@_phis[@who@], 1, inner);
+        for (k = 0; k < @code@; k++) {
+            sum[k] += member[k];
+            if (member[k] > largest[k]) largest[k] = member[k];
+        }
+    }
+    for (k = 0; k < @code@; k++) {
+        @pooled@
+    }
+    (void)sum[0], (void)largest[0];
 }
 

@@ -83,7 +83,7 @@ static inline float *@name@_apply(const struct @name@_network *net, int squash_l
             float sum = *w++;
             for (i = 0; i < layer->inputs; i++) sum += w[i] * x[i];
             w += layer->inputs;
-            values[1 - from][o] = squash_last || k < net->count - 1 ? tanhf(sum) : sum;
+            values[1 - from][o] = squash_last || k < net->count - 1 ? @active@ : sum;
         }
     }
     return values[from];

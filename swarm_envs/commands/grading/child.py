@@ -58,7 +58,9 @@ class StandIn:
         obstacles = config.obstacles_observed(0)
         self.possible_agents = [f"drone_{i}" for i in range(len(team))]
         self.agents = list(self.possible_agents)
-        self.observation_layout = observation_layout(config.num_neighbors, obstacles)
+        extra = (bool(config.observe_load), config.observe_force is not None)
+        self._form = (config.num_neighbors, obstacles, *extra)
+        self.observation_layout = observation_layout(*self._form)
         self.core = SimpleNamespace(
             config=config,
             mode=ACTIONS[config.action],
@@ -67,7 +69,7 @@ class StandIn:
             task=SimpleNamespace(name=header["task"], team=team, obstacles=()),
         )
         self.metadata = {"name": header["task"], "render_fps": config.decision_rate}
-        self.shape = shaper(config.observation, config.num_neighbors, obstacles)
+        self.shape = shaper(config.observation, *self._form)
         self._channel = channel
 
     @property
@@ -75,9 +77,8 @@ class StandIn:
         """The space of each agent's observation."""
         from swarm_envs.envs.observation import observation_space
 
-        core = self.core
-        form = (core.config.observation, core.config.num_neighbors, core.num_obstacles)
-        return dict.fromkeys(self.possible_agents, observation_space(*form))
+        space = observation_space(self.core.config.observation, *self._form)
+        return dict.fromkeys(self.possible_agents, space)
 
     @property
     def action_spaces(self) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from swarm_envs.agents.protocol import fly_episode
 from swarm_envs.baselines.mlr_dmpc.formations import scaled_distances
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_agent import MlrDmpcAgent
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.radio import Jam, LossModel
 from swarm_envs.physics import bullet_available
 from swarm_envs.tasks.obstacles import Column
 
@@ -115,6 +116,19 @@ def test_what_it_cannot_fly_is_refused():
         agent.act({}, None)
     with pytest.raises(ValueError, match="compute_units"):
         MlrDmpcAgent(compute_units=3).reset(env, 0)
+
+
+def test_a_deaf_drone_is_named_while_it_flies():
+    deaf = LossModel(jams=(Jam(first_round=0, last_round=500, receivers="drone 1"),))
+    env, agent = swap(2, "batch", layout="random"), MlrDmpcAgent(loss=deaf)
+    with pytest.warns(RuntimeWarning) as warned:
+        fly_episode(env, agent, 0)
+    assert agent.faults == {
+        0: "the target of drone 0 is unreachable because another drone, 1, rests on it",
+        1: "drone 1 has accepted none of the last 20 plans for it: it seems to hear nothing",
+    }
+    assert {str(one.message) for one in warned} == set(agent.faults.values())
+    fly_episode(env, MlrDmpcAgent(loss=0.3), 0)  # warnings are errors here
 
 
 @pytest.mark.slow

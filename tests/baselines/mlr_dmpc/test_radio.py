@@ -14,7 +14,7 @@ from swarm_envs.baselines.mlr_dmpc.messages import (
     STATE_BYTES,
     UNSURE,
     Codec,
-    DroneState,
+    DroneStates,
     MembershipView,
     MessageKind,
     Missing,
@@ -32,7 +32,7 @@ from swarm_envs.baselines.mlr_dmpc.radio import (
 from swarm_envs.baselines.mlr_dmpc.trajectory import NOBODY, Identity, Trajectory
 
 CONFIG = MlrDmpcConfig()
-SIZES = [(4, 1), (16, 3), (64, 8), (256, 8)]
+SIZES = [(4, 1), (16, 3), (64, 8), (256, 8), (256, 16)]
 
 
 def trajectory(rng: np.random.Generator, identity: Identity) -> Trajectory:
@@ -119,20 +119,27 @@ def test_a_leaders_plan_still_carries_priorities_in_every_swarm():
 def test_drones_states_survive_packing_in_32_bytes(seed, flags):
     rng, codec = np.random.default_rng(seed), Codec(16, 3, CONFIG)
     lower, upper = np.array(CONFIG.box)
-    target = codec.carried_targets(rng.uniform(lower, upper, (1, 3)))[0]
+    targets = codec.carried_targets(rng.uniform(lower, upper, (2, 3)))
     place = rng.uniform(lower, upper)
-    rest, *marks = flags
+    resting, joining, gone, lost = (np.array([flag, not flag]) for flag in flags)
     moving = codec.carried(np.stack([place, rng.uniform(-2, 2, 3), rng.uniform(-5, 5, 3)]))
-    kinematics = place[None].astype(np.float32).astype(float) if rest else moving
+    still = np.stack([place.astype(np.float32).astype(float), np.zeros(3), np.zeros(3)])
     round_ = int(rng.integers(100_000))
     identity = Identity(max(round_ - int(rng.integers(60_000)), 0), 2)
-    state = DroneState(3, round_, identity, ViewId(7, 1), target, kinematics, *marks)
-    data = codec.pack_state(state)
-    back = codec.unpack_state(data, 3, round_)
-    assert len(data) <= STATE_BYTES
-    assert back[:4] == state[:4] and back[6:] == state[6:]
-    assert back.target == pytest.approx(state.target, abs=1e-12)
-    assert back.kinematics == pytest.approx(state.kinematics, abs=1e-12)
+    kinematics = np.where(resting[:, None, None], still, moving)
+    numbers = np.full(2, identity.number), np.full(2, ViewId(7, 1).number)
+    said = np.ones(2, dtype=bool)
+    said_so = resting, joining, gone, lost
+    states = DroneStates(round_, said, *numbers, targets, kinematics, *said_so)
+    data = codec.pack_states(states)
+    back = codec.unpack_states([*data, b""], round_)
+    assert max(map(len, data)) <= STATE_BYTES
+    assert back.said.tolist() == [True, True, False]
+    assert codec.pack_states(back) == data
+    for name in ("identity", "lock", "resting", "joining", "gone", "reinitialised"):
+        assert np.array_equal(getattr(back, name)[:2], getattr(states, name)), name
+    assert back.target[:2] == pytest.approx(states.target, abs=1e-12)
+    assert back.kinematics[:2] == pytest.approx(states.kinematics, abs=1e-12)
 
 
 def test_what_16_bit_carry_is_finer_than_a_tenth_of_a_millimetre():

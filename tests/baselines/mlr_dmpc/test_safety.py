@@ -162,18 +162,20 @@ class Findings:
         equal: dict[tuple, tuple[int, list]] = {}
         for unit in filter(None, nodes.units):
             info = unit.information
-            for drone in info.flying():
-                tracker, (flown, lock) = info.trackers[drone], before[drone]
-                if lock == info.view.id and tracker.covering:
+            trackers, every = info.trackers, np.arange(len(before))
+            for drone in np.flatnonzero(info.flying).tolist():
+                flown, lock = before[drone]
+                _, candidates = trackers.candidates(every == drone)
+                if lock == info.view.id and trackers.covering[drone]:
                     self.covering += 1
-                    if not any(same(one, flown, round_) for one in tracker.candidates):
+                    if not any(same(one, flown, round_) for one in candidates):
                         self.broken.append(
                             f"round {round_}: unit {info.unit} does not know that drone {drone} "
                             f"flies {flown.identity} (Lemma 1)"
                         )
-                if tracker.up_to_date(round_) and lock == info.view.id:
+                if trackers.up_to_date(round_)[drone] and lock == info.view.id:
                     self.up_to_date += 1
-                    mine = sorted(tracker.possible)
+                    mine = [one.identity for one in candidates]
                     other, theirs = equal.setdefault((info.view.id, drone), (info.unit, mine))
                     if theirs != mine:
                         self.broken.append(

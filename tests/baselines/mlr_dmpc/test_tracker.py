@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.mlr_dmpc.information_tracker import (
-    InformationTracker,
+    InformationTrackers,
     SeparationGuarantee,
 )
 from swarm_envs.baselines.mlr_dmpc.messages import (
     Codec,
-    DroneState,
+    DroneStates,
     MembershipView,
     MessageKind,
     UnitMessage,
@@ -32,25 +32,78 @@ def planned(start_round: int, unit: int = 0) -> Trajectory:
     return Trajectory(Identity(start_round, unit), np.zeros((3, 3)), np.zeros((3, 3)), 0.2)
 
 
+class Tracker:
+    """What a unit knows of drone 1 of three; drone 0 is spoken of alike, of drone 2 nothing."""
+
+    def __init__(self) -> None:
+        self.all = InformationTrackers(3)
+
+    def add(self, identity: Identity, contents: Trajectory | None) -> None:
+        if contents is not None:
+            self.all.learn(0, contents)
+            self.all.learn(1, contents)
+        self.all.add(np.array([0, 1]), identity, contents is None)
+
+    def locate(self, identity: Identity, round_: int, at_rest: Trajectory | None) -> None:
+        numbers = np.full(2, identity.number)
+        self.all.locate(np.array([0, 1]), numbers, round_, lambda _: at_rest)
+
+    @property
+    def candidates(self) -> list[Trajectory]:
+        return self.all.candidates(np.array([False, True, False]))[1]
+
+    @property
+    def missing(self) -> list[Identity]:
+        found = self.all.missing(np.array([True, True, False]))
+        assert [one for i, one in found if i == 0] == [one for i, one in found if i == 1]
+        return [one for i, one in found if i == 1]
+
+    @property
+    def sole(self) -> Trajectory | None:
+        return self.all.sole(1)
+
+    @property
+    def covering(self) -> bool:
+        assert not self.all.covering[2] and self.all.covering[0] == self.all.covering[1]
+        return bool(self.all.covering[1])
+
+    def up_to_date(self, round_: int) -> bool:
+        return bool(self.all.up_to_date(round_)[1])
+
+    def newest(self) -> Trajectory | None:
+        assert self.all.newest()[2] is None
+        return self.all.newest()[1]
+
+    def settled(self, round_: int) -> bool:
+        return bool(self.all.settled(round_)[1])
+
+    def contents(self, identity: Identity) -> Trajectory | None:
+        assert self.all.contents(2, identity) is None
+        return self.all.contents(1, identity)
+
+    def guarantee(self, identity: Identity) -> SeparationGuarantee | None:
+        return self.all.guarantee(1, identity)
+
+
 @pytest.fixture
-def heard() -> InformationTracker:
+def heard() -> Tracker:
     """A drone that said in round 4 that it rests where it started."""
-    tracker = InformationTracker()
+    tracker = Tracker()
     tracker.locate(REST.identity, 4, REST)
     return tracker
 
 
 def test_of_a_drone_never_heard_nothing_is_known() -> None:
-    tracker = InformationTracker()
+    tracker = Tracker()
     tracker.add(planned(1).identity, planned(1))
     assert not tracker.covering
     assert not tracker.up_to_date(0)
-    assert tracker.sole is None and tracker.settled(5) is None
+    assert tracker.sole is None and not tracker.settled(5)
     tracker.add(planned(2).identity, None)
     assert tracker.guarantee(planned(2).identity) is None
 
 
-def test_what_it_says_it_flies_is_all_it_flies(heard: InformationTracker) -> None:
+def test_what_it_says_it_flies_is_all_it_flies(heard: Tracker) -> None:
     assert heard.covering
     assert heard.sole is REST
     assert heard.candidates == [REST] and heard.missing == []
@@ -58,7 +111,7 @@ def test_what_it_says_it_flies_is_all_it_flies(heard: InformationTracker) -> Non
     assert [heard.up_to_date(round_) for round_ in (4, 5, 6)] == [False, True, False]
 
 
-def test_a_plan_sent_to_it_is_a_second_candidate(heard: InformationTracker) -> None:
+def test_a_plan_sent_to_it_is_a_second_candidate(heard: Tracker) -> None:
     plan = planned(6)
     heard.add(plan.identity, plan)
     assert heard.covering and heard.sole is None
@@ -66,27 +119,27 @@ def test_a_plan_sent_to_it_is_a_second_candidate(heard: InformationTracker) -> N
     assert heard.newest() is plan
 
 
-def test_settled_is_the_newest_while_one_alone_can_have_begun(heard: InformationTracker) -> None:
+def test_settled_is_the_newest_while_one_alone_can_have_begun(heard: Tracker) -> None:
     plan = planned(6)
     heard.add(plan.identity, plan)
-    assert heard.settled(6) is plan  # only the first began before round 6
-    assert heard.settled(7) is None  # now it may fly either
+    assert heard.settled(6)  # only the first began before round 6
+    assert not heard.settled(7)  # now it may fly either
 
 
-def test_a_plan_of_unknown_contents_leaves_a_promise(heard: InformationTracker) -> None:
+def test_a_plan_of_unknown_contents_leaves_a_promise(heard: Tracker) -> None:
     earlier, late, unknown = planned(5), planned(6), planned(6, 1).identity
     for known in (earlier, late):
         heard.add(known.identity, known)
     heard.add(unknown, None)
     assert heard.missing == [unknown]
-    assert not heard.covering and heard.settled(0) is None and not heard.up_to_date(5)
+    assert not heard.covering and not heard.settled(0) and not heard.up_to_date(5)
     assert heard.newest() is late
     assert heard.guarantee(unknown) == SeparationGuarantee(
         5, (REST, earlier)
     )  # `late` begins after round 5
 
 
-def test_what_follows_an_unknown_plan_promises_nothing(heard: InformationTracker) -> None:
+def test_what_follows_an_unknown_plan_promises_nothing(heard: Tracker) -> None:
     first, beside, after = planned(6).identity, planned(6, 1).identity, planned(7).identity
     for unknown in (first, beside, after):
         heard.add(unknown, None)
@@ -94,51 +147,61 @@ def test_what_follows_an_unknown_plan_promises_nothing(heard: InformationTracker
     assert heard.guarantee(after) is None  # it may avoid what `first` would have flown
 
 
-def test_locating_strikes_what_it_does_not_fly_but_no_later_plan(heard: InformationTracker) -> None:
+def test_locating_strikes_what_it_does_not_fly_but_no_later_plan(heard: Tracker) -> None:
     old, new, later = planned(5), planned(6), planned(7)
     for plan in (old, new, later):
         heard.add(plan.identity, plan)
     heard.add(planned(6, 1).identity, None)
     heard.locate(new.identity, 6, None)
     assert heard.candidates == [new, later]
-    assert heard.confirmed == 6 and heard.up_to_date(7)
+    assert heard.all.confirmed.tolist() == [6, 6, -1] and heard.up_to_date(7)
     assert heard.guarantee(planned(6, 1).identity) is None
 
 
-def test_a_lost_drone_is_located_anew_from_nothing(heard: InformationTracker) -> None:
+def test_a_lost_drone_is_located_anew_from_nothing(heard: Tracker) -> None:
     plan = planned(9)
     heard.add(plan.identity, plan)
-    heard.lose()
+    heard.all.lose()
     assert not heard.covering and not heard.up_to_date(5) and not heard.up_to_date(0)
-    assert heard.settled(9) is None
+    assert not heard.settled(9)
     heard.locate(REST.identity, 7, None)
-    assert heard.possible == {REST.identity}
+    assert heard.candidates == [REST] and heard.missing == []
     assert heard.sole is REST  # its contents were remembered
 
 
-def test_contents_of_the_last_three_are_kept_for_others(heard: InformationTracker) -> None:
+def test_contents_of_the_last_three_are_kept_for_others(heard: Tracker) -> None:
     plans = [planned(k) for k in range(5, 9)]
     for plan in plans:
-        heard.learn(plan)
+        heard.all.learn(1, plan)
         assert heard.contents(plan.identity) is plan
-    assert heard.possible == {REST.identity}
+    assert heard.candidates == [REST] and heard.missing == []
     heard.locate(plans[0].identity, 9, None)
     assert [heard.contents(p.identity) is p for p in plans] == [True] * 4
     assert heard.contents(REST.identity) is None
 
 
-def test_what_it_says_at_rest_does_not_overwrite(heard: InformationTracker) -> None:
+def test_what_it_says_at_rest_does_not_overwrite(heard: Tracker) -> None:
     again = hover(np.array([0.0, 0.0, 1.0]), 3, 0.2)
     heard.locate(REST.identity, 5, again)
     assert heard.sole is REST
 
 
-def test_a_struck_plan_is_none(heard: InformationTracker) -> None:
+def test_a_struck_plan_is_none(heard: Tracker) -> None:
     plan = planned(6)
     heard.add(plan.identity, plan)
-    heard.strike(plan.identity)
-    heard.strike(plan.identity)
+    heard.all.strike({plan.identity.number: 0})
+    heard.all.strike({plan.identity.number: 0})
     assert heard.sole is REST
+    assert heard.all.sole(0) is None, "it was sent to this one"
+
+
+def test_rows_grow_with_what_may_be_flown(heard: Tracker) -> None:
+    plans = [planned(6, unit) for unit in range(20)]
+    for plan in plans:
+        heard.add(plan.identity, plan)
+    assert heard.candidates == [REST, *plans]
+    heard.locate(plans[7].identity, 6, None)
+    assert heard.sole is plans[7]
 
 
 A, B = ViewId(1, 0), ViewId(1, 1)
@@ -149,13 +212,21 @@ def announced(id_: ViewId, drones: set[int], gone: Set[int] = frozenset()) -> Un
     return UnitMessage(MessageKind.EMPTY, 3, id_.proposer, id_, members=view)
 
 
+def heard_states(*joining: int) -> DroneStates:
+    """What was heard in round 9 of three drones: some say that they are about to join."""
+    said, no = np.isin(np.arange(3), joining), np.zeros(3, dtype=bool)
+    numbers = np.full(3, REST.identity.number), np.full(3, ViewId(0, 0).number)
+    places = np.zeros((3, 3)), np.zeros((3, 3, 3))
+    return DroneStates(9, said, *numbers, *places, ~no, said, no, no)
+
+
 def locked(*messages: UnitMessage) -> ViewId:
     """What a drone is locked to that hears these, one a round; deployed were drones 0 and 1."""
     view = MembershipView(ViewId(0, 0), (0, 1), frozenset({0, 1}))
     config = MlrDmpcConfig()
     drone = Drone(0, REST, view, config, Codec(4, 2, config))
     for round_, message in enumerate(messages):
-        drone.receive(Inbox(round_, [], {message.unit: message}))
+        drone.receive(Inbox(round_, heard_states(), {message.unit: message}))
     return drone.view.id
 
 
@@ -171,10 +242,10 @@ def test_a_drone_follows_no_view_that_forgets_a_drone() -> None:
 def test_a_unit_that_comes_back_proposes_no_view_of_a_name_that_it_has_used() -> None:
     """Before it died it may have proposed another one of which it no longer knows."""
     start = MembershipView(ViewId(0, 0), (0, 1), frozenset({0, 1}))
-    states = [DroneState(2, 9, REST.identity, start.id, np.zeros(3), np.zeros((1, 3)), True)]
+    states = heard_states(2)
     proposed = []
     for since in (0, 5):
-        membership = Membership(0, start, 2, since)
+        membership = Membership(0, start, 2, 3, since)
         membership.update(Inbox(9, states, {}), frozenset({0, 1}))
         assert membership.propose(10)
         assert membership.view.drones == {0, 1, 2}

@@ -152,7 +152,7 @@ def test_the_table_has_every_episode_and_no_times(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "out"
     agents = ["swap-ppo", "detour", "formation-ppo"]
-    assert benchmark(out, "--tasks", FOUR, "ring-5*", "--agents", *agents, "--episodes", "3") == 0
+    assert benchmark(out, "--tasks", FOUR, "ring-5-v1", "--agents", *agents, "--episodes", "3") == 0
     table = parquet.read_table(out / "episodes.parquet").to_pylist()
     timing = parquet.read_table(out / "timing.parquet").to_pylist()
     assert not [name for name in table[0] if "act_us" in name]
@@ -255,7 +255,7 @@ def test_what_cannot_be_flown_or_reported_is_misuse(tmp_path, capsys):
 @pytest.mark.slow
 def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path):
     rng = random.Random(1)
-    few = ["--tasks", FOUR, "ring-5*", "--agents", "swap-ppo", "detour", "tracking"]
+    few = ["--tasks", FOUR, "ring-5-v1", "--agents", "swap-ppo", "detour", "tracking"]
     few += ["--episodes", "40", "--table", "csv", "--workers", "2"]
     out, whole = tmp_path / "killed", tmp_path / "whole"
     command = [sys.executable, "-m", "swarm_envs", "benchmark", *few, "--out", str(out)]

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import replace
 
 import pytest
 
-import swarm_envs
-from swarm_envs.agents.evaluation import frozen_seeds
+from swarm_envs.agents import load
+from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.registry import FILTER, SHIPPED
+from swarm_envs.physics import bullet_available
 from swarm_envs.training.scoreboard import tasks
 from swarm_envs.training.scoreboard.metrics import METRICS
 from swarm_envs.training.scoreboard.roster import LEAST, ROSTER, choose_agents, episodes_of
-from swarm_envs.training.scoreboard.tasks import SEED, TASKS, choose_tasks, digest
+from swarm_envs.training.scoreboard.tasks import SEED, TASKS, choose_tasks, digest, make_scored
 from tests.helpers.pages import DOCS
 
 DIGESTS = {
@@ -36,10 +38,45 @@ DIGESTS = {
     "formation-tour-16-v1": "26a820597bf48388",
     "formation-shuffle-8-v1": "a260d7c5e1235cca",
     "formation-shuffle-16-v1": "c1445b87194dcd64",
+    "swap-random-2-v2": "3fafa2d1edc3a7bf",
+    "swap-random-4-v2": "e5c18ebf83392ddb",
+    "swap-random-SSLL-v2": "1eda464943fa208c",
+    "swap-random-8-v2": "a3a10fc25bb085f1",
+    "swap-random-16-v2": "03e590b4f7d44c2b",
+    "swap-circle-2-v2": "5e969300754f99f7",
+    "swap-circle-4-v2": "3078ec7f005d7425",
+    "swap-circle-8-v2": "c070564c009d80fc",
+    "swap-circle-16-v2": "65a4dbf5a41afa3a",
+    "swap-stacked-L2S-v2": "17d4e7a21f992f9d",
+    "swap-stacked-4-v2": "b84508eb4ceac6e0",
+    "ring-4-v2": "53305b44f6277c35",
+    "ring-5-v2": "3b8751b5c68275ec",
+    "ring-8-v2": "dc6597b6309b6c81",
+    "ring-16-v2": "5692b8740fed2369",
+    "formation-tour-8-v2": "07fb59f87102702f",
+    "formation-tour-16-v2": "f00d07d6d565ebf8",
+    "formation-shuffle-8-v2": "019fb262b9f343cc",
+    "formation-shuffle-16-v2": "9cb8f0157d01c41a",
+    "crowd-random-32-v2": "d6e003aaea740e9c",
+    "crowd-random-64-v2": "bcd7a113dfb7b872",
+    "crowd-circle-32-v2": "2d8e3002ec28c289",
+    "robust-random-8-hall-v2": "19fb220202a27b38",
+    "robust-circle-8-hall-v2": "ae6b351cf8f96fbd",
+    "robust-stacked-L2S-hall-v2": "21365a20aae9fa32",
+    "robust-ring-5-hall-v2": "8ea4afdb20b57553",
+    "robust-shuffle-8-hall-v2": "fb4493a451319ff9",
+    "robust-random-8-noise-v2": "024736b5adb9dcee",
+    "robust-random-LLLLSSSS-v2": "1fbd43cb8c9876ed",
+    "robust-random-4-bullet-v2": "4bd3bec5ba680b39",
+    "transfer-random-8-none-v2": "3fa12f8e6b8a2177",
+    "transfer-random-8-wake-v2": "d3a87a043a42f559",
+    "transfer-stacked-L2S-wake-v2": "de6ace113bc1ddf3",
+    "transfer-ring-5-wake-v2": "14db2a7c487bfd88",
 }
 """What each id has stood for since it was first used. A line here is never changed: what is flown
 otherwise gets a row with the next version, and the old id goes into `RETIRED`."""
 RETIRED: set[str] = set()
+V1_FAMILIES = {"swap", "ring", "formation", "classic"}
 SEEDS = [2727543821, 2207150826, 508070823]
 
 
@@ -71,14 +108,37 @@ def test_the_frozen_seeds_are_the_same_everywhere():
 
 @pytest.mark.parametrize("task", TASKS.values(), ids=list(TASKS))
 def test_every_row_says_what_flies(task):
-    assert re.fullmatch(rf"{task.task}-([a-z]+-)?[0-9LS]+-v[1-9]\d*", task.id)
-    env = swarm_envs.make(task.environment, **task.setting)
+    classic = r"(swap|ring|formation)-([a-z]+-)?[0-9LS]+-v[12]"
+    new = rf"{task.task}-[a-z]+-[0-9LS]+(-[a-z]+)?-v2"
+    assert re.fullmatch(classic if task.task in V1_FAMILIES else new, task.id)
+    if task.setting["physics"] == "bullet" and not bullet_available():
+        pytest.skip("no pybullet")
+    env = make_scored(task.environment, json.loads(json.dumps(task.setting)))
     env.reset(seed=0)
-    assert len(env.agents) == task.drones <= 16
-    assert env.physics_name == "batch"
+    assert len(env.agents) == task.drones <= 64
+    assert env.physics_name == task.setting["physics"]
     assert env.view.horizon_s == task.clock_s
     assert env.core.config.force_rate == 240
     env.close()
+
+
+def test_every_task_of_version_2_has_a_certificate():
+    for task in TASKS.values():
+        name, _, clock_s = task.certificate.partition("@")
+        assert (name in SHIPPED) == task.id.endswith("-v2")
+        assert not clock_s or float(clock_s) > task.clock_s
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in TASKS if name.endswith("-v2")])
+def test_the_certificate_solves_its_task(name):
+    task = TASKS[name]
+    agent_name, _, clock_s = task.certificate.partition("@")
+    agent, longer = load(agent_name), {"horizon_s": float(clock_s)} if clock_s else {}
+    env = make_scored(task.environment, {**task.setting, **longer, **agent.requires})
+    flown = [*evaluate_agent(env, agent, frozen_seeds(SEED, 20), timed=1)]
+    env.close()
+    assert sum(each["metrics"]["success"] for each in flown) >= 0.95 * len(flown)
 
 
 def test_every_agent_that_ships_is_in_the_roster():
@@ -100,10 +160,10 @@ def test_slow_agents_fly_the_first_of_the_episodes_of_fast_ones():
 
 
 def test_patterns_choose_in_the_table_s_order():
-    chosen = choose_tasks(["ring-*", "swap-circle-4-v1"])
+    chosen = choose_tasks(["ring-*-v1", "swap-circle-4-v1"])
     assert [task.id for task in chosen] == [
         "swap-circle-4-v1",
-        *(name for name in TASKS if name.startswith("ring")),
+        *(name for name in TASKS if re.match("ring-.*-v1", name)),
     ]
     assert choose_tasks(["*"]) == list(TASKS.values())
     names = choose_agents(["a/b.py:Mine", "swap-ppo*", "hover", "a/b.py:Mine", "detour+filter"])
@@ -114,7 +174,7 @@ def test_patterns_choose_in_the_table_s_order():
 @pytest.mark.parametrize("choose", [choose_tasks, choose_agents])
 def test_what_is_no_name_is_refused_with_the_nearest(choose):
     wrong, right = {
-        choose_tasks: ("swap-circle-4", "swap-circle-4-v1"),
+        choose_tasks: ("swap-circle-4", "swap-circle-4-v2"),
         choose_agents: ("swap-pop", "swap-ppo"),
     }[choose]
     with pytest.raises(ValueError, match=f"did you mean '{right}'"):

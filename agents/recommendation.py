@@ -1,0 +1,92 @@
+"""The best shipped agent for a task, by what the benchmark measured.
+
+`recommended.json` holds a line for each task of the benchmark: what was flown, and the agents that
+succeeded, the best first. `python -m swarm_envs.training.scoreboard.recommend DIR` writes it from
+the folder of a benchmark.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from typing import Any
+
+from swarm_envs import task_family
+from swarm_envs.agents.registry import load_agent
+from swarm_envs.arguments import Count, typed
+
+__all__ = ["FILE", "recommended"]
+
+FILE = "recommended.json"
+"""Its name, in the folder of the agents."""
+
+
+@cache
+def _rows() -> list[Mapping[str, Any]]:
+    text = resources.files("swarm_envs.agents").joinpath(FILE).read_text(encoding="utf-8")
+    rows: list[Mapping[str, Any]] = json.loads(text)["tasks"]
+    return rows
+
+
+@typed
+def recommended(
+    task: str,
+    *,
+    num_drones: Count = 4,
+    learned: bool | None = None,
+    privileged: bool | None = None,
+    layout: str | None = None,
+) -> str:
+    """Name of the best shipped agent for a task: for `load`, and for `swarm-envs fly --agent`.
+
+    It is the one that succeeded most often in the benchmark, of equals the one with the highest
+    score. Where no task of the benchmark has as many drones, the next larger one counts, or the
+    largest.
+
+    Args:
+        task: such as `swap`, or with its version.
+        num_drones: how many fly.
+        learned: True for a trained policy, False for a script; None for either.
+        privileged: False for one that sees what is observed alone; None for either.
+        layout: of the task; None, or one that the benchmark does not fly, stands for the first one
+            that it does.
+
+    Raises:
+        ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
+            message says who flies something near.
+    """
+    agents = _agents_for(task, layout, num_drones)
+    wanted = {"learned": learned, "privileged": privileged}
+    named = {k: v for k, v in wanted.items() if v is not None}
+    for name, about in agents.items():
+        if named.items() <= about.items() and _takes(name, num_drones):
+            return name
+    said = " and ".join(f"{name}={value}" for name, value in named.items())
+    raise ValueError(
+        f"no shipped agent with {said or 'any property'} flies {task!r} with {num_drones} drones; "
+        f"others that do: {', '.join(agents) or 'none'}"
+    )
+
+
+def _agents_for(task: str, layout: str | None, num_drones: int) -> Mapping[str, Mapping[str, Any]]:
+    """The agents of the row of as many drones, else of the next larger number, or the largest."""
+    family = task_family(task)
+    rows = [row for row in _rows() if row["task"] == family]
+    if not rows:
+        known = ", ".join(dict.fromkeys(row["task"] for row in _rows()))
+        raise ValueError(f"the benchmark has no task {task!r}; it has {known}")
+    like = layout if layout in {row["layout"] for row in rows} else rows[0]["layout"]
+    rows = sorted((row for row in rows if row["layout"] == like), key=lambda row: row["drones"])
+    agents: Mapping[str, Any] = next(
+        (row for row in rows if row["drones"] >= num_drones), rows[-1]
+    )["agents"]
+    return agents
+
+
+def _takes(name: str, num_drones: int) -> bool:
+    """Whether an agent takes teams of so many: trained policies do not take all."""
+    agent = load_agent(name)
+    note = getattr(getattr(getattr(agent, "agent", agent), "policy", None), "note", None)
+    return note is None or bool(note.fewest <= num_drones <= note.drones)

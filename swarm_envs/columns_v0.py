@@ -1,0 +1,80 @@
+"""Columns, version 0: drones gather in vertical columns and stay in the downwash of those above.
+
+    from swarm_envs import columns_v0
+    env = columns_v0.parallel_env(layout="stack")
+
+Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. By default drones fly in the
+world `"hall"`, and each observes seven neighbors and, with `observe_load`, the thrust margin, mass
+and charge of itself and of its neighbors.
+
+**Layouts.** `stack`: eight small drones, half of them with a payload of 8 to 11 g, in two columns
+of four places, 0.36 to 0.42 m apart. `sprint`: two large drones and a strong small one in each
+column, in random order, 0.28 to 0.36 m apart.
+
+**Start.** Next to the column, 0.6 m away in `stack` and 0.5 m in `sprint`, each drone at the height
+of its first place. Gap, rotation, payload, which drones carry it, and starts are random.
+`reset(options={"start": ...})` sets other starts. Goals cannot be set.
+
+**Success.** `stack`: all places are occupied, within 0.06 m, for 1 s. Any drone may take any place:
+a drone that reaches the place of another exchanges goals with it, so that `task.goal` is always a
+place that no other drone has. The neighbors' goals show all places. `sprint`: every drone stays
+within 0.03 m of its own place for 1 s. In both, without a collision.
+
+**Rewards** (per drone, weights in `ColumnsTask.reward_weights`): as in swap.
+
+**End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
+floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are
+terminated by success and truncated after 6 s in `stack` and 2 s in `sprint`.
+
+**Versions.** v0: first version.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, Interval, OneOf, typed_options
+from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
+from swarm_envs.tasks.columns import COLUMN_LAYOUTS, ColumnsTask, column_team
+from swarm_envs.tasks.swap import REWARD_WEIGHTS
+from swarm_envs.vehicles import Team
+
+
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class ColumnsOptions(AirTaskOptions):
+    """Options of an environment with columns."""
+
+    num_drones: NumDrones | None = None  # type: ignore[assignment]  # None: the layout's
+    """N drones, if no team is given; None: 8 in `stack`, 6 in `sprint`."""
+    layout: Annotated[str, OneOf(tuple(COLUMN_LAYOUTS))] = "stack"
+    """The layout: `stack` or `sprint`."""
+    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] | None = None
+    """Range of the vertical distance between places, m; None: the layout's."""
+    payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] | None = None
+    """Range of the payload of half of each column's drones, kg; None: the layout's."""
+
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
+    """Weight of each reward term that is not given."""
+
+    @property
+    def vehicles(self) -> Team:
+        """The team: as given, else the layout's."""
+        return column_team(self.layout, self.num_drones) if self.team is None else super().vehicles
+
+    def make_task(self) -> ColumnsTask:
+        """Columns as these options say."""
+        given: dict[str, Any] = {"gap_m": self.gap_m, "payload_kg": self.payload_kg}
+        given = {name: value for name, value in given.items() if value is not None}
+        return ColumnsTask(
+            team=self.vehicles,
+            **{**COLUMN_LAYOUTS[self.layout], **given},
+            reward_weights=self.weights,
+            obstacles=self.standing,
+        )
+
+
+blueprint, parallel_env, env = task_views(ColumnsOptions)
+"""Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

@@ -1,0 +1,46 @@
+"""What the commands `fly`, `evaluate`, `train` and `benchmark` all say of an environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal
+
+from swarm_envs.arguments import Count
+
+__all__ = ["AirOptions", "CrewOptions"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class AirOptions:
+    """The world around a team; what is not given is as the task says."""
+
+    world: Literal["ideal", "hall"] | None = None
+    """`ideal`, or `hall`: with force that no model knows, and an estimated state"""
+    randomization: str | None = None
+    """what differs from episode to episode, such as `mass=0.9:1.1,gust_acceleration=1`: fields of
+    `swarm_envs.envs.randomization.Randomization`"""
+    obstacles: str | None = None
+    """what stands in the way, such as `buildings=2:2,column=1:1:0.15` (x, y, radius, m) or
+    `box=0:0:0:1:1:2` (two corners, m)"""
+    on_contact: Literal["end_team", "end_pair", "bounce"] | None = None
+    """what a contact does: it ends the episode of the team or of the pair, or drones bounce"""
+
+    def air(self) -> dict[str, Any]:
+        """Those options of the environment that were given, ready for JSON."""
+        names = [field.name for field in fields(AirOptions)]
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrewOptions(AirOptions):
+    """The same, and who flies."""
+
+    team: str | None = None
+    """the vehicles, such as `L2S` or `S*S*LL`, in place of a number of drones"""
+    neighbors: Count | None = None
+    """K, how many neighbours a drone observes"""
+
+    def crew(self) -> dict[str, Any]:
+        """Those options of the environment that were given, ready for JSON."""
+        given = {"team": self.team, "num_neighbors": self.neighbors}
+        return self.air() | {name: value for name, value in given.items() if value is not None}

@@ -1,0 +1,80 @@
+"""Pursuit, version 0: drones stay at goals that move, are swapped, or follow other drones.
+
+    from swarm_envs import pursuit_v0
+    env = pursuit_v0.parallel_env(num_drones=8, layout="chase")
+
+Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`.
+`task.goal` is the present position of the goal, `task.reference_velocity` its velocity.
+
+**Layouts.** `moving`: the goals are a formation whose center flies an ellipse. `swap-goals`: goals
+rest, and every 5 s each drone receives the goal of another. `chase`: the goal of one drone moves as
+in `moving`; the goal of every other drone is a place next to another drone, wherever that one is.
+
+**Start.** `moving` and `chase`: at the goals, which are sampled at least 0.4 m apart. The ellipse
+has half axes of 0.8 m and 0.3-0.8 m, rises and falls by up to 0.2 m, in either direction, with a
+largest speed of 0.6-1.2 m/s, reached after 2 s. The drone that each drone chases is random.
+`swap-goals`: at the goal of another drone.
+
+**Success.** At the time limit: the score `share_on_goal`, the share of the drones' time, over the
+whole episode length, within 0.2 m of their goals, is at least 90 %, in `swap-goals` 50 %, since
+half of the time is needed for the paths.
+
+**Rewards** (per drone, weights in `PursuitTask.reward_weights`): as in swap.
+
+**End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
+floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are
+truncated after 20 s.
+
+**Versions.** v0: first version.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed_options
+from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
+from swarm_envs.physics.contact import ON_CONTACT
+from swarm_envs.tasks.pursuit import REWARD_WEIGHTS, Layout, PursuitTask
+
+
+@typed_options
+@dataclass(frozen=True, kw_only=True)
+class PursuitOptions(TaskOptions):
+    """Options of a pursuit environment."""
+
+    num_drones: NumDrones = 8
+    """N small drones, if no team is given."""
+    layout: Layout = "moving"
+    """Motion of goals: `moving`, `swap-goals` or `chase`."""
+    spacing_m: Annotated[float, POSITIVE_M] = 0.4
+    """Smallest distance between two goals, m."""
+    speed_m_s: Annotated[tuple[float, float], Interval(POSITIVE)] = (0.6, 1.2)
+    """Range from which the largest speed of moving goals is drawn, m/s."""
+    change_s: Annotated[float, POSITIVE_S] = 5.0
+    """Time between two swaps of goals, s."""
+
+    on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
+    """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
+
+    default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
+    task_type: ClassVar[type[PursuitTask]] = PursuitTask
+    """What `make_task` makes."""
+
+    def make_task(self) -> PursuitTask:
+        """Pursuits as these options say."""
+        return self.task_type(
+            team=self.vehicles,
+            layout=self.layout,
+            spacing_m=self.spacing_m,
+            speed_m_s=self.speed_m_s,
+            change_s=self.change_s,
+            reward_weights=self.weights,
+            obstacles=self.standing,
+        )
+
+
+blueprint, parallel_env, env = task_views(PursuitOptions)
+"""Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

@@ -1,0 +1,153 @@
+"""Columns: drones gather in two vertical columns and stay there, each in the air of those above.
+
+Layouts:
+
+- `stack`: half of each column's drones carry a payload, which is drawn. Any drone may take any
+  place, so whoever has little thrust to spare had better stand on top. The task's reference leads
+  each drone to the place nearest to it.
+- `sprint`: each drone has a place of its own, and just the time to get there and stay. Who stands
+  above whom is drawn.
+
+Drones start beside their column, each at the height of its first place and in a direction of its
+own, so that straight ways within a column do not meet, whoever takes which place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Annotated, Any
+
+import numpy as np
+
+from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, POSITIVE_S, Interval, typed
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.tasks.base import Placement, Success, Task
+from swarm_envs.tasks.motion import LINES, Motion
+from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.swap import REWARD_WEIGHTS
+from swarm_envs.vehicles import Team, parse_team
+
+__all__ = ["COLUMN_LAYOUTS", "ColumnsTask", "column_team"]
+
+COLUMN_LAYOUTS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "stack": {},
+        "sprint": {
+            "gap_m": (0.28, 0.36),
+            "payload_kg": (0.0, 0.0),
+            "beside_m": 0.5,
+            "travel_s": 0.9,
+            "success": Success(0.03, 1.0),
+            "episode_s": 2.0,
+        },
+    }
+)
+"""Each layout by name, as options of `ColumnsTask`."""
+RAMP = 0.5
+"""Share of the way's time in which the reference speeds up, and in which it slows down."""
+
+
+def column_team(layout: str, num_drones: int | None) -> Team:
+    """The vehicles of a layout: small ones; in `sprint` one `S*` in each column, the others `L`.
+
+    Args:
+        layout: `stack` or `sprint`.
+        num_drones: N; None for 8 in `stack`, and 6 in `sprint`.
+    """
+    if layout == "stack":
+        return parse_team("S" * (num_drones or 8))
+    sizes = map(len, in_columns(num_drones or 6))
+    return parse_team("".join("L" * (size - 1) + "S*" for size in sizes if size))
+
+
+def in_columns(num_drones: int) -> list[IntArray]:
+    """Indices of the drones of the first and of the second column."""
+    return np.array_split(np.arange(num_drones), 2)
+
+
+@typed
+@dataclass(frozen=True)
+class ColumnsTask(Task):
+    """Gather in two columns. The defaults are those of `stack`; see the module."""
+
+    team: Team
+    """The drones; the first half of them, rounded up, start at the first column."""
+    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.36, 0.42)
+    """Range of the vertical distance between places, m."""
+    payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] = (0.008, 0.011)
+    """Range of what half of each column's drones carry, kg; in an episode all of them the same."""
+    lowest_m: Annotated[float, POSITIVE_M] = 0.4
+    """Height of the lowest places, m."""
+    apart_m: Annotated[float, POSITIVE_M] = 1.5
+    """Distance between the columns, m."""
+    beside_m: Annotated[float, POSITIVE_M] = 0.6
+    """Distance from their column at which drones start, m."""
+    travel_s: Annotated[float, POSITIVE_S] = 2.5
+    """Time in which the reference gets there, s."""
+    success: Success = Success(0.06, 1.0, named=False)
+    """When the team has gathered."""
+    episode_s: Annotated[float, POSITIVE_S] = 6.0
+    """The clock, s."""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
+    """Weight of each reward term."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the way."""
+
+    name = "columns_v0"
+    reward_names = REWARD_NAMES
+    write_reward_terms = staticmethod(write_terms)
+
+    def __post_init__(self) -> None:
+        """Refuse teams and gaps of which no columns can be made."""
+        check_reward_weights(self.reward_weights, self.reward_names)
+        size, widest = len(in_columns(len(self.team))[0]), max(v.radius for v in self.team)
+        if self.gap_m[0] <= 2.0 * widest:
+            raise ValueError(
+                f"gap_m begins at {self.gap_m[0]} m, but these drones touch at {2 * widest:.3f} m; "
+                "use a larger gap"
+            )
+        top, ceiling = self.lowest_m + self.gap_m[1] * (size - 1), self.arena[1, 2] - widest
+        if top > ceiling:
+            raise ValueError(
+                f"columns of {size} drones from {self.lowest_m} m with gaps of up to "
+                f"{self.gap_m[1]} m reach {top:.2f} m, but must stay below {ceiling:.2f} m; use "
+                "fewer drones or a smaller gap_m"
+            )
+
+    @property
+    def motion(self) -> Motion:
+        """Straight lines to the places."""
+        return Motion(LINES, RAMP)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw gap, turn, who starts where, who carries the payload, and how much that is.
+
+        Raises:
+            ValueError: a goal is given: goals are the places of the columns.
+        """
+        if goal is not None:
+            raise ValueError("a goal is given, but in columns goals are places; give a start")
+        n, team = len(self.team), list(self.team)
+        gap, turn = rng.uniform(*self.gap_m), rng.uniform(0.0, 2 * np.pi)
+        payload = rng.uniform(*self.payload_kg)
+        places, beside = np.empty((n, 3)), np.zeros((n, 3))
+        for side, column in zip((-0.5, 0.5), in_columns(n), strict=True):
+            size = len(column)
+            places[column, 0] = side * self.apart_m * np.cos(turn)
+            places[column, 1] = side * self.apart_m * np.sin(turn)
+            places[column, 2] = self.lowest_m + gap * rng.permutation(size)
+            angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * rng.permutation(size) / max(size, 1)
+            beside[column, 0] = self.beside_m * np.cos(angle)
+            beside[column, 1] = self.beside_m * np.sin(angle)
+            for i in rng.permutation(column)[: size // 2].tolist():
+                team[i] = replace(team[i], mass=team[i].mass + payload)
+        begin = places + beside if start is None else start
+        return Placement(begin, places[None], float(self.travel_s), team=tuple(team))

@@ -1,0 +1,257 @@
+"""Crowd: many drones at constant density fly from goal to goal until the time limit.
+
+Goals are sites, drawn once an episode, all apart from each other and free of obstacles. A drone has
+one of them at a time; when it reaches it, it is given another, drawn among those that nobody has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Annotated, Any
+
+import numpy as np
+
+from swarm_envs.arguments import POSITIVE_M, Interval, OneOf, typed
+from swarm_envs.compiled import kernel, part
+from swarm_envs.noise import even_number
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tables import Records
+from swarm_envs.tasks.base import ByScore, Placement, Task
+from swarm_envs.tasks.motion import Motion
+from swarm_envs.tasks.obstacles import Column, Obstacle, buildings
+from swarm_envs.tasks.placing import (
+    ARENA_HEIGHT,
+    OBSTACLE_MARGIN,
+    WALL_MARGIN,
+    arena_of,
+    draw_apart,
+)
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.scores import end_by_score, send_to
+from swarm_envs.vehicles import Team
+
+__all__ = ["REWARD_WEIGHTS", "CrowdTask", "Layout"]
+
+CROWD_LAYOUTS = ("open", "forest", "buildings")
+"""What stands in the way, by name."""
+Layout = Annotated[str, OneOf(CROWD_LAYOUTS)]
+"""One of them."""
+_SITES = 3
+"""Sites for each drone: one that it has, two that are free."""
+_LOWEST, _HIGHEST = 0.5, 2.0
+"""Heights of sites in an arena 2.5 m high, m; the highest grows with it."""
+_TREES_M, _TREE_RADIUS, _TREE_SHIFT = 1.2, 0.15, 0.2
+_TOWERS_M, _TOWER_WIDTH = 1.4, 0.45
+
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "progress": 0.5,
+        "at_goal": 0.0,
+        "tracking": 0.0,
+        "effort": -0.1,
+        "proximity": -4.0,
+        "crash": -5.0,
+        "success": 0.0,
+        "reached": 1.0,
+    }
+)
+"""Default weight of each reward term: none depends on the clock."""
+
+
+def crowd_obstacles(layout: str, num_drones: int) -> tuple[Obstacle, ...]:
+    """What stands in the arena of so many drones: the same in every episode.
+
+    `forest`: columns of radius 0.15 m, one for each square of 1.2 m, shifted by up to 0.2 m along
+    x and y. `buildings`: towers 0.45 m wide on a grid of 1.4 m. Both reach the ceiling.
+    """
+    width = 2.0 * float(arena_of(num_drones)[1, 0])
+    if layout == "buildings":
+        count = int((width - _TOWER_WIDTH) / _TOWERS_M)
+        return buildings(count, count, spacing=_TOWERS_M, width=_TOWER_WIDTH)
+    if layout == "open":
+        return ()
+    rng, count = np.random.default_rng(0), int(width / _TREES_M)
+    middle = _TREES_M * (np.arange(count) - (count - 1) / 2)
+    shift = rng.uniform(-_TREE_SHIFT, _TREE_SHIFT, (count, count, 2))
+    return tuple(
+        Column((float(middle[i] + shift[i, j, 0]), float(middle[j] + shift[i, j, 1])), _TREE_RADIUS)
+        for i in range(count)
+        for j in range(count)
+    )
+
+
+@part
+def next_site(
+    position: FloatArray, goals: FloatArray, near: float, far: float, chance: float
+) -> int:
+    """A free site whose distance is between two limits; any, if there is none.
+
+    Args:
+        position: (3,) of the drone, m.
+        goals: (S, N, 3) the sites, m: the first N are taken.
+        near: least distance, m.
+        far: largest distance, m.
+        chance: in (0, 1): where the search begins.
+
+    Returns:
+        Which of the S N sites.
+    """
+    size = goals.shape[1]
+    free = (goals.shape[0] - 1) * size
+    first = np.int64(chance * free)
+    for c in range(free):
+        site = size + (first + c) % free
+        square = 0.0
+        for k in range(3):
+            square += (goals[site // size, site % size, k] - position[k]) ** 2
+        if near * near <= square <= far * far:
+            return site
+    return size + first
+
+
+@kernel
+def give_next_goals(
+    flown: BoolArray,
+    drones: Records,
+    environments: Records,
+    goals: FloatArray,
+    settings: Records,
+) -> None:
+    """Count the goals that were reached in this decision, and give their drones others.
+
+    Args:
+        flown: (E,) environments that made the decision.
+        drones: (E, N) records, judged.
+        environments: (E,) records.
+        goals: (E, S, N, 3) sites, m; those of the first row are the drones' goals.
+        settings: (1,) record.
+    """
+    rules, size = settings[0], drones.shape[1]
+    for e in range(drones.shape[0]):
+        if not flown[e]:
+            continue
+        environment = environments[e]
+        for i in range(size):
+            d = drones[e, i]
+            d.scores = 0.0
+            if d.active == 0.0 or d.crashed > 0.0 or d.distance >= rules.success_radius:
+                continue
+            d.scores = 1.0
+            chance = even_number(environment.goal_key, environment.goals_reached)
+            environment.goals_reached += 1
+            near, far = rules.goal_reach[0], rules.goal_reach[1]
+            site = next_site(d.position, goals[e], near, far, chance)
+            for k in range(3):
+                old, new = goals[e, 0, i, k], goals[e, site // size, site % size, k]
+                goals[e, 0, i, k], goals[e, site // size, site % size, k] = new, old
+            send_to(d, goals[e, 0, i])
+        environment.score = environment.goals_reached / (size * rules.horizon_s / 60.0)
+        end_by_score(environment, rules)
+
+
+@kernel
+def write_crowd_terms(
+    drones: Records, environments: Records, settings: Records, out: FloatArray
+) -> None:
+    """Write the seven terms of `write_terms` and one more.
+
+    - `reached`: 1 for each goal that the drone reaches.
+    """
+    write_terms(drones, environments, settings, out)
+    for e in range(out.shape[1]):
+        for i in range(out.shape[2]):
+            out[7, e, i] = drones[e, i].scores
+
+
+@typed
+@dataclass(frozen=True)
+class CrowdTask(Task):
+    """Reach goal after goal among others."""
+
+    team: Team
+    """The drones."""
+    layout: Layout = "forest"
+    """`open`, `forest` or `buildings`: what is added to `obstacles`."""
+    spacing_m: Annotated[float, POSITIVE_M] = 0.5
+    """Smallest distance between two sites, and between two starts, m."""
+    reach_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (1.0, 3.0)
+    """How far from the drone its next goal is, where one is free there, m."""
+    success: ByScore = ByScore(radius=0.15, least=16.0)
+    """How near a goal counts as reached, and the throughput that is a success, goals a minute."""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
+    """Weight of each reward term."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the way; the layout's are added."""
+
+    name = "crowd_v0"
+    episode_s = 30.0
+    """The clock, s."""
+    score_names = ("throughput_per_min", "goals_reached")
+    reward_names = (*REWARD_NAMES, "reached")
+    write_reward_terms = staticmethod(write_crowd_terms)
+    advance = staticmethod(give_next_goals)
+
+    def __post_init__(self) -> None:
+        """Add the layout's obstacles; refuse weights of unknown terms."""
+        check_reward_weights(self.reward_weights, self.reward_names)
+        stands = crowd_obstacles(self.layout, len(self.team))
+        given = tuple(o for o in self.obstacles if o not in stands)
+        object.__setattr__(self, "obstacles", (*stands, *given))
+
+    @property
+    def num_stages(self) -> int:
+        """Rows of sites: the first are the drones' goals."""
+        return _SITES
+
+    @property
+    def motion(self) -> Motion:
+        """Rest at the goals."""
+        return Motion()
+
+    @property
+    def rules(self) -> dict[str, Any]:
+        """How far goals are drawn."""
+        return {"goal_reach": self.reach_m}
+
+    @cached_property
+    def _room(self) -> tuple[FloatArray, FloatArray, float]:
+        """Corners of the box of sites, and how far to keep from obstacles, m."""
+        arena = self.arena
+        edge, high = arena[1, 0] - WALL_MARGIN, _HIGHEST * arena[1, 2] / ARENA_HEIGHT
+        low, top = np.array([-edge, -edge, _LOWEST]), np.array([edge, edge, high])
+        return low, top, OBSTACLE_MARGIN + float(self.radius.max())
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw sites, of which the first goals and the starts are some; what is given is kept.
+
+        Raises:
+            RuntimeError: no room for the sites was found within a bounded number of draws.
+        """
+        n, (low, high, margin) = len(self.team), self._room
+        rows, count = self.obstacle_rows, _SITES * n
+        sites = draw_apart(rng, low, high, count, self.spacing_m, rows, margin, goal)
+        start = sites[-n:].copy() if start is None else start
+        if goal is None:
+            sites = self._given_out(rng, start, sites)
+        key = int(rng.integers(2**64, dtype=np.uint64))
+        return Placement(start, sites.reshape(_SITES, n, 3), key=key)
+
+    def _given_out(
+        self, rng: np.random.Generator, start: FloatArray, sites: FloatArray
+    ) -> FloatArray:
+        """The sites in an order in which the first N are the goals from these starts."""
+        free, chosen = np.ones(len(sites), dtype=np.bool_), []
+        for point in start:
+            away = np.sqrt(((sites - point) ** 2).sum(axis=1))
+            fits = free & (away >= self.reach_m[0]) & (away <= self.reach_m[1])
+            chosen.append(int(rng.choice((fits if fits.any() else free).nonzero()[0])))
+            free[chosen[-1]] = False
+        return np.concatenate([sites[chosen], sites[free]])

@@ -1,0 +1,129 @@
+"""Delivery: couriers dock just above the floor, below others that hover, and move on.
+
+Three docks lie on a circle. Drones hover above some of them, two above each, and it is drawn which:
+where they do, the air pushes a courier down by two thirds of its weight at once, and the floor is
+near. Three couriers visit the docks in turn, each another one in every stage, so that a constant
+correction is of no use. Goals of the others are where they hover.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import numpy as np
+
+from swarm_envs.arguments import POSITIVE_M, POSITIVE_S, Interval, Range, typed
+from swarm_envs.state import FloatArray
+from swarm_envs.tasks.base import Placement, Success, Task
+from swarm_envs.tasks.columns import RAMP
+from swarm_envs.tasks.motion import LINES, Motion
+from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.swap import REWARD_WEIGHTS
+from swarm_envs.vehicles import Team, parse_team
+
+__all__ = ["DeliveryTask", "delivery_team"]
+
+DOCKS = 3
+"""Docks, and couriers."""
+_SECOND_M = 0.35
+"""Height of the second drone above a dock over the first, m."""
+_OUTSIDE, _START_HEIGHT_M = 1.4, 0.5
+"""Couriers start outside of their first dock, at so many times its radius, and at this height."""
+
+
+def delivery_team(num_drones: int) -> Team:
+    """Three couriers `S*`, then `L` above docks."""
+    return parse_team("S*" * min(num_drones, DOCKS) + "L" * (num_drones - DOCKS))
+
+
+@typed
+@dataclass(frozen=True)
+class DeliveryTask(Task):
+    """Dock below others, again and again. See the module."""
+
+    team: Team
+    """Three couriers, or fewer; then those that hover, two above each dock, at most six."""
+    radius_m: Annotated[float, POSITIVE_M] = 0.8
+    """Radius of the circle of docks, m."""
+    height_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.093, 0.103)
+    """Range of the height of docked couriers, m: a small one touches the floor at 0.06 m."""
+    above_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.28, 0.36)
+    """Range of the height of the first drone that hovers above a dock, over the courier, m."""
+    stages: Annotated[int, Range(1, 100)] = 3
+    """How often couriers dock."""
+    stage_s: Annotated[float, POSITIVE_S] = 2.2
+    """Time for each stage, s."""
+    travel_s: Annotated[float, POSITIVE_S] = 1.1
+    """Time in which the reference gets to a dock, s."""
+    success: Success = Success(0.02, 0.4)
+    """When all have docked, and those that hover are where they should be."""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: REWARD_WEIGHTS)
+    """Weight of each reward term."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the way."""
+
+    name = "delivery_v0"
+    reward_names = REWARD_NAMES
+    write_reward_terms = staticmethod(write_terms)
+
+    def __post_init__(self) -> None:
+        """Refuse teams for which there are no docks, and ways that take longer than a stage."""
+        check_reward_weights(self.reward_weights, self.reward_names)
+        if len(self.team) > 3 * DOCKS:
+            raise ValueError(
+                f"delivery has {len(self.team)} drones, but room for {DOCKS} couriers and two "
+                f"drones above each of {DOCKS} docks; use at most {3 * DOCKS}"
+            )
+        if self.travel_s > self.stage_s:
+            raise ValueError(
+                f"travel_s is {self.travel_s}, but must not exceed stage_s, {self.stage_s}"
+            )
+
+    @property
+    def num_stages(self) -> int:
+        """How often couriers dock."""
+        return self.stages
+
+    @property
+    def motion(self) -> Motion:
+        """Straight lines from dock to dock."""
+        return Motion(LINES, RAMP, float(self.stage_s))
+
+    @property
+    def episode_s(self) -> float:
+        """A time for each stage, s."""
+        return self.stages * self.stage_s
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw docks, heights, which docks have drones above, and who docks where.
+
+        Raises:
+            ValueError: a goal is given: goals are the docks.
+        """
+        if goal is not None:
+            raise ValueError("a goal is given, but in delivery goals are docks; give a start")
+        n, height, above = len(self.team), rng.uniform(*self.height_m), rng.uniform(*self.above_m)
+        angle = rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(DOCKS) / DOCKS
+        round_about = np.stack([np.cos(angle), np.sin(angle), np.zeros(DOCKS)], axis=1)
+        dock = self.radius_m * round_about + np.array([0.0, 0.0, height])
+        covered, first = rng.permutation(DOCKS), rng.permutation(DOCKS)
+        turn = 1 if rng.random() < 0.5 else -1
+        begin = np.empty((n, 3))
+        couriers = slice(min(n, DOCKS))
+        begin[couriers] = (_OUTSIDE * self.radius_m * round_about[first])[couriers]
+        begin[couriers, 2] = _START_HEIGHT_M
+        for k in range(n - DOCKS):
+            begin[DOCKS + k] = dock[covered[k // 2]]
+            begin[DOCKS + k, 2] += above + _SECOND_M * (k % 2)
+        goals = np.repeat(begin[None], self.stages, axis=0)
+        for stage in range(self.stages):
+            goals[stage, couriers] = dock[(first + turn * stage) % DOCKS][couriers]
+        return Placement(begin if start is None else start, goals, float(self.travel_s))

@@ -1,0 +1,168 @@
+"""Gates: a team in vertical formation flies a slalom, through each gate all at once.
+
+Drones that are one above another meet each other's downwash at each gate and turn, where they must
+stand in a column at the same moment; between gates they may fly as they like.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Annotated
+
+import numpy as np
+
+from swarm_envs.arguments import POSITIVE_M, Interval, typed
+from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tables import Records
+from swarm_envs.tasks.base import ByScore, Placement, Task
+from swarm_envs.tasks.motion import OWN_GOALS, Motion
+from swarm_envs.tasks.obstacles import Column, Obstacle
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.scores import send_to
+from swarm_envs.vehicles import Team
+
+__all__ = ["REWARD_WEIGHTS", "GatesTask"]
+
+_GATES = tuple((-1.2 + 0.8 * k, 0.4 if k % 2 else -0.4) for k in range(4))
+"""Where gates are, x and y, m."""
+_HALF_WIDTH, _POST = 0.35, 0.05
+"""Half the way between the posts of a gate, and their radius, m."""
+_START_X = -1.65
+_CEILING = 2.2
+"""Highest place of a column, m."""
+
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "progress": 0.5,
+        "at_goal": 0.0,
+        "tracking": 0.0,
+        "effort": -0.1,
+        "proximity": -4.0,
+        "crash": -5.0,
+        "success": 10.0,
+    }
+)
+"""Default weight of each reward term."""
+
+
+@kernel
+def pass_gates(
+    flown: BoolArray,
+    drones: Records,
+    environments: Records,
+    goals: FloatArray,
+    settings: Records,
+) -> None:
+    """Send teams that stand in a gate, all at once, to the next; the last one ends the episode.
+
+    Args:
+        flown: (E,) environments that made the decision.
+        drones: (E, N) records, judged.
+        environments: (E,) records.
+        goals: (E, S, N, 3) places in each gate, m.
+        settings: (1,) record.
+    """
+    rules, size, stages = settings[0], drones.shape[1], goals.shape[1]
+    for e in range(drones.shape[0]):
+        environment = environments[e]
+        if not flown[e] or environment.terminated or environment.reached == stages:
+            continue
+        left, inside, unhurt = 0, True, True
+        for i in range(size):
+            d = drones[e, i]
+            left += d.active > 0.0
+            unhurt &= d.hurt == 0.0
+            inside &= d.active == 0.0 or d.distance < rules.success_radius
+        if not inside:
+            continue
+        environment.reached += 1
+        environment.achieved = 1.0 / stages
+        environment.goals_reached += left
+        minutes = rules.horizon_s / 60.0
+        if environment.reached == stages:
+            minutes = environment.time / 60.0
+            environment.succeeded = unhurt
+            environment.terminated = rules.end_on_success
+            environment.truncated &= not environment.terminated
+            environment.running &= not environment.terminated
+        else:
+            for i in range(size):
+                send_to(drones[e, i], goals[e, environment.reached, i])
+        environment.score = environment.goals_reached / size / minutes
+
+
+@typed
+@dataclass(frozen=True)
+class GatesTask(Task):
+    """Fly a slalom in vertical formation, there and back."""
+
+    team: Team
+    """The drones."""
+    gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.3, 0.4)
+    """Range from which the vertical distance of neighbours in the column is drawn, m."""
+    lowest_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.4, 0.8)
+    """Range from which the height of the lowest is drawn, for each gate, m."""
+    success: ByScore = ByScore(radius=0.05, least=0.0)
+    """How near to their places all must be at once; success is to have passed every gate."""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
+    """Weight of each reward term."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the way; the gates' posts are added."""
+
+    name = "gates_v0"
+    episode_s = 30.0
+    """The clock, s."""
+    score_names = ("gates_per_min", "places_passed")
+    reward_names = REWARD_NAMES
+    write_reward_terms = staticmethod(write_terms)
+    advance = staticmethod(pass_gates)
+
+    def __post_init__(self) -> None:
+        """Add the posts; refuse columns that do not fit, and weights of unknown terms."""
+        check_reward_weights(self.reward_weights, self.reward_names)
+        top = self.lowest_m[1] + self.gap_m[1] * (len(self.team) - 1)
+        if top > _CEILING:
+            raise ValueError(
+                f"a column of {len(self.team)} drones with gaps up to {self.gap_m[1]} m reaches "
+                f"{top:.2f} m, but must stay below {_CEILING} m; use fewer drones or smaller gaps"
+            )
+        sides = (-_HALF_WIDTH, _HALF_WIDTH)
+        posts = tuple(Column((x, y + side), _POST) for x, y in _GATES for side in sides)
+        given = tuple(o for o in self.obstacles if o not in posts)
+        object.__setattr__(self, "obstacles", (*posts, *given))
+
+    @property
+    def num_stages(self) -> int:
+        """Gates: each of them there and back."""
+        return 2 * len(_GATES)
+
+    @property
+    def motion(self) -> Motion:
+        """Rest at the places in the next gate."""
+        return Motion(OWN_GOALS)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw the column, the heights of the gates, and the end from which it starts.
+
+        Raises:
+            ValueError: a goal is given: goals are the gates.
+        """
+        if goal is not None:
+            raise ValueError("a goal is given, but in gates goals are the gates; leave it out")
+        n, side = len(self.team), rng.choice([-1.0, 1.0])
+        slots = rng.uniform(*self.gap_m) * rng.permutation(n)
+        heights = rng.uniform(*self.lowest_m, len(_GATES) + 1)
+        there = [side * np.array(gate) for gate in _GATES]
+        goals = np.empty((2 * len(_GATES), n, 3))
+        goals[:, :, :2] = np.array([*there, *reversed(there)])[:, None]
+        goals[:, :, 2] = np.concatenate([heights[1:], heights[:0:-1]])[:, None] + slots
+        begin = np.column_stack([np.full(n, side * _START_X), np.zeros(n), heights[0] + slots])
+        return Placement(begin if start is None else start, goals)

@@ -1,0 +1,213 @@
+"""Pursuit: goals that move, that are swapped again and again, or that are beside other drones.
+
+As the dynamic goals of quad-swarm-rl (Huang et al. 2024), whose drones follow an evader or swap
+goals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Annotated
+
+import numpy as np
+
+from swarm_envs.arguments import POSITIVE, POSITIVE_M, POSITIVE_S, Interval, OneOf, typed
+from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray, FloatArray
+from swarm_envs.tables import Records
+from swarm_envs.tasks.base import ByScore, Orbit, Placement, Task
+from swarm_envs.tasks.motion import PURSUIT, REST, Motion
+from swarm_envs.tasks.obstacles import Obstacle
+from swarm_envs.tasks.placing import ARENA_HEIGHT, WALL_MARGIN, derangement, draw_apart
+from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
+from swarm_envs.tasks.scores import end_by_score
+from swarm_envs.vehicles import Team
+
+__all__ = ["REWARD_WEIGHTS", "Layout", "PursuitTask"]
+
+PURSUIT_LAYOUTS = ("moving", "swap-goals", "chase")
+"""What goals do, by name."""
+Layout = Annotated[str, OneOf(PURSUIT_LAYOUTS)]
+"""One of them."""
+_ACROSS, _UPWARDS = 0.8, 0.2
+"""Half axes of the centre's way, m."""
+_LOWEST, _HIGHEST = 0.5, 2.0
+"""Heights of goals in an arena 2.5 m high, m; the highest grows with it."""
+_SPARE = 0.15
+"""How much farther from the walls goals are that others carry along, m."""
+_STARTUP_S = 2.0
+"""Seconds until goals move at full speed."""
+_RADIUS = 0.2
+_LEAST = {"moving": 0.9, "swap-goals": 0.5, "chase": 0.9}
+
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "progress": 0.5,
+        "at_goal": 0.5,
+        "tracking": 0.0,
+        "effort": -0.1,
+        "proximity": -4.0,
+        "crash": -5.0,
+        "success": 0.0,
+    }
+)
+"""Default weight of each reward term."""
+
+
+@kernel
+def score_pursuit(
+    flown: BoolArray,
+    drones: Records,
+    environments: Records,
+    goals: FloatArray,
+    settings: Records,
+) -> None:
+    """Count the time that drones spend near their goals.
+
+    Args:
+        flown: (E,) environments that made the decision.
+        drones: (E, N) records, judged.
+        environments: (E,) records.
+        goals: (E, S, N, 3) m.
+        settings: (1,) record.
+    """
+    rules, size = settings[0], drones.shape[1]
+    for e in range(drones.shape[0]):
+        if not flown[e]:
+            continue
+        near, stage = 0, environments[e].stage
+        swapped = environments[e].time - stage * rules.stage_s < rules.decision_s / 2
+        for i in range(size):
+            d = drones[e, i]
+            if stage > 0 and swapped:  # `progress` is still what it covered to the goal it had
+                square = 0.0
+                for k in range(3):
+                    square += (d.position[k] - goals[e, stage - 1, i, k]) ** 2
+                d.last_distance += d.distance - np.sqrt(square)
+            near += d.active > 0.0 and d.distance < rules.success_radius
+        environments[e].score += near / size * rules.decision_s / rules.horizon_s
+        end_by_score(environments[e], rules)
+
+
+@typed
+@dataclass(frozen=True)
+class PursuitTask(Task):
+    """Stay at goals that do not stay. See the module for the layouts."""
+
+    team: Team
+    """The drones."""
+    layout: Layout = "moving"
+    """`moving`, `swap-goals` or `chase`."""
+    spacing_m: Annotated[float, POSITIVE_M] = 0.4
+    """Smallest distance between two goals, m."""
+    speed_m_s: Annotated[tuple[float, float], Interval(POSITIVE)] = (0.6, 1.2)
+    """Range from which the largest speed of moving goals is drawn, m/s."""
+    change_s: Annotated[float, POSITIVE_S] = 5.0
+    """Time after which goals are swapped, s."""
+    success: ByScore | None = None  # type: ignore[assignment]  # set below
+    """How near a goal counts, and the share of time there that is a success; None: the layout's."""
+    reward_weights: Mapping[str, float] = field(default_factory=lambda: dict(REWARD_WEIGHTS))
+    """Weight of each reward term."""
+    obstacles: tuple[Obstacle, ...] = ()
+    """What stands in the way."""
+
+    name = "pursuit_v0"
+    episode_s = 20.0
+    """The clock, s."""
+    score_names = ("share_on_goal",)
+    reward_names = REWARD_NAMES
+    write_reward_terms = staticmethod(write_terms)
+    advance = staticmethod(score_pursuit)
+
+    def __post_init__(self) -> None:
+        """Refuse weights of unknown terms, and set the layout's success."""
+        check_reward_weights(self.reward_weights, self.reward_names)
+        if self.success is None:
+            object.__setattr__(self, "success", ByScore(_RADIUS, _LEAST[self.layout]))
+
+    @property
+    def num_stages(self) -> int:
+        """Sets of goals within the clock."""
+        return math.ceil(self.episode_s / self.change_s) if self.layout == "swap-goals" else 1
+
+    @property
+    def motion(self) -> Motion:
+        """At rest between swaps; else on ellipses and beside others."""
+        if self.layout == "swap-goals":
+            return Motion(REST, stage_s=self.change_s)
+        return Motion(PURSUIT, _STARTUP_S)
+
+    def draw(
+        self,
+        rng: np.random.Generator,
+        start: FloatArray | None = None,
+        goal: FloatArray | None = None,
+    ) -> Placement:
+        """Draw an episode; a start that is given is flown from, goals in `swap-goals` are kept.
+
+        Raises:
+            ValueError: a goal is given where goals move.
+            RuntimeError: no room for the goals was found within a bounded number of draws.
+        """
+        if goal is not None and self.layout != "swap-goals":
+            raise ValueError(f"a goal is given, but in {self.layout!r} goals move; leave it out")
+        if self.layout == "swap-goals":
+            return self._draw_swaps(rng, start, goal)
+        n = len(self.team)
+        places = self._places(rng, _ACROSS + _SPARE * (self.layout == "chase"), _UPWARDS)
+        orbit = self._orbit(rng, places)
+        first = orbit.center + orbit.first * np.cos(orbit.phase[0])
+        first = first + orbit.second * np.sin(orbit.phase[0])
+        start = first if start is None else start
+        if self.layout == "moving":
+            return Placement(start, first[None], orbit=orbit)
+        order, chased = rng.permutation(n), np.full(n, -1)
+        for k in range(1, n):
+            chased[order[k]] = order[rng.integers(k)]
+        follows = chased >= 0
+        orbit.center[follows] -= places[chased[follows]]
+        orbit.first[follows] = orbit.second[follows] = 0.0
+        return Placement(start, first[None], orbit=orbit, chased=chased)
+
+    def _draw_swaps(
+        self, rng: np.random.Generator, start: FloatArray | None, goal: FloatArray | None
+    ) -> Placement:
+        """Places for all, and who has which in each stage: never the same twice in a row."""
+        n = len(self.team)
+        places = self._places(rng, 0.0, 0.0, start if start is not None else goal)
+        orders = [np.arange(n)]
+        for _ in range(self.num_stages):
+            orders.append(orders[-1][derangement(rng, n) if n > 1 else [0]])
+        stages = np.stack([places[order] for order in orders])
+        if goal is not None:
+            stages[1:] = goal[np.stack(orders[:-1])]
+        return Placement(stages[0] if start is None else start, stages[1:])
+
+    def _places(
+        self,
+        rng: np.random.Generator,
+        across: float,
+        upwards: float,
+        given: FloatArray | None = None,
+    ) -> FloatArray:
+        """Points (N, 3) that stay in the arena when they are moved so far, m."""
+        if given is not None:
+            return given
+        edge = float(self.arena[1, 0]) - WALL_MARGIN - across
+        top = _HIGHEST * float(self.arena[1, 2]) / ARENA_HEIGHT - upwards
+        low, high = (-edge, -edge, _LOWEST + upwards), (edge, edge, top)
+        return draw_apart(rng, low, high, len(self.team), self.spacing_m)
+
+    def _orbit(self, rng: np.random.Generator, places: FloatArray) -> Orbit:
+        """The same ellipse for all, about their places, at a drawn speed and either way round."""
+        n, turn = len(places), rng.uniform(0.0, 2 * np.pi)
+        across, upwards = _ACROSS * rng.uniform(0.4, 1.0), _UPWARDS * rng.uniform(-1.0, 1.0)
+        first = _ACROSS * np.array([math.cos(turn), math.sin(turn), 0.0])
+        second = np.array([-across * math.sin(turn), across * math.cos(turn), upwards])
+        rate = rng.uniform(*self.speed_m_s) / _ACROSS * rng.choice([-1.0, 1.0])
+        phase = rng.uniform(0.0, 2 * np.pi)
+        each = np.tile(first, (n, 1)), np.tile(second, (n, 1))
+        return Orbit(places.copy(), *each, np.full(n, rate), np.full(n, phase))

@@ -1,0 +1,31 @@
+"""What tasks share whose goals go on and that are judged by a score."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarm_envs.compiled import part
+from swarm_envs.state import FloatArray
+from swarm_envs.tables import Record
+
+
+@part
+def send_to(d: Record, goal: FloatArray) -> None:
+    """Give a drone that has been judged another goal (3,), m.
+
+    Its last distance is set as if it had come from there: the reward term `progress` of this
+    decision stays what it covered to the goal that it had.
+    """
+    covered, square = d.last_distance - d.distance, 0.0
+    for k in range(3):
+        d.goal[k] = d.reference_position[k] = goal[k]
+        square += (d.position[k] - goal[k]) ** 2
+    d.distance = np.sqrt(square)
+    d.last_distance, d.arrival = d.distance + covered, np.inf
+
+
+@part
+def end_by_score(environment: Record, rules: Record) -> None:
+    """Say that an episode which the clock has ended is a success, if its score is high enough."""
+    if environment.truncated and environment.score >= rules.least_score:
+        environment.succeeded, environment.achieved = True, 1.0

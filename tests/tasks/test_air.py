@@ -1,0 +1,237 @@
+"""Columns and delivery: what is drawn, what counts as done, and that the air decides."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import swarm_envs
+from swarm_envs.agents import fly_episode, load
+from swarm_envs.baselines.neural_swarm.air import heavy_on_top
+from swarm_envs.envs.config import EnvConfig
+from swarm_envs.envs.core import SwarmCore
+from swarm_envs.envs.joint import make_joint
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.physics import bullet_available
+from swarm_envs.tasks.base import Success
+from swarm_envs.tasks.columns import ColumnsTask, column_team
+from swarm_envs.tasks.delivery import DOCKS, DeliveryTask, delivery_team
+from swarm_envs.vehicles import SMALL, parse_team, team_string
+
+EACH: list[tuple[str, dict[str, Any]]] = [
+    ("columns_v0", {}),
+    ("columns_v0", {"layout": "sprint"}),
+    ("delivery_v0", {}),
+]
+each = pytest.mark.parametrize(("task", "options"), EACH)
+
+
+def make(task: str, **options: Any) -> SwarmParallelEnv:
+    return swarm_envs.make(task, **{"physics": "batch", **options})
+
+
+def test_columns_are_drawn_within_their_ranges():
+    task, gaps, loads, turns, on_top = ColumnsTask(column_team("stack", None)), [], [], [], []
+    for seed in range(40):
+        drawn = task.place(np.random.default_rng(seed))
+        start, (goal,), team = drawn.start, drawn.goals, drawn.team
+        assert team is not None
+        mass = np.array([vehicle.mass for vehicle in team]) - SMALL.mass
+        axes = np.stack([goal[:4, :2], goal[4:, :2]])
+        assert np.ptp(axes, axis=1).max() < 1e-12
+        assert np.linalg.norm(axes[0, 0] - axes[1, 0]) == pytest.approx(1.5)
+        assert start[:, 2] == pytest.approx(goal[:, 2])
+        assert np.linalg.norm(start - goal, axis=1) == pytest.approx(0.6)
+        for column in (slice(0, 4), slice(4, 8)):
+            heights = np.sort(goal[column, 2])
+            assert heights[0] == pytest.approx(0.4)
+            gaps.append(np.diff(heights))
+            assert np.ptp(gaps[-1]) < 1e-12
+            assert (mass[column] > 0.0).sum() == 2
+            on_top.append(mass[column][goal[column, 2].argmax()] > 0.0)
+        loads += mass[mass > 0.0].tolist()
+        turns.append(np.arctan2(*goal[0, 1::-1]))
+    assert 0.36 <= np.min(gaps) < 0.37
+    assert 0.41 < np.max(gaps) <= 0.42
+    assert 0.008 <= min(loads) < 0.009
+    assert 0.0107 < max(loads) <= 0.011
+    assert np.ptp(turns) > 5.0
+    assert 20 < np.sum(on_top) < 60
+
+
+def test_a_sprint_draws_who_stands_above_whom():
+    assert team_string(column_team("sprint", None)) == "LLS*LLS*"
+    env, tops = make("columns_v0", layout="sprint"), set()
+    for seed in range(20):
+        env.reset(seed=seed)
+        tops.add(env.view.team[int(env.view.goals[:3, 2].argmax())].token)
+    assert tops == {"L", "S*"}
+
+
+def test_docks_are_drawn():
+    task, covered, stages = DeliveryTask(delivery_team(7)), [], 3
+    for seed in range(60):
+        drawn = task.place(np.random.default_rng(seed))
+        goals = drawn.goals
+        assert goals.shape == (stages, 7, 3)
+        docked = goals[:, :DOCKS]
+        assert np.hypot(docked[..., 0], docked[..., 1]) == pytest.approx(0.8)
+        assert np.all((docked[..., 2] >= 0.093) & (docked[..., 2] <= 0.103))
+        for courier in range(DOCKS):  # each visits every dock
+            assert len(np.unique(docked[:, courier].round(6), axis=0)) == 3
+        assert np.ptp(goals[:, DOCKS:], axis=0).max() == 0.0
+        above = goals[0, DOCKS:]
+        below = [np.linalg.norm(docked[0, :, :2] - p[:2], axis=1) < 1e-9 for p in above]
+        assert np.sum(below) == 4
+        assert np.all((above[::2, 2] - docked[0, 0, 2] >= 0.28) & (above[1::2, 2] < 0.82))
+        covered.append(int(below[0].argmax()))
+    assert set(covered) == {0, 1, 2}
+
+
+@each
+def test_the_same_seed_gives_the_same_bytes(task, options):
+    flights = []
+    for _ in range(2):
+        env = make(task, action="ctbr", **options)
+        rows = [env.reset(seed=4)[0]]
+        rng = np.random.default_rng(0)
+        while len(rows) < 20 and env.agents:
+            acts = {a: rng.uniform(-0.3, 0.3, 4).astype(np.float32) for a in env.agents}
+            observed, rewards, *_ = env.step(acts)
+            assert np.isfinite(list(rewards.values())).all()
+            rows.append(observed)
+        flights.append(b"".join(row.tobytes() for each in rows for row in each.values()))
+    assert flights[0] == flights[1]
+
+
+@pytest.mark.skipif(not bullet_available(), reason="pybullet is not installed")
+@pytest.mark.parametrize("action", ["acceleration", "ctbr", "rotors"])
+@each
+def test_both_engines_fly_the_same(task, options, action):
+    """With another payload in each episode."""
+    envs = [make(task, physics=p, action=action, **options) for p in ("batch", "bullet")]
+    for seed in (3, 5):
+        for env in envs:
+            env.reset(seed=seed)
+            width = env.core.mode.width
+            hover = np.zeros(width) if width == 3 else np.full(width, -0.1 if width == 4 else 0.0)
+            for _ in range(12):
+                assert env.agents
+                env.step({a: hover.astype(np.float32) for a in env.agents})
+        ours, theirs = (env.view for env in envs)
+        assert ours.team == theirs.team
+        np.testing.assert_allclose(ours.state.position, theirs.state.position, atol=1e-9)
+        np.testing.assert_allclose(ours.goals, theirs.goals, atol=0)
+    for env in envs:
+        env.close()
+
+
+def test_payloads_are_flown_and_leave_with_their_episode():
+    env = make("columns_v0")
+    for seed in (0, 1):
+        env.reset(seed=seed)
+        drones = env.core.world.drones[0]
+        drawn = env.core.task.place(np.random.default_rng(seed)).team
+        assert drawn is not None
+        assert drones["mass"].tolist() == [vehicle.mass for vehicle in drawn]
+        assert env.view.team == drawn
+    state = env.core.get_state()
+    other = make("columns_v0")
+    other.reset(seed=9)
+    other.core.set_state(state)
+    assert other.view.team == drawn
+
+
+def stand(env: SwarmParallelEnv, places: np.ndarray, steps: int) -> dict[str, Any]:
+    """Hold drones at places (N, 3) without any flight; return the infos of the last step."""
+    infos: dict[str, Any] = {}
+    for _ in range(steps):
+        env.core.world.drones["position"][0] = places
+        env.core.world.drones["velocity"][0] = 0.0
+        rows = np.zeros((8, 14))
+        rows[:, :3] = places
+        infos = env.step({a: rows[int(a[6:])] for a in env.agents})[4]
+        if not env.agents:
+            break
+    return infos
+
+
+@pytest.mark.parametrize("named", [False, True])
+def test_any_drone_may_take_any_place(named):
+    """Independent of goals: success follows from the set of places that are taken."""
+    success = Success(0.06, 0.5, named=named)
+    task = ColumnsTask(column_team("stack", None), payload_kg=(0.0, 0.0), success=success)
+    config = EnvConfig(physics="batch", action="setpoint", interactions="none")
+    env = SwarmParallelEnv(task, config)
+    env.reset(seed=0)
+    places = env.view.goals.copy()
+    mixed = places[np.random.default_rng(1).permutation(8)]
+    infos = stand(env, mixed, 40)
+    assert env.agents == [] if not named else len(env.agents) == 8
+    if named:
+        np.testing.assert_array_equal(env.view.goals, places)
+        return
+    assert infos["drone_0"]["episode_metrics"]["success"]
+    assert infos["drone_0"]["episode_metrics"]["length_s"] == pytest.approx(0.5, abs=0.05)
+    np.testing.assert_array_equal(env.view.goals, mixed)  # and nobody lost its place
+    env.reset(seed=0)
+    stand(env, places + np.array([0.0, 0.0, 0.07]), 40)  # near, but not near enough
+    assert len(env.agents) == 8
+    np.testing.assert_array_equal(env.view.goals, places)
+
+
+def test_a_drone_that_stands_at_its_goal_keeps_it():
+    core = SwarmCore(ColumnsTask(column_team("stack", 4)), make("columns_v0").core.config)
+    core.reset([0])
+    goals = core.world.drones["goal"][0].copy()
+    core.world.drones["position"][0] = goals[[0, 0, 3, 2]]  # the second stands in the first's
+    terms = core.step(np.zeros((1, 4, 3))).reward_terms
+    assert terms[0, 0, 2:].tolist() == [0.0, 0.0]  # an exchange is no progress
+    np.testing.assert_array_equal(core.world.drones["goal"][0], goals[[0, 1, 3, 2]])
+    np.testing.assert_array_equal(core.world.goals[0, 0], goals[[0, 1, 3, 2]])
+
+
+def test_the_heavy_go_on_top():
+    places = np.array([[0, 0, z] for z in (0.4, 0.8, 1.2)] + [[1, 0, z] for z in (0.8, 0.4)])
+    chosen = heavy_on_top(places.astype(float), parse_team("LSS*SS*"))  # T/W 2.2 1.9 2.6 1.9 2.6
+    assert chosen[:, 2].tolist() == [0.8, 1.2, 0.4, 0.8, 0.4]
+    assert chosen[:, 0].tolist() == [0, 0, 0, 1, 1]
+
+
+def test_what_cannot_be_is_refused():
+    for refused, text in (
+        (lambda: make("columns_v0", num_drones=20), "use fewer drones or a smaller gap_m"),
+        (lambda: make("columns_v0", gap_m=(0.1, 0.2)), "use a larger gap"),
+        (lambda: make("delivery_v0", num_drones=10), "use at most 9"),
+    ):
+        with pytest.raises(ValueError, match=text):
+            refused()
+    for task in ("columns_v0", "delivery_v0"):
+        env = make(task)
+        env.reset(seed=0)
+        with pytest.raises(ValueError, match="a goal is given"):
+            env.reset(seed=0, options={"goal": env.view.goals.copy()})
+
+
+def test_teams_of_one_fly_in_every_interface():
+    for task in ("columns_v0", "delivery_v0"):
+        joint = make_joint(task, num_drones=1, physics="batch", horizon_s=0.1)
+        rows, _ = joint.reset(seed=0)
+        assert joint.observation_space.contains(rows)
+
+
+def rate(agent: str, task: str, options: dict[str, Any], air: str, episodes: int) -> float:
+    flown = load(agent)
+    env = make(task, interactions=air, **options, **flown.requires)
+    return float(np.mean([fly_episode(env, flown, seed)["success"] for seed in range(episodes)]))
+
+
+@pytest.mark.slow
+@each
+def test_the_air_decides(task, options):
+    """Of 8 episodes each; docs/tasks/columns.md has those of many more."""
+    assert rate("air-blind", task, options, "none", 8) >= 0.75
+    assert rate("air-blind", task, options, "learned", 8) <= 0.5
+    assert rate("air-aware", task, options, "learned", 8) >= 0.75

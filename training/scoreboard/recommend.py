@@ -1,0 +1,71 @@
+"""Write who is recommended for which task, from the folder of a benchmark.
+
+    python -m swarm_envs.training.scoreboard.recommend DIR
+
+Tasks are those of version 2 in the ideal world and the usual air; see
+`swarm_envs.agents.recommended`.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import swarm_envs.agents
+from swarm_envs import task_family
+from swarm_envs.agents import SafetyFilter, load
+from swarm_envs.agents.policy import PolicyAgent
+from swarm_envs.agents.recommendation import FILE
+from swarm_envs.agents.registry import FILTER, SHIPPED
+from swarm_envs.files import written_whole
+from swarm_envs.training.scoreboard.board import Board, read
+from swarm_envs.training.scoreboard.tasks import TASKS
+
+LEAST_SUCCESS = 0.5
+"""Who succeeds less often is recommended to nobody."""
+_ELSEWHERE = {"world", "randomization", "team", "physics", "interactions", "obstacles"}
+"""Options of tasks that are no plain task of so many drones."""
+
+
+def recommendations(board: Board) -> list[dict[str, Any]]:
+    """For each plain task of a benchmark, the shipped agents that succeed, the best first."""
+    known = [TASKS[task.id] for task in board.tasks if task.id in TASKS]
+    return [
+        {
+            "task": task_family(task.environment),
+            "layout": task.options.get("layout"),
+            "drones": task.drones,
+            "agents": _agents(board, task.id),
+        }
+        for task in known
+        if task.certificate and not _ELSEWHERE & set(task.options)
+    ]
+
+
+def _agents(board: Board, task: str) -> dict[str, dict[str, Any]]:
+    """What is said of each shipped agent that succeeds, by its name, the best first."""
+    found = {}
+    for name, about in board.agents.items():
+        cell = board.pairs.get((task, name), {"status": "unsupported"})
+        if name.removesuffix(FILTER) not in SHIPPED or cell["status"] != "flown" or cell["reason"]:
+            continue
+        values = {key: cell["values"][key]["value"] for key in ("success_rate", "score")}
+        agent = load(name)
+        inner = agent.agent if isinstance(agent, SafetyFilter) else agent
+        if values["success_rate"] >= LEAST_SUCCESS:
+            found[name] = {
+                "success": round(values["success_rate"], 4),
+                "score": round(values["score"], 4),
+                "learned": isinstance(inner, PolicyAgent),
+                "privileged": about["privileged"],
+            }
+    best = sorted(found, key=lambda name: (-found[name]["success"], -found[name]["score"]))
+    return {name: found[name] for name in best}
+
+
+if __name__ == "__main__":
+    lines = ",\n".join(json.dumps(row) for row in recommendations(read(Path(sys.argv[1]))))
+    with written_whole(Path(swarm_envs.agents.__file__).parent / FILE) as partial:
+        partial.write_text(f'{{"tasks": [\n{lines}\n]}}\n', encoding="utf-8")
