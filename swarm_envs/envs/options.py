@@ -72,7 +72,7 @@ class TaskOptions(EnvConfig, ABC):
 
     @property
     def standing(self) -> tuple[Obstacle, ...]:
-        """What stands in the way."""
+        """The obstacles."""
         given = self.obstacles
         return parse_obstacles(given) if isinstance(given, str) else tuple(given)
 
