@@ -120,6 +120,7 @@ def validate(
     goals: npt.ArrayLike,
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
+    labels: bool = True,
 ) -> ValidationReport:
     """Check a plan against the definition of a feasible one (Sec. II-A).
 
@@ -133,6 +134,7 @@ def validate(
         goals: (n, 3) integers.
         shape: of the grid.
         obstacles: booleans of that shape, anywhere, or None.
+        labels: whether each robot must end at its own goal, or all at goals, whoever at which.
 
     Returns:
         A report that is true if the plan is feasible, and otherwise says what is wrong.
@@ -150,12 +152,17 @@ def validate(
     if given.dtype != np.int16:
         wide = np.clip(given, -1, 32767)  # what is outside stays outside
         given = wide.astype(np.int16)
+    goals_of = instance.goals
+    if not labels:
+        wanted_ends = set(map(tuple, instance.goals.tolist()))
+        reached = [tuple(end) in wanted_ends for end in given[-1].tolist()]
+        goals_of = np.where(np.array(reached)[:, None], given[-1], -1).astype(np.int32)
     last = np.zeros(given.shape[1], dtype=np.int64)
     holder = np.full(instance.shape, -1, dtype=np.int32)
     rule, step, robot, moves = follow_paths(
         np.ascontiguousarray(given),
         instance.starts,
-        instance.goals,
+        goals_of,
         instance.obstacles,
         holder,
         last,

@@ -33,6 +33,8 @@ class PlanOptions:
     """uniform, quasi-random, mirror, rings, blocks, small-blocks, buildings, quasi-buildings"""
     method: str = "auto"
     """rth3d, rth3d-lba, pibt, lacam, or auto, the best of those that fit"""
+    labels: bool = True
+    """whether each robot has a goal of its own; if not, any may take any, in the fewest steps"""
     seed: Seed = 0
     """of the instance, of pibt and of lacam"""
     time_limit_s: Annotated[float, POSITIVE_S] | None = None
@@ -153,6 +155,7 @@ def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
                 seed=options.seed,
                 time_limit=options.time_limit_s,
                 watch=watch,
+                labels=options.labels,
             )
         except (PlanNotFound, PlanTimeout) as error:
             raise ValueError(str(error)) from error
@@ -164,6 +167,7 @@ def facts(found: GridPlan) -> dict[str, Any]:
         "shape": list(found.shape),
         "robots": len(found.starts),
         "obstacles": int(found.obstacles.sum()),
+        "labels": found.set_bound is None,
         "method": found.method,
         "winner": found.winner,
         "seed": found.seed,
