@@ -25,6 +25,7 @@ from swarm_envs.baselines.rth3d.grid import (
     NoHighways,
     NoPlanExists,
     PlanNotFound,
+    Shape,
     check_instance,
     numbers,
     points,
@@ -67,6 +68,7 @@ _LOST = 16
 """The robots are lost when it has not for so many: narrow passages are left by wandering about."""
 _GLANCE = 250_000  # moves of robots between two looks at the clock: a tenth of a second
 _STRIDE = 16  # steps between them, at most
+_GIVEN_BACK = 16  # steps whose memory is given back at a time
 
 
 class PibtSearch:
@@ -413,6 +415,21 @@ def plan(
     return _result(instance, solution, method, seed, clock, bound)
 
 
+def _coordinates(paths: Paths, shape: Shape) -> npt.NDArray[np.int16]:
+    """The vertices (T + 1, n) as coordinates (T + 1, n, 3), in place of them.
+
+    From the last step on: the memory of steps that have been read is given back, since both would
+    be the most that a plan of many robots needs at a time.
+    """
+    where = points(np.arange(np.prod(shape), dtype=np.int32), shape).astype(np.int16)
+    found = np.empty((*paths.shape, 3), dtype=np.int16)
+    for t in range(len(found) - 1, -1, -1):
+        found[t] = where[paths[t]]
+        if paths.flags.owndata and t % _GIVEN_BACK == 1:
+            paths.resize((t, paths.shape[1]), refcheck=False)
+    return found
+
+
 def _result(
     instance: GridInstance,
     solution: _Solution,
@@ -421,10 +438,8 @@ def _result(
     clock: PlanningClock,
     set_bound: int | None,
 ) -> GridPlan:
-    total = int(np.prod(instance.shape))
-    where = points(np.arange(total, dtype=np.int32), instance.shape).astype(np.int16)
     with clock.last_phase("validation") as record:
-        paths = where[solution.paths]
+        paths = _coordinates(solution.paths, instance.shape)
         facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
         report = validate(paths, *facts, labels=set_bound is None)
         record(report.makespan)
