@@ -11,7 +11,7 @@ from swarm_envs.agents import fly_episode, load, recommended
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.training.scoreboard.board import Board
-from swarm_envs.training.scoreboard.recommend import recommendations
+from swarm_envs.training.scoreboard.recommend import recommendations, replaced
 from swarm_envs.training.scoreboard.tasks import TASKS
 from tests.helpers.scoreboards import scores
 
@@ -68,3 +68,6 @@ def test_recommendations_follow_from_the_board():
         rates = [about["success"] for about in row["agents"].values()]
         assert rates == sorted(rates, reverse=True)
         assert not rates or min(rates) >= 0.5
+    assert replaced(rows, Board(content)) == rows
+    old = [{**rows[0], "agents": {"mine": {"success": 1.1, "score": 1.0}, "hover": {}}}]
+    assert list(replaced(old, Board(content))[0]["agents"]) == ["mine", *rows[0]["agents"]]

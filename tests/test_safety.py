@@ -126,7 +126,9 @@ def test_obstacles_are_kept_away_from(name, task, hits, arrives):
     agent, post = load(name), (Column((0.0, 0.0), 0.3),)
     env = task.parallel_env(num_drones=2, obstacles=post, **{**agent.requires, "physics": "batch"})
     start = np.array([[-1.5, 0.0, 1.0], [-1.5, 1.5, 1.0]])
-    metrics = fly_episode(env, agent, 0, options={"start": start, "goal": start + [3.0, 0.0, 0.0]})
+    metrics = fly_episode(
+        env, agent, 0, options={"start": start, "goal": start + 3.0 * np.eye(3)[0]}
+    )
     assert (metrics["collided_obstacle"] > 0) == hits
     assert metrics["success"] == arrives
     env.close()
