@@ -4,7 +4,7 @@ An episode's score in [0, 1] makes episodes of unlike tasks comparable:
 
 - `time` (swap): success weighted by completion time (Yokoyama, Ha and Batra, IROS 2021): the time
   in which the slowest drone could be at its goal, over the time it took; 0 without success.
-- `shapes` (formation, delivery): of the shapes or stages the share that was reached.
+- `shapes` (formation): of the shapes the share that was reached.
 - `tracking` (ring): 1 less the worst error over 0.15 m, at which success ends; 0 without success.
 - `own` (crowd, pursuit, gates): the task's own score over the one that the row calls full, at most
   1; with or without success.
@@ -69,9 +69,9 @@ METRICS = (
              "Share of episodes in which the team did its task; Wilson's interval.",
              "success", "rate"),
     Measured("score", "score", "", "higher",
-             "In [0, 1]: swap and columns, success weighted by completion time; formation and "
-             "delivery, share of shapes or stages reached; ring, margin to the tracking limit; "
-             "crowd, pursuit and gates, share of a full score."),
+             "In [0, 1]: swap, columns and delivery, success weighted by completion time; "
+             "formation, share of shapes reached; ring, margin to the tracking limit; crowd, "
+             "pursuit and gates, share of a full score."),
     Measured("collision_rate", "collided", "%", "lower",
              "Share of episodes in which any drone hit another, the floor, a wall, or tumbled.",
              "collided", "rate"),

@@ -275,7 +275,7 @@ _SPRINT_S = 2.0
 _SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingProxyType(
     {
         "columns_v0": ("time", 6.0, None),
-        "delivery_v0": ("shapes", 3 * 2.2, None),
+        "delivery_v0": ("time", 3 * 2.2, None),
         "gates_v0": ("own", 30.0, ("gates_per_min", 80.0)),
         "crowd_v0": ("own", 30.0, ("throughput_per_min", 40.0)),
         "pursuit_v0": ("own", 20.0, ("share_on_goal", 1.0)),
@@ -294,7 +294,7 @@ _NOISE = {
 }
 _DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
 _ADAPTIVE = "tracking-compensated-adaptive"
-_AWARE, _GOALS = "air-aware", "A reached goal gives another, 1 to 3 m away."
+_AWARE, _LINE, _GOALS = "air-aware", "fast-line", "A reached goal gives another, 1 to 3 m away."
 _OTHER_AIR = "Air in which nothing that ships was trained."
 
 _NEW = (
@@ -308,11 +308,11 @@ _NEW = (
             "gates_v0", "straight-line", 64, num_drones=3),
     _of_own("crowd-open-64", _GOALS, "crowd_v0", _ROUND, 16, layout="open", num_drones=64),
     _of_own("crowd-forest-16", f"{_GOALS} Between trees.",
-            "crowd_v0", _ROUND, 64, layout="forest", num_drones=16),
+            "crowd_v0", _LINE, 64, layout="forest", num_drones=16),
     _of_own("crowd-forest-64", f"{_GOALS} Between trees.",
-            "crowd_v0", _ROUND, 16, layout="forest", num_drones=64),
-    _of_own("crowd-buildings-32", f"{_GOALS} Between towers.",
-            "crowd_v0", _ROUND, 32, layout="buildings", num_drones=32),
+            "crowd_v0", _LINE, 16, layout="forest", num_drones=64),
+    _of_own("crowd-buildings-32", "A reached goal gives another, 0.8-1.6 m away, between towers.",
+            "crowd_v0", _LINE, 32, layout="buildings", num_drones=32, reach_m=[0.8, 1.6]),
     _of_own("crowd-moving-8", "Goals are a formation that flies an ellipse.",
             "pursuit_v0", _TRACKING, 64, layout="moving", num_drones=8),
     _of_own("crowd-swaps-8", "Every 5 s each drone is given another's goal.",
