@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -275,11 +275,36 @@ def _read(
 
     return tyro.cli(
         options,
-        args=list(arguments),
+        args=[*_with_new_names(name, arguments)],
         description=_description(name, options),
         prog=f"{PROGRAM} {name}",
         config=() if prefixes else (tyro.conf.OmitArgPrefixes,),
     )
+
+
+_RENAMED = {
+    "rollout": "n-steps",
+    "passes": "n-epochs",
+    "discount": "gamma",
+    "clip": "clip-range",
+    "entropy": "ent-coef",
+    "sac.rollout": "sac.train-freq",
+    "sac.smoothing": "sac.tau",
+    "sac.temperature": "sac.ent-coef",
+}
+"""Options of trainings that have Stable-Baselines3's names since version 0.2."""
+
+
+def _with_new_names(name: str, arguments: Sequence[str]) -> Iterator[str]:
+    """Arguments with the options' new names; old ones are accepted for a version, and named."""
+    new = {f"--{old}": f"--{now}" for old, now in _RENAMED.items()} if name == "train" else {}
+    if name == "train-sweep":  # where options are given as NAME=VALUE
+        new = {old: now.replace("-", "_") for old, now in _RENAMED.items()}
+    for word in arguments:
+        option, equals, value = word.partition("=")
+        if option in new:
+            sys.stderr.write(f"{PROGRAM} {name}: {option} is called {new[option]} now\n")
+        yield new.get(option, option) + equals + value
 
 
 def _description(name: str, options: type) -> str:

@@ -72,13 +72,6 @@ class HalfSpaces(NamedTuple):
     """(P, S), m."""
 
 
-def no_neighbors(config: MlrDmpcConfig) -> Neighbors:
-    """The neighbours of a drone that flies alone."""
-    return Neighbors(
-        np.zeros((0, config.num_samples, 3)), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=bool)
-    )
-
-
 def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig) -> HalfSpaces:
     """Half-spaces (15) between a drone's present plan and the trajectories of others.
 
@@ -232,6 +225,24 @@ def reachable_boxes(
     high = _highest(state, lower, upper, steps, counts)
     low = -_highest(-state, -upper, -lower, steps, counts)
     return low - _SLOP, high + _SLOP
+
+
+@kernel
+def comes_near(
+    low: FloatArray, high: FloatArray, others: FloatArray, shrink: FloatArray, keep: FloatArray
+) -> BoolArray:
+    """(C,) whether paths (C, S, 3) come nearer than `keep` (S,), scaled, to boxes (S, 3), m."""
+    out: BoolArray = np.zeros(len(others), dtype=np.bool_)
+    for c in range(len(others)):
+        for s in range(len(keep)):
+            square = 0.0
+            for i in range(3):
+                at = others[c, s, i]
+                square += (max(low[s, i] - at, at - high[s, i], 0.0) * shrink[i]) ** 2
+            if square < keep[s] ** 2:
+                out[c] = True
+                break
+    return out
 
 
 @kernel

@@ -126,10 +126,7 @@ def _all_positions(trajectory: Trajectory, step: float, count: int) -> FloatArra
 
 def positions_from(trajectory: Trajectory, start_round: int, config: MlrDmpcConfig) -> FloatArray:
     """Positions (S + 1, 3) at t, t + T_c, t + 2 T_c, ... of a round's start t, m."""
-    count = config.num_samples
-    age = (start_round - trajectory.identity.start_round) * config.samples_per_round
-    first = min(age, count)
-    return _all_positions(trajectory, config.collision_sampling_s, count)[first : first + count + 1]
+    return all_positions_from([trajectory], start_round, config)[0]
 
 
 def all_positions_from(

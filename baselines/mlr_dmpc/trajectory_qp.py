@@ -17,6 +17,7 @@ from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
     ROW_MARGIN,
     HalfSpaces,
     Neighbors,
+    comes_near,
     out_of_reach,
     reachable_boxes,
     soft_weights,
@@ -164,7 +165,6 @@ _SETTLED_M = 0.02  # the end of a plan moves less: it is not solved again
 _BROKEN = -1e-7
 _MOST_PROGRAMS = 30
 _NEGLIGIBLE_WEIGHT = 1e-9
-_SOFTENED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -281,24 +281,6 @@ def _in_range(
     return neighbors.some(near | neighbors.concurrent)
 
 
-@kernel
-def comes_near(
-    low: FloatArray, high: FloatArray, others: FloatArray, shrink: FloatArray, keep: FloatArray
-) -> BoolArray:
-    """(C,) whether paths (C, S, 3) come nearer than `keep` (S,), scaled, to boxes (S, 3), m."""
-    out: BoolArray = np.zeros(len(others), dtype=np.bool_)
-    for c in range(len(others)):
-        for s in range(len(keep)):
-            square = 0.0
-            for i in range(3):
-                at = others[c, s, i]
-                square += (max(low[s, i] - at, at - high[s, i], 0.0) * shrink[i]) ** 2
-            if square < keep[s] ** 2:
-                out[c] = True
-                break
-    return out
-
-
 def _program_rows(
     fixed: Condensed,
     state: FloatArray,
@@ -399,7 +381,7 @@ class RowGeneration:
         self.solve_ms += 1e3 * (time.thread_time() - begin)
         self._active = found.active
         free = len(self._problem.slope)
-        self.softened = bool((np.abs(found.y[3 * free :]) > _SOFTENED).any())
+        self.softened = bool((np.abs(found.y[3 * free :]) > TOLERANCE).any())
         self.z = np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
         return found.solved
 

@@ -116,23 +116,16 @@ def unbalanced(pull: FloatArray, contacts: FloatArray) -> float:
                 forces = ((alone - cosine * other) / sine2, (other - cosine * alone) / sine2, 0.0)
                 least = min(least, _left(pull, push[i], push[j], push[j], forces))
             for k in range(j):
-                normal = _cross(push[j], push[k])
+                normal = np.cross(push[j], push[k])
                 volume = (push[i] * normal).sum()
                 if abs(volume) > _PARALLEL:
                     forces = (
                         -(pull * normal).sum() / volume,
-                        -(pull * _cross(push[k], push[i])).sum() / volume,
-                        -(pull * _cross(push[i], push[j])).sum() / volume,
+                        -(pull * np.cross(push[k], push[i])).sum() / volume,
+                        -(pull * np.cross(push[i], push[j])).sum() / volume,
                     )
                     least = min(least, _left(pull, push[i], push[j], push[k], forces))
     return least
-
-
-@part
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
 
 
 @part

@@ -52,7 +52,7 @@ class SweepOptions:
     """options of `train` for every run, NAME=VALUE, such as `drones=4 hidden=128,128`"""
     compare: list[str] = field(default_factory=lambda: [""])
     """variants, each in quotes: more such options, such as `"hidden=64,64" "hidden=128,128
-    entropy=0.01"`"""
+    ent_coef=0.01"`"""
     episodes: Count = 1024
     """in which each policy is judged, on each layout"""
     report_seed: Seed = 7

@@ -42,7 +42,7 @@ KINDS = {
 
 def make(**given) -> PpoLearner:
     """A learner whose last layers are no longer small, so that actions tell networks apart."""
-    options = {"environments": 4, "rollout": 16, "batch_size": 64, "hidden": (8, 8), **given}
+    options = {"environments": 4, "n_steps": 16, "batch_size": 64, "hidden": (8, 8), **given}
     config = RlConfig(out=Path("never"), interactions="none", **options)
     learner = PpoLearner(config, "swap_v0")
     with torch.no_grad():
@@ -146,7 +146,7 @@ def test_every_type_flies_by_a_network_of_its_own():
 @pytest.mark.parametrize("algo", ["mappo", "sac"])
 def test_every_algorithm_has_every_encoder(algo, encoder):
     """The network that flies gives the means that are trained; SAC's through a tanh."""
-    options: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64, "rollout": 16}
+    options: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64, "n_steps": 16}
     options |= {"algo": algo, "encoder": encoder, "interactions": "none", "hidden": (8, 8)}
     config = RlConfig(out=Path("never"), environments=4, **options)
     learner: Any = make_learner(config, "swap_v0")
@@ -164,7 +164,7 @@ def test_other_algorithms_begin_as_another_policy_too(algo, tmp_path):
     first = make(drones=4, **SET)
     write_policy(tmp_path / "policy.safetensors", policy_of(first))
     options: dict[str, Any] = {"algo": algo, "start": str(tmp_path), "hidden": (8, 8), **SET}
-    options |= {"batch_size": 64, "rollout": 16} if algo == "mappo" else {}
+    options |= {"batch_size": 64, "n_steps": 16} if algo == "mappo" else {}
     config = RlConfig(out=Path("never"), environments=12, interactions="none", **options)
     found = to_tensors(make_learner(config, "swap_v0").actor())
     for name, tensor in to_tensors(first.actor()).items():
@@ -188,7 +188,7 @@ def test_a_policy_begins_as_another_and_is_drawn_back_to_it(tmp_path):
     bonus = policy.evaluate_actions(seen, acted)[2]
     normal = policy.get_distribution(seen).distribution
     kl = kl_divergence(normal, Normal(normal.mean - 0.2, normal.stddev)).sum(-1)
-    entropy = learner.config.entropy * normal.entropy().sum(-1)
+    entropy = learner.config.ent_coef * normal.entropy().sum(-1)
     torch.testing.assert_close(bonus, entropy - 3.0 * kl, atol=1e-4, rtol=1e-4)
     with pytest.raises(ValueError, match="the policy to start from has networks"):
         make(drones=4, start=str(tmp_path))

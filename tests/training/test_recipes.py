@@ -27,9 +27,9 @@ from swarm_envs.training.rl.rl_config import RlConfig
 from swarm_envs.vehicles import parse_team
 
 TINY = [
-    *("--drones", "2", "--environments", "8", "--rollout", "8", "--batch-size", "64"),
+    *("--drones", "2", "--environments", "8", "--n-steps", "8", "--batch-size", "64"),
     *("--hidden", "8", "--steps", "256", "--judge-episodes", "2", "--num-neighbors", "1"),
-    *("--interactions", "none", "--passes", "1", "--no-tensorboard", "--no-progress"),
+    *("--interactions", "none", "--n-epochs", "1", "--no-tensorboard", "--no-progress"),
 ]
 
 
@@ -40,7 +40,7 @@ def options(**given) -> RlConfig:
 def test_what_is_not_given_is_the_recipes():
     ring, swap = with_recipe(options(), "ring_v0"), with_recipe(options(), "swap_v0")
     assert (ring.layout, ring.horizon_s, ring.deviation) == ("rings", 5.0, 0.2)
-    assert (ring.discount, swap.discount) == (0.95, 0.98)
+    assert (ring.gamma, swap.gamma) == (0.95, 0.98)
     assert (swap.layout, swap.horizon_s, swap.deviation) == ("random", 3.5, np.exp(-0.5))
     given = with_recipe(options(layout="tour", horizon_s=9.0, deviation=0.5), "formation_v0")
     assert (given.layout, given.horizon_s, given.deviation) == ("tour", 9.0, 0.5)

@@ -39,18 +39,27 @@ COMMON = [
     *("--judge-every", "2", "--judge-episodes", "4", "--interactions", "none", "--seed", "5"),
     *("--no-tensorboard", "--no-progress"),
 ]
-ON_POLICY = ["--rollout", "8", "--batch-size", "64", "--passes", "2", "--checkpoint-rollouts", "3"]
+ON_POLICY = [
+    "--n-steps",
+    "8",
+    "--batch-size",
+    "64",
+    "--n-epochs",
+    "2",
+    "--checkpoint-rollouts",
+    "3",
+]
 TINY = {
     "ppo": [*ON_POLICY, "--steps", "2000"],
     "mappo": [*ON_POLICY, "--steps", "1280"],
     "sac": [
         *("--steps", "1536", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"),
         *("--sac.learning-starts", "200", "--sac.buffer-size", "1000", "--sac.batch-size", "32"),
-        *("--sac.rollout", "4"),
+        *("--sac.train-freq", "4"),
     ],
     "dagger": [
         *("--steps", "1536", "--checkpoint-rollouts", "6", "--dagger.gradient-steps", "2"),
-        *("--dagger.batch-size", "32", "--dagger.buffer-size", "500", "--dagger.rollout", "4"),
+        *("--dagger.batch-size", "32", "--dagger.buffer-size", "500", "--dagger.train-freq", "4"),
         *("--dagger.teacher", "fast-line", "circle=roundabout"),
     ],
 }
@@ -199,8 +208,8 @@ def test_a_finished_run_stays_as_it_is(whole, capsys):
     before = {file.name: file.read_bytes() for file in out.iterdir()}
     assert main(command("ppo", out)) == 0
     assert "was finished before" in capsys.readouterr().out
-    assert main(command("ppo", out, "--discount", "0.9")) == 1
-    assert "discount is 0.98 there, 0.9 here" in capsys.readouterr().err
+    assert main(command("ppo", out, "--gamma", "0.9")) == 1
+    assert "gamma is 0.98 there, 0.9 here" in capsys.readouterr().err
     assert {file.name: file.read_bytes() for file in out.iterdir()} == before
 
 
@@ -260,12 +269,12 @@ def test_a_folder_that_another_run_writes_into_is_refused(tmp_path, capsys):
         ("--layout stacked", "valid: 'circle', 'random'"),
         ("--json a.txt", "must end in .json"),
         ("--batch-size 1000", "--batch-size is 1000, but must divide the 16384 decisions"),
-        ("--discount 1.5", "--discount is 1.5, but must be a number in [0, 1]"),
+        ("--gamma 1.5", "--gamma is 1.5, but must be a number in [0, 1]"),
         ("--decision-rate 7", "--decision-rate is 7"),
         ("--horizon-s nan", "--horizon-s is nan"),
         ("--fewest 5", "--fewest is 5, but must be from 1 to 4"),
-        ("--algo sac --clip 0.1", "--clip was given (0.1), but --algo sac has no such"),
-        ("--sac.rollout 2", "--sac.rollout was given (2), but --algo ppo has no such"),
+        ("--algo sac --clip-range 0.1", "--clip-range was given (0.1), but --algo sac has no such"),
+        ("--sac.train-freq 2", "--sac.train-freq was given (2), but --algo ppo has no such"),
         ("--pooling max", "--pooling was given, but only --encoder deep-set has it"),
         ("--most 3", "--most is 3, but must be at least 4"),
         ("--start-kl 1", "--start-kl was given, but no --start"),

@@ -201,7 +201,7 @@ def test_twin_critics_are_two_networks():
 
 
 def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none():
-    options = SacConfig(rollout=5, learning_starts=1000, buffer_size=120)
+    options = SacConfig(train_freq=5, learning_starts=1000, buffer_size=120)
     config = RlConfig(
         out=Path("never"), algo="sac", drones=2, environments=4, steps=200, sac=options
     )
@@ -225,7 +225,7 @@ MARGIN = 0.5
 
 
 PPO: dict[str, Any] = {
-    **{"steps": 200_000, "rollout": 16, "batch_size": 1024, "passes": 8, "learning_rate": 3e-3},
+    **{"steps": 200_000, "n_steps": 16, "batch_size": 1024, "n_epochs": 8, "learning_rate": 3e-3},
     **{"num_neighbors": 1, "second_stage": 0.0, "checkpoint_rollouts": 1000},
 }
 SAC = {"algo": "sac", "layout": "circle", "steps": 800_000}

@@ -89,7 +89,7 @@ class DaggerLearner(Learner):
         for rollout in segment:
             guided = config.dagger.guided * config.rollouts
             share = max(0.0, 1.0 - rollout / guided) if guided else 0.0
-            for _ in range(config.dagger.rollout):
+            for _ in range(config.dagger.train_freq):
                 self._step(share)
             rate = config.learning_rate_after(rollout)
             loss = self._learn(rate)

@@ -131,9 +131,9 @@ class MappoLearner(Learner):
 
     @torch.no_grad()
     def _collect(self) -> _Rollout:
-        discount = self.config.discount
+        discount = self.config.gamma
         assert discount is not None  # the recipe has one
-        steps = [self._step() for _ in range(self.config.rollout)]
+        steps = [self._step() for _ in range(self.config.n_steps)]
         observations, states, actions, log_probs, values, rewards, after, ended, active = map(
             torch.stack, zip(*steps, strict=True)
         )
@@ -196,7 +196,7 @@ class MappoLearner(Learner):
 
     def _batches(self, rollout: _Rollout) -> Iterator[_Rollout]:
         size = self.config.batch_size
-        for _ in range(self.config.passes):
+        for _ in range(self.config.n_epochs):
             order = torch.randperm(len(rollout.returns), generator=self._draws)
             for chosen in torch.split(order, size):
                 yield _Rollout(*(row[chosen] for row in rollout))
@@ -208,14 +208,14 @@ class MappoLearner(Learner):
         change = log_probs - batch.log_probs
         ratio, good = change.exp(), batch.advantages
         good = (good - good.mean()) / (good.std() + 1e-8)
-        clipped = ratio.clamp(1.0 - config.clip, 1.0 + config.clip)
+        clipped = ratio.clamp(1.0 - config.clip_range, 1.0 + config.clip_range)
         gain = torch.minimum(ratio * good, clipped * good).mean()
         mean, deviation = networks.spread()
         expected = networks.critic(batch.states).squeeze(-1)
         value_loss = nn.functional.huber_loss(expected, (batch.returns - mean) / deviation)
         entropy = networks.log_deviation.sum()  # but for a constant
         kl = (ratio - 1.0 - change).mean().detach()
-        loss = value_loss - gain - config.entropy * entropy
+        loss = value_loss - gain - config.ent_coef * entropy
         if networks.start is not None:
             away = (means - networks.start(batch.observations)) / networks.log_deviation.exp()
             loss = loss + config.start_kl * 0.5 * away.square().sum(-1).mean()

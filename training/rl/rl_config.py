@@ -29,7 +29,7 @@ Rate = Annotated[float, Range(1e-7, 1.0)]
 class SacConfig:
     """Of `--algo sac`: how often it learns from what it remembers."""
 
-    rollout: Count = 8
+    train_freq: Count = 8
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: Count = 32
     """of a round; each takes a batch from all that is remembered"""
@@ -45,11 +45,11 @@ class SacConfig:
     """decisions of single drones, drawn at random, before the first gradient step"""
     buffer_size: Count = 300_000
     """decisions that are remembered, the latest; checkpoints hold them, 0.6 kB each"""
-    smoothing: Rate = 0.02
-    """tau: share by which target critics follow the critics at each gradient step"""
-    temperature: Rate = 0.002
+    tau: Rate = 0.02
+    """share by which target critics follow the critics at each gradient step"""
+    ent_coef: Rate = 0.002
     """weight of entropy beside reward at the start; it is learned. Far above what a decision's
-    reward is, drones are paid for trembling"""
+    reward is, the policy is rewarded for jitter"""
 
 
 @partial(typed, owner="--dagger.")
@@ -61,7 +61,7 @@ class DaggerConfig:
     """who says what to do: an agent's name or file; or several, each with where it teaches before
     it, a layout, a number of drones or both, such as `circle=NAME` or `random,16=NAME`: of those
     that fit a team the last. An agent that acts on arrays and sees what drones observe"""
-    rollout: Count = 10
+    train_freq: Count = 10
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: Count = 12
     """of a round; each takes a batch from all that is remembered"""
@@ -132,23 +132,23 @@ class RlConfig(AirOptions, RunOptions):
     """teams that fly at once, of all sizes together"""
     threads: Count = 2
     """of the environments; their number changes nothing of what is learned"""
-    rollout: Count = 32
+    n_steps: Count = 32
     """decisions of each drone between two updates of the policy"""
     batch_size: Count = 2048
     """decisions per gradient step"""
-    passes: Count = 5
+    n_epochs: Count = 5
     """over the decisions of a rollout"""
     learning_rate: Rate = 1e-3
     """of Adam at the start; it falls linearly"""
     last_rate: Share = 0.02
     """what is left of it at the end, as a share"""
-    discount: Share | None = None
-    """gamma: what a reward is worth one decision later; the recipe's if not given"""
+    gamma: Share | None = None
+    """what a reward is worth one decision later; the recipe's if not given"""
     gae_lambda: Share = 0.95
     """lambda of generalised advantage estimation"""
-    clip: Annotated[float, Range(1e-3, 1.0)] = 0.2
+    clip_range: Annotated[float, Range(1e-3, 1.0)] = 0.2
     """how far a decision's probability may move per update, as a ratio"""
-    entropy: Share = 0.003
+    ent_coef: Share = 0.003
     """weight of the policy's entropy in the loss: keeps it exploring"""
     hidden: tuple[Count, ...] = (64, 64)
     """widths of the hidden layers of actor and critic, which share none"""
@@ -275,7 +275,7 @@ class RlConfig(AirOptions, RunOptions):
         if self.on_policy and size % self.batch_size:
             raise ValueError(
                 f"--batch-size is {self.batch_size}, but must divide the {size} decisions of a "
-                f"rollout: drones of all environments x rollout, such as {size}"
+                f"rollout: drones of all environments x --n-steps, such as {size}"
             )
 
     @property
@@ -309,7 +309,7 @@ class RlConfig(AirOptions, RunOptions):
     @property
     def rollout_steps(self) -> int:
         """Decisions of single drones in a rollout."""
-        decisions = self.rollout if self.on_policy else self._off_policy.rollout
+        decisions = self.n_steps if self.on_policy else self._off_policy.train_freq
         return self.environments // len(self.team_sizes) * sum(self.team_sizes) * decisions
 
     @property
@@ -373,10 +373,18 @@ def _changed(settings: object) -> list[tuple[str, Any]]:
 
 
 _ON_POLICY = (
-    *("rollout", "batch_size", "passes", "learning_rate", "last_rate", "gae_lambda", "clip"),
-    *("entropy", "deviation", "second_stage", "second_rate", "second_deviation"),
+    *(
+        "n_steps",
+        "batch_size",
+        "n_epochs",
+        "learning_rate",
+        "last_rate",
+        "gae_lambda",
+        "clip_range",
+    ),
+    *("ent_coef", "deviation", "second_stage", "second_rate", "second_deviation"),
 )
-_REWARDS = ("discount", "proximity", "crash", "time_cost", "reward_scale")
+_REWARDS = ("gamma", "proximity", "crash", "time_cost", "reward_scale")
 _FOREIGN = {
     "ppo": ("sac", "dagger"),
     "mappo": ("sac", "dagger"),

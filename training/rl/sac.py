@@ -46,19 +46,19 @@ class SacLearner(Sb3Learner):
     def __init__(self, config: RlConfig, task: str) -> None:
         super().__init__(config, task)
         config, options = self.config, self.config.sac
-        assert config.discount is not None  # the recipe has one
+        assert config.gamma is not None  # the recipe has one
         self.model = SoftActorCritic(
             self.env,
             lookahead=options.lookahead,
-            gamma=config.discount,
+            gamma=config.gamma,
             learning_rate=lambda _: config.learning_rate_after(self.rollouts),
             buffer_size=options.buffer_size,
             learning_starts=options.learning_starts,
             batch_size=options.batch_size,
-            tau=options.smoothing,
-            train_freq=options.rollout,
+            tau=options.tau,
+            train_freq=options.train_freq,
             gradient_steps=options.gradient_steps,
-            ent_coef=f"auto_{options.temperature}",
+            ent_coef=f"auto_{options.ent_coef}",
             seed=config.seed,
             device="cpu",
             policy_kwargs={

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarm_envs.baselines.mlr_dmpc.avoidance_planes import Neighbors, no_neighbors
+from swarm_envs.baselines.mlr_dmpc.avoidance_planes import Neighbors
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import SOLVERS, condensed
 from swarm_envs.baselines.mlr_dmpc.formations import circle_swap
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
@@ -30,6 +30,7 @@ from tests.helpers.mlr_rounds import (
     arrival_time,
     keep_clear,
     neighbors_of,
+    no_neighbors,
     scattered,
     settled,
     situation,

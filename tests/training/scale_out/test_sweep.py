@@ -20,8 +20,14 @@ from swarm_envs.commands.train_sweep import (
 )
 
 TINY = [
-    *("drones=2", "environments=8", "rollout=8", "batch_size=64", "hidden=8,8", "steps=500"),
-    *("judge_episodes=4", "num_neighbors=1", "interactions=none", "passes=1", "tensorboard=false"),
+    *("drones=2", "environments=8", "n_steps=8", "batch_size=64", "hidden=8,8", "steps=500"),
+    *(
+        "judge_episodes=4",
+        "num_neighbors=1",
+        "interactions=none",
+        "n_epochs=1",
+        "tensorboard=false",
+    ),
 ]
 SWEEP = ["train-sweep", "--seeds", "0", "1", "--set", *TINY, "--episodes", "6"]
 
