@@ -22,13 +22,16 @@ _COLUMNS = ("bucket", "map", "width", "height", "start x", "start y", "goal x", 
 _HEADER = ("type", "height", "width", "map")
 
 
-def read_benchmark(map_file: Path, scen_file: Path, robots: int | None = None) -> GridInstance:
+def read_benchmark(
+    map_file: str | Path, scen_file: str | Path, robots: int | None = None
+) -> GridInstance:
     """The instance of the first robots of a `.scen` on a `.map`; of all, if no number is given.
 
     Raises:
         ValueError: a file is malformed, of another map, or has fewer robots; it names the line.
         OSError: a file cannot be read.
     """
+    map_file, scen_file = Path(map_file), Path(scen_file)
     walls = _read_map(map_file)
     lines = _lines(scen_file)
     if not lines or not lines[0].lower().startswith("version"):
@@ -36,7 +39,8 @@ def read_benchmark(map_file: Path, scen_file: Path, robots: int | None = None) -
     rows = [(k, line) for k, line in enumerate(lines[1:], 2) if line.strip()]
     wanted = len(rows) if robots is None else robots
     if not 1 <= wanted <= len(rows):
-        raise ValueError(f"{scen_file} has {len(rows)} robots, but {wanted} are wanted; take fewer")
+        rule = f"it must be from 1 to the {len(rows)} of {scen_file}"
+        raise ValueError(f"the number of robots is {wanted}, but {rule}")
     ends = np.array([_ends(scen_file, k, line, walls.shape) for k, line in rows[:wanted]])
     try:
         return check_instance(ends[:, :2], ends[:, 2:], walls.shape, walls)
@@ -44,7 +48,7 @@ def read_benchmark(map_file: Path, scen_file: Path, robots: int | None = None) -
         raise ValueError(f"{scen_file} on {map_file}: {error}") from error
 
 
-def write_benchmark(map_file: Path, scen_file: Path, instance: GridInstance) -> None:
+def write_benchmark(map_file: str | Path, scen_file: str | Path, instance: GridInstance) -> None:
     """Write a flat instance as a `.map` and a `.scen`.
 
     The last column is the length of the shortest way along edges, without diagonals.
@@ -54,6 +58,7 @@ def write_benchmark(map_file: Path, scen_file: Path, instance: GridInstance) -> 
         NoPlanExists: obstacles cut a robot off from its goal.
         OSError: a file cannot be written.
     """
+    map_file, scen_file = Path(map_file), Path(scen_file)
     width, height, depth = instance.shape
     if depth != 1:
         raise ValueError(f"the grid has shape {instance.shape}, but a .map is one vertex high")
