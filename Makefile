@@ -33,7 +33,7 @@ help:
 	@echo 'make coverage  which lines the tests run, kernels interpreted too; a quarter of an hour'
 	@echo 'make mutation  which small mistakes in physics, trackers and validators the tests notice'
 	@echo 'make matrix    the wheel, installed as strangers would: oldest, newest, Python 3.11 to 3.13'
-	@echo 'make lint      ruff and mypy'
+	@echo 'make lint      ruff, mypy, and the words of docs and messages'
 	@echo 'make format    let ruff mend what it can'
 	@echo 'make bench     speed, and peers beside it where they are installed'
 	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
@@ -119,6 +119,7 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy swarm_envs tests
+	$(BIN)/python -m tests.helpers.vocabulary
 
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .

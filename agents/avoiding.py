@@ -34,6 +34,9 @@ from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 
 __all__ = ["TUNED", "Avoidance", "Cruise"]
 
+_KEEP_M, _SLOPE = 0.25, 2.5
+"""Drones approach obstacles at most as fast as `_SLOPE` times what they are farther away, 1/s."""
+
 
 @typed
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +101,8 @@ class CruiseAgent:
         """Actions (..., 3) for observation rows (..., row width)."""
         at, kd = self._at, self.cruise.velocity_gain
         velocity = SPEED_LIMIT * rows[..., at.velocity : at.velocity + 3]
-        asked = kd * (self.wanted(rows, rows[..., at.goal : at.goal + 3]) - velocity)
+        wanted = self.wanted(rows, rows[..., at.goal : at.goal + 3])
+        asked = kd * (self._around(rows, wanted) - velocity)
         size = np.abs(asked).max(axis=-1, keepdims=True) / ACCELERATION_LIMIT
         actions: Float32Array = asked / ACCELERATION_LIMIT / np.maximum(size, 1.0)
         return actions.astype(np.float32)
@@ -110,6 +114,22 @@ class CruiseAgent:
         wanted: Float32Array = way * np.minimum(
             slope, self.cruise.speed_mps / np.maximum(distance, 1e-6)
         )
+        return wanted
+
+    def _around(self, rows: Float32Array, wanted: Float32Array) -> Float32Array:
+        """The velocities (..., 3), turned to the right where they lead into an obstacle, m/s.
+
+        Always to the right: who turned to the side of the goal would stop before a face behind
+        which the goal is.
+        """
+        at = self._at
+        for first in range(at.obstacles, at.obstacles + 4 * at.num_obstacles, 4):
+            x, y, _, mask = np.moveaxis(rows[..., first : first + 4], -1, 0)
+            away = np.maximum(np.hypot(x, y), 1e-6)
+            towards = (wanted[..., 0] * x + wanted[..., 1] * y) / away
+            excess = np.maximum(towards - _SLOPE * np.maximum(away - _KEEP_M, 0.0), 0.0) * mask
+            turn = np.stack([y - x, -x - y, np.zeros_like(x)], axis=-1)
+            wanted = wanted + (excess / away)[..., None] * turn
         return wanted
 
 

@@ -213,7 +213,7 @@ class Barrier(NamedTuple):
     aside: float
     walls: bool
     radial: bool
-    """Whether drones within reach must part; see `velocity_barrier`."""
+    """Whether drones within reach must part (`velocity_barrier`), and obstacles count."""
 
 
 class BarrierWorkspace(NamedTuple):
@@ -328,6 +328,8 @@ def filter_accelerations(
         count = _write_limits(scratch.rows, scratch.bound)
         if barrier.walls:
             count = _write_walls(observed[r], barrier, places, ratios, radii, arena, count, scratch)
+        if barrier.radial:
+            count = _write_obstacles(observed[r], barrier, places, ratios, radii, count, scratch)
         count = _write_neighbors(observed[r], barrier, places, ratios, radii, count, scratch)
         for k in range(3):
             scratch.target[k] = ACCELERATION_LIMIT * asked[r, k]
@@ -392,6 +394,37 @@ def _write_walls(
             scratch.rows[count, other] = 0.0
         scratch.rows[count, axis] = side
         leaving = side * (speed + delay * now)
+        scratch.bound[count] = -barrier.rate * (leaving + BRAKING * away)
+        count += 1
+    return count
+
+
+@kernel
+def _write_obstacles(
+    row: Float32Array,
+    barrier: Barrier,
+    places: ObservationColumns,
+    ratios: FloatArray,
+    radii: FloatArray,
+    count: int,
+    scratch: BarrierWorkspace,
+) -> int:
+    """As of a wall through an obstacle's nearest point, with the whole margin."""
+    kind, delay = _type_of(row, places.type), barrier.response
+    own = _acceleration(row, places, ratios[kind])
+    for m in range(places.num_obstacles):
+        first = places.obstacles + 4 * m
+        square = row[first] ** 2 + row[first + 1] ** 2 + row[first + 2] ** 2
+        if row[first + 3] < 0.5 or square < 1e-12:
+            continue
+        away, leaving, now = np.sqrt(square), 0.0, 0.0
+        for axis in range(3):
+            side = -row[first + axis] / away
+            scratch.rows[count, axis] = side
+            leaving += side * SPEED_LIMIT * row[places.velocity + axis]
+            now += side * (own[0] if axis == 0 else own[1] if axis == 1 else own[2])
+        away += delay * (leaving + 0.5 * delay * now) - radii[kind] - barrier.margin
+        leaving += delay * now
         scratch.bound[count] = -barrier.rate * (leaving + BRAKING * away)
         count += 1
     return count

@@ -56,7 +56,7 @@ Episode = dict[str, Any]
 without entries where many episodes were flown at once."""
 
 TIMED = 16
-"""Episodes of each agent that are flown one by one in any case, so that its decisions are timed."""
+"""Episodes of each agent that are always flown one at a time, so that its decisions are timed."""
 
 
 class AgentFailed(RuntimeError):
@@ -152,7 +152,7 @@ def evaluate_agent(
         seeds: of the episodes.
         kept: episodes flown before, by seed.
         keep: called with new episodes, one or more, before they are given.
-        timed: of the seeds, how many are flown one by one in any case.
+        timed: of the seeds, how many are flown one at a time in any case.
         refusals: whether an episode that the agent refuses is given too; see `fly_seed`.
 
     Raises:
@@ -218,7 +218,7 @@ def _prepared(env: SwarmParallelEnv, agent: Agent, seed: int, count: int) -> Swa
 def _fly_seeds(
     core: SwarmCore, env: SwarmParallelEnv, agent: Agent, seeds: Sequence[int]
 ) -> list[Episode]:
-    """Episodes flown at once; if the agent fails, one by one, to say in which."""
+    """Episodes flown at once; if the agent fails, one at a time, to say in which."""
     assert isinstance(agent, BatchAgent)
     try:
         flown = fly_batch(core, agent.act_batch, seeds)
@@ -236,7 +236,7 @@ def _fly_seeds(
 
 
 class EpisodeFile:
-    """Episodes of one agent in one setting, a line of JSON each, synced to disk one by one.
+    """Episodes of one agent in one setting, a line of JSON each, synced to disk one at a time.
 
     A line that was being written when the process or the machine died is not counted: that episode
     is flown again. What the episodes depend on is in the file's name and its first line, so that
@@ -381,7 +381,7 @@ def score_episodes(episodes: Sequence[dict[str, Any]]) -> dict[str, Any]:
     episodes that have them, null where none has, and the task's score, where it has one; of
     separation also the smallest, of errors also the largest. `act_ms`: time of one decision for
     the whole team, median and 99th percentile of the `timed_decisions`: those of episodes that were
-    flown one by one.
+    flown one at a time.
 
     Args:
         episodes: of `swarm_envs.agents.evaluation`.

@@ -86,6 +86,10 @@ class ObservationColumns(NamedTuple):
     """Numbers of a neighbour."""
     num_neighbors: int
     """Neighbours that a row has."""
+    obstacles: int
+    """Of the nearest obstacle: three of the offset to it, m, and a mask; 0 if none is observed."""
+    num_obstacles: int
+    """Obstacles that a row has."""
 
 
 def observation_columns(fields: Mapping[str, slice]) -> ObservationColumns:
@@ -96,7 +100,11 @@ def observation_columns(fields: Mapping[str, slice]) -> ObservationColumns:
     nearest = [where for name, where in fields.items() if name.startswith("neighbor_0.")]
     first, width = (nearest[0].start, nearest[-1].stop - nearest[0].start) if nearest else (0, 0)
     count = sum(name.endswith(".mask") and name.startswith("neighbor_") for name in fields)
-    return ObservationColumns(**starts, neighbors=first, neighbor_width=width, num_neighbors=count)
+    starts |= {"neighbors": first, "neighbor_width": width, "num_neighbors": count}
+    stands = [where.start for name, where in fields.items() if name.startswith("obstacle_")]
+    return ObservationColumns(
+        **starts, obstacles=min(stands, default=0), num_obstacles=len(stands) // 2
+    )
 
 
 def goal_features(rows: Float32Array, num_neighbors: int, typed: bool = False) -> Float32Array:

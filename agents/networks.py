@@ -1,8 +1,8 @@
 """Networks that act, in numpy: multilayer perceptrons, and sets over the neighbours.
 
-A set encoder gives every neighbour, beside the drone's own numbers, to a network phi, pools what
-comes out, and goes on with that and the drone's own numbers: the order of neighbours changes
-nothing, and there may be any number of them (deep sets, Zaheer et al. 2017). Attention pools by a
+A set encoder gives every neighbour, together with the drone's own numbers, to a network phi, pools
+the outputs, and continues with that and the drone's own numbers: the order of neighbours has no
+effect, and there may be any number of them (deep sets, Zaheer et al. 2017). Attention pools by a
 softmax of scores, each of a neighbour's code and of the mean of all (Batra et al. 2021, Decentral-
 ized Control of Quadrotor Swarms with End-to-end Deep Reinforcement Learning, Sec. 3.2).
 """

@@ -58,7 +58,7 @@ __all__ = [
 FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
-"""Name of what a killed run goes on from, beside it."""
+"""Name of what a killed run resumes from, beside it."""
 FORMAT = "swarm-envs-policy-4"
 """What a file of a policy says it is."""
 _BEFORE = {
@@ -344,7 +344,7 @@ class PolicyAgent:
         if (path / CHECKPOINT).is_file() and not (path / FILE).exists():
             raise FileNotFoundError(
                 f"the training run in {str(path)!r} has kept no policy yet; the same `swarm-envs "
-                "train` goes on with it"
+                "train` continues with it"
             )
         return cls(read_policy(path / FILE if path.is_dir() else path))
 

@@ -221,7 +221,7 @@ def fly_batch(core: SwarmCore, act: ActBatch, seeds: Sequence[int]) -> list[dict
     Args:
         core: with the options that the agent requires.
         act: who acts; by observations alone, without memory. It is asked for the environments
-            whose episode goes on.
+            whose episode continues.
         seeds: of the episodes.
 
     Raises:

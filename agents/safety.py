@@ -2,8 +2,9 @@
 
 Each drone solves a program of its own, from what it observes itself: the nearest acceleration to
 the one that its agent asks for, subject to one inequality a neighbour, the limits of acceleration,
-and the walls (`swarm_envs.agents.barrier`). Where no acceleration satisfies all, the one is taken
-that breaks the worst of them the least; the limits of acceleration are never broken.
+the walls and the obstacles that are observed (`swarm_envs.agents.barrier`). Where no acceleration
+satisfies all, the one is taken that breaks the worst of them the least; the limits of acceleration
+are never broken.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class Safety:
     """How much safety a filter keeps. Raises ValueError for what cannot be."""
 
     margin_m: Annotated[float, NOT_NEGATIVE] = 0.12
-    """Distance to keep beyond the sum of radii, m; from walls half of it."""
+    """Distance to keep beyond the sum of radii, m; and from obstacles; from walls half of it."""
     horizon_s: Annotated[float, POSITIVE_S] = 0.7
     """How far ahead that distance is kept, if both fly straight on, s."""
     response_s: Annotated[float, NOT_NEGATIVE] = 0.08
@@ -159,7 +160,10 @@ class SafetyFilter:
         self._barrier = self.safety.barrier(radial=not env.core.task.name.endswith("_v0"))
         if self._barrier.radial and getattr(self.agent, "straight", False):
             _check_crossing(env.view)
-        self._arena, rows = np.array(env.core.task.arena), LIMITS + WALLS + watched
+        self._arena, rows = (
+            np.array(env.core.task.arena),
+            LIMITS + WALLS + columns.num_obstacles + watched,
+        )
         self._scratch = BarrierWorkspace(
             np.zeros((rows, 3)), np.zeros(rows), np.zeros(3), np.zeros(3), new_workspace(rows)
         )

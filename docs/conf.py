@@ -24,11 +24,13 @@ extensions = [
     "sphinx.ext.autodoc",
     "extensions.api_pages",
     "extensions.docstrings",
+    "extensions.figure_tables",
     "extensions.links",
     "extensions.option_tables",
     "extensions.state_tables",
+    "extensions.task_pages",
 ]
-exclude_patterns = ["_build", "extensions"]
+exclude_patterns = ["_build", "extensions", "generated"]
 
 html_theme = "furo"
 html_title = "swarm-envs"

@@ -212,10 +212,9 @@ Seed = Annotated[int, Range(0)]
 def typed(target: Target, owner: str | None = None) -> Target:
     """Have a function, or a class's constructor, refuse arguments that its annotations exclude.
 
-    Python does not look at annotations: text in place of a number is found out somewhere inside, in
-    words that name nobody. Here numpy's numbers are numbers, and booleans are none. Ranges are
-    looked at where they stand in `Annotated`; NaN, shapes, and what is in mappings are left to the
-    function.
+    Python does not check annotations, and a wrong type would raise an unclear error somewhere
+    inside. NumPy numbers are accepted as numbers, booleans are not. Ranges in `Annotated` are
+    checked; NaN, shapes and the contents of mappings are not.
 
     Args:
         target: the function or class.

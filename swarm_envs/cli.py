@@ -191,7 +191,7 @@ COMMANDS: Mapping[str, Command] = {
     "train-sweep": Command("train with several seeds and options, and compare", _train_sweep),
     "fit": Command("fit a force model to flight logs or rows of measured force", _fit),
     "export": Command("flights, policies and force models for real drones", _export),
-    "reproduce": Command("remake a paper's figure or table beside its own values", _reproduce),
+    "reproduce": Command("reproduce a figure or table of a paper", _reproduce),
 }
 """Every command by its name. To add one, write a function like `_demo` and name it here."""
 

@@ -1,32 +1,32 @@
-"""Columns, version 0: gather in vertical columns and stay there, in the air of those above.
+"""Columns, version 0: drones gather in vertical columns and stay in the downwash of those above.
 
     from swarm_envs import columns_v0
     env = columns_v0.parallel_env(layout="stack")
 
-Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. Drones fly in the world
-`"hall"` unless another is asked for, and each observes seven neighbours, and with `observe_load`
-what thrust it and they have to spare.
+Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. By default drones fly in the
+world `"hall"`, and each observes seven neighbors and, with `observe_load`, the thrust margin, mass
+and charge of itself and of its neighbors.
 
-**Layouts.** `stack`: eight small drones, half of which carry 8 to 11 g, in two columns of four
-places 0.36 to 0.42 m apart. `sprint`: two large ones and a strong small one in each column, in a
-drawn order, 0.28 to 0.36 m apart.
+**Layouts.** `stack`: eight small drones, half of them with a payload of 8 to 11 g, in two columns
+of four places, 0.36 to 0.42 m apart. `sprint`: two large drones and a strong small one in each
+column, in random order, 0.28 to 0.36 m apart.
 
-**Start.** Beside the column, each at the height of its first place: 0.6 m beside in `stack`, 0.5 m
-in `sprint`. Gap, turn, payload, who carries it and who starts where are drawn.
-`reset(options={"start": ...})` starts elsewhere. Goals cannot be given.
+**Start.** Next to the column, 0.6 m away in `stack` and 0.5 m in `sprint`, each drone at the height
+of its first place. Gap, rotation, payload, which drones carry it, and starts are random.
+`reset(options={"start": ...})` sets other starts. Goals cannot be set.
 
-**Success.** `stack`: all places are taken, within 0.06 m, for 1 s. Any drone may take any place:
-one that comes to another's exchanges goals with it, so that `task.goal` is always a place that no
-other drone has. All places are seen as the goals of the neighbours. `sprint`: every drone within
-0.03 m of its own place for 1 s. In both, without a collision.
+**Success.** `stack`: all places are occupied, within 0.06 m, for 1 s. Any drone may take any place:
+a drone that reaches the place of another exchanges goals with it, so that `task.goal` is always a
+place that no other drone has. The neighbors' goals show all places. `sprint`: every drone stays
+within 0.03 m of its own place for 1 s. In both, without a collision.
 
 **Rewards** (per drone, weights in `ColumnsTask.reward_weights`): as in swap.
 
-**End.** Who touches a drone, the floor, a wall or an obstacle, or tumbles (150 rad/s), has ended,
-and the others fly on: see `on_contact`. Terminated when nobody is left, or at success; truncated by
-the clock, after 6 s in `stack` and 2 s in `sprint`.
+**End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
+floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are
+terminated by success and truncated after 6 s in `stack` and 2 s in `sprint`.
 
-**Versions.** v0: the first.
+**Versions.** v0: first version.
 """
 
 from __future__ import annotations
@@ -50,11 +50,11 @@ class ColumnsOptions(AirTaskOptions):
     num_drones: NumDrones | None = None  # type: ignore[assignment]  # None: the layout's
     """N drones, if no team is given; None: 8 in `stack`, 6 in `sprint`."""
     layout: Annotated[str, OneOf(tuple(COLUMN_LAYOUTS))] = "stack"
-    """What has to be done: `stack` or `sprint`."""
+    """The layout: `stack` or `sprint`."""
     gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] | None = None
     """Range of the vertical distance between places, m; None: the layout's."""
     payload_kg: Annotated[tuple[float, float], Interval(NOT_NEGATIVE)] | None = None
-    """Range of what half of each column's drones carry, kg; None: the layout's."""
+    """Range of the payload of half of each column's drones, kg; None: the layout's."""
 
     default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     """Weight of each reward term that is not given."""

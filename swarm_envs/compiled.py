@@ -259,7 +259,7 @@ def _module(name: str) -> Path | None:
 
 
 def _check(folder: Path) -> None:
-    """Remove the kernels that are not as they were recorded, so that numba compiles them anew.
+    """Remove the kernels that are not as they were recorded, so that numba compiles them again.
 
     What is not recorded is trusted unless it is empty: a running process has just written it, or
     has been killed since. What another process has just written once more is removed as well; that

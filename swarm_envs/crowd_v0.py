@@ -1,32 +1,32 @@
-"""Crowd: many drones at constant density, goal after goal, between trees or buildings.
+"""Crowd, version 0: many drones at constant density fly from goal to goal between obstacles.
 
     from swarm_envs import crowd_v0
     env = crowd_v0.parallel_env(num_drones=64, layout="forest")
 
 Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`.
 
-**Layouts.** `open`; `forest`: columns of radius 0.15 m, one for each square of 1.2 m, each a little
-off its place; `buildings`: towers 0.45 m wide on a grid of 1.4 m. They reach the ceiling, and are
-the same in every episode. The arena grows with the number of drones.
+**Layouts.** `open`: no obstacles. `forest`: columns of radius 0.15 m, one per square of 1.2 m,
+each slightly displaced. `buildings`: towers 0.45 m wide on a grid of 1.4 m. Obstacles reach the
+ceiling and are the same in every episode. The arena grows with the number of drones.
 
-**Start.** Sites, three for each drone, are drawn at least 0.5 m apart, free of obstacles; each
-drone starts at one, and its goal is another, 1-3 m away where one is free.
+**Start.** Three sites per drone are sampled, at least 0.5 m apart and free of obstacles. Each drone
+starts at one; its goal is another, 1-3 m away if one is free.
 
-**Goals.** A drone that comes within 0.15 m of its goal has reached it, whatever its speed, and is
-given another at once: a site that no drone has, 1-3 m away where one is free, drawn with the
-episode's seed.
+**Goals.** A drone within 0.15 m of its goal has reached it, at any speed, and receives another at
+once: a site that no drone has, 1-3 m away if one is free, sampled with the episode's seed.
 
-**Success.** By the clock: a throughput of 16 goals a drone and minute or more, 70 % of what
-one alone in an open arena reaches by straight lines. The metric `throughput_per_min` is the score:
-goals reached, over drones and the whole clock; who has ended reaches no more.
+**Success.** At the time limit: at least 16 goals per drone and minute, 70 % of what a single drone
+reaches in an open arena on straight lines. The score is the metric `throughput_per_min`: goals
+reached, per drone and minute of the whole episode length. A drone that has ended reaches no more.
 
-**Rewards** (per drone, weights in `CrowdTask.reward_weights`): the terms of swap, and `reached`, 1
-for each goal that the drone reaches.
+**Rewards** (per drone, weights in `CrowdTask.reward_weights`): as in swap, and `reached`, 1 for
+each goal that the drone reaches.
 
-**End.** A drone that collides, tumbles (150 rad/s), or touches the floor, a wall or an obstacle is
-terminated, and the others fly on (`on_contact="end_pair"`); the clock truncates all, after 30 s.
+**End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
+floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are
+truncated after 30 s.
 
-**Versions.** v0: the first.
+**Versions.** v0: first version.
 """
 
 from __future__ import annotations
@@ -49,14 +49,14 @@ class CrowdOptions(TaskOptions):
     num_drones: NumDrones = 16
     """N small drones, if no team is given."""
     layout: Layout = "forest"
-    """What stands in the way: `open`, `forest` or `buildings`; `obstacles` are added."""
+    """Obstacles: `open`, `forest` or `buildings`; `obstacles` are added."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.5
     """Smallest distance between two goals, and between two starts, m."""
     reach_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (1.0, 3.0)
-    """How far from the drone its next goal is, where one is free there, m."""
+    """Range of the distance of the next goal, if one is free there, m."""
 
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
-    """What touching something ends: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
+    """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[CrowdTask]] = CrowdTask

@@ -1,33 +1,32 @@
-"""Delivery, version 0: dock just above the floor, below others that hover, and move on.
+"""Delivery, version 0: drones dock just above the floor, below others that hover, and move on.
 
     from swarm_envs import delivery_v0
     env = delivery_v0.parallel_env()
 
-Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. Drones fly in the world
-`"hall"` unless another is asked for, and each observes seven neighbours, and with `observe_load`
-what thrust it and they have to spare.
+Agents, actions, arena and frames are those of `swarm_envs.swap_v1`. By default drones fly in the
+world `"hall"`, and each observes seven neighbors and, with `observe_load`, the thrust margin, mass
+and charge of itself and of its neighbors.
 
-**Team.** Three couriers, strong small ones; then large ones that hover above docks, two above each.
-By default there are four, above two of three docks.
+**Team.** Three couriers, which are strong small drones; then large drones that hover above docks,
+two above each. By default there are four, above two of three docks.
 
-**Start.** Three docks lie 0.8 m from the centre; docked couriers are 0.093 to 0.103 m high, and
-touch the floor at 0.06 m. The first large one hovers 0.28 to 0.36 m above, the second 0.35 m
-higher.
-Turn, heights, which docks have somebody above and who docks where are drawn. Couriers start
-outside of their first dock, 0.5 m high; after each stage they move on to the next, all in the same
-sense. `reset(options={"start": ...})` starts elsewhere. Goals cannot be given.
+**Start.** Three docks are 0.8 m from the center; docked couriers are 0.093 to 0.103 m high, and
+touch the floor at 0.06 m. The first large drone hovers 0.28 to 0.36 m above, the second 0.35 m
+higher. Rotation, heights, the docks below large drones, and the first dock of each courier are
+random. Couriers start outside their first dock, 0.5 m high; after each stage they move to the next,
+all in the same direction. `reset(options={"start": ...})` sets other starts. Goals cannot be set.
 
-**Success.** A stage is reached when every drone was within 0.02 m of its goal for 0.4 s before the
-next begins, after 2.2 s; success when all three were, without a collision.
+**Success.** A stage of 2.2 s is reached if every drone was within 0.02 m of its goal for 0.4 s.
+Success: all three stages were reached, without a collision.
 
 **Rewards** (per drone, weights in `DeliveryTask.reward_weights`): as in swap; `success` is one over
-the number of stages, for each that is reached.
+the number of stages, for each stage reached.
 
-**End.** Who touches a drone, the floor, a wall or an obstacle, or tumbles (150 rad/s), has ended,
-and the others fly on: see `on_contact`. Terminated when nobody is left, or at success; truncated by
-the clock, after 6.6 s.
+**End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
+floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are
+terminated by success and truncated after 6.6 s.
 
-**Versions.** v0: the first.
+**Versions.** v0: first version.
 """
 
 from __future__ import annotations

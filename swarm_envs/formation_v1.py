@@ -1,34 +1,37 @@
-"""Formation, version 1: fly one shape after another, each drone to a place of its own.
+"""Formation, version 1: drones fly one shape after another, each to a place of its own.
 
     from swarm_envs import formation_v1
     env = formation_v1.parallel_env(num_drones=10, letters="ARC")
 
 Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; the observed
-`task.goal` is the drone's place in the present shape.
+`task.goal` is the drone's place in the current shape.
 
-**Shapes.** `plane`, `pyramid`, `cube`, `sphere`, then `plane` again; `rings` and `blocks` as in
-Fig. 9 of the RTH3D paper; `letter:A` and the like. Any number of drones, 0.5 m apart or, where
-that would not fit the arena, less. All shapes are turned about the vertical by one drawn angle;
-letters are not.
+**Shapes.** `plane`, `pyramid`, `cube`, `sphere` and `plane` by default; `rings` and `blocks` are
+those of Fig. 9 of the RTH3D paper; `letter:A` etc. are letters. Shapes exist for any number of
+drones; places are 0.5 m apart, or less where the shape would not fit into the arena. All shapes are
+turned about the vertical by one random angle; letters are not.
 
-**Start.** On the first shape, or just above the ground (`start="ground"`); who stands where is
-drawn. `reset(options={"start": ...})` starts elsewhere. Goals cannot be given: use `shapes`.
+**Layouts.** `tour`: the default shapes. `cube`: one change, from a plane to a cube, within 8 s.
+`shuffle`: the same with `labels="random"`.
 
-**Labels.** `nearest` (the default): places are matched to drones by the least sum of squared ways,
-and straight lines there within 4 s are the reference. `random`, `mirror`, `blocks`: see
-`swarm_envs.tasks.formation`; no reference.
+**Labels.** `nearest` (the default): drones are assigned to places by the least sum of squared
+distances, and the reference is a straight line of 4 s to the place. `random`, `mirror`, `blocks`:
+see `swarm_envs.tasks.formation`; there is no reference.
 
-**Success.** Each shape is reached when every drone was within 0.10 m of its place for 0.5 s before
-the next shape is due, after 6 s; success when all were, without a collision.
+**Start.** On the first shape, or just above the ground (`start="ground"`), with a random
+assignment. `reset(options={"start": ...})` sets other starts. Goals cannot be set: use `shapes`.
 
-**Rewards** (per drone, weights in `FormationTask.reward_weights`): as in swap; `success` is one
-over the number of shapes, for each that is reached.
+**Success.** A shape is reached when every drone stayed within 0.10 m of its place for 0.5 s before
+the next shape begins, every 6 s. Success: all shapes were reached, without a collision.
 
-**End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or success;
-truncated by the clock, 6 s for each shape that is flown to.
+**Rewards.** As in swap; `success` is one over the number of shapes, for each shape reached.
 
-**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds;
-returns do not depend on the clock. v0: forces (`learned-v0`) and rewards of release 0.1.0.
+**End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
+rad/s) or success. It is truncated after 6 s for each shape but the first.
+
+**Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
+physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
+and rewards of release 0.1.0.
 """
 
 from __future__ import annotations

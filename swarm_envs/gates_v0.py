@@ -1,33 +1,34 @@
-"""Gates, version 0: a slalom in vertical formation, through each gate all at once.
+"""Gates, version 0: a team flies a slalom in vertical formation, passing each gate together.
 
     from swarm_envs import gates_v0
     env = gates_v0.parallel_env(team="LSS")
 
-Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; the observed
-`task.goal` is the drone's place in the next gate.
+Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`;
+`task.goal` is the drone's place in the next gate. The default world is `"hall"`.
 
-**Gates.** Four, 0.8 m apart along x, in turn 0.4 m left and right; each is a way between two posts
-of radius 0.05 m, 0.7 m apart, which are obstacles. They are flown through there and back.
+**Gates.** Four gates, 0.8 m apart along x, alternate between 0.4 m left and right. Each is a gap of
+0.7 m between two posts of radius 0.05 m, which are obstacles. The team flies through them in both
+directions.
 
-**Start.** A column before the first gate, at either end; drawn are the order of the drones in it,
-their vertical distance, 0.3-0.4 m, and how high the lowest is in each gate, 0.4-0.8 m. Starts may
-be given, goals not.
+**Start.** A column before the first gate, at either end. The order of drones in the column, their
+vertical distance (0.3-0.4 m) and the height of the lowest place in each gate (0.4-0.8 m) are
+random. `reset(options={"start": ...})` sets other starts. Goals cannot be set.
 
-**Gate by gate.** A gate is passed at the decision at which every drone that still flies is within
-0.05 m of its place in it; then the places in the next gate are the goals.
+**Passing a gate.** A gate is passed on the step on which every drone that still flies is within
+0.05 m of its place in it; the goals are then the places in the next gate.
 
-**Success.** All eight gates within the clock, nobody hurt. The score is `gates_per_min`: gates
-passed, those that a part of the team passed counting for that part, over the time until the last
-one, or over the whole clock if not all were passed.
+**Success.** All eight gates are passed within the time limit, without a crash. The score is
+`gates_per_min`: gates passed per minute until the last one, or of the whole episode length if not
+all were passed. A gate that part of the team passed counts for that part.
 
-**Rewards** (per drone, weights in `GatesTask.reward_weights`): the terms of swap; `success` is 1/8
-for each gate.
+**Rewards** (per drone, weights in `GatesTask.reward_weights`): as in swap; `success` is 1/8 for
+each gate.
 
-**End.** Terminated by success. A drone that collides, tumbles (150 rad/s), or touches the floor, a
-wall or an obstacle is terminated, and the others fly on (`on_contact="end_pair"`); the clock
-truncates all, after 30 s. `world="hall"` is the default.
+**End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
+floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are
+terminated by success and truncated after 30 s.
 
-**Versions.** v0: the first.
+**Versions.** v0: first version.
 """
 
 from __future__ import annotations
@@ -55,11 +56,11 @@ class GatesOptions(TaskOptions):
     gap_m: Annotated[tuple[float, float], Interval(POSITIVE_M)] = (0.3, 0.4)
     """Range from which the vertical distance of neighbours in the column is drawn, m."""
     radius_m: Annotated[float, POSITIVE_M] = 0.05
-    """How near to their places in a gate all must be at once, m."""
+    """Largest distance of all drones from their places in a gate, m."""
     world: Annotated[str, OneOf(WORLDS)] | Hall = "hall"
-    """`ideal`, `hall` or a `Hall` of your own; see `EnvConfig`."""
+    """`ideal`, `hall` or a custom `Hall`; see `EnvConfig`."""
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
-    """What touching something ends: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
+    """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[GatesTask]] = GatesTask

@@ -1,29 +1,31 @@
-"""Pursuit, version 0: stay at goals that move, that are swapped, or that are beside others.
+"""Pursuit, version 0: drones stay at goals that move, are swapped, or follow other drones.
 
     from swarm_envs import pursuit_v0
     env = pursuit_v0.parallel_env(num_drones=8, layout="chase")
 
-Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`; the observed
-`task.goal` is where the goal is now, `task.reference_velocity` how it moves.
+Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`.
+`task.goal` is the present position of the goal, `task.reference_velocity` its velocity.
 
-**Layouts.** `moving`: the goals are a formation whose centre flies an ellipse. `swap-goals`: goals
-rest, and every 5 s each drone is given another's. `chase`: one drone's goal moves as in `moving`;
-every other drone's goal is a place beside another drone, wherever that one is.
+**Layouts.** `moving`: the goals are a formation whose center flies an ellipse. `swap-goals`: goals
+rest, and every 5 s each drone receives the goal of another. `chase`: the goal of one drone moves as
+in `moving`; the goal of every other drone is a place next to another drone, wherever that one is.
 
-**Start.** In `moving` and `chase` at the goals: places drawn at least 0.4 m apart, an ellipse of
-half axes 0.8 m and 0.3-0.8 m, up to 0.2 m up and down, either way round, its largest speed
-0.6-1.2 m/s, reached after 2 s; who chases whom is drawn. In `swap-goals` at another's goal.
+**Start.** `moving` and `chase`: at the goals, which are sampled at least 0.4 m apart. The ellipse
+has half axes of 0.8 m and 0.3-0.8 m, rises and falls by up to 0.2 m, in either direction, with a
+largest speed of 0.6-1.2 m/s, reached after 2 s. The drone that each drone chases is random.
+`swap-goals`: at the goal of another drone.
 
-**Success.** By the clock: `share_on_goal`, the score, is the share of the drones' time, over the
-whole clock, that they spend within 0.2 m of their goals. Success is 90 % of it; 50 % in
-`swap-goals`, where half of the time goes into the ways.
+**Success.** At the time limit: the score `share_on_goal`, the share of the drones' time, over the
+whole episode length, within 0.2 m of their goals, is at least 90 %, in `swap-goals` 50 %, since
+half of the time is needed for the paths.
 
-**Rewards** (per drone, weights in `PursuitTask.reward_weights`): the terms of swap.
+**Rewards** (per drone, weights in `PursuitTask.reward_weights`): as in swap.
 
-**End.** A drone that collides, tumbles (150 rad/s), or touches the floor, a wall or an obstacle is
-terminated, and the others fly on (`on_contact="end_pair"`); the clock truncates all, after 20 s.
+**End.** By default (`on_contact="end_pair"`) a drone's episode is terminated by a collision, the
+floor, a wall, an obstacle or tumbling (150 rad/s), and the others continue. All episodes are
+truncated after 20 s.
 
-**Versions.** v0: the first.
+**Versions.** v0: first version.
 """
 
 from __future__ import annotations
@@ -46,16 +48,16 @@ class PursuitOptions(TaskOptions):
     num_drones: NumDrones = 8
     """N small drones, if no team is given."""
     layout: Layout = "moving"
-    """What goals do: `moving`, `swap-goals` or `chase`."""
+    """Motion of goals: `moving`, `swap-goals` or `chase`."""
     spacing_m: Annotated[float, POSITIVE_M] = 0.4
     """Smallest distance between two goals, m."""
     speed_m_s: Annotated[tuple[float, float], Interval(POSITIVE)] = (0.6, 1.2)
     """Range from which the largest speed of moving goals is drawn, m/s."""
     change_s: Annotated[float, POSITIVE_S] = 5.0
-    """Time after which goals are swapped, s."""
+    """Time between two swaps of goals, s."""
 
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
-    """What touching something ends: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
+    """Effect of a contact: `end_team`, `end_pair` or `bounce`; see `EnvConfig`."""
 
     default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[PursuitTask]] = PursuitTask

@@ -1,33 +1,33 @@
-"""Ring, version 1: keep to a reference on intertwined rings, through each other's downwash.
+"""Ring, version 1: drones track references on intertwined rings, through each other's downwash.
 
     from swarm_envs import ring_v1
     env = ring_v1.parallel_env(num_drones=5, action="setpoint")
 
-Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`. Here the
-observed `task.goal` is where the reference is now.
+Agents, actions, observations, arena and frames are those of `swarm_envs.swap_v1`. The goal, which
+is observed as `task.goal`, is the present position of the reference.
 
-**Teams.** 5 drones (the default, `S*S*S*LL`): three small ones on an upright circle, two large ones
-on a level circle of the same radius, 0.55 m, at 0.65 m/s; a small one is at its lowest when a large
-one is right above. 16 drones (`LSSLSS` and ten `S*`): two large and four small ones on a level
-ellipse of 1.0 x 0.6 m, five and five on upright circles of 0.5 m at its tips, at 0.5 m/s. Any other
-team flies by the same rule: see `swarm_envs.tasks.ring`. Sizes, speed and phases:
-`rings=RingLayout(...)`.
+**Teams.** 5 drones (the default, `S*S*S*LL`): three small drones on a vertical circle and two large
+drones on a horizontal circle of the same radius, 0.55 m, at 0.65 m/s; a small drone is at its
+lowest point when a large one is right above it. 16 drones (`LSSLSS` and ten `S*`): two large and
+four small drones on a horizontal ellipse of 1.0 x 0.6 m, five and five on vertical circles of 0.5 m
+at its tips, at 0.5 m/s. Other teams follow the same rule: see `swarm_envs.tasks.ring`. The paper
+(Neural-Swarm2, Fig. 1 and 9) gives no sizes; `rings=RingLayout(...)` changes them.
 
-**Start.** On the rings, at rest, phases locked, the whole team ahead by a flight time drawn from
-0-60 s. Within 2 s the rate grows smoothly from rest. `reset(options={"start": ...})` starts
-elsewhere; the reference stays where it is. Goals cannot be given.
+**Start.** On the rings, at rest, with fixed phases; the flight time by which the whole team is
+ahead is drawn from 0-60 s. The speed grows smoothly within 2 s. `reset(options={"start": ...})`
+sets other starts; the reference stays the same. Goals cannot be set.
 
-**Success.** No collision until the clock ends, and after the first 2 s no drone ever 0.15 m or more
-from its reference. Known, and rewarded, at the end of the clock.
+**Success.** No collision until the time limit, and after the first 2 s every drone stays within
+0.15 m of its reference. Success is known, and rewarded, at the time limit.
 
-**Rewards** (per drone, weights in `RingTask.reward_weights`): as in swap, with `tracking` in place
-of `progress` and `at_goal`.
+**Rewards.** As in swap, with `tracking` in place of `progress` and `at_goal`.
 
-**End.** Terminated by a collision, the floor, a wall, an obstacle or tumbling (150 rad/s);
-truncated by the clock, after 2 + 10 s.
+**End.** The episode is terminated by a collision, the floor, a wall, an obstacle or tumbling (150
+rad/s). It is truncated after 2 + 10 s.
 
-**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds;
-returns do not depend on the clock. v0: forces (`learned-v0`) and rewards of release 0.1.0.
+**Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
+physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
+and rewards of release 0.1.0.
 """
 
 from __future__ import annotations

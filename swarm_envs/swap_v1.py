@@ -1,41 +1,43 @@
-"""Swap, version 1: drones change places through each other's downwash.
+"""Swap, version 1: drones swap places through each other's downwash.
 
     from swarm_envs import swap_v1
     env = swap_v1.parallel_env(team="LS", layout="stacked", action="setpoint")
 
 | | |
 |---|---|
-| Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; all end together |
+| Agents | `drone_0` ... `drone_{N-1}`, in the order of the team; see `on_contact` for their ends |
 | `acceleration` | 3 in [-1, 1]: acceleration of a set-point along world x, y, z, in 5 m/s^2 |
 | `velocity` | 3 in [-1, 1]: velocity of a set-point along world x, y, z, in 2 m/s |
-| `ctbr` | 4 in [-1, 1]: collective thrust, from none to the largest; body rates, in 8, 8, 4 rad/s |
-| `rotors` | 4 in [-1, 1]: thrust of each rotor, from none to the largest |
+| `ctbr` | 4 in [-1, 1]: collective thrust, from zero to the maximum; body rates, in 8, 8, 4 rad/s |
+| `rotors` | 4 in [-1, 1]: thrust of each rotor, from zero to the maximum |
 | `setpoint` | 14, SI, world frame: position, velocity, acceleration, jerk, yaw, yaw rate |
-| Observations | float32 row; `env.observation_layout` has name, place, unit, scale of each field |
+| Observations | float32 row; `env.observation_layout`: name, slice, unit and scale of each field |
 | Arena | 4 x 4 x 2.5 m, grown with (N / 16)^(1/3) above 16 drones |
 
-World frame: x, y horizontal, z up, metres. A drone follows its set-point, whose acceleration lags
-what is asked for by 0.1 s and whose speed stays within 2 m/s. Rotors: front right, back right, back
-left, front left; the first and the third turn counter-clockwise. Yaw in rad. What is observed is
-the number in the row times its field's scale.
+World frame: x and y are horizontal, z points up, metres. In `acceleration` and `velocity` the drone
+tracks a set-point, whose acceleration follows the action with a lag of 0.1 s and whose speed is at
+most 2 m/s. Rotors: front right, back right, back left, front left; the first and the third turn
+counter-clockwise. Yaw in rad. An observed quantity is the number in the row times its field's
+scale.
 
-**Start.** `random`: starts at least 0.5 m apart, 0.5-2.0 m high, each drone's goal is another's
-start. `stacked`: on a circle of radius 0.5-0.75 m seen from above, in planes 0.2-0.3 m apart, the
-lowest at 0.8 m, the first of the team on top; straight to the opposite side in 3-4 s, all aligned
-half way. `circle`: evenly spaced on a circle of radius 1.5 m (more where neighbours would be less
-than 0.3 m apart), all 1.0 m high; each drone's goal is the opposite point.
+**Start.** `random`: starts at least 0.5 m apart, 0.5-2.0 m high; each drone's goal is the start of
+another drone; no reference. `circle`: evenly spaced on a circle of radius 1.5 m (larger where
+neighbours would be less than 0.3 m apart), at a height of 1.0 m; each goal is the opposite point.
+`stacked`, the flight test of Neural-Swarm2 (Sec. VII-E): on a circle of radius 0.5-0.75 m, in
+planes 0.2-0.3 m apart, the lowest at 0.8 m, the first drone of the team on top; the reference leads
+straight to the opposite side in 3-4 s, so that all drones are above each other half way.
 
-**Success.** Every drone within 0.10 m of its goal for 0.5 s, without a collision.
+**Success.** Every drone stays within 0.10 m of its goal for 0.5 s, without a collision.
 
-**Rewards** (per drone, weights in `SwapTask.reward_weights`): `progress`, `at_goal`, `tracking`,
-`effort`, `proximity`, `crash`, `success`; each bounded, each in `infos[agent]["reward_terms"]`; see
-`swarm_envs.tasks.rewards.write_terms`. Returns do not depend on the decision rate.
+**Rewards.** Each drone gets the weighted sum of bounded terms, which `infos[agent]["reward_terms"]`
+contains; `reward_weights={"effort": -0.5}` changes a weight.
 
-**End.** Terminated by a collision, the floor, a wall, an obstacle, tumbling (150 rad/s) or
-success; truncated by the clock, after 8 s.
+**End.** The episode is terminated by a collision, the floor, a wall, an obstacle, tumbling (150
+rad/s) or success. It is truncated after 8 s.
 
-**Versions.** v1: the force model `learned` sums pairs of drones, so it stays physical in crowds;
-returns do not depend on the clock. v0: forces (`learned-v0`) and rewards of release 0.1.0.
+**Versions.** v1: the force model `learned` sums forces over pairs of drones, so that it remains
+physical for large swarms; returns do not depend on the time limit. v0: force model (`learned-v0`)
+and rewards of release 0.1.0.
 """
 
 from __future__ import annotations
@@ -59,9 +61,9 @@ class SwapOptions(TaskOptions):
     layout: Layout = "random"
     """Where drones start: `random`, `stacked` or `circle`."""
     stacked: StackedLayout | None = None
-    """What the stacked layout is drawn from."""
+    """Ranges of the stacked layout."""
     circle: CircleLayout | None = None
-    """What the circle layout is made of."""
+    """Size of the circle layout."""
 
     default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     task_type: ClassVar[type[SwapTask]] = SwapTask

@@ -250,20 +250,20 @@ _BEGINS = (
     Field("time", (), "s", 0.0, "Time since the episode began."),
     Field("gust", (3,), "m/s^2", 0.0, "Acceleration that gusts give now, world frame."),
     Field("achieved", (), "", 0.0, "Share of the task that was done in this decision."),
-    Field("score", (), "", 0.0, "What a task that ends by the clock is scored by, so far."),
+    Field("score", (), "", 0.0, "Score so far, of tasks that end at the time limit."),
     Field("age", (), "", 0.0, "Physics steps since the reset.", np.int64),
     Field("decisions", (), "", 0.0, "Decisions of this episode.", np.int64),
     Field("stage", (), "", 0.0, "The present stage.", np.int64),
     Field("reached", (), "", 0.0, "Stages that are done.", np.int64),
     Field("goals_reached", (), "", 0.0, "Goals that drones reached, where goals go on.", np.int64),
     Field("scored", (), "", 0.0, "Decisions whose error counts.", np.int64),
-    Field("running", (), "", 1.0, "Whether the episode goes on.", np.bool_),
+    Field("running", (), "", 1.0, "Whether the episode continues.", np.bool_),
     Field("held", (), "", 0.0, "Whether the present stage is done.", np.bool_),
     Field("succeeded", (), "", 0.0, "Whether the task is done.", np.bool_),
     Field("terminated", (), "", 0.0, "Ended by a crash or by success.", np.bool_),
-    Field("truncated", (), "", 0.0, "Ended by the clock.", np.bool_),
+    Field("truncated", (), "", 0.0, "Ended by the time limit.", np.bool_),
 )
-"""What begins anew with each episode."""
+"""What restarts with each episode."""
 
 ENVIRONMENT = (*_KEPT, *_BEGINS)
 """Every quantity of an environment."""
@@ -315,7 +315,7 @@ SETTINGS = (
     Field("success_radius", (), "m", None, "How near a drone must be to its goal or reference."),
     Field("hold_s", (), "s", None, "How long all must stay there."),
     Field("settle_s", (), "s", None, "Errors count from this time on."),
-    Field("least_score", (), "", None, "Score that is a success by the clock."),
+    Field("least_score", (), "", None, "Score of a success at the time limit."),
     Field("goal_reach", (2,), "m", None, "How far the next goal is, at least and at most."),
     Field("noise", (4,), "m, m/s, rad, rad/s", None, "Standard deviations of observations."),
     Field("residual_kept", (), "", None, "Share of the residual that is left after a step."),
@@ -459,7 +459,7 @@ def _reset_columns(
 RESET_COLUMNS, RESET_VALUES = _reset_columns(DRONE)
 """Columns of a drone that a reset sets, and their values."""
 CONTACT_COLUMNS, CONTACT_VALUES = _reset_columns(_CONTACT)
-"""The same of contacts, which begin anew at every decision."""
+"""The same of contacts, which restart at every decision."""
 _BEGUN = np.zeros(1, ENVIRONMENT_TYPE)
 for _field in _BEGINS:
     _BEGUN[_field.name] = _field.reset
@@ -473,7 +473,7 @@ _RESET_PART = np.dtype(
         "itemsize": _ENVIRONMENT_SIZE,
     }
 )
-"""An environment whose quantities that begin anew are one lump of memory, to be set at once."""
+"""An environment whose quantities that restart are one lump of memory, to be set at once."""
 
 
 def clear_environments(environments: Records, where: npt.NDArray[np.int64]) -> None:

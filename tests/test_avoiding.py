@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs import swap_v1
+from swarm_envs import crowd_v0, swap_v1
 from swarm_envs.agents import SafetyFilter, fly_episode, load
 from swarm_envs.agents.avoiding import TUNED, CruiseAgent, RoundaboutAgent
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
@@ -33,6 +33,32 @@ def test_the_roundabout_solves_the_circle(drones):
     env = swap_v1.parallel_env(**setting, **agent.requires)
     flown = list(evaluate_agent(env, agent, frozen_seeds(12, 8), timed=1))
     assert all(each["metrics"]["success"] for each in flown)
+    env.close()
+
+
+@pytest.mark.parametrize("layout", ["forest", "buildings"])
+def test_they_fly_around_obstacles(layout):
+    """Who does not reaches three goals a minute, and none is left in the end."""
+    agent = load("roundabout")
+    options = {"num_drones": 16, "layout": layout, "physics": "batch"}
+    env = crowd_v0.parallel_env(**options, **agent.requires)
+    flown = [each["metrics"] for each in evaluate_agent(env, agent, frozen_seeds(11, 4), timed=1)]
+    assert np.mean([metrics["throughput_per_min"] for metrics in flown]) > 16.0
+    env.close()
+
+
+def test_who_flies_into_an_obstacle_turns_right():
+    line = CruiseAgent()
+    env = crowd_v0.parallel_env(num_drones=16, **line.requires)
+    row = np.stack(list(env.reset(seed=3)[0].values()))[:1]
+    line.reset(env, 3)
+    where = {field.name: field.where for field in env.observation_layout}
+    wanted = np.array([[1.5, 0.0, 0.3]])
+    for ahead, (x, y, z) in ((2.0, wanted[0]), (0.2, (0.0, -1.5, 0.3)), (-0.2, wanted[0])):
+        for k in range(3):
+            row[:, where[f"obstacle_{k}.mask"]] = k == 0
+        row[:, where["obstacle_0.offset"]] = (ahead, 0.0, 0.0)
+        assert line._around(row, wanted) == pytest.approx(np.array([[x, y, z]]), abs=1e-6)
     env.close()
 
 

@@ -94,7 +94,7 @@ def test_without_pybullet_the_twin_flies_the_same_and_the_summary_says_so(
     summary = run_demo(tmp_path, seed=1, swaps=1, progress=False)
     assert summary["engine"] == "batch"
     assert summary["files"]["video"] is None
-    assert "compiled twin" in summary["notes"][0]
+    assert "compiled engine" in summary["notes"][0]
     assert "no video" in summary["notes"][1]
     for team in SCENARIOS:  # fewer swaps are the first of more
         first, same = (

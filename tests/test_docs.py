@@ -6,29 +6,28 @@ import csv
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from docs.extensions import state_tables
+from docs.extensions import figure_tables, state_tables
 from docs.extensions.api_pages import packages_of, page_of
 from docs.extensions.links import inward, without_empty_folders
 from docs.extensions.names import exports, modules, public_names, resolve
 from docs.extensions.option_tables import commands, options_class, options_of
 from docs.extensions.state_tables import TABLES, state_table
+from docs.extensions.task_pages import MARK, task_page
+from swarm_envs import TASKS, make, task_family
 from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.cli import COMMANDS, main
 from swarm_envs.errors import unknown_name
 from tests.helpers.imports import ROOT, SOURCES
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
+from tests.helpers.vocabulary import EVERYWHERE, PAGES_ONLY, found_in, prose_of
 
 WRITTEN = [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING")), *PAGES]
-_ROW = re.compile(
-    r"^\| (?:(\d): )?([^|]*)\| (\d+ x \d+ x \d+) \| ([\d,]+) \| (.*) \|$", re.MULTILINE
-)
 _BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 BLOCKS = [
     pytest.param(block, id=f"{page.relative_to(ROOT)}-{k}")
@@ -69,6 +68,33 @@ def test_every_shipped_agent_has_its_row():
     assert sorted(rows) == sorted(SHIPPED)
 
 
+PAGES_OF_TASKS = [
+    name for f in (DOCS / "tasks").glob("*.md") for name in MARK.findall(f.read_text())
+]
+GYMNASIUM_ORDER = (
+    *("Description", "Action space", "Observation space", "Rewards", "Starting state"),
+    *("Episode end", "Arguments", "Version history"),
+)
+
+
+def test_the_newest_version_of_every_task_has_a_page():
+    newest = {task_family(task): task for task in sorted(TASKS)}
+    assert sorted(PAGES_OF_TASKS) == sorted(newest.values())
+
+
+@pytest.mark.parametrize("task", PAGES_OF_TASKS)
+def test_the_page_of_a_task_says_what_the_task_does(task: str) -> None:
+    page, env = task_page(task, DOCS / "tasks"), make(task, physics="batch")
+    assert tuple(re.findall("^## (.+)$", page, re.MULTILINE)) == GYMNASIUM_ORDER
+    rows = re.findall(r"^\| (\d+)(?:-(\d+))? \| `(\w+\.\w+)`", page, re.MULTILINE)
+    width = int(np.prod(env.observation_space("drone_0").shape or ()))
+    assert sum(int(last or first) - int(first) + 1 for first, last, _ in rows) == width
+    for name, weight in env.core.task.reward_weights.items():
+        assert f"| `{name}` | {weight:g} | " in page
+    for block in _BLOCK.findall(page):
+        exec(compile(block, "block", "exec", dont_inherit=True), {"__name__": "block"})
+
+
 def words(page: Path) -> list[str]:
     """What stands in backticks on a page, outside blocks of code."""
     text = re.sub(r"^```.*?^```", "", page.read_text(), flags=re.MULTILINE | re.DOTALL)
@@ -96,7 +122,7 @@ def test_the_options_of_a_command_are_those_it_explains(command, capsys, monkeyp
         main([*command, "--help"])
     explained = set()
     for line in capsys.readouterr().out.splitlines():
-        head = re.match(r"^\W{1,2}(--[a-z][\w.-]*)(?:, (--[a-z][\w.-]*))?", line)
+        head = re.match(r"^\W{1,2}(--[a-z][\w.-]*)(?:(?: \S+)?, (--[a-z][\w.-]*))?", line)
         explained |= set(filter(None, head.groups())) if head else set()
     options = list(options_of(*options_class(*command)))
     named = {n for o in options for n in o.name.split(", ") if n.startswith("--")}
@@ -166,46 +192,21 @@ def test_the_site_builds_without_a_warning_and_loads_nothing_from_elsewhere(tmp_
         assert not re.search(r"url\(['\"]?(https?:)?//", style.read_text(encoding="utf-8"))
 
 
-def table() -> Iterator[tuple[str, str, str, list[str]]]:
-    """Rows of the figures' table of docs/rth3d.md: figure, grid, robots, and the numbers."""
-    text = (DOCS / "rth3d.md").read_text(encoding="utf-8").partition("| figure | grid |")[2]
-    figure = ""
-    for match in _ROW.finditer(text.partition("\n\n")[0]):
-        figure = match[1] or figure
-        numbers = [cell.strip() for cell in match[5].split("|")]
-        yield figure, match[3].replace(" ", ""), match[4].replace(",", ""), numbers
+def test_every_grid_of_a_figure_has_its_row():
+    text = (DOCS / "rth3d.md").read_text(encoding="utf-8")
+    figures = figure_tables.MARK.findall(text)
+    assert figures == [*"56789"]
+    for figure in figures:
+        rows = figure_tables.expand(f"<!-- figure table: {figure} -->").splitlines()[2:]
+        with (DOCS / "rth3d" / f"figure_{figure}.csv").open(encoding="utf-8") as file:
+            grids = {(row["series"], row["grid"], row["robots"]) for row in csv.DictReader(file)}
+        assert len(rows) == len(grids)
 
 
-def measured(figure: str, grid: str, robots: str) -> list[list[str]]:
-    """What the file of a figure holds of a grid, one list of numbers for each of its curves."""
-    with (DOCS / "rth3d" / f"figure_{figure}.csv").open(encoding="utf-8") as file:
-        own = [r for r in csv.DictReader(file) if (r["grid"], r["robots"]) == (grid, robots)]
-    found = []
-    for series in dict.fromkeys(row["series"] for row in own):
-        by = {row["method"]: row for row in own if row["series"] == series}
-        pairs = [
-            f"{float(by[m]['ratio_before_compaction']):.2f}, {float(by[m]['ratio']):.3f}"
-            for m in ("rth3d", "rth3d-lba")
-        ]
-        auto = f"{float(by['auto']['ratio']):.3f}" if "auto" in by else ""
-        spent = [
-            f"{float(by[m]['cpu_s']):.2g}" if m in by else "-"
-            for m in ("rth3d", "rth3d-lba", "auto")
-        ]
-        found.append([by["rth3d"]["runs"], *pairs, auto, " / ".join(spent)])
-    return found
-
-
-MEASURED = list(table())
-
-
-def test_the_table_is_found():
-    assert {row[0] for row in MEASURED} == set("56789") and len(MEASURED) > 30
-
-
-@pytest.mark.parametrize(("figure", "grid", "robots", "numbers"), MEASURED)
-def test_a_row_says_what_was_measured(figure, grid, robots, numbers):
-    assert numbers in measured(figure, grid, robots)
+def test_a_row_of_a_figure_has_its_means():
+    rows = figure_tables.figure_table("5").splitlines()
+    cells = "uniform | 48 x 24 x 12 | 4,608 | 18 | 1.82, 1.563 | 1.55, 1.365 | 1.000"
+    assert f"| {cells} | 0.074 / 0.075 / 0.13 |" in rows
 
 
 @pytest.mark.parametrize("name", TABLES)
@@ -224,6 +225,18 @@ def test_a_row_says_what_a_field_holds_after_a_reset():
     assert "| `position` | `(3,)` | `float64` | m |  | Position" in state_table("DRONE")
     with pytest.raises(KeyError, match="DRONES"):
         state_tables.expand("<!-- state table: DRONES -->")
+
+
+def test_words_that_the_field_does_not_use_are_found_with_their_lines():
+    text = "One line.\nThe run goes\non, and is\ndrawn anew.\n"
+    assert [found[:2] for found in found_in(text, EVERYWHERE)] == [(3, "anew"), (1, "goes on")]
+    assert all(re.compile(phrase) and usual for phrase, usual in (EVERYWHERE | PAGES_ONLY).items())
+
+
+def test_code_on_pages_is_no_prose(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("a\n```sh\nbegin anew\n```\nanew\n")
+    assert [found[0] for found in found_in(prose_of(page), EVERYWHERE)] == [4]
 
 
 @pytest.mark.parametrize("block", BLOCKS)

@@ -217,5 +217,5 @@ def test_a_view_shows_every_option(module):
 
 def test_the_page_of_the_tasks_shows_every_option():
     text = expand("<!-- option table: EnvConfig -->\n\n<!-- option table: SwapOptions -->")
-    assert "| `horizon_s` | positive and finite, in s, or None | `None` | The clock: " in text
+    assert "| `horizon_s` | positive and finite, in s, or None | `None` | Time limit: " in text
     assert "| `num_drones` | an integer of at least 1 and at most 100,000 | `4` |" in text

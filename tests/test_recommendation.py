@@ -11,15 +11,17 @@ from swarm_envs.agents import fly_episode, load, recommended
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.training.scoreboard.board import Board
-from swarm_envs.training.scoreboard.recommend import recommendations
+from swarm_envs.training.scoreboard.recommend import recommendations, replaced
 from swarm_envs.training.scoreboard.tasks import TASKS
 from tests.helpers.scoreboards import scores
 
 
-@pytest.mark.parametrize(("task", "drones"), [("swap", 4), ("ring_v1", 5), ("formation", 8)])
+@pytest.mark.parametrize(("task", "drones"), [
+    ("swap_v1", 4), ("ring_v1", 5), ("formation_v1", 8), ("columns_v0", 8), ("delivery_v0", 7),
+    ("gates_v0", 3), ("crowd_v0", 16), ("pursuit_v0", 8),
+])  # fmt: skip
 def test_the_best_agent_succeeds(task, drones):
-    agent = load(recommended(task, num_drones=drones))
-    task = task if "_v" in task else f"{task}_v1"
+    agent = load(recommended(task.partition("_v")[0], num_drones=drones))
     env = swarm_envs.make(task, num_drones=drones, **{**agent.requires, "physics": "batch"})
     assert fly_episode(env, agent, 0)["success"]
     env.close()
@@ -68,3 +70,6 @@ def test_recommendations_follow_from_the_board():
         rates = [about["success"] for about in row["agents"].values()]
         assert rates == sorted(rates, reverse=True)
         assert not rates or min(rates) >= 0.5
+    assert replaced(rows, Board(content)) == rows
+    old = [{**rows[0], "agents": {"mine": {"success": 1.1, "score": 1.0}, "hover": {}}}]
+    assert list(replaced(old, Board(content))[0]["agents"]) == ["mine", *rows[0]["agents"]]

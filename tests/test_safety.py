@@ -24,6 +24,7 @@ from swarm_envs.agents.protocol import BatchAgent
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.state import FloatArray
+from swarm_envs.tasks.obstacles import Column
 
 
 def test_two_that_meet_head_on_pass_each_other_on_the_right():
@@ -110,6 +111,27 @@ def test_walls_are_kept_away_from():
         touched = metrics["collided_wall"] + metrics["collided_floor"]
         assert (touched > 0) == bool(crashes)
         env.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "hits", "arrives"),
+    [
+        ("straight-line", swap_v1, True, False),
+        ("straight-line+filter", swap_v0, True, False),  # which keeps its numbers
+        ("straight-line+filter", swap_v1, False, False),
+        ("fast-line", swap_v1, False, True),
+    ],
+)
+def test_obstacles_are_kept_away_from(name, task, hits, arrives):
+    agent, post = load(name), (Column((0.0, 0.0), 0.3),)
+    env = task.parallel_env(num_drones=2, obstacles=post, **{**agent.requires, "physics": "batch"})
+    start = np.array([[-1.5, 0.0, 1.0], [-1.5, 1.5, 1.0]])
+    metrics = fly_episode(
+        env, agent, 0, options={"start": start, "goal": start + 3.0 * np.eye(3)[0]}
+    )
+    assert (metrics["collided_obstacle"] > 0) == hits
+    assert metrics["success"] == arrives
+    env.close()
 
 
 def test_what_cannot_be_filtered_is_refused():

@@ -39,7 +39,7 @@ Infos = list[dict[str, Any]]
 class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no types here
     """E environments of N drones as E * N sub-environments: number e * N + i is drone i of e.
 
-    All drones of an environment end together, and begin anew in the same step. A sub-environment's
+    All drones of an environment end together, and restart in the same step. A sub-environment's
     info has at the end `terminal_observation`, `TimeLimit.truncated` (cut by the clock: what
     follows still has a value) and `episode_metrics`, of the environment.
 

@@ -4,9 +4,8 @@
 
 Each trial changes some numbers of the best candidate so far and flies it through random and
 circular swaps of 4 to 32 drones, every candidate on the same seeds; the better one stays. A trial
-is a line of the file. Killed, the same command goes on, with the same result. What is found is
-printed; it becomes the shipped agent when somebody writes it into
-`swarm_envs.agents.avoiding.TUNED`.
+is a line of the file. Killed, the same command resumes, with the same result. What is found is
+printed; to use it in the shipped agent, write it into `swarm_envs.agents.avoiding.TUNED`.
 """
 
 from __future__ import annotations

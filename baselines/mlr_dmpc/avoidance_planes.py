@@ -24,7 +24,7 @@ A half-space normal . p >= offset that holds at the worst corner of the box thus
 plan: it cannot bind, and leaving it out changes nothing. The plane of eq. (15) lies between the
 plan p0 that is flown and the known trajectory q of the other, its normal within an angle alpha of
 Theta^-1 (p0 - q). So it holds for every q with |Theta^-1 (q - p0)| cos alpha >= d + r (d + 2 r if
-the other may be planned anew), where r is the largest |Theta^-1 (p - p0)| of p in the box: whoever
+the other may be replanned), where r is the largest |Theta^-1 (p - p0)| of p in the box: whoever
 cannot come within reach costs no row. Each candidate of a drone has its own rows; each is tested.
 """
 
@@ -56,7 +56,7 @@ class Neighbors(NamedTuple):
     drone: IntArray
     """(C,) whose trajectory it is."""
     concurrent: BoolArray
-    """(C,) whether that drone may be planned anew in the same round."""
+    """(C,) whether that drone may be replanned in the same round."""
 
     def some(self, kept: BoolArray) -> Neighbors:
         """Those of a mask (C,)."""
@@ -75,7 +75,7 @@ class HalfSpaces(NamedTuple):
 def voronoi_planes(own: FloatArray, neighbors: Neighbors, config: MlrDmpcConfig) -> HalfSpaces:
     """Half-spaces (15) between a drone's present plan and the trajectories of others.
 
-    A drone that may be planned anew gives half of the gap, one that is not gives all of it.
+    A drone that may be replanned gives half of the gap, one that is not gives all of it.
 
     Planes are turned about the vertical by up to `turn_rad`, so that each drone has more room on
     its right: the weights of Appendix B alone leave two drones that meet head on where they are.

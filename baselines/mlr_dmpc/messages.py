@@ -152,7 +152,7 @@ class UnitMessage(NamedTuple):
     trajectory: Trajectory | None = None
     """The trajectory."""
     selection: tuple[int, ...] | None = None
-    """By the round's leader: drones that may be planned anew in the next round, by rank."""
+    """By the round's leader: drones that may be replanned in the next round, by rank."""
     current: tuple[int, ...] | None = None
     """The same for this round, as far as the unit knows: others may have missed it."""
     recent: tuple[int, ...] = (UNSURE,) * RECENT

@@ -87,7 +87,7 @@ class MlrDmpcAgent:
         return cls(controller=ControllerConfig(feedforward=belief or load_belief()))
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Begin with everybody hovering; the seed draws which messages are lost.
+        """Begin with all drones hovering; the seed draws which messages are lost.
 
         Raises:
             ValueError: goals that circle, or starts or goals too close to each other for any

@@ -1,4 +1,4 @@
-"""Synchronous rounds: everybody sends in a slot of their own, and the radio loses some of it.
+"""Synchronous rounds: every node sends in its own slot, and the radio loses some of it.
 
 Jams, outages of receivers, single messages and bursts are lost by keyed draws.
 """
@@ -60,7 +60,7 @@ class Jam:
             for name in _names(getattr(self, field)):
                 if not re.fullmatch(r"all|drones|units|(drone|unit) \d+", name):
                     raise ValueError(
-                        f"{field} has {name!r}, which names nobody: write all, drones, units, "
+                        f"{field} has {name!r}, which names no drone: write all, drones, units, "
                         "'drone 3' or 'unit 0'"
                     )
 

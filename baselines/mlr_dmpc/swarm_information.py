@@ -153,7 +153,7 @@ class Membership:
         return self._unit in self.view.units and self._highest <= self.view.id
 
     def announced(self, round_: int) -> MembershipView | None:
-        """The view, as long as somebody may not have heard of it."""
+        """The view, as long as a member may not have heard of it."""
         new = self.view.id.epoch > 0 and round_ - self.adopted < _ANNOUNCED_ROUNDS
         return self.view if new or self._others_behind else None
 
@@ -169,7 +169,7 @@ class Membership:
         return self._proposed(round_)
 
     def _proposed(self, round_: int) -> bool:
-        """Adopt a view with everybody, of an identity that was never used before.
+        """Adopt a view with all members, of an identity that was never used before.
 
         Lemma 6 of docs/mlr-dmpc/proof.md.
         Epochs grow by at least one with each proposal, and in a round r none is above r + 1. So a
@@ -236,12 +236,12 @@ class SwarmInformation:
         return self.membership.view
 
     def selection(self, round_: int) -> tuple[int, ...] | None:
-        """Drones that may be planned anew in a round (A_ET), by rank, if that is known."""
+        """Drones that may be replanned in a round (A_ET), by rank, if that is known."""
         view, chosen = self._selections.get(round_, (None, None))
         return chosen if view == self.view.id else None
 
     def select(self, round_: int, chosen: tuple[int, ...]) -> None:
-        """Note which drones may be planned anew in a round."""
+        """Note which drones may be replanned in a round."""
         self._selections[round_] = self.view.id, chosen
 
     @property

@@ -417,7 +417,7 @@ def plan_trajectory(
     solver_name: str = "daqp",
     planes: Sequence[HalfSpaces] = (),
 ) -> Planned:
-    """Plan anew from where a drone will be at the start of a round.
+    """Replan from where a drone will be at the start of a round.
 
     `neighbors`: what the others may fly from then on. `planes`: further half-spaces for the drone.
 

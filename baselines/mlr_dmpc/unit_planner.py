@@ -267,7 +267,7 @@ DEADLOCKED = 1
 """Priority of a drone in a deadlock."""
 _LEAST, _MOST = 2, 254
 REINITIALISED = 255
-"""Priority of a drone whose trajectory begins anew."""
+"""Priority of a drone whose trajectory restarts."""
 _FINEST, _COARSEST = 1e-4, 30.0
 
 Levels = npt.NDArray[np.int64]
@@ -375,7 +375,7 @@ class Planner:
         round_: int,
         planes: Sequence[HalfSpaces] = (),
     ) -> Planned:
-        """Plan anew for a drone that flies `own`, from round k + 1 on.
+        """Replan for a drone that flies `own`, from round k + 1 on.
 
         `neighbors`: all that other drones may fly. `planes`: further half-spaces.
         """

@@ -66,7 +66,7 @@ def run_demo(
 ) -> dict[str, Any]:
     """Fly every swap twice, and write `summary.json`, `demo.png` and `demo.mp4` into `out`.
 
-    Where pybullet cannot be imported the compiled twin flies and there is no video; where ffmpeg
+    Where pybullet cannot be imported the compiled engine flies and there is no video; where ffmpeg
     does not work the video is a GIF. The summary says so in `notes`.
 
     Args:
@@ -188,7 +188,7 @@ def _notes(engine: str, video: bool, file: str | None) -> list[str]:
     """What is otherwise than on a machine that has everything."""
     notes = []
     if engine == "batch":
-        notes.append("pybullet cannot be imported here, so the compiled twin of Bullet flew")
+        notes.append("pybullet cannot be imported here, so the compiled engine flew")
         if video:
             notes.append("there is no video, because pybullet draws it")
     elif file is not None and file.endswith(".gif"):

@@ -151,7 +151,7 @@ def swap_test(
 
 
 def default_engine() -> str:
-    """Bullet where it can be imported, else its compiled twin."""
+    """Bullet where it can be imported, else its compiled engine."""
     return "bullet" if bullet_available() else "batch"
 
 

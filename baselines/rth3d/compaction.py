@@ -119,4 +119,7 @@ def compact(paths: Paths, total: int) -> Paths:
     arrived, left = np.zeros(count, dtype=np.int32), np.zeros(total, dtype=np.int32)
     work = (np.empty(count, dtype=np.int32) for _ in range(4))
     makespan = advance(paths, at, holder, arrived, left, *work)
+    if paths.flags.owndata:  # a view would keep all of it
+        paths.resize((makespan + 1, count), refcheck=False)
+        return paths
     return paths[: makespan + 1]

@@ -9,6 +9,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ __all__ = ["plot_grid_plan"]
 
 VERSION = 1
 """Of the file format; a file of another version is refused."""
-_KEPT = ("method", "winner", "seed", "bound", "before_compaction")
+_KEPT = ("method", "winner", "seed", "bound", "before_compaction", "set_bound")
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 _MOST_DOTS = 6000
 
@@ -120,6 +121,14 @@ class GridPlan(GridInstance):
     """Every phase of planning, with its makespan and its seconds."""
     valid: bool
     """Whether `validate` has found the paths feasible; `plan` returns no others."""
+    set_bound: int | None = None
+    """Of plans without labels, whose `goals[i]` is the one that robot i takes: steps that no plan
+    can do without, whoever takes which goal. None for labelled plans."""
+
+    @cached_property
+    def lower_bound(self) -> int:
+        """Steps that no plan can do without, given the labels, if there are any."""
+        return super().lower_bound if self.set_bound is None else self.set_bound
 
     @property
     def makespan(self) -> int:
@@ -137,7 +146,7 @@ class GridPlan(GridInstance):
         return sum(phase.seconds for phase in self.phases)
 
     def check(self) -> ValidationReport:
-        """Validate the paths anew."""
+        """Validate the paths again."""
         return validate(self.paths, self.starts, self.goals, self.shape, self.obstacles)
 
     def save(self, path: str | Path) -> None:
@@ -210,7 +219,7 @@ def _from_arrays(about: dict[str, Any], arrays: dict[str, Any]) -> GridPlan:
         phases=tuple(PhaseRecord(**phase) for phase in about["phases"]),
         valid=bool(report),
         **instance.fields(),
-        **{name: about[name] for name in _KEPT},
+        **{name: about[name] for name in _KEPT if name in about},
     )
 
 

@@ -18,12 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import POSITIVE_S, Count, Seed, typed
+from swarm_envs.baselines.rth3d.balancing import FlowTooLarge, balance
 from swarm_envs.baselines.rth3d.compaction import Paths, compact
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
     NoHighways,
     NoPlanExists,
     PlanNotFound,
+    Shape,
     check_instance,
     numbers,
     points,
@@ -39,6 +41,8 @@ from swarm_envs.baselines.rth3d.lacam import (
 from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
 from swarm_envs.baselines.rth3d.pibt import Pibt
 from swarm_envs.baselines.rth3d.rubik import Highways, balance_both, choose_highways, shuffle
+from swarm_envs.baselines.rth3d.unlabelled import assign, occupied, unlabelled_bound
+from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.compiled import announce_compilation
 from swarm_envs.errors import check_name
 
@@ -46,7 +50,7 @@ _PATIENCE = 1.5
 """An attempt ends when it takes so many times the lower bound, and `_MARGIN` more steps."""
 _MARGIN = 60
 _RESTARTS = 9 * (0.9, 0.8, 0.6, 0.3)
-"""From which part of the lower bound on PIBT is tried again, as long as it pays."""
+"""From which part of the lower bound on PIBT is tried again, as long as it helps."""
 _WORK = 250_000
 """Steps that all restarts may take together, as a multiple of the lower bound, times robots: tens
 of seconds for many robots. For few, `_MOST_WORK`: more does not help."""
@@ -64,6 +68,7 @@ _LOST = 16
 """The robots are lost when it has not for so many: narrow passages are left by wandering about."""
 _GLANCE = 250_000  # moves of robots between two looks at the clock: a tenth of a second
 _STRIDE = 16  # steps between them, at most
+_GIVEN_BACK = 16  # steps whose memory is given back at a time
 
 
 class PibtSearch:
@@ -103,7 +108,7 @@ class PibtSearch:
             work -= self.reached - begin
 
     def _begin(self, step: int) -> None:
-        """Draw anew, and forget what came after a step."""
+        """Sample again, and forget what came after a step."""
         self.pibt.shuffle(self._generator)
         self.pibt.rewind(step)
         self.reached, self.left = step, -1
@@ -205,7 +210,7 @@ def _solve_pibt(instance: GridInstance, seed: int, clock: PlanningClock) -> _Sol
             raise PlanTimeout("the time limit ended before pibt had a plan; give more time")
         raise PlanNotFound(
             f"pibt has found no plan of at most {search.cap} steps (lower bound {search.bound}); "
-            "try another seed, or method='auto', which goes on where pibt gives up"
+            "try another seed, or method='auto', which continues where pibt gives up"
         )
     return _Solution(search.best, "pibt", None)
 
@@ -314,6 +319,33 @@ def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock)
     return found
 
 
+def _labelled(instance: GridInstance, method: str, seed: int, clock: PlanningClock) -> _Solution:
+    if instance.lower_bound == 0:
+        return _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
+    return METHODS[method](instance, seed, clock)
+
+
+def _without_labels(
+    instance: GridInstance, method: str, seed: int, clock: PlanningClock
+) -> tuple[_Solution, int]:
+    """The fewest steps by flow, or goals assigned for a method; and a bound on the steps."""
+    assigned = assign(instance)
+    table = neighbor_table(instance.shape, instance.obstacles)
+    least = unlabelled_bound(instance, table)
+    if method == "auto":
+        starts, goals = (numbers(p, instance.shape) for p in (instance.starts, instance.goals))
+        try:
+            with clock.phase("flow") as record:
+                check = partial(clock.check, "flow")
+                paths = balance(table, starts, occupied(goals, len(table)), check, least)
+                record(len(paths) - 1)
+            return _Solution(paths, "flow", len(paths) - 1), len(paths) - 1
+        except FlowTooLarge as error:
+            least = max(least, error.steps)
+    found = _labelled(assigned, method, seed, clock)
+    return replace(found, method=f"assigned, then {found.method}"), least
+
+
 METHODS: Mapping[str, Solver] = {
     "rth3d": partial(_rth3d, bounded=False),
     "rth3d-lba": _solve_rth3d_lba,
@@ -335,6 +367,7 @@ def plan(
     time_limit: Annotated[float, POSITIVE_S] | None = None,
     watch: Callable[[str], None] | None = None,
     configurations: Count | None = None,
+    labels: bool = True,
 ) -> GridPlan:
     """Plan collision-free paths on a 6-connected grid for robots that each have their own goal.
 
@@ -356,6 +389,10 @@ def plan(
         configurations: how many LaCAM* makes at most in each connected part of the grid, with a
             plan or without. None: up to 1,000,000 without a plan, or what fits into 0.8 GB; after
             a plan as many again, and 1,000 at least (fewer for more than 1,000 robots).
+        labels: False if any robot may take any goal. `"auto"` then finds the fewest steps by a flow
+            over them, where it has at most 2^29 nodes (2 (T + 1) V); other methods, and `"auto"`
+            beyond that, plan after goals have been assigned. In the plan `goals[i]` is the goal
+            that robot i takes.
 
     Returns:
         A plan that `validate` has found feasible.
@@ -367,31 +404,52 @@ def plan(
         PlanNotFound: none was found, though there may be one.
     """
     instance = check_instance(starts, goals, shape, obstacles)
-    solver = METHODS[check_name("method", method, METHODS)]
+    check_name("method", method, METHODS)
     deadline = float("inf") if time_limit is None else time.monotonic() + time_limit
     clock = PlanningClock(deadline, watch, configurations)
     announce_compilation(follow_paths)
-    if instance.lower_bound == 0:
-        solution = _Solution(numbers(instance.starts, instance.shape)[None], "stay", 0)
+    if labels:
+        solution, bound = _labelled(instance, method, seed, clock), None
     else:
-        solution = solver(instance, seed, clock)
-    return _result(instance, solution, method, seed, clock)
+        solution, bound = _without_labels(instance, method, seed, clock)
+    return _result(instance, solution, method, seed, clock, bound)
+
+
+def _coordinates(paths: Paths, shape: Shape) -> npt.NDArray[np.int16]:
+    """The vertices (T + 1, n) as coordinates (T + 1, n, 3), in place of them.
+
+    From the last step on: the memory of steps that have been read is given back, since both would
+    be the most that a plan of many robots needs at a time.
+    """
+    where = points(np.arange(np.prod(shape), dtype=np.int32), shape).astype(np.int16)
+    found = np.empty((*paths.shape, 3), dtype=np.int16)
+    for t in range(len(found) - 1, -1, -1):
+        found[t] = where[paths[t]]
+        if paths.flags.owndata and t % _GIVEN_BACK == 1:
+            paths.resize((t, paths.shape[1]), refcheck=False)
+    return found
 
 
 def _result(
-    instance: GridInstance, solution: _Solution, method: str, seed: int, clock: PlanningClock
+    instance: GridInstance,
+    solution: _Solution,
+    method: str,
+    seed: int,
+    clock: PlanningClock,
+    set_bound: int | None,
 ) -> GridPlan:
-    total = int(np.prod(instance.shape))
-    where = points(np.arange(total, dtype=np.int32), instance.shape).astype(np.int16)
     with clock.last_phase("validation") as record:
-        paths = where[solution.paths]
+        paths = _coordinates(solution.paths, instance.shape)
         facts = (instance.starts, instance.goals, instance.shape, instance.obstacles)
-        report = validate(paths, *facts)
+        report = validate(paths, *facts, labels=set_bound is None)
         record(report.makespan)
     if not report:
         raise AssertionError(f"{method!r} has made an invalid plan: {report.reason}")
+    if set_bound is not None:
+        instance = replace(instance, goals=paths[-1].astype(np.int32))
     return GridPlan(
         paths=paths,
+        set_bound=set_bound,
         method=method,
         winner=solution.method,
         seed=seed,

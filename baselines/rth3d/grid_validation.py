@@ -49,9 +49,13 @@ class ValidationReport:
 
 @kernel
 def follow_paths(
-    paths: Array, starts: Array, goals: Array, blocked: Array, holder: Array, last: Array
+    paths: Array, starts: Array, goals: Array, holder: Array, last: Array, movers: Array
 ) -> tuple[int, int, int, int]:
-    """Walk all paths; return (broken rule or 0, time, robot, moves)."""
+    """Walk all paths; return (broken rule or 0, time, robot, moves).
+
+    `holder` says who is on each vertex: -1 for nobody, -2 for an obstacle. Who waits stays in it:
+    only movers (n,) are looked at.
+    """
     steps, count, _ = paths.shape
     for i in range(count):
         for k in range(3):
@@ -59,58 +63,57 @@ def follow_paths(
                 return 1, 0, i, 0
             if paths[steps - 1, i, k] != goals[i, k]:
                 return 2, steps - 1, i, 0
+        holder[paths[0, i, 0], paths[0, i, 1], paths[0, i, 2]] = i
     moves = 0
-    for t in range(steps):
-        rule, i = _enter(paths[t], blocked, holder)
+    for t in range(1, steps):
+        rule, i, moving = _leave(paths[t - 1], paths[t], holder, movers)
+        for k in range(moving):
+            if rule:
+                break
+            i = movers[k]
+            x, y, z = paths[t, i, 0], paths[t, i, 1], paths[t, i, 2]
+            rule = 6 if holder[x, y, z] >= 0 else 0
+            holder[x, y, z] = i
+            last[i] = t
         if rule:
             return rule, t, i, moves
-        if t:
-            for i in range(count):
-                rule = _step(paths[t - 1], paths[t], holder, i)
-                if rule > 0:
-                    return rule, t, i, moves
-                if rule < 0:
-                    moves += 1
-                    last[i] = t
-        for i in range(count):
-            holder[paths[t, i, 0], paths[t, i, 1], paths[t, i, 2]] = -1
+        moves += moving
     return 0, 0, 0, moves
 
 
 @kernel
-def _enter(now: Array, blocked: Array, holder: Array) -> tuple[int, int]:
-    """Put everyone on the grid; return (broken rule or 0, robot)."""
+def _leave(before: Array, now: Array, holder: Array, movers: Array) -> tuple[int, int, int]:
+    """Check every move, and take the movers off the grid; return (broken rule or 0, robot, moves).
+
+    Whether two movers meet is not seen here.
+    """
+    moving = 0
     for i in range(now.shape[0]):
-        x, y, z = now[i, 0], now[i, 1], now[i, 2]
+        length = 0
         for k in range(3):
-            if now[i, k] < 0 or now[i, k] >= blocked.shape[k]:
-                return 3, i
-        if blocked[x, y, z]:
-            return 5, i
-        if holder[x, y, z] >= 0:
-            return 6, i
-        holder[x, y, z] = i
-    return 0, 0
-
-
-@kernel
-def _step(before: Array, now: Array, holder: Array, i: int) -> int:
-    """0 if robot i waits, -1 if it moves along an edge, else the rule that it breaks."""
-    length = 0
-    for k in range(3):
-        length += abs(now[i, k] - before[i, k])
-    if length == 0:
-        return 0
-    if length > 1:
-        return 4
-    other = holder[before[i, 0], before[i, 1], before[i, 2]]
-    if other >= 0:
-        same = True
+            length += abs(now[i, k] - before[i, k])
+        if length == 0:
+            continue
         for k in range(3):
-            same = same and before[other, k] == now[i, k]
-        if same:
-            return 7
-    return -1
+            if now[i, k] < 0 or now[i, k] >= holder.shape[k]:
+                return 3, i, moving
+        other = holder[now[i, 0], now[i, 1], now[i, 2]]
+        if other == -2:
+            return 5, i, moving
+        if length > 1:
+            return 4, i, moving
+        if other >= 0:
+            same = True
+            for k in range(3):
+                same = same and now[other, k] == before[i, k]
+            if same:
+                return 7, i, moving
+        movers[moving] = i
+        moving += 1
+    for k in range(moving):
+        i = movers[k]
+        holder[before[i, 0], before[i, 1], before[i, 2]] = -1
+    return 0, 0, moving
 
 
 @typed
@@ -120,6 +123,7 @@ def validate(
     goals: npt.ArrayLike,
     shape: Sequence[int],
     obstacles: npt.ArrayLike | None = None,
+    labels: bool = True,
 ) -> ValidationReport:
     """Check a plan against the definition of a feasible one (Sec. II-A).
 
@@ -133,6 +137,7 @@ def validate(
         goals: (n, 3) integers.
         shape: of the grid.
         obstacles: booleans of that shape, anywhere, or None.
+        labels: whether each robot must end at its own goal, or all at goals, whoever at which.
 
     Returns:
         A report that is true if the plan is feasible, and otherwise says what is wrong.
@@ -150,15 +155,20 @@ def validate(
     if given.dtype != np.int16:
         wide = np.clip(given, -1, 32767)  # what is outside stays outside
         given = wide.astype(np.int16)
+    goals_of = instance.goals
+    if not labels:
+        wanted_ends = set(map(tuple, instance.goals.tolist()))
+        reached = [tuple(end) in wanted_ends for end in given[-1].tolist()]
+        goals_of = np.where(np.array(reached)[:, None], given[-1], -1).astype(np.int32)
     last = np.zeros(given.shape[1], dtype=np.int64)
-    holder = np.full(instance.shape, -1, dtype=np.int32)
+    holder = np.where(instance.obstacles, np.int32(-2), np.int32(-1))
     rule, step, robot, moves = follow_paths(
         np.ascontiguousarray(given),
         instance.starts,
-        instance.goals,
-        instance.obstacles,
+        goals_of,
         holder,
         last,
+        np.empty(given.shape[1], dtype=np.int32),
     )
     if rule:
         reason = f"robot {robot} {_REASONS[rule]} at time {step}"

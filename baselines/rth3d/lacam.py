@@ -4,7 +4,7 @@ A configuration says where all robots are. The search goes into depth: from the 
 top of a stack it makes one more that can follow in a step, by PIBT under constraints. Constraints
 say where some robots go; they grow one robot at a time, breadth-first, so that in the end every
 configuration that can follow has been made. If there is a plan, it is found; if the stack runs
-empty without one, none exists. After the first plan the search goes on to shorter ones: whatever
+empty without one, none exists. After the first plan the search continues to shorter ones: whatever
 can no longer lead to one is left out, and where a configuration turns out to be nearer to the
 starts, so do all those behind it. The last plan before the stack runs empty is the shortest.
 

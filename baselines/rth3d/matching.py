@@ -6,7 +6,7 @@ perfect matchings (Hall) put the items into D levels so that in each every colum
 item and aimed at by one. RTH3D takes any; RTH3D-LBA those of which the largest shift from an
 item's present level is small.
 
-The paper finds the matchings one by one, each by a linear bottleneck assignment, so that the last
+The paper finds one matching at a time, each by a linear bottleneck assignment, so that the last
 have to take what is left. Here levels are halved instead: the items of the lower half of the levels
 are those that lie there already, and as few others as it takes to make both halves regular, found
 by a flow that lets only items within a threshold of the middle change sides. A half is again a

@@ -14,7 +14,7 @@ from swarm_envs.state import IntArray
 
 
 class Part(NamedTuple):
-    """A connected part of the grid in which somebody has to move."""
+    """A connected part of the grid in which a robot has to move."""
 
     vertices: Vertices
     """(V',) its vertices."""

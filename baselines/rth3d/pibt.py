@@ -245,7 +245,7 @@ def _must_swap(
 
 @kernel
 def _may_swap(terrain: Terrain, robots: Robots, first: int, second: int) -> bool:
-    """Whether two robots get past each other if the one at `second` goes on, followed by the other.
+    """Whether two robots can pass each other if the one at `second` moves on before the other.
 
     It does where the passage ends at a branch.
     """

@@ -1,7 +1,7 @@
 """Reference pages: `.. modules:: PACKAGE` stands for every module below a package.
 
-A module stands on one page alone, that of the longest package which its name begins with, so that
-a new module needs no new line anywhere.
+First come the names that its packages offer, then all modules. A module is on one page alone, that
+of the longest package which its name begins with, so that a new module needs no new line anywhere.
 """
 
 from __future__ import annotations
@@ -10,9 +10,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-from .names import exports, modules, public_names
+from .names import exports, listed_names, modules, public_names
 
 MARK = re.compile(r"^\.\. modules:: (\S+)$", re.MULTILINE)
+SINGLE = ("swarm_envs.vehicles", "swarm_envs.trajectories")
+"""Modules that are no packages and that users import from; modules of tasks are others."""
 
 
 def packages_of(folder: Path) -> list[str]:
@@ -32,19 +34,35 @@ def expand(text: str, packages: list[str]) -> str:
 
     def below(mark: re.Match[str]) -> str:
         mine = [m for m in modules() if page_of(m, packages) == mark[1]]
-        return "\n\n".join(map(_section, mine))
+        offering = [line for line in map(_offered, mine) if line]
+        public = ["Public API", "----------", "", *offering, ""] if offering else []
+        return "\n".join([*public, "\n\n".join(map(_section, mine))])
 
     return MARK.sub(below, text)
 
 
+def _offered(module: str) -> str:
+    """What users import from a module; empty if that is nothing."""
+    names = (exports(module) or listed_names(module)) if _is_public(module) else []
+    if re.fullmatch(r"swarm_envs\.[a-z]+_v\d+", module):
+        names = [(name, f"{module}.{name}") for name in ("parallel_env", "env")]
+    links = [
+        f":py:obj:`{name} <{home}>`" if home in public_names() else f"``{name}``"
+        for name, home in names
+    ]
+    return f"- ``{module}``: {', '.join(links)}" if links else ""
+
+
+def _is_public(module: str) -> bool:
+    """Whether it is a package, one of `SINGLE`, or in a package that offers nothing itself."""
+    package = module.rpartition(".")[0]
+    alone = package in modules() and package != "swarm_envs" and not exports(package)
+    return modules()[module].name == "__init__.py" or module in SINGLE or alone
+
+
 def _section(module: str) -> str:
     title = module.replace("_", r"\_")
-    offered = [
-        f":py:obj:`{name} <{home}>`" if home in public_names() else f"``{name}``"
-        for name, home in exports(module)
-    ]
-    lines = [title, "-" * len(title), "", f".. automodule:: {module}"]
-    return "\n".join([*lines, "", "Offers " + ", ".join(offered) + "." if offered else ""])
+    return "\n".join([title, "-" * len(title), "", f".. automodule:: {module}", ""])
 
 
 def setup(app: Any) -> dict[str, Any]:

@@ -27,7 +27,7 @@ def modules() -> dict[str, Path]:
 def _python_files(folder: Path) -> Iterator[Path]:
     yield from folder.glob("*.py")
     for inner in folder.iterdir():
-        if inner.is_dir() and inner.name != "__pycache__":
+        if (inner / "__init__.py").exists():  # starters of assignments are no modules
             yield from _python_files(inner)
 
 
@@ -85,6 +85,14 @@ def exports(package: str) -> list[tuple[str, str]]:
     offered = [e for value in assigned for e in getattr(value, "elts", [])]
     names = [e.value for e in offered if isinstance(e, ast.Constant)]
     return [(str(name), homes[str(name)]) for name in names if name in homes]
+
+
+def listed_names(module: str) -> list[tuple[str, str]]:
+    """The names in the `__all__` of a module that defines them, with their full names."""
+    tree = ast.parse(modules()[module].read_text(encoding="utf-8"))
+    assigned = [n.value for n in tree.body if isinstance(n, ast.Assign) and _binds_all(n)]
+    found = [e.value for value in assigned for e in getattr(value, "elts", [])]
+    return [(str(name), f"{module}.{name}") for name in found]
 
 
 def _binds_all(node: ast.Assign) -> bool:

@@ -1,7 +1,8 @@
 """Tables of options: `<!-- commands -->` becomes every command with its options.
 
 Whatever dataclass a command hands to tyro is what is written down, so nothing can be forgotten.
-`<!-- option table: EnvConfig -->` becomes the options of a class of settings, with their rules.
+`<!-- option table: EnvConfig -->` becomes the options of a class of settings, with their rules, and
+`<!-- assignment table -->` the assignments of a course.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, get_args, get_origin, get_type_hints
 from unittest import mock
 
@@ -17,6 +18,7 @@ import tyro
 
 from swarm_envs import arguments
 from swarm_envs.arguments import field_docstrings
+from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM
 from swarm_envs.columns_v0 import ColumnsOptions
 from swarm_envs.commands.export import KINDS
@@ -32,6 +34,7 @@ from swarm_envs.swap_v1 import SwapOptions
 from swarm_envs.training.reproduce.papers import ALL, PAPERS
 
 MARK = "<!-- commands -->"
+ASSIGNMENTS_MARK = "<!-- assignment table -->"
 SETTINGS_MARK = re.compile(r"^<!-- option table: (\w+) -->$", re.MULTILINE)
 SETTINGS: dict[str, type] = {
     settings.__name__: settings
@@ -87,9 +90,11 @@ def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
     for field in dataclasses.fields(cls):
         hint = hints[field.name]
         marks: tuple[str, ...] = ()
+        aliases: list[str] = []
         if get_origin(hint) is Annotated:
             hint, *rest = get_args(hint)
             marks = tuple(str(mark) for mark in rest)
+            aliases = [alias for mark in rest for alias in getattr(mark, "aliases", None) or ()]
         if any("suppress" in mark.lower() for mark in marks):
             continue
         name = prefix + field.name.replace("_", "-")
@@ -97,7 +102,7 @@ def options_of(cls: type, prefixes: bool, prefix: str = "") -> Iterator[Option]:
             yield from options_of(hint, prefixes, f"{name}." if prefixes else "")
             continue
         positional = any("positional" in mark.lower() for mark in marks)
-        shown = f"--{name}, --no-{name}" if hint is bool else f"--{name}"
+        shown = ", ".join([*aliases, f"--{name}"]) + (f", --no-{name}" if hint is bool else "")
         if hint is bool and "." in name:
             inner = name.rpartition(".")
             shown = f"--{name}, --{inner[0]}.no-{inner[2]}"
@@ -125,16 +130,40 @@ def settings_table(name: str) -> str:
         KeyError: there are no such settings.
     """
     settings, shared = SETTINGS[name], arguments.options_of(EnvConfig)
+    every = settings is EnvConfig
+    names = [n for n in arguments.options_of(settings) if every or n not in shared]
+    return options_table(settings, names)
+
+
+def options_table(settings: type, names: Sequence[str]) -> str:
+    """The named options of settings in Markdown."""
+    table = arguments.options_of(settings)
     rows = [
-        f"| `{option.name}` | {option.kind.words} | `{option.default!r}` | {option.meaning} |"
-        for option in arguments.options_of(settings).values()
-        if settings is EnvConfig or option.name not in shared
+        f"| `{name}` | {table[name].kind.words} | {_default_of(table[name])} "
+        f"| {_cell(table[name].meaning)} |"
+        for name in dict.fromkeys(names)
     ]
     return "\n".join(["| option | must be | default | |", "|---|---|---|---|", *rows])
 
 
+def _default_of(option: arguments.Option) -> str:
+    return "" if option.default is dataclasses.MISSING else f"`{option.default!r}`"
+
+
+def assignment_table() -> str:
+    """The assignments of a course in Markdown, each with its page and what it is worth."""
+    rows = [
+        f"| [{name}]({name}.md) | {task.summary} | `{task.work}` | `{task.metric}` "
+        f"| {task.zero:g} | {task.full:g} |"
+        for name, task in ASSIGNMENTS.items()
+    ]
+    head = ["| assignment | goal | submission | metric | 0 points | 100 points |"]
+    return "\n".join([*head, "|---|---|---|---|---|---|", *rows])
+
+
 def expand(text: str) -> str:
     """A page's text with each mark replaced by its tables."""
+    text = text.replace(ASSIGNMENTS_MARK, assignment_table())
     if MARK in text:
         text = text.replace(MARK, "\n\n".join(map(section, commands())))
     return SETTINGS_MARK.sub(lambda mark: settings_table(mark[1]), text)

@@ -22,7 +22,7 @@ class CellOptions:
     out: Path | None = None
     """folder of the report, the tables, every episode and the replay pages"""
     report: Path | None = None
-    """write the report of this folder anew, and the replay pages that it lacks; nothing else is
+    """write the report of this folder again, and the replay pages that it lacks; nothing else is
     flown"""
     verify: Path | None = None
     """check this results file (scores.json, or the folder that holds it): what does not follow
@@ -48,7 +48,7 @@ class CellOptions:
 class BenchmarkOptions(CrewOptions, CellOptions):
     """Fly every agent on every task that it supports, and report how they did.
 
-    Interrupted or killed, the same command goes on. An agent that fails is named with the reason,
+    Interrupted or killed, the same command resumes. An agent that fails is named with the reason,
     the others go on, and the exit code is 1; what an agent does not support is in the report too.
     Options of the environment hold on every task, whose ids then say that it is changed.
     """
@@ -68,7 +68,7 @@ class BenchmarkOptions(CrewOptions, CellOptions):
             raise ValueError("--quick and --episodes both say how many are flown; give one")
         if sum(each is not None for each in (self.out, self.report, self.verify)) != 1:
             raise ValueError(
-                "give either --out DIR, to fly, or --report DIR, to report anew, or --verify FILE"
+                "give either --out DIR, to fly, or --report DIR, to report again, or --verify FILE"
             )
         if self.join and self.out is None:
             raise ValueError("--join writes into a folder; give --out DIR too")
@@ -80,7 +80,7 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     Raises:
         BlockingIOError: another process writes into the folder.
         ImportError: what the tables, the pages or a cluster need is not installed.
-        Misuse: there is no such agent or task, no place to write, or nothing to write anew;
+        Misuse: there is no such agent or task, no place to write, or nothing to write again;
             nothing was flown.
     """
     if options.json is not None:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 class EvaluateOptions(EpisodeOptions):
     """Fly many episodes of one or more agents on the same seeds, and report what they add up to.
 
-    Interrupted or killed, the same command goes on after the last whole episode. An agent that
+    Interrupted or killed, the same command resumes after the last whole episode. An agent that
     fails is named in the report, the others go on, and the exit code is 1.
     """
 

@@ -34,7 +34,7 @@ class EpisodeFields:
     """What is flown: these come first in the help."""
 
     task: str = "swap"
-    """what is flown: `swap`, or with its version, `swap_v1`"""
+    """the task: `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task, such as `random` or `stacked`; its default if not given"""
     drones: Count | None = None
@@ -45,7 +45,7 @@ class EpisodeFields:
     interactions: str = "learned"
     """the interaction forces: `none`, `wake`, `learned`, or a weights file"""
     horizon_s: float | None = None
-    """the clock, s; the task's if not given"""
+    """time limit, s; the task's if not given"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -210,7 +210,7 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
 
 
 def _other_agent(options: FlyOptions, task: str, name: str) -> str:
-    """A clause that says who flies what an agent refused, if the benchmark knows somebody."""
+    """A clause that names an agent for what another refused, if the benchmark has one."""
     try:
         best = _best_agent(options, task)
     except ValueError:

@@ -87,7 +87,7 @@ def run_grade(options: GradeOptions) -> int:
             grades.append(_grade(work, works, options, assignment))
             _write(options, grades)
             if package_state() != before:
-                raise Misuse(f"{work!r} has changed the package; install it anew, and grade again")
+                raise Misuse(f"{work!r} has changed the package; install it again, and grade again")
     except KeyboardInterrupt:
         print(grade_table(assignment, grades))
         raise KeyboardInterrupt(f"interrupted: {len(grades)} of {len(works)} are graded") from None

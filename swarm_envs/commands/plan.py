@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 class PlanOptions:
     """Plan paths for robots on a grid that each have a goal of their own: RTH3D, PIBT, LaCAM*.
 
-    Draws an instance of a family, plans, validates, and prints the makespan and what bounds it.
+    Draws an instance of a family, or reads one of the MAPF benchmarks, plans, validates, and prints
+    the makespan and what bounds it.
     """
 
     grid: str = "48x24x12"
@@ -31,8 +32,14 @@ class PlanOptions:
     """number of robots, instead of a density"""
     family: str = "uniform"
     """uniform, quasi-random, mirror, rings, blocks, small-blocks, buildings, quasi-buildings"""
+    map: Path | None = None
+    """a .map of the MAPF benchmarks, instead of a grid and a family"""
+    scen: Path | None = None
+    """the .scen with starts and goals on that map: of the first --robots, or of all"""
     method: str = "auto"
     """rth3d, rth3d-lba, pibt, lacam, or auto, the best of those that fit"""
+    labels: bool = True
+    """whether each robot has a goal of its own; if not, any may take any, in the fewest steps"""
     seed: Seed = 0
     """of the instance, of pibt and of lacam"""
     time_limit_s: Annotated[float, POSITIVE_S] | None = None
@@ -50,6 +57,11 @@ class PlanOptions:
         """Refuse a grid that is none, and two numbers of robots."""
         if self.density is not None and self.robots is not None:
             raise ValueError("--density and --robots both say how many robots; give one of them")
+        if (self.map is None) != (self.scen is None):
+            raise ValueError("--map and --scen belong together; give both")
+        drawn = (self.grid, self.family, self.density)
+        if self.map is not None and drawn != (PlanOptions.grid, PlanOptions.family, None):
+            raise ValueError("--map and --scen take the place of --grid, --family and --density")
         self.shape()
 
     def shape(self) -> tuple[int, ...]:
@@ -111,10 +123,13 @@ def _instance(options: PlanOptions) -> GridInstance:
     import numpy as np
 
     from swarm_envs.baselines.rth3d import FAMILIES, building_columns, make_instance, max_density
+    from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark
     from swarm_envs.baselines.rth3d.grid import check_shape
     from swarm_envs.errors import check_name
 
     try:
+        if options.map is not None and options.scen is not None:
+            return read_benchmark(options.map, options.scen, options.robots)
         shape = check_shape(options.shape())
         count = options.robots
         if options.density is not None:
@@ -123,7 +138,7 @@ def _instance(options: PlanOptions) -> GridInstance:
             walls = building_columns(shape) if FAMILIES[options.family].buildings else None
             count = max(1, int(max_density(shape, walls) * float(np.prod(shape)) + 1e-6))
         return make_instance(options.family, shape, count, options.seed)
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         raise Misuse(str(error)) from error
 
 
@@ -153,6 +168,7 @@ def _plan(instance: GridInstance, options: PlanOptions) -> GridPlan:
                 seed=options.seed,
                 time_limit=options.time_limit_s,
                 watch=watch,
+                labels=options.labels,
             )
         except (PlanNotFound, PlanTimeout) as error:
             raise ValueError(str(error)) from error
@@ -164,6 +180,7 @@ def facts(found: GridPlan) -> dict[str, Any]:
         "shape": list(found.shape),
         "robots": len(found.starts),
         "obstacles": int(found.obstacles.sum()),
+        "labels": found.set_bound is None,
         "method": found.method,
         "winner": found.winner,
         "seed": found.seed,

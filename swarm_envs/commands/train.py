@@ -56,7 +56,7 @@ def run_train(config: RlConfig) -> None:
             report = train_policy(config, task)
         except KeyboardInterrupt:
             raise KeyboardInterrupt(
-                f"interrupted; the same command goes on from the last checkpoint in {config.out}"
+                f"interrupted; the same command resumes from the last checkpoint in {config.out}"
             ) from None
     if config.json is not None:
         write_json(config.json, report)

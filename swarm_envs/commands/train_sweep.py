@@ -40,7 +40,7 @@ class SweepOptions:
     """Train with several seeds, with or without variants of the options, and compare.
 
     Every run has a folder of its own, `OUT/VARIANT/seed-K`, as `swarm-envs train` makes it, and is
-    judged on the same episodes. Interrupted or killed, the same command goes on. A run that fails
+    judged on the same episodes. Interrupted or killed, the same command resumes. A run that fails
     is named in the report, the others go on, and the exit code is 1.
     """
 
@@ -109,7 +109,7 @@ def train_one(
 ) -> dict[str, Any]:
     """Train a run, or find it finished, and judge its policy on seeds that nothing was chosen on.
 
-    A job of the sweep, done wherever that is; killed, it goes on where it was.
+    A job of the sweep, done wherever that is; killed, it resumes.
 
     Args:
         arguments: of `swarm-envs train`.

@@ -243,7 +243,7 @@ def _check_time(time: npt.NDArray[np.float64]) -> None:
         k = int(np.argmax(steps))
         raise ValueError(
             f"there is a gap of {steps[k]:.3g} s after {time[k]:g} s, but samples must be at most "
-            f"{LONGEST_STEP_S} s apart: nobody knows where drones were in between"
+            f"{LONGEST_STEP_S} s apart: positions in between are unknown"
         )
 
 

@@ -54,75 +54,75 @@ MOST_THREADS = 1024
 @typed_options
 @dataclass(frozen=True, kw_only=True)
 class EnvConfig:
-    """How an environment is flown and observed. Raises ValueError for what cannot be.
+    """Options of the environments of every task. Raises ValueError for invalid values.
 
-    The task says what is flown; see its own options.
+    Each task adds options of its own.
     """
 
     physics: Annotated[str, OneOf(ENGINES)] | None = None
-    """`bullet`, `batch`, or None: Bullet where it can be imported and `deterministic` is not asked
-    for, else the compiled twin."""
+    """`bullet`, `batch` (the compiled engine), or None: Bullet if it is installed and
+    `deterministic` is False, else the compiled engine."""
     interactions: str | Path | InteractionModel = "learned"
-    """The model of the interaction forces: `none`, `wake`, `learned`, a safetensors path, or a
+    """The interaction force model: `none`, `wake`, `learned`, the path of a safetensors file, or a
     model."""
     action: Annotated[str, OneOf(tuple(ACTIONS))] = "acceleration"
-    """What actions mean: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
+    """The action mode: `acceleration`, `velocity`, `ctbr`, `rotors` or `setpoint`."""
     clip_actions: bool = False
-    """Whether actions outside of [-1, 1] are clipped, as Gaussian policies want it, not refused;
-    those that are not finite are refused in any case."""
+    """Whether actions outside [-1, 1] are clipped, as Gaussian policies need, instead of refused.
+    Actions that are not finite are always refused."""
     decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
     """Actions per second: 240 over an integer."""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 240
     """Evaluations of the interaction force per second: 240 over an integer."""
     precision: Annotated[str, OneOf(PRECISIONS)] = "float64"
-    """Arithmetic of the force model's networks: `float64`, or `float32` for training, where 1e-4 g
-    are nothing. All else is float64; an engine is the twin of the other in one precision."""
+    """Precision of the force model's networks: `float64`, or `float32` for training (the error is
+    about 1e-4 g). Everything else is float64."""
     interaction_torque: bool = False
-    """Whether the interaction force turns bodies, too: each rotor feels a quarter of the vertical
-    force at its place (docs/forces.md)."""
+    """Whether the interaction force also exerts a torque: each rotor receives a quarter of the
+    vertical force at its position (docs/forces.md)."""
     controller: ControllerConfig | None = None
-    """The tracking loop between actions and rotors; None for its default."""
+    """The tracking controller between actions and rotors; None for the default."""
     num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 3
-    """K, how many neighbours a drone observes."""
+    """K, the number of observed neighbours."""
     threads: Annotated[int, Range(1, MOST_THREADS)] | None = None
-    """Threads that fly a batch on the compiled engine, with the same result; None for one, or for
-    every core where there are at least 1,024 drones."""
+    """Threads of the compiled engine, which do not change the result; None for one, or for all
+    cores from 1,024 drones on."""
     observation: Annotated[str, OneOf(FORMS)] = "flat"
     """Form of observations: `flat` rows or a `dict` of `self`, `neighbors`, `mask`, `task`."""
     num_obstacles: Annotated[int, Range(0, MOST_OBSERVED)] | None = None
-    """M, how many obstacles a drone observes, nearest first; None: 3 where the task has any, and
-    else 0."""
+    """M, the number of observed obstacles, nearest first; None: 3 if the task has obstacles, else
+    0."""
     observe_load: bool = False
-    """Whether a drone observes what thrust it and its neighbours have to spare, their mass and
-    their charge."""
+    """Whether observations include thrust margin, mass and charge of the drone and of its
+    neighbors."""
     observe_force: str | Path | InteractionModel | None = None
     """A force model whose prediction for itself each drone observes, such as
-    `swarm_envs.baselines.neural_swarm.load_belief()`; None for no such fields."""
+    `swarm_envs.baselines.neural_swarm.load_belief()`; None for none."""
     horizon_s: Annotated[float, POSITIVE_S] | None = None
-    """The clock: an episode is truncated after this many seconds; None for the task's own."""
+    """Time limit: an episode is truncated after this many seconds; None for the task's own."""
     end_on_success: bool = True
     """Whether success ends the episode."""
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_team"
-    """What touching a drone, floor, wall or obstacle does. `end_team`: it ends the episode of the
-    whole team. `end_pair`: it ends that of the drones that touch; the others fly on without them.
-    `bounce`: drones bounce off and fly on; only tumbling ends a drone's episode."""
+    """Effect of a contact with a drone, the floor, a wall or an obstacle. `end_team`: ends the
+    episode of the whole team. `end_pair`: ends the episodes of the drones in contact; the others
+    continue. `bounce`: drones bounce off and continue; only tumbling ends a drone's episode."""
     world: Annotated[str, OneOf(WORLDS)] | Hall = "ideal"
-    """`ideal`: forces, rotors and states are what the equations say. `hall`: as in a hall with
-    motion capture, with force that no model knows, and a state that drones must estimate. Or a
-    `swarm_envs.hall.Hall` with numbers of your own."""
+    """`ideal`: controllers receive the true state, and forces and rotors follow their models.
+    `hall`: a motion-capture hall with random forces and a state estimate. Or a
+    `swarm_envs.hall.Hall` with other parameters."""
     battery: BatteryModel | None = None
-    """How batteries empty and weaken the rotors; None for batteries that never do."""
+    """Model of batteries that discharge and weaken the rotors; None for ideal batteries."""
     randomization: Randomization | str | None = None
-    """What differs from episode to episode beside the task; None for nothing. Text says it, too,
-    such as `mass=0.9:1.1,thrust=0.95:1.05`."""
+    """Domain randomization, sampled at every reset, also as a string such as
+    `mass=0.9:1.1,thrust=0.95:1.05`; None for none."""
     deterministic: bool = False
-    """Whether every interface must give the same flight to the last bit. On one engine they always
-    do, whatever the number of environments and threads, and whatever the precision of the force
-    model; but where Bullet is installed it flies single environments by default and the compiled
-    twin batches. True makes the twin the default everywhere."""
+    """Whether every interface must give bitwise identical flights. On one engine they always do,
+    for any number of environments and threads. By default Bullet, if installed, flies single
+    environments and the compiled engine batches; True makes the compiled engine the default
+    everywhere."""
     force_bounds_g: Mapping[str, float] = field(default_factory=lambda: FORCE_BOUNDS_G)
-    """Bounds on the vertical interaction force by vehicle token, gram-force: metrics count how
-    often they are broken. Types that are left out have none."""
+    """Bounds on the vertical interaction force by vehicle token, gram-force: metrics count
+    violations. Other types have no bound."""
 
     def __post_init__(self) -> None:
         """Check what the annotations cannot say."""

@@ -228,7 +228,7 @@ class SwarmCore:
         """Begin new episodes in the environments of the mask.
 
         Args:
-            seeds: one per environment; None goes on with that environment's generator.
+            seeds: one per environment; None continues with that environment's generator.
             mask: (E,) which to reset; None for all.
             options: for these episodes alone. What the task allows of `start` and `goal`, (N, 3)
                 m, fixes what would be drawn; `team`, N vehicles or their string, flies in place of
@@ -459,7 +459,7 @@ def _rebuilt(
     snapshot: Snapshot,
     weights: FloatArray,
 ) -> SwarmCore:
-    """Make a core anew where another stood; what `pickle` and `copy` call."""
+    """Make a core again where another stood; what `pickle` and `copy` call."""
     core = kind(task, config, num_envs)
     core.set_state(snapshot)
     core._weights[:] = weights

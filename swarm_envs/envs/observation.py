@@ -218,7 +218,7 @@ def sense(
         first: the first environment to look at.
         last: one past the last.
         drones: (E, N) records: the true state.
-        environments: (E,) records; each decision is measured anew.
+        environments: (E,) records; each decision is measured again.
         settings: (1,) the standard deviations per component of position (m), velocity (m/s),
             attitude (rad) and body rate (rad/s).
         mask: (E,) environments to measure.

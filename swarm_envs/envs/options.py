@@ -54,7 +54,7 @@ class TaskOptions(EnvConfig, ABC):
     team: str | Sequence[Vehicle] | None = None
     """The vehicles, or a string such as `"SSLL"`; overrides `num_drones`."""
     obstacles: Sequence[Obstacle] | str = ()
-    """What stands in the way: `Box` and `Column` of `swarm_envs.tasks.obstacles`, or text such as
+    """Obstacles: `Box` and `Column` of `swarm_envs.tasks.obstacles`, or a string such as
     `buildings=2:2,column=1:1:0.15`."""
     reward_weights: Mapping[str, float] | None = None
     """Weight of each reward term; terms left out keep their default."""
@@ -72,7 +72,7 @@ class TaskOptions(EnvConfig, ABC):
 
     @property
     def standing(self) -> tuple[Obstacle, ...]:
-        """What stands in the way."""
+        """The obstacles."""
         given = self.obstacles
         return parse_obstacles(given) if isinstance(given, str) else tuple(given)
 
@@ -101,17 +101,17 @@ class TaskOptions(EnvConfig, ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class AirTaskOptions(TaskOptions):
-    """Options of a task in which the air decides: those of every task, with other defaults."""
+    """Options of a task about downwash: those of every task, with other defaults."""
 
     num_neighbors: Annotated[int, Range(0, MOST_OBSERVED)] = 7
     """K, how many neighbours a drone observes."""
     observe_load: bool = True
-    """Whether a drone observes what thrust it and its neighbours have to spare, their mass and
-    their charge."""
+    """Whether observations include thrust margin, mass and charge of the drone and of its
+    neighbors."""
     on_contact: Annotated[str, OneOf(ON_CONTACT)] = "end_pair"
-    """What touching something does: see `EnvConfig`."""
+    """Effect of a contact: see `EnvConfig`."""
     world: Annotated[str, OneOf(WORLDS)] | Hall = "hall"
-    """As in a hall with motion capture; or `ideal`, or a `swarm_envs.hall.Hall`."""
+    """`hall`, `ideal` or a custom `swarm_envs.hall.Hall`; see `EnvConfig`."""
 
 
 class TaskViews(NamedTuple, Generic[P]):

@@ -105,7 +105,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
         """Begin an episode.
 
         Args:
-            seed: seeds the environment's one generator; None goes on with it.
+            seed: seeds the environment's one generator; None continues with it.
             options: for this episode alone. `start`, `goal`: (N, 3) positions, m; which of them,
                 the task says. `team`: N vehicles or their string, in place of those that the
                 environment was made with; spaces and agents stay.
@@ -179,7 +179,7 @@ class SwarmParallelEnv(ParallelEnv[str, Observation, npt.NDArray[np.float32]]):
     def set_state(self, snapshot: Snapshot) -> None:
         """Go to where `get_state` was called, here or in another environment of the same options.
 
-        From there everything goes on byte for byte as it did the first time.
+        From there everything continues byte for byte as it did the first time.
 
         Raises:
             TypeError: it is no snapshot.
@@ -273,7 +273,7 @@ def _rebuilt(
     render_mode: str | None,
     snapshot: Snapshot,
 ) -> SwarmParallelEnv:
-    """Make an environment anew where another stood; what `pickle` and `copy` call."""
+    """Make an environment again where another stood; what `pickle` and `copy` call."""
     env = kind(task, config, render_mode)
     env.set_state(snapshot)
     return env

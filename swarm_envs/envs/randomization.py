@@ -34,12 +34,12 @@ _LEAST_THRUST_TO_WEIGHT = 1.1
 @typed
 @dataclass(frozen=True)
 class Randomization:
-    """What is drawn anew at every reset, from the environment's own generator.
+    """Domain randomization, sampled at every reset from the environment's generator.
 
-    Factors are uniform between two numbers and multiply the vehicle's nominal value, each drone's
-    own; the controller goes on computing with the nominal one. Noise is white and Gaussian, given
-    by its standard deviation per component, and is what observations alone see: the tracking loop
-    flies by the true state. For a state estimate that both see, give `world="hall"`.
+    Factors are uniform between two numbers and multiply the nominal value of each drone; the
+    controller uses the nominal value. Noise is white and Gaussian, given by its standard deviation
+    per component, and affects observations only: the tracking controller receives the true state.
+    `world="hall"` has a state estimate for both.
 
     Raises:
         ValueError: a range is empty or not positive, or a standard deviation negative.

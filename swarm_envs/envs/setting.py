@@ -1,4 +1,4 @@
-"""What the commands `fly`, `evaluate`, `train` and `benchmark` all say of an environment."""
+"""Options of an environment that `fly`, `evaluate`, `train` and `benchmark` share."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ __all__ = ["AirOptions", "CrewOptions"]
 
 @dataclass(frozen=True, kw_only=True)
 class AirOptions:
-    """The world around a team; what is not given is as the task says."""
+    """Options of the world; those that are not given are the task's."""
 
     world: Literal["ideal", "hall"] | None = None
-    """`ideal`, or `hall`: with force that no model knows, and an estimated state"""
+    """`ideal`, or `hall`: with random forces and a state estimate"""
     randomization: str | None = None
-    """what differs from episode to episode, such as `mass=0.9:1.1,gust_acceleration=1`: fields of
+    """domain randomization, such as `mass=0.9:1.1,gust_acceleration=1`: fields of
     `swarm_envs.envs.randomization.Randomization`"""
     obstacles: str | None = None
-    """what stands in the way, such as `buildings=2:2,column=1:1:0.15` (x, y, radius, m) or
+    """obstacles, such as `buildings=2:2,column=1:1:0.15` (x, y, radius, m) or
     `box=0:0:0:1:1:2` (two corners, m)"""
     on_contact: Literal["end_team", "end_pair", "bounce"] | None = None
-    """what a contact does: it ends the episode of the team or of the pair, or drones bounce"""
+    """effect of a contact: ends the episode of the team or of the pair, or drones bounce off"""
 
     def air(self) -> dict[str, Any]:
         """Those options of the environment that were given, ready for JSON."""
@@ -33,12 +33,12 @@ class AirOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class CrewOptions(AirOptions):
-    """The same, and who flies."""
+    """The same, and those of the team."""
 
     team: str | None = None
-    """the vehicles, such as `L2S` or `S*S*LL`, in place of a number of drones"""
+    """the vehicles, such as `L2S` or `S*S*LL`, instead of a number of drones"""
     neighbors: Count | None = None
-    """K, how many neighbours a drone observes"""
+    """K, the number of observed neighbors"""
 
     def crew(self) -> dict[str, Any]:
         """Those options of the environment that were given, ready for JSON."""

@@ -35,10 +35,10 @@ class SwarmVectorEnv(VectorEnv[Float32Array, npt.NDArray[np.float32], npt.NDArra
     flown this decision, and where an episode ends `infos["episode_metrics"]`, with Gymnasium's
     masks.
 
-    With `per_agent=True` every drone is a row of its own, number e * N + i for drone i of
-    environment e: observations (E * N, width), actions, rewards and ends likewise. All rows of a
-    team begin anew together; one that ended before (`on_contact="end_pair"`) waits until then, with
-    zeros observed, reward 0 and `infos["active"]` False, and is terminated with the team again.
+    With `per_agent=True` every drone is a row, e * N + i for drone i of environment e: observations
+    (E * N, width), actions, rewards and ends likewise. All rows of a team are reset together; one
+    that ended before (`on_contact="end_pair"`) waits until then, with zero observations, reward 0
+    and `infos["active"]` False, and is terminated with the team again.
 
     Args:
         task: what is flown, by whom.

@@ -309,7 +309,7 @@ class Physics:
         self.begin(np.flatnonzero(where), at_rest=False)
 
     def begin(self, where: IntArray, at_rest: bool = True) -> None:
-        """Let environments (M,) begin anew: at rest at their starts, or as their state was set."""
+        """Let environments (M,) restart: at rest at their starts, or as their state was set."""
         self._begin(where, at_rest, *self._begun)
         clear_environments(self.world.environments, where)
         self.place_bodies(where)
@@ -412,7 +412,7 @@ class BatchPhysics(Physics):
     """The compiled engine. Any number of environments, no dependency on Bullet.
 
     It is the twin of `BulletPhysics`: the same step rule, to 1e-9 until the first contact. After a
-    contact it goes on without response, unless drones bounce: they pass through each other and
+    contact it continues without response, unless drones bounce: they pass through each other and
     through walls.
     """
 

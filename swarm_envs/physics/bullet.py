@@ -227,7 +227,7 @@ class BulletPhysics(Physics):
     def place_bodies(self, where: IntArray) -> None:
         """Move the bodies of these environments (M,) to their states, masses included.
 
-        Where other vehicles fly, all bodies are built anew: Bullet cannot change a body's shape.
+        Where other vehicles fly, all bodies are built again: Bullet cannot change a body's shape.
         """
         if not self.bodies:
             self._build()
@@ -263,7 +263,7 @@ class BulletPhysics(Physics):
         """Put the bodies of environment `e` where its state says, to the last bit.
 
         Bullet keeps attitudes in a form of its own, and rounds one that it is given. Done between
-        decisions, this makes the state all there is: what is restored from it goes on alike.
+        decisions, this makes the state all there is: what is restored from it continues alike.
         """
         state, bullet, client = self.state, self._bullet, self.clients[e]
         pose, twist = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity

@@ -96,7 +96,7 @@ ACCELERATION_LIMIT = 5.0
 NEAR_MISS = 1.5
 """Drones that come closer than this times the sum of their radii had a near miss."""
 _DRAWS = 200
-"""How often an episode is drawn anew until it is free of obstacles."""
+"""How often an episode is sampled again until it is free of obstacles."""
 
 
 @typed
@@ -127,7 +127,7 @@ class TrackingSuccess:
 @typed
 @dataclass(frozen=True)
 class ByScore:
-    """A task that goes on until the clock ends it, and is done by a score that is high enough."""
+    """A task that continues until the time limit, and succeeds with a sufficient score."""
 
     radius: Annotated[float, POSITIVE_M]
     """How near a drone must be to its goal, m."""
@@ -153,12 +153,12 @@ class Task(ABC):
     velocity_integral_limit: float = INTEGRAL_LIMIT
     """Of controllers that leave theirs to the task, m; see `ControllerConfig`."""
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
-    """A kernel that writes the bounded terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
+    """A kernel that writes the terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
     score_names: tuple[str, ...] = ()
     """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
     advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None
-    """A kernel that scores a judged decision and gives goals anew: `(flown, drones, environments,
+    """A kernel that scores a judged decision and sets new goals: `(flown, drones, environments,
     goals, settings)`, `flown` (E,) being the environments that made one."""
 
     def with_team(self, team: Team) -> Self:

@@ -1,4 +1,4 @@
-"""Columns: drones gather in two vertical columns and stay there, each in the air of those above.
+"""Columns: drones gather in two vertical columns and stay in the downwash of those above.
 
 Layouts:
 

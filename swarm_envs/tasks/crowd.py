@@ -1,4 +1,4 @@
-"""Crowd: many drones at constant density, each with one goal after another until the clock ends.
+"""Crowd: many drones at constant density fly from goal to goal until the time limit.
 
 Goals are sites, drawn once an episode, all apart from each other and free of obstacles. A drone has
 one of them at a time; when it reaches it, it is given another, drawn among those that nobody has.
@@ -156,7 +156,10 @@ def give_next_goals(
 def write_crowd_terms(
     drones: Records, environments: Records, settings: Records, out: FloatArray
 ) -> None:
-    """The seven terms of `write_terms`, and `reached`: 1 for each goal that the drone reaches."""
+    """Write the seven terms of `write_terms` and one more.
+
+    - `reached`: 1 for each goal that the drone reaches.
+    """
     write_terms(drones, environments, settings, out)
     for e in range(out.shape[1]):
         for i in range(out.shape[2]):

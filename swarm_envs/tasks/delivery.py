@@ -103,7 +103,7 @@ class DeliveryTask(Task):
         start: FloatArray | None = None,
         goal: FloatArray | None = None,
     ) -> Placement:
-        """Draw docks, heights, which docks have somebody above, and who docks where.
+        """Draw docks, heights, which docks have drones above, and who docks where.
 
         Raises:
             ValueError: a goal is given: goals are the docks.

@@ -32,15 +32,18 @@ def bell(x: float, width: float) -> float:
 def write_terms(drones: Records, environments: Records, settings: Records, out: FloatArray) -> None:
     """Write the reward terms (T, E, N), in the order of `REWARD_NAMES`.
 
-    Returns depend neither on the decision rate nor on the clock. `progress` is a difference of
-    potentials (Ng, Harada and Russell, 1999): the seconds at the speed limit by which the drone
-    came nearer to its goal, so that ways there and back sum to 0. What goes on is counted by the
-    second: `at_goal` and `tracking` (bells around goal and reference), `effort` (mean square
-    action) and `proximity` (1 where a drone touches a drone or an obstacle, 0 from a clearance of
-    2.5 on) are the decision's duration in seconds times a number in [0, 1]. Two are events: `crash`
-    on the step that ends badly for the drone; `success` on the step at which the team has done its
-    task, or one over the number of stages for each of them, so that it sums to 1, for the drones
-    that still fly.
+    Returns depend neither on the decision rate nor on the time limit:
+
+    - `progress`: decrease of the distance to the goal, over the speed limit, in seconds: a
+      difference of potentials (Ng, Harada and Russell, 1999), so that closed paths sum to 0.
+    - `at_goal`: exp(-(distance to the goal / 0.15 m)^2); times seconds.
+    - `tracking`: exp(-(distance to the reference / 0.10 m)^2); times seconds.
+    - `effort`: mean square action; times seconds.
+    - `proximity`: 1 where a drone touches a drone or an obstacle, falling to 0 at 2.5 times that
+      distance; times seconds.
+    - `crash`: 1 on the step on which the drone crashes.
+    - `success`: 1 on the step on which the team succeeds, or one over the number of stages for
+      each stage, for the drones that still fly.
 
     Args:
         drones: (E, N) records, after a decision has been judged.

@@ -202,7 +202,7 @@ class Camera:
     """Draws pictures of a team from states of any engine, in a Bullet client of its own.
 
     It stands still: it aims at the drones of the first picture, or at what `aim` was given, and
-    aims anew only when a drone leaves the picture. Call `close()` when done.
+    aims again only when a drone leaves the picture. Call `close()` when done.
 
     Args:
         team: the vehicles, N of them.

@@ -147,7 +147,7 @@ class _Server(ThreadingHTTPServer):
             self._changed.notify_all()
 
     def wait_while_paused(self) -> None:
-        """Return at once, or when a page goes on, asks for a step, or nobody looks any more."""
+        """Return at once, or when a page continues, asks for a step, or nobody looks any more."""
         with self._changed:
             while self._paused and not self._steps and self.watching:
                 self._changed.wait(0.2)

@@ -10,7 +10,11 @@ from pathlib import Path
 from tests.helpers.imports import ROOT
 
 DOCS = ROOT / "docs"
-PAGES = sorted([*DOCS.rglob("*.md"), *DOCS.rglob("*.rst")])
+GENERATED = DOCS / "generated"
+"""What commands wrote, and pages include."""
+PAGES = sorted(
+    f for f in DOCS.rglob("*.*") if f.suffix in (".md", ".rst") and f.parent != GENERATED
+)
 """Every page, by file."""
 _FENCE = re.compile(r"^(`{3,})(.*?)\n(.*?)^\1", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\]\(((?!https?://)[^)\s]+)\)")

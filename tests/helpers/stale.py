@@ -91,7 +91,7 @@ PRODUCTS = {
         "the commands in agents/weights/MODEL_CARD.md",
     ),
     "benchmark": Product(
-        ("docs/benchmark.png", "docs/benchmark.md"),
+        ("docs/benchmark.png", "docs/generated/benchmark.md"),
         (
             LEARNED_V0,
             "agents/weights/swap-ppo.safetensors",

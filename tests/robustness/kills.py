@@ -40,7 +40,7 @@ ON_POLICY = [*RL, "--n-steps", "8", "--batch-size", "64", "--n-epochs", "2", "--
 ON_POLICY += ["--checkpoint-rollouts", "3"]
 OFF_POLICY = [*RL, "--steps", "3000", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"]
 OFF_POLICY += ["--sac.learning-starts", "200", "--sac.buffer-size", "1000"]
-OFF_POLICY += ["--sac.batch-size", "32", "--sac.rollout", "4"]
+OFF_POLICY += ["--sac.batch-size", "32", "--sac.train-freq", "4"]
 SWEEP = ["drones=2", "environments=8", "n_steps=8", "batch_size=64", "hidden=8,8", "steps=2000"]
 SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "n_epochs=1"]
 SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]

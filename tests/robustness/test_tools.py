@@ -1,4 +1,4 @@
-"""The tools that soak, kill and misplace, at their smallest; `docs/robustness.md` has long runs."""
+"""The tools that soak, kill and misplace, at their smallest; CONTRIBUTING.md has long runs."""
 
 from __future__ import annotations
 

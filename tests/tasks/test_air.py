@@ -231,7 +231,7 @@ def rate(agent: str, task: str, options: dict[str, Any], air: str, episodes: int
 @pytest.mark.slow
 @each
 def test_the_air_decides(task, options):
-    """Of 8 episodes each; docs/tasks.md has those of many more."""
+    """Of 8 episodes each; docs/tasks/columns.md has those of many more."""
     assert rate("air-blind", task, options, "none", 8) >= 0.75
     assert rate("air-blind", task, options, "learned", 8) <= 0.5
     assert rate("air-aware", task, options, "learned", 8) >= 0.75

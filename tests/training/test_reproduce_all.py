@@ -157,9 +157,7 @@ def test_what_is_complete_is_kept_and_the_rest_redone(tmp_path, paper):
     found = run_them(tmp_path, studies, say=said.append)
     assert runs.asked == ["a", "b", "c", "b", "c"]  # a stands, what failed is tried again
     assert {o.state for o in found.values()} == {"done"}
-    assert said == [
-        "going on: 1 items are complete, 2 are to be done; paper/figure-b goes on where it was"
-    ]
+    assert said == ["resuming: 1 items are complete, 2 are to be done; paper/figure-b resumes"]
 
 
 def test_a_record_that_is_damaged_counts_for_nothing(tmp_path, paper):
@@ -191,7 +189,7 @@ def test_the_command_writes_a_page_of_all_items_and_goes_on(tmp_path, capsys, mo
 
     monkeypatch.setattr(dmpc_figures, "formation", fails)
     assert main([*command, *wanted]) == 0
-    assert "going on: 1 items are complete, 0 are to be done" in capsys.readouterr().out
+    assert "resuming: 1 items are complete, 0 are to be done" in capsys.readouterr().out
     (tmp_path / "dmpc-swarm/figure-3a" / RECORD).unlink()
     assert main([*command, *wanted]) == 1
     assert "failed: dmpc-swarm/figure-3a: RuntimeError: run again" in capsys.readouterr().out

@@ -201,7 +201,7 @@ def test_what_is_odd_is_noted(tmp_path, monkeypatch):
     asked = {"figure": 8, "truth": str(weights), "belief": weights, "cases": ("S2S",)}
     report, _ = run_quietly("neural-swarm2", episodes=1, out=tmp_path / "out", **asked)
     notes = report["notes"]
-    assert "compiled twin of Bullet" in notes[0]
+    assert "compiled engine" in notes[0]
     assert "by the environment's model" in notes[1]
 
 

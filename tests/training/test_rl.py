@@ -131,7 +131,7 @@ def test_stopped_after_a_segment_it_goes_on_to_the_same_policy(
     np.random.seed(99)  # noqa: NPY002  # what Stable-Baselines3 draws from
     torch.manual_seed(99)
     assert main(command(algo, tmp_path)) == 0
-    assert "going on from the checkpoint at" in capsys.readouterr().out
+    assert "resuming from the checkpoint at" in capsys.readouterr().out
     assert (tmp_path / FILE).read_bytes() == (whole[algo] / FILE).read_bytes()
     assert curve(tmp_path) == curve(whole[algo])
     with (

@@ -99,7 +99,7 @@ FeedforwardReport = dict[str, Any]
 
 @typed
 def fit_feedforward(config: FeedforwardConfig) -> FeedforwardReport:
-    """Make the model: see the module. Killed and called again, it goes on.
+    """Make the model: see the module. After an interruption it resumes.
 
     Raises:
         ValueError: the folder holds flights of another configuration or force model.

@@ -35,7 +35,7 @@ class CollectOptions:
 
     Every team walks at random, kept apart by artificial potentials, and swaps places in a stack;
     both aloft and near the ground. Writes one file a flight, `manifest.json`, and `rows.npz`, whose
-    labels are computed from the noisy logs. Killed and called again, it goes on where it was.
+    labels are computed from the noisy logs. Interrupted and run again, it resumes.
     `swarm-envs fit --data OUT` fits a force model to the flights.
     """
 

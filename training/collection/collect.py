@@ -141,8 +141,8 @@ def collect(
     """Fly what is not yet there, and read everything.
 
     Writes one file for each flight, and `manifest.json` with the configuration, the force model's
-    fingerprint, every flight's length, and how much was flown of each scenario. Killed and called
-    again, it goes on with the first batch that lacks a file; the result is the same to the byte.
+    fingerprint, every flight's length, and how much was flown of each scenario. After an
+    interruption it resumes with the first missing file; the result is identical.
 
     Args:
         config: what to fly.

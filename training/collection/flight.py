@@ -54,7 +54,7 @@ class CalibrationErrors:
     thrust: Annotated[float, _ERROR] = 0.0
     """of a vehicle's thrust, the same in all its flights"""
     thrust_per_flight: Annotated[float, _ERROR] = 0.0
-    """of a vehicle's thrust, drawn anew for every flight, as batteries and propellers change"""
+    """of a vehicle's thrust, sampled again for every flight, as batteries and propellers change"""
 
     def draw(self, team: Team, seed: int, rngs: list[np.random.Generator]) -> Vehicles:
         """Draw what the drones of E flights really are.

@@ -1,7 +1,7 @@
 """Motions of a collection: random walks kept apart by artificial potentials, and stacked swaps.
 
 Random walk (Neural-Swarm2, Sec. VII-B): each drone has a set-point, a point mass that an
-attractive potential draws to a goal in a small box; goals are drawn anew at a fixed frequency.
+attractive potential draws to a goal in a small box; goals are sampled again at a fixed frequency.
 Half of the time all goals stand in one vertical line, so that drones pass over and under each
 other. Neighbours and the floor repel with an artificial potential (Khatib, 1986) of the
 clearance c, U(c) = strength / 2 (1/c - 1/reach)^2 below the reach and 0 above it, whose slope at

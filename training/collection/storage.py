@@ -161,7 +161,7 @@ def from_table(table: FlightTable, team: Team) -> FlightLog:
     if tuple(table.drone[:drones]) != names or len(table) % drones:
         raise ValueError(
             f"a table begins with the drones {', '.join(table.drone[:drones])}, but must list "
-            f"{', '.join(names)} at every time; collect it anew"
+            f"{', '.join(names)} at every time; collect it again"
         )
 
     def array(values: FloatArray) -> FloatArray:

@@ -84,7 +84,7 @@ class CurriculumConfig:
     Each round flies random walks and stacked swaps, computes the force from the noisy logs, and
     fits a heterogeneous deep set to all flights so far. How close the next round may plan follows
     from how far drones strayed in this one. Ends with `curriculum.json`, `curriculum.png`, a table,
-    and the model `learned.safetensors`. Killed and called again, it goes on where it was.
+    and the model `learned.safetensors`. Interrupted and run again, it resumes.
     """
 
     out: Path

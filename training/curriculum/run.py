@@ -224,7 +224,7 @@ def _fit_all(
 ) -> dict[str, Any]:
     """Fit a model to the flights of all rounds so far; returns what its report says.
 
-    A fit that was killed goes on from its checkpoint; one that is done is read.
+    A fit that was killed resumes from its checkpoint; one that is done is read.
     """
     folder = _round_folder(config, number)
     table, said = folder / "rows.npz", folder / "fit" / "learned.json"

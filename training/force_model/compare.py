@@ -57,7 +57,7 @@ class CompareConfig:
     """flight logs, a table of rows, or a folder of them, as `swarm-envs fit` takes them"""
     out: Path
     """folder for what every model said of the flights that it has not seen: a comparison that was
-    stopped goes on from there"""
+    stopped resumes from there"""
     models: tuple[Model, ...] = ("composed", "deep-set", "wake")
     """the models; the first is compared with each of the others"""
     folds: Annotated[int, Range(2)] = 5

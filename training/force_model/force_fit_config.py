@@ -49,7 +49,7 @@ class TrainConfig:
     label_share: Share = 0.0
     """share of the measured label in what a network with teachers learns, the rest being theirs"""
     schedule: Literal["cosine", "constant"] | None = None
-    """how the rate goes on: a cosine to zero at the last step, or as it is; None: the mode's own"""
+    """schedule of the rate: a cosine to zero at the last step, or constant; None: the mode's own"""
     average_share: Share | None = None
     """the result is a running average of the weights over about this share of the run; 0 takes the
     weights of the last step; None: the mode's own"""
@@ -186,7 +186,7 @@ class FitFiles:
 class FitConfig(TrainConfig, FitFiles):
     """Fit a model of the interaction forces to flight logs or to rows of measured force.
 
-    Writes the model and a report of its errors. Killed and called again, it goes on from the last
+    Writes the model and a report of its errors. Interrupted and run again, it resumes from the last
     checkpoint. Most fits need no more than --data, --out, --model, --mode and --seed.
     """
 

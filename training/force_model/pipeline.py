@@ -105,7 +105,7 @@ CHECKPOINT = "checkpoint.safetensors"
 def fit(config: FitConfig) -> FitReport:
     """Fit a model to rows and write it and its report into `config.out`.
 
-    Killed and called again with the same configuration, the training of a network continues from
+    Run again after an interruption, with the same configuration, training resumes from
     its checkpoint and gives the same weights.
 
     Raises:

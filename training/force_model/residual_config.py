@@ -12,7 +12,7 @@ from swarm_envs.training.flight_logs.log_options import LogOptions
 __all__ = ["ResidualConfig"]
 
 FITTED = ("composed", "wake")
-"""Force models that are fitted anew, to flights other than those that they are judged on."""
+"""Force models that are refitted, to flights other than those that they are judged on."""
 
 
 @typed_options
@@ -29,7 +29,7 @@ class ResidualConfig:
     out: Path
     """folder for `residual.json`"""
     force: str = "composed"
-    """the force model: `composed`, that of environments, or `wake`, fitted anew for each fold of
+    """the force model: `composed`, that of environments, or `wake`, refitted for each fold of
     flights; or the file of a model, which is taken as it is, so that flights it was fitted to
     flatter it"""
     folds: Annotated[int, Range(2)] = 5

@@ -11,7 +11,7 @@ calibration of mass and thrust. Labels hold noise of the sensors, which no drone
 so the autocovariance jumps by its variance at lag zero (the *nugget*), and is kept apart by fitting
 the other lags. Rows of drones that fall are left out, as they are where models are fitted.
 
-The model is fitted anew for each fold of whole flights, and looked at on the flights left out.
+The model is refitted for each fold of whole flights, and looked at on the flights left out.
 Intervals are percentiles of a bootstrap over flights. These numbers are the defaults of
 `swarm_envs.hall.Hall`; docs/hall.md says how they were made.
 """

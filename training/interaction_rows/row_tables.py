@@ -26,7 +26,7 @@ __all__ = ["check_row_table", "join_rows", "notes_of", "vehicle_name", "with_pre
 def join_rows(tables: Sequence[InteractionRows]) -> InteractionRows:
     """Put tables one after the other.
 
-    Flights are numbered anew, so that none collide. Vehicles are the same if they have the same
+    Flights are numbered again, so that none collide. Vehicles are the same if they have the same
     name (or, without one, number) and type. Types, scenarios and neighbour slots are those of any
     table. The torque stays if every table has it.
 

@@ -1,7 +1,7 @@
 """Table III of Neural-Swarm2: the validation error by H, L, velocities and spectral clip.
 
 Every run is a fit of its own in a folder of its own, and is kept: a table that was interrupted
-goes on where it was, in the middle of a fit too.
+resumes, in the middle of a fit too.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def ablation_fit(options: Any, cell: str, seed: int) -> FitConfig:
 
 
 def _grid(options: Any) -> Cells:
-    """What fits each run, or reads it if it has ended; the table is written anew after each.
+    """What fits each run, or reads it if it has ended; the table is rewritten after each.
 
     Raises:
         FileNotFoundError: there is no data.

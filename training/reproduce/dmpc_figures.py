@@ -51,7 +51,7 @@ class DmpcSwarmOptions(StudyOptions):
     compute units, `--figure 3c` with each trigger, `--figure 4` a circle while no compute unit
     hears anything for two seconds. `--study loss` sweeps the share of messages lost, met by our
     recovery, by the paper's, and not at all.
-    What takes a while goes on where it was when it is killed and called again.
+    What takes a while resumes when it is interrupted and run again.
     """
 
     paper: ClassVar[str] = _PAPER

@@ -1,4 +1,4 @@
-"""Table I: both quadrotors identified anew, on simulated vehicles and a simulated load cell.
+"""Table I: both quadrotors identified again, on simulated vehicles and a simulated load cell.
 
 Mass, largest thrust and motor rate come from what `BatchPhysics` does; psi1 from noisy readings of
 force at drawn signals and voltages, as the authors took theirs (Sec. VII-A). psi2 is then fitted to
@@ -210,7 +210,7 @@ TABLE_1 = Study(
     report=_report,
     claims=_claims,
     pictures=("table_1.png",),
-    note="Identified anew from motion and a noisy load cell, as if nothing were known. The "
+    note="Identified again from motion and a noisy load cell, as if nothing were known. The "
     "simulator is made of this table: agreement says that it flies what the table says; psi2, "
     "fitted to readings of psi1, is held against the printed psi2.",
 )

@@ -31,14 +31,14 @@ _PAPER = "neural-swarm2"  # as `swarm-envs reproduce` names the paper
 class NeuralSwarmOptions(StudyOptions):
     """Remake a figure or a table of Neural-Swarm2, with the paper's values beside ours.
 
-    `--table 1` identifies both vehicles anew.
+    `--table 1` identifies both vehicles again.
     `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model,
     with `--bins` its calibration too. `--figure 8` flies stacked swaps with and without
     compensation, `--figure 9` the rings of 5, `--figure 1` those of 16, in environments whose force
     the controllers do not know. `--figure 6` and `--figure 7` plan swaps with and without knowing
     the forces. `--table 3` fits the ablations. `--study` looks at what the
-    controller claims, and at where compensation ends. What takes a while goes on where it was when
-    it is killed and called again.
+    controller claims, and at where compensation ends. What takes a while resumes when
+    it is interrupted and run again.
     """
 
     paper: ClassVar[str] = _PAPER

@@ -148,7 +148,7 @@ def _notes(options: Any, engine: str, flown: Mapping[Air, Sequence[PairedFlights
     """What is otherwise than one would think."""
     notes = []
     if engine == "batch" and options.engine is None:
-        notes.append("pybullet cannot be imported here, so the compiled twin of Bullet flew")
+        notes.append("pybullet cannot be imported here, so the compiled engine flew")
     for air in flown:
         if air.model.fingerprint == _belief(options, air.truth).fingerprint:
             notes.append(f"the controller compensates by the environment's model, {air.truth!r}")

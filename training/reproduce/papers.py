@@ -68,7 +68,7 @@ def overview(program: str) -> str:
             "",
             "papers:",
             *lines,
-            f"  {ALL.ljust(width)}  every table and figure of these, beside the papers' values",
+            f"  {ALL.ljust(width)}  every table and figure of these, with the papers' values",
             "",
             f"`{program} PAPER --help` lists its figures and tables.",
         ]

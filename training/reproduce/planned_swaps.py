@@ -276,7 +276,7 @@ PLANNED_SHARE = 0.9
 """Share of the force bounds that plans may use; the rest is left to tracking errors, and to what
 acts between knots. The same for both planners."""
 ATTEMPTS = 6
-"""How often either planner may begin anew while its plan breaks a bound."""
+"""How often either planner may restart while its plan breaks a bound."""
 
 
 def _planning_bounds() -> PlanningBounds:

@@ -241,7 +241,7 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
     unaware, aware = ([r for r in rows if r["planner"] == planner] for planner in PLANNERS)
     own = {row["scenario"]: row for row in unaware}
     drawn = Reason(
-        "the swaps are drawn anew; those of the paper are not published", Between(1.2, 3.0)
+        "the swaps are sampled again; those of the paper are not published", Between(1.2, 3.0)
     )
     small = own["SL"]["worst_force_S_g"]
     return [

@@ -42,7 +42,7 @@ class ReproduceAllOptions:
     """Remake every table and figure of the three papers, and set ours beside the papers' values.
 
     Writes a folder for each item, `index.html` (all of it on one page, self-contained),
-    `side_by_side.md` and `results.json`. Killed and called again it goes on where it was; an item
+    `side_by_side.md` and `results.json`. Interrupted and run again it resumes; an item
     that fails is named on the page, stops no other, and is tried again the next time.
     """
 
@@ -296,8 +296,8 @@ def run_many(
     if done:
         begun = [s.key for s in todo if options.folder(s).is_dir()]
         begun = [key for key in begun if found[key].state == "not run"]
-        gone = f"; {', '.join(begun)} goes on where it was" if begun else ""
-        say(f"going on: {done} items are complete, {len(todo)} are to be done{gone}")
+        gone = f"; {', '.join(begun)} resumes" if begun else ""
+        say(f"resuming: {done} items are complete, {len(todo)} are to be done{gone}")
     total = done + len(todo)
     with tqdm(total=total, initial=done, desc="items", unit="item", disable=not progress) as bar:
         for study in todo:

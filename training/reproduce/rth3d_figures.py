@@ -52,7 +52,7 @@ class Rth3dOptions(StudyOptions):
     `--figure 5`: 4:2:1 grids; `--figure 6`: square grids six vertices high; `--figure 7`: between
     tall buildings; `--figure 8`: by density; `--figure 9`: rings and blocks; `--figure 11`: ten
     drones write letters, flown. The largest grids take minutes; `--largest` leaves them out. What
-    is killed goes on where it was when called again.
+    is interrupted resumes when run again.
     """
 
     paper: ClassVar[str] = _PAPER

@@ -2,8 +2,8 @@
 
 A study declares what is varied (`grid`), what is made of the measured cells (`report`) and which
 numbers of the paper they are held against (`claims`). `run_study` runs any of them: it computes
-the cells that are not there yet, writes the numbers, the table and the pictures, and goes on where
-it was when it was killed.
+the cells that are missing, writes the numbers, the table and the pictures, and resumes after an
+interruption.
 """
 
 from __future__ import annotations

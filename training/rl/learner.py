@@ -2,7 +2,7 @@
 
 Every algorithm flies in segments that can be repeated: each begins with new episodes, and with
 generators that follow from the run's seed and the segment's place. So a checkpoint between two
-segments holds tensors alone, no environment and no generator; and a run that goes on from one ends
+segments holds tensors alone, no environment and no generator; and a run that resumes from one ends
 as if nothing had happened.
 """
 
@@ -145,7 +145,7 @@ class Learner(ABC):
             optimiser.load_state_dict({"state": state, "param_groups": groups})
 
     def start_counting(self) -> None:
-        """Begin to count ends of episodes anew."""
+        """Begin to count ends of episodes again."""
         self._episodes = self._successes = self._collisions = 0
 
     def count(self, metrics: Mapping[str, Any]) -> None:

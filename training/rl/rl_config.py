@@ -55,12 +55,12 @@ class SacConfig:
 @partial(typed, owner="--dagger.")
 @dataclass(frozen=True)
 class DaggerConfig:
-    """Of `--algo dagger`: who teaches, and how often it is learned from what it said."""
+    """Of `--algo dagger`: the teachers, and the gradient steps."""
 
     teacher: tuple[str, ...] = ("roundabout",)
-    """who says what to do: an agent's name or file; or several, each with where it teaches before
-    it, a layout, a number of drones or both, such as `circle=NAME` or `random,16=NAME`: of those
-    that fit a team the last. An agent that acts on arrays and sees what drones observe"""
+    """the teachers: names or files of agents that act on arrays by what drones observe, each
+    optionally after a layout, a number of drones or both, such as `circle=NAME` or
+    `random,16=NAME`; the last that fits a team teaches it"""
     train_freq: Count = 10
     """decisions of each drone between two rounds of gradient steps"""
     gradient_steps: Count = 12
@@ -76,9 +76,9 @@ class DaggerConfig:
     guided: Share = 0.125
     """of the run: over it, the share of decisions that the teacher flies falls from 1 to 0"""
     noise: Share = 0.1
-    """deviation of what is added to the actions of a third of the environments"""
+    """standard deviation of noise on the actions of a third of the environments"""
     avoiding: Annotated[float, Range(0.0, 100.0)] = 3.0
-    """weight of decisions in which others change what the teacher does; of the rest it is 1"""
+    """weight of decisions in which other drones change the teacher's action; others have 1"""
     huber: Annotated[float, Range(1e-3, 10.0)] = 0.1
     """error of an action from which on the loss grows linearly"""
 
@@ -90,7 +90,7 @@ class RunOptions:
     out: Path
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
     task: str = "swap"
-    """what is learned: `swap`, or with its version, `swap_v1`"""
+    """the task: `swap`, or with its version, `swap_v1`"""
     layout: str | None = None
     """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
     crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""
@@ -124,7 +124,7 @@ class RunOptions:
 class RlConfig(AirOptions, RunOptions):
     """Train one policy for all drones by reinforcement learning.
 
-    Interrupted or killed at any moment, the same command goes on from the last checkpoint, and ends
+    Interrupted or killed at any moment, the same command resumes from the last checkpoint, and ends
     with the policy that an uninterrupted run would have. A finished run is not overwritten.
     """
 
@@ -168,7 +168,7 @@ class RlConfig(AirOptions, RunOptions):
     """standard deviation of actions at the start; the same in every state, and learned; the
     recipe's if not given"""
     second_stage: Annotated[float, Range(0.0, 0.9)] = 0.25
-    """share of the steps that are trained anew from what the others gave: with a fresh Adam, and
+    """share of the steps that are trained again from what the others gave: with a fresh Adam, and
     more exploration again; 0 for one stage"""
     second_rate: Rate = 7e-4
     """of Adam at the start of the second stage"""
@@ -184,16 +184,16 @@ class RlConfig(AirOptions, RunOptions):
     decision_rate: Annotated[int, Divides(PHYSICS_RATE)] = 10
     """decisions per second, in training and in flight"""
     force_rate: Annotated[int, Divides(PHYSICS_RATE)] = 48
-    """evaluations of the air's force per second in training"""
+    """evaluations of the interaction force per second in training"""
     num_neighbors: Annotated[Count, tyro.conf.arg(aliases=["--neighbors"])] = 3
-    """K, how many neighbours a drone observes"""
+    """K, the number of observed neighbors"""
     interactions: str = "learned"
     """interaction forces: `none`, `wake`, `learned`, or a weights file"""
     hard_starts: bool = True
     """with the layout `random`: crowded starts and circles among the episodes"""
     proximity: tuple[Annotated[float, NOT_NEGATIVE], Annotated[float, NOT_NEGATIVE]] = (4.0, 2.0)
     """cost of being near another drone, from the first quarter to the last of the first stage; too
-    much for too long, and drones hover beside their goals"""
+    much for too long, and drones hover next to their goals"""
     crash: Annotated[float, Range(0.0, 1e6)] = 1.0
     """cost of a collision, which also ends the episode"""
     time_cost: Annotated[float, Range(0.0, 1e3)] = 0.0

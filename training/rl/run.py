@@ -29,7 +29,7 @@ from swarm_envs.training.rl.rl_config import RlConfig
 __all__ = ["finished_report", "train_policy"]
 
 REPORT, CURVE = "report.json", "curve.csv"
-"""Files of a run: its report, where it goes on, and its curve."""
+"""Files of a run: its report, where it continues, and its curve."""
 _NO_RESULT = ("out", "json", "progress", "tensorboard", "threads")
 """Options that change nothing of the policy."""
 _EARLIER = {
@@ -89,7 +89,7 @@ def _begin(config: RlConfig, task: str, learner: Learner) -> _Progress:
         return _Progress(options, 0, [], [], None, 0.0, 0.0)
     progress = _Progress(**_load_checkpoint(path, learner, options))
     steps = progress.rollouts * config.rollout_steps
-    tqdm.write(f"going on from the checkpoint at {steps:,} steps in {config.out}")
+    tqdm.write(f"resuming from the checkpoint at {steps:,} steps in {config.out}")
     return progress
 
 

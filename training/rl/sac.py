@@ -7,7 +7,7 @@ normalisation, which keeps them from running away (Ball et al., Efficient Online
 Learning with Offline Data, 2023). The actor and the temperature follow every other step (Fujimoto
 et al., Addressing Function Approximation Error in Actor-Critic Methods, 2018).
 
-A checkpoint holds the replay buffer too, which a run that goes on would otherwise have lost: at
+A checkpoint holds the replay buffer too, which a run that continues would otherwise have lost: at
 most `--sac.buffer-size` decisions. That of a run's end holds none: nothing is learned after it.
 """
 

@@ -1,7 +1,7 @@
 """Episodes of agents, flown by whoever is there: each is kept once, and is as if flown here.
 
 Workers fly chunks of seeds and give their episodes back; only the driver keeps any. A chunk that
-takes long gives what it has, and the rest is handed out anew, so that little is lost by a kill.
+takes long gives what it has, and the rest is handed out again, so that little is lost by a kill.
 """
 
 from __future__ import annotations
@@ -191,7 +191,7 @@ def fly_chunk(
     timed: int,
     refusals: bool = False,
 ) -> dict[str, Any]:
-    """A job of `evaluate_distributed`: some seeds of an agent, the first `timed` one by one.
+    """A job of `evaluate_distributed`: some seeds of an agent, the first `timed` one at a time.
 
     Returns:
         `episodes`, of fewer seeds if it took long or the agent failed; `error` and `trace` if it

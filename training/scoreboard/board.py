@@ -140,7 +140,7 @@ def read(folder: Path) -> Board:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         said = f"{error} is missing" if isinstance(error, KeyError) else error
         raise ValueError(
-            f"{str(file)!r} cannot be shown: {said}; write it anew with `swarm-envs benchmark`"
+            f"{str(file)!r} cannot be shown: {said}; write it again with `swarm-envs benchmark`"
         ) from error
 
 

@@ -6,6 +6,8 @@ An episode's score in [0, 1] makes episodes of unlike tasks comparable:
   in which the slowest drone could be at its goal, over the time it took; 0 without success.
 - `shapes` (formation): of the shapes the share that was reached.
 - `tracking` (ring): 1 less the worst error over 0.15 m, at which success ends; 0 without success.
+- `own` (crowd, pursuit, gates): the task's own score over the one that the row calls full, at most
+  1; with or without success.
 """
 
 from __future__ import annotations
@@ -44,6 +46,7 @@ LABELS = {
     "time": "success weighted by completion time",
     "shapes": "share of shapes reached",
     "tracking": "margin to the tracking limit",
+    "own": "share of a full score",
 }
 """What a score is, in a few words."""
 _SAMPLES_S = 1.0 / 48.0
@@ -66,8 +69,9 @@ METRICS = (
              "Share of episodes in which the team did its task; Wilson's interval.",
              "success", "rate"),
     Measured("score", "score", "", "higher",
-             "In [0, 1]: swap, success weighted by completion time; formation, share of shapes "
-             "reached; ring, margin to the tracking limit."),
+             "In [0, 1]: swap, columns and delivery, success weighted by completion time; "
+             "formation, share of shapes reached; ring, margin to the tracking limit; crowd, "
+             "pursuit and gates, share of a full score."),
     Measured("collision_rate", "collided", "%", "lower",
              "Share of episodes in which any drone hit another, the floor, a wall, or tumbled.",
              "collided", "rate"),
@@ -99,7 +103,7 @@ METRICS = (
              "Median time of one decision for the whole team, on the machine of the manifest.",
              statistic="percentile"),
     Measured("act_us_p99", "decision p99", "µs", "lower",
-             "99th percentile of the same: plans made anew count here, those made at reset do not.",
+             "99th percentile of the same: replanning counts here, planning at reset does not.",
              statistic="percentile"),
 )  # fmt: skip
 """Columns of the scoreboard, in order."""
@@ -145,8 +149,8 @@ def row_of(
 
 
 def _makespan(task: ScoredTask, metrics: Mapping[str, Any]) -> float | None:
-    """When the team was done, s; nobody is in a ring before the clock ends."""
-    if task.score == "tracking":
+    """When the team was done, s; nobody is in a ring or a crowd before the clock ends."""
+    if task.score in ("tracking", "own"):
         return None
     found: float = metrics["length_s" if task.score == "shapes" else "time_to_goal_s"]
     return found
@@ -226,6 +230,9 @@ def score_of(task: ScoredTask, metrics: Mapping[str, Any], fastest_s: float | No
     """
     if task.score == "shapes":
         return float(metrics["stages_reached"]) / float(metrics["stages"])
+    if task.full_score is not None:
+        name, full = task.full_score
+        return min(1.0, float(metrics[name]) / full)
     if not metrics["success"]:
         return 0.0
     if task.score == "tracking":

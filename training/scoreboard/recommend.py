@@ -1,9 +1,10 @@
-"""Write who is recommended for which task, from the folder of a benchmark.
+"""Write who is recommended for which task, from the folders of benchmarks.
 
-    python -m swarm_envs.training.scoreboard.recommend DIR
+    python -m swarm_envs.training.scoreboard.recommend DIR ...
 
-Tasks are those of version 2 in the ideal world and the usual air; see
-`swarm_envs.agents.recommended`.
+What an agent did on a task replaces what the file says of it; the rest stays.
+
+Tasks are those of version 2 but for *robust* and *transfer*; see `swarm_envs.agents.recommended`.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from swarm_envs.training.scoreboard.tasks import TASKS
 
 LEAST_SUCCESS = 0.5
 """Who succeeds less often is recommended to nobody."""
-_ELSEWHERE = {"world", "randomization", "team", "physics", "interactions", "obstacles"}
-"""Options of tasks that are no plain task of so many drones."""
+_PLAIN = {"classic", "air", "crowd"}
+"""Families in which worlds, vehicles and engines are the environments' own."""
 
 
 def recommendations(board: Board) -> list[dict[str, Any]]:
@@ -40,7 +41,7 @@ def recommendations(board: Board) -> list[dict[str, Any]]:
             "agents": _agents(board, task.id),
         }
         for task in known
-        if task.certificate and not _ELSEWHERE & set(task.options)
+        if task.certificate and task.task in _PLAIN and "team" not in task.options
     ]
 
 
@@ -61,11 +62,29 @@ def _agents(board: Board, task: str) -> dict[str, dict[str, Any]]:
                 "learned": isinstance(inner, PolicyAgent),
                 "privileged": about["privileged"],
             }
+    return _best_first(found)
+
+
+def _best_first(found: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
     best = sorted(found, key=lambda name: (-found[name]["success"], -found[name]["score"]))
     return {name: found[name] for name in best}
 
 
+def replaced(old: list[dict[str, Any]], board: Board) -> list[dict[str, Any]]:
+    """The rows, with what a benchmark measured in place of what they say of the same."""
+    rows = {(row["task"], row["layout"], row["drones"]): row for row in old}
+    for row in recommendations(board):
+        known = rows.get(key := (row["task"], row["layout"], row["drones"]), {"agents": {}})
+        kept = {k: v for k, v in known["agents"].items() if k not in board.agents}
+        rows[key] = {**row, "agents": _best_first({**kept, **row["agents"]})}
+    return list(rows.values())
+
+
 if __name__ == "__main__":
-    lines = ",\n".join(json.dumps(row) for row in recommendations(read(Path(sys.argv[1]))))
-    with written_whole(Path(swarm_envs.agents.__file__).parent / FILE) as partial:
+    file = Path(swarm_envs.agents.__file__).parent / FILE
+    rows = json.loads(file.read_text(encoding="utf-8"))["tasks"]
+    for folder in sys.argv[1:]:
+        rows = replaced(rows, read(Path(folder)))
+    lines = ",\n".join(map(json.dumps, rows))
+    with written_whole(file) as partial:
         partial.write_text(f'{{"tasks": [\n{lines}\n]}}\n', encoding="utf-8")

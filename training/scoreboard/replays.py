@@ -77,8 +77,8 @@ def file_of(task: str, agent: str) -> str:
 def record_replays(folder: Path, workers: int = 1) -> list[str]:
     """Record every replay that a scoreboard's folder names and lacks, with a progress bar.
 
-    Killed and called again, it goes on with those that are not there. A page of another episode
-    than the one that is named now is written anew.
+    Interrupted and run again, it continues with those that are not there. A page of another episode
+    than the one that is named now is rewritten.
 
     Args:
         folder: holds `scores.json`.

@@ -47,7 +47,7 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
     {
         "hover": Place("hover", "Stays where it starts: what doing nothing is worth.", 2),
         "random": Place("random", "Draws every action evenly: what chance is worth.", 2, 0.0005),
-        "straight-line": Place("straight line", "A PD law to the goal, whoever is in the way."),
+        "straight-line": Place("straight line", "A PD law to the goal that ignores others."),
         "straight-line+filter": Place("straight line + filter", _FILTERED),
         "fast-line": Place("fast line", "A faster PD law, behind the filter.", 1, 0.0015),
         "orca": Place("ORCA", "Reciprocal velocity obstacles.", 1, 0.0015),
@@ -60,6 +60,9 @@ ROSTER: Mapping[str, Place] = MappingProxyType(
         "tracking-compensated-adaptive": Place(
             "tracking, compensated and adaptive", "The same, with that belief beside it.", 2
         ),
+        "air-blind": Place("air, blind", "Stiff gains and an integrator; it knows of no air.", 2),
+        "air-blind-adaptive": Place("air, blind and adaptive", _ADAPTIVE, 2),
+        "air-aware": Place("air, aware", "It knows the force, and who should be on top.", 2),
         "detour": Place("detour", "Straight ways with bumps around each other, planned once.", 4),
         "detour-compensated": Place("detour, compensated", _COMPENSATED, 4, 0.004),
         "swap-ppo": Place("swap PPO", f"{_POLICY} Trained on swaps of four."),

@@ -1,13 +1,13 @@
 """What all episodes add up to: `scores.json`, and its standings as tables of text.
 
-    python -m swarm_envs.training.scoreboard.standings DIR --into docs/benchmark.md
+    python -m swarm_envs.training.scoreboard.standings DIR --into docs/generated/benchmark.md
 
 puts the tables of a benchmark's folder into a page, between two marks.
 
 Scores over the tasks of a family are aggregated as Agarwal et al. propose (Deep reinforcement
 learning at the edge of the statistical precipice, NeurIPS 2021, and its library rliable): the
 interquartile mean of the scores of all episodes of all tasks, and the share of them above each
-threshold; intervals by the stratified bootstrap, which draws anew within each task. Tasks weigh
+threshold; intervals by the stratified bootstrap, which samples again within each task. Tasks weigh
 the same, however many episodes were flown of each.
 """
 

@@ -2,8 +2,9 @@
 
 Version 1 flies version 0 of the environments, in the numbers of release 0.1.0. Version 2 flies the
 newest, in families: *classic*, the tasks of version 1 with clocks that are long enough for
-planners; *crowd*, more drones; *robust*, other worlds, vehicles and engines; *transfer*, air in
-which nothing that ships was trained. To add a task, add a row and its digest
+planners; *air*, those in which downwash decides; *crowd*, more drones, goals that go on or move;
+*robust*, other worlds, vehicles and engines; *transfer*, air in which nothing that ships was
+trained. To add a task, add a row and its digest
 (`tests/training/scoreboard`).
 
 An id names what is flown for good: the task's version, every option, the force model by the digest
@@ -41,7 +42,7 @@ COMMON: Mapping[str, Any] = MappingProxyType(
 )
 """Options of every task's environments."""
 
-Score = Literal["time", "shapes", "tracking"]
+Score = Literal["time", "shapes", "tracking", "own"]
 """What an episode's score says: see `swarm_envs.training.scoreboard.metrics`."""
 
 
@@ -58,6 +59,8 @@ class ScoredTask(TaskInfo):
     """What an episode is scored by."""
     clock_s: float
     """How long an episode lasts at most, s."""
+    full_score: tuple[str, float] | None = None
+    """Where the score is `own`: the metric that is the task's own score, and what counts as 1."""
     certificate: str = ""
     """Agent that succeeds in 95 % of the episodes or more: the task can be solved. With `@` and a
     number behind it, within a clock of so many seconds. Empty in version 1."""
@@ -102,6 +105,7 @@ def definition(task: ScoredTask) -> dict[str, Any]:
         "seed": SEED,
         "score": task.score,
         **({} if world is None else {"world": asdict(world)}),
+        **({"full_score": task.full_score} if task.full_score else {}),
     }
 
 
@@ -247,6 +251,38 @@ def _new(
     )
 
 
+def _of_own(
+    name: str, help_: str, environment: str, certificate: str, episodes: int, **options: Any
+) -> ScoredTask:
+    """A row of version 2 of an environment that version 1 does not have; arguments as of `_new`."""
+    score, clock_s, full_score = _SCORES[environment]
+    return ScoredTask(
+        id=f"{name}-v2",
+        task=name.partition("-")[0],
+        environment=environment,
+        options={**options, **({"world": "hall"} if name.startswith("air") else {})},
+        label=name.replace("-", " "),
+        help=help_,
+        score=score,
+        clock_s=_SPRINT_S if options.get("layout") == "sprint" else clock_s,
+        full_score=full_score,
+        certificate=certificate,
+        episodes=episodes,
+    )
+
+
+_SPRINT_S = 2.0
+_SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingProxyType(
+    {
+        "columns_v0": ("time", 6.0, None),
+        "delivery_v0": ("time", 3 * 2.2, None),
+        "gates_v0": ("own", 30.0, ("gates_per_min", 80.0)),
+        "crowd_v0": ("own", 30.0, ("throughput_per_min", 40.0)),
+        "pursuit_v0": ("own", 20.0, ("share_on_goal", 1.0)),
+    }
+)
+"""Score, clock in seconds, and full score."""
+
 _CLASSIC = {task.id: task for task in map(_classic, _TABLE)}
 _HALL = "Force that no model knows, and a state that is estimated."
 _NOISE = {
@@ -258,9 +294,31 @@ _NOISE = {
 }
 _DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
 _ADAPTIVE = "tracking-compensated-adaptive"
+_AWARE, _LINE, _GOALS = "air-aware", "fast-line", "A reached goal gives another, 1 to 3 m away."
 _OTHER_AIR = "Air in which nothing that ships was trained."
 
 _NEW = (
+    _of_own("air-stack-8", "Two columns of small drones, half with a payload: who is on top?",
+            "columns_v0", _AWARE, 128, layout="stack", num_drones=8),
+    _of_own("air-sprint-6", "Two columns of large drones and a small one, in 2 s, within 3 cm.",
+            "columns_v0", _AWARE, 128, layout="sprint", num_drones=6),
+    _of_own("air-delivery-7", "Couriers dock above the floor, at two of three docks below others.",
+            "delivery_v0", _AWARE, 128, num_drones=7),
+    _of_own("air-gates-3", "A slalom in vertical formation.",
+            "gates_v0", "straight-line", 64, num_drones=3),
+    _of_own("crowd-open-64", _GOALS, "crowd_v0", _ROUND, 16, layout="open", num_drones=64),
+    _of_own("crowd-forest-16", f"{_GOALS} Between trees.",
+            "crowd_v0", _LINE, 64, layout="forest", num_drones=16),
+    _of_own("crowd-forest-64", f"{_GOALS} Between trees.",
+            "crowd_v0", _LINE, 16, layout="forest", num_drones=64),
+    _of_own("crowd-buildings-32", "A reached goal gives another, 0.8-1.6 m away, between towers.",
+            "crowd_v0", _LINE, 32, layout="buildings", num_drones=32, reach_m=[0.8, 1.6]),
+    _of_own("crowd-moving-8", "Goals are a formation that flies an ellipse.",
+            "pursuit_v0", _TRACKING, 64, layout="moving", num_drones=8),
+    _of_own("crowd-swaps-8", "Every 5 s each drone is given another's goal.",
+            "pursuit_v0", _ROUND, 64, layout="swap-goals", num_drones=8),
+    _of_own("crowd-chase-8", "Goals are beside others, wherever these are.",
+            "pursuit_v0", _AWARE, 64, layout="chase", num_drones=8),
     _new("crowd-random-32", _RANDOM, "swap-random-16", _ROUND, 64, num_drones=32),
     _new("crowd-random-64", _RANDOM, "swap-random-16", _ROUND, 32, num_drones=64),
     _new("crowd-circle-32", _CIRCLE, "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),

@@ -62,7 +62,7 @@ class SearchConfig:
     """After arrival within epsilon: `"repeat"` brakes in one step and stays there, `"track"` is
     drawn to the goal itself by virtual tracking. Either way to the common end of the plan."""
     fresh: Annotated[float, _SHARE] = 0.5
-    """How often an outer loop plans everyone anew, below the cost bound, instead of replanning one
+    """How often an outer loop replans everyone, below the cost bound, instead of replanning one
     after another among the motions there are: the way out of a poor homeomorphism class."""
     least_gain: Annotated[float, Range(0.0, 1.0, below=True)] = 0.005
     """Share by which a plan must be cheaper than the best; below it, trees do not look."""

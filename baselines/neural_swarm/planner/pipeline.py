@@ -45,7 +45,7 @@ __all__ = ["plan_swarm"]
 SEARCH = SearchConfig(iterations=40_000)
 """Options of stage 1: stage 2 needs a good class of motions, not the best motions of it."""
 ATTEMPTS = 3
-"""How often both stages are run, each time drawn anew, until a plan keeps everything."""
+"""How often both stages are run, each time sampled again, until a plan keeps everything."""
 _SEARCH_SHARE = 0.6  # of the time that is left: what stage 1 may take
 _SHORTEST_SEARCH_S = 1e-3  # then it plans one tree and finds the time is up
 _GUESSES, _BEND_M = 30, 0.4  # bent lines that are drawn, and their standard deviation
@@ -85,7 +85,7 @@ def plan_swarm(
         max_duration: the latest end of the plan, s.
         time_limit: seconds after which the best plan so far is returned, marked as not converged;
             None for none.
-        attempts: how often to begin anew while a plan breaks a bound.
+        attempts: how often to restart while a plan breaks a bound.
         initial: motions to refine instead of those of stage 1.
         search: options of stage 1; None for the defaults.
         options: of stage 2; None for the defaults.

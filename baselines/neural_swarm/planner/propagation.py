@@ -174,7 +174,7 @@ class Scene(NamedTuple):
     acceleration: FloatArray
     """(K + 1, n, 3) held after each knot, m/s^2."""
     force_before: FloatArray
-    """(K + 1, n) vertical forces before this robot is planned anew, N."""
+    """(K + 1, n) vertical forces before this robot is replanned, N."""
     cost_left: FloatArray
     """(K + 1,) what the others' controls cost from each knot on without this robot, m/s."""
     start: FloatArray

@@ -9,7 +9,7 @@ promises next to nothing, or its trust region has become tiny; the refinement ha
 all have.
 
 Programs bound forces at knots and half way between. Where they peak elsewhere above a bound, that
-bound is lowered by as much, and the refinement goes on.
+bound is lowered by as much, and the refinement continues.
 """
 
 from __future__ import annotations

@@ -232,7 +232,7 @@ def test_the_blackout_preset_makes_units_deaf_for_ten_rounds():
         (lambda: LossModel.of(float("nan")), "must be a share"),
         (lambda: LossModel.of("2%"), "the presets are"),
         (lambda: Jam(first_round=5, last_round=4), "rounds must be in order"),
-        (lambda: Jam(first_round=0, last_round=4, senders="uav"), "names nobody"),
+        (lambda: Jam(first_round=0, last_round=4, senders="uav"), "names no drone"),
         (
             lambda: LossProcess(
                 LossModel(jams=(Jam(first_round=0, last_round=1, senders="unit 2"),)), 3, 2, 0

@@ -20,6 +20,7 @@ from swarm_envs.baselines.rth3d import (
     plan,
     validate,
 )
+from swarm_envs.baselines.rth3d.compaction import compact
 from swarm_envs.baselines.rth3d.grid import GridInstance, points
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
 from swarm_envs.baselines.rth3d.grid_planning import PibtSearch
@@ -318,3 +319,18 @@ def test_what_cannot_be_is_refused(asked, code, said, capsys, monkeypatch, tmp_p
         assert end.code == code
     assert said in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+def test_paths_become_coordinates_in_place_of_their_numbers():
+    given = np.random.default_rng(0).integers(0, 60, (70, 5)).astype(np.int32)
+    wanted = np.stack(np.unravel_index(given, (5, 4, 3)), axis=-1)
+    view = grid_planning._coordinates(given[:], (5, 4, 3))
+    assert given.shape == (70, 5) and np.array_equal(view, wanted)
+    assert np.array_equal(grid_planning._coordinates(given, (5, 4, 3)), wanted)
+    assert len(given) == 1 and view.dtype == np.int16
+
+
+def test_compaction_gives_back_the_steps_that_it_saves():
+    paths = np.array([[0, 5], [0, 5], [1, 5], [1, 5], [2, 4], [2, 4]], dtype=np.int32)
+    found = compact(paths, 6)
+    assert found.tolist() == [[0, 5], [1, 4], [2, 4]] and found.flags.owndata

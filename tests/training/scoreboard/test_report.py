@@ -52,7 +52,7 @@ def test_what_is_wrong_is_named(tmp_path, path, value, said):
     content = scores()
     change(content, path, value)
     write_scores(tmp_path, content)
-    with pytest.raises(ValueError, match=f"scores.json' cannot be shown: .*{said}.*write it anew"):
+    with pytest.raises(ValueError, match=f"scores.json' cannot be shown: .*{said}.*write it again"):
         read(tmp_path)
 
 

@@ -57,14 +57,25 @@ DIGESTS = {
     "formation-tour-16-v2": "f00d07d6d565ebf8",
     "formation-shuffle-8-v2": "019fb262b9f343cc",
     "formation-shuffle-16-v2": "9cb8f0157d01c41a",
+    "air-stack-8-v2": "649a38d403e71a04",
+    "air-sprint-6-v2": "6c4b4d18566bb1d6",
+    "air-delivery-7-v2": "c1092f915d07aee1",
+    "air-gates-3-v2": "195150eabc499620",
+    "crowd-open-64-v2": "f3ff3f2135ad2efb",
+    "crowd-forest-16-v2": "d794b9443d091b29",
+    "crowd-forest-64-v2": "0f92dec5e0ea872f",
+    "crowd-buildings-32-v2": "1bd53bab02b1f381",
+    "crowd-moving-8-v2": "630114bb9abc9880",
+    "crowd-swaps-8-v2": "45b1a22e600dbf41",
+    "crowd-chase-8-v2": "268331cbbac389df",
     "crowd-random-32-v2": "d6e003aaea740e9c",
     "crowd-random-64-v2": "bcd7a113dfb7b872",
     "crowd-circle-32-v2": "2d8e3002ec28c289",
-    "robust-random-8-hall-v2": "19fb220202a27b38",
-    "robust-circle-8-hall-v2": "ae6b351cf8f96fbd",
-    "robust-stacked-L2S-hall-v2": "21365a20aae9fa32",
-    "robust-ring-5-hall-v2": "8ea4afdb20b57553",
-    "robust-shuffle-8-hall-v2": "fb4493a451319ff9",
+    "robust-random-8-hall-v2": "13b19e5a9a684fae",
+    "robust-circle-8-hall-v2": "01c9f8c72b0b8c58",
+    "robust-stacked-L2S-hall-v2": "39a058d364619167",
+    "robust-ring-5-hall-v2": "0325196ded80d578",
+    "robust-shuffle-8-hall-v2": "19d863558878c78b",
     "robust-random-8-noise-v2": "024736b5adb9dcee",
     "robust-random-LLLLSSSS-v2": "1fbd43cb8c9876ed",
     "robust-random-4-bullet-v2": "4bd3bec5ba680b39",
@@ -185,9 +196,9 @@ def test_what_is_no_name_is_refused_with_the_nearest(choose):
 
 def test_the_page_explains_every_column_and_names_every_task():
     page = (DOCS / "benchmark.md").read_text(encoding="utf-8")
-    measured = page.partition("## What is measured")[2]
+    measured = page.partition("## Metrics")[2]
     assert all(f"`{metric.name}`" in measured for metric in METRICS)
-    shown = page.partition("## Tasks")[2].partition("## What is measured")[0]
+    shown = page.partition("## Tasks")[2].partition("## Metrics")[0]
     for name in TASKS:
         first, size, version = name.rsplit("-", 2)
         assert f"`{name}`" in shown or (f"`{first}-" in shown and f"`-{size}`" in shown), name

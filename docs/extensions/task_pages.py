@@ -1,0 +1,173 @@
+"""Pages of tasks: `<!-- task: swap_v1 -->` becomes the page of that task, in Gymnasium's order.
+
+Text comes from the docstring of the task's module, numbers from an environment that is made with
+the default options. A new task needs one page in `docs/tasks/` with one such line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import re
+from pathlib import Path
+from typing import Any
+
+import swarm_envs
+from swarm_envs import gymnasium_name, swap_v1
+from swarm_envs.envs.observation import observation_layout
+from swarm_envs.envs.options import TaskOptions
+from swarm_envs.envs.parallel import SwarmParallelEnv
+from swarm_envs.tasks.rewards import write_terms
+
+from .option_tables import options_table
+
+MARK = re.compile(r"^<!-- task: (\w+) -->$", re.MULTILINE)
+FIELDS_MARK = "<!-- observation table -->"
+_SECTION = re.compile(r"^\*\*([^*\n]+?)\.?\*\*\.? ?", re.MULTILINE)
+_ASIDE = re.compile(r"^\([^)]*\):?\s*")
+_ACTION = re.compile(r"^\| `(\w+)` \| (.+) \|$", re.MULTILINE)
+_TERM = re.compile(r"^- `(\w+)`: (.+(?:\n  .+)*)", re.MULTILINE)
+_KNOWN = ("Start", "Success", "Rewards", "End", "Versions")
+_PICTURES = ("webp", "png", "svg")
+
+
+def sections(text: str) -> dict[str, str]:
+    """The parts of a task's docstring by their titles; what stands before the first is `""`."""
+    parts = _SECTION.split(text)
+    return {"": parts[0].strip()} | {
+        title: body.strip() for title, body in zip(parts[1::2], parts[2::2], strict=True)
+    }
+
+
+def options_type(task: str) -> type[TaskOptions]:
+    """The options of a task, which its module defines.
+
+    Raises:
+        StopIteration: the module defines none.
+    """
+    module = importlib.import_module(f"swarm_envs.{task}")
+    own = (c for c in vars(module).values() if getattr(c, "__module__", "") == module.__name__)
+    return next(c for c in own if inspect.isclass(c) and issubclass(c, TaskOptions))
+
+
+def task_page(task: str, folder: Path) -> str:
+    """A task's page in Markdown.
+
+    Args:
+        task: such as `swap_v1`.
+        folder: where a picture named after the task's family is looked for.
+    """
+    options = options_type(task)
+    env = swarm_envs.make(task, physics="batch")
+    parts = sections(inspect.getdoc(importlib.import_module(f"swarm_envs.{task}")) or "")
+    head, _, rest = parts[""].partition("\n\n")
+    title, _, summary = head.partition(": ")
+    family = swarm_envs.task_family(task)
+    found = [f"{family}.{kind}" for kind in _PICTURES if (folder / f"{family}.{kind}").exists()]
+    return "\n\n".join(
+        [
+            f"# {title.partition(',')[0]}",
+            *(f"![{title.partition(',')[0]}: {summary}]({name})" for name in found),
+            _facts(task, env),
+            f"## Description\n\n{summary[0].upper()}{summary[1:]}",
+            _plain(rest),
+            *(f"**{name}.** {text}" for name, text in parts.items() if name and name not in _KNOWN),
+            f"## Action space\n\n{_actions()}",
+            f"## Observation space\n\n{_observations(env)}",
+            f"## Rewards\n\n{_rewards(parts['Rewards'], env)}",
+            f"## Starting state\n\n{parts['Start']}",
+            f"## Episode end\n\n{parts['End']}\n\n**Success.** {parts['Success']}",
+            f"## Arguments\n\n{_arguments(options)}",
+            f"## Version history\n\n{parts['Versions']}",
+        ]
+    )
+
+
+def _plain(text: str) -> str:
+    """Text without the docstring's own table, and its code as a block of Python."""
+    kept = [line for line in text.splitlines() if not line.startswith("|")]
+    code = "\n".join(line[4:] for line in kept if line.startswith("    "))
+    said = "\n".join(line for line in kept if not line.startswith("    "))
+    return f"```python\n{code}\n```\n\n{said.strip()}"
+
+
+def _facts(task: str, env: SwarmParallelEnv) -> str:
+    first, config = env.possible_agents[0], env.core.config
+    rows = {
+        "Import": f"`from swarm_envs import {task}`",
+        "Gymnasium id": f"`{gymnasium_name(task)}`",
+        "Agents": f"{len(env.possible_agents)} by default: `{first}` ...",
+        "Action space": f"`{env.action_space(first)}`",
+        "Observation space": f"`{env.observation_space(first)}`",
+        "Episode length": f"{env.core.task.episode_s:g} s, {config.decision_rate} steps per second",
+    }
+    return "\n".join(["| | |", "|---|---|", *(f"| {k} | {v} |" for k, v in rows.items())])
+
+
+def _actions() -> str:
+    rows = _ACTION.findall(inspect.getdoc(swap_v1) or "")
+    head = ["| `action=` | each drone's action |", "|---|---|"]
+    return "\n".join([*head, *(f"| `{name}` | {meaning} |" for name, meaning in rows)])
+
+
+def _observations(env: SwarmParallelEnv) -> str:
+    rows = [
+        f"| {f.where.start}{_until(f.where)} | `{f.name}` | {f.unit} | {f.scale:g} |"
+        for f in env.observation_layout
+    ]
+    text = (
+        "Each drone observes a row of float32. A quantity is the number in the row times its scale."
+    )
+    table = ["| index | field | unit | scale |", "|---|---|---|---|", *rows]
+    return "\n".join([text, "[Tasks](../tasks.md#observations) explains the fields.", "", *table])
+
+
+def _until(where: slice) -> str:
+    return f"-{where.stop - 1}" if where.stop - where.start > 1 else ""
+
+
+def observation_table() -> str:
+    """The fields of every observation, of one neighbour k and one obstacle k."""
+    rows = [
+        f"| `{f.name.replace('_0.', '_k.')}` | {f.where.stop - f.where.start} | {f.unit} "
+        f"| {f.scale:g} |"
+        for f in observation_layout(1, 1)
+    ]
+    return "\n".join(["| field | numbers | unit | scale |", "|---|---|---|---|", *rows])
+
+
+def _rewards(text: str, env: SwarmParallelEnv) -> str:
+    meanings: dict[str, str] = {}
+    for writer in (write_terms, env.core.task.write_reward_terms):
+        meanings |= dict(_TERM.findall(inspect.getdoc(writer) or ""))
+    rows = [
+        f"| `{name}` | {weight:g} | {' '.join(meanings.get(name, '').split())} |"
+        for name, weight in env.core.task.reward_weights.items()
+    ]
+    said = _ASIDE.sub("", text)
+    head = [said[:1].upper() + said[1:], "", "| term | weight | value |", "|---|---|---|"]
+    return "\n".join([*head, *rows])
+
+
+def _arguments(options: type[TaskOptions]) -> str:
+    shared = {field.name for field in dataclasses.fields(TaskOptions)}
+    own = [f.name for f in dataclasses.fields(options) if f.name not in shared]
+    said = "`num_drones` and [the options of every task](../tasks.md#options) are accepted too."
+    return f"{options_table(options, ['num_drones', *own])}\n\n{said}"
+
+
+def expand(text: str, folder: Path) -> str:
+    """A page's text with each mark replaced by what it stands for."""
+    text = text.replace(FIELDS_MARK, observation_table())
+    return MARK.sub(lambda mark: task_page(mark[1], folder), text)
+
+
+def setup(app: Any) -> dict[str, Any]:
+    """Tell Sphinx."""
+
+    def read(app: Any, page: str, content: list[str]) -> None:
+        content[0] = expand(content[0], (Path(app.srcdir) / page).parent)
+
+    app.connect("source-read", read)
+    return {"parallel_read_safe": True}
