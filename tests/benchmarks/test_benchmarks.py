@@ -117,7 +117,7 @@ def test_parts_are_shares_of_a_training(threads, unit):
     pytest.importorskip("stable_baselines3")
     from tests.benchmarks.training import PARTS, measure
 
-    small = {"environments": 4, "batch_size": 64, "rollout": 16, "drones": (2, 4), "hidden": (8,)}
+    small = {"environments": 4, "batch_size": 64, "n_steps": 16, "drones": (2, 4), "hidden": (8,)}
     small |= {"interactions": "none", "threads": threads}
     speed, *parts = measure(small, repetitions=1, rollouts=1)
     assert speed["value"] > 0.0 and speed["unit"] == f"agent-steps per {unit}"

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 OPTIONAL = {
     "parquet": ("pyarrow",),
-    "viz": ("plotly", "pyarrow"),
+    "film": ("imageio_ffmpeg",),
+    "viz": ("imageio_ffmpeg", "plotly", "pyarrow"),
     "train": ("torch", "stable_baselines3"),
     "tensorboard": ("tensorboard", "torch", "stable_baselines3"),
     "ray": ("ray",),

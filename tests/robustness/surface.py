@@ -138,6 +138,10 @@ def calls(folder: Path) -> dict[str, Call]:
         ),
         "fly_episode": Call(_fly, {"seed": 0}),
         "agents.load": Call(agents.load, {"name": "hover"}),
+        "agents.recommended": Call(
+            agents.recommended,
+            {"task": "swap", "num_drones": 4, "learned": None, "privileged": None},
+        ),
         "write_trajectory": Call(_recorded, {"path": folder / "flight.npz"}),
     }
     found |= {function.__name__: Call(function, given) for function, given in GIVEN.items()}

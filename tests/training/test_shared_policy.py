@@ -133,7 +133,7 @@ def test_options_of_the_next_reset():
         env.reset()
 
 
-@pytest.mark.filterwarnings("ignore:Your observation neighbors has an unconventional shape")
+@pytest.mark.filterwarnings("ignore:Your observation (neighbors|obstacles) has an unconventional")
 @pytest.mark.parametrize("task", TASKS)
 def test_sb3s_check_of_gymnasium_environments(task):
     options = {**QUICK, "physics": "batch"}

@@ -112,7 +112,7 @@ def definition(task: ScoredTask) -> dict[str, Any]:
 def make_scored(environment: str, setting: Mapping[str, Any]) -> SwarmParallelEnv:
     """An environment of a setting that is ready for JSON, as `swarm_envs.make` makes it."""
     options = dict(setting)
-    if "randomization" in options:
+    if isinstance(options.get("randomization"), Mapping):
         options["randomization"] = Randomization(**options["randomization"])
     return make(environment, **options)
 

@@ -66,7 +66,10 @@ def _alike(name: str, env: SwarmParallelEnv, rows: Float32Array, acts: Array) ->
     if isinstance(agent, PolicyAgent):
         rows = _for_neighbors(rows, env, agent.policy.note.num_neighbors)
     else:
-        agent.reset(env, 0)
+        try:
+            agent.reset(env, 0)
+        except ValueError:  # it flies no such episodes, hence is nobody's source
+            return False
     own = np.asarray(agent.act_batch(rows), np.float64)
     size = float(np.sqrt(np.mean(np.square(own))))
     return float(np.sqrt(np.mean(np.square(own - acts)))) <= ALIKE * size

@@ -60,7 +60,7 @@ def test_what_it_cannot_plan_for_is_refused() -> None:
     column = Column(center=(1.0, 1.0), radius=0.1, height=1.0)
     refused = (
         (swap_v0.parallel_env(num_drones=7, **given), "got 7 drones, but plans for at most 6"),
-        (ring_v0.parallel_env(num_drones=5, **given), "those of ring_v0 circle"),
+        (ring_v0.parallel_env(num_drones=5, **given), "those of ring_v0 move"),
         (swap_v0.parallel_env(num_drones=2, obstacles=(column,), **given), "knows no obstacles"),
     )
     for env, said in refused:

@@ -76,7 +76,7 @@ def test_vertices_are_matched_to_the_nearest_points_and_are_all_different():
 def test_what_it_cannot_fly_is_refused():
     ring = ring_v0.parallel_env(physics="batch", **GridAgent().requires)
     ring.reset(seed=0)
-    with pytest.raises(ValueError, match="circle"):
+    with pytest.raises(ValueError, match="those of ring_v0 move"):
         GridAgent().reset(ring, 0)
     env = swap_v0.parallel_env(num_drones=2, physics="batch", **GridAgent().requires)
     env.reset(seed=0)
