@@ -55,7 +55,7 @@ def recommended(
 
     Raises:
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
-            message says who flies something near.
+            message names an agent for a task that is near.
     """
     agents = _agents_for(task, layout, num_drones)
     wanted = {"learned": learned, "privileged": privileged}

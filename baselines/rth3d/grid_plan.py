@@ -123,7 +123,7 @@ class GridPlan(GridInstance):
     """Whether `validate` has found the paths feasible; `plan` returns no others."""
     set_bound: int | None = None
     """Of plans without labels, whose `goals[i]` is the one that robot i takes: steps that no plan
-    can do without, whoever takes which goal. None for labelled plans."""
+    can do without, with any assignment of goals. None for labelled plans."""
 
     @cached_property
     def lower_bound(self) -> int:

@@ -29,7 +29,7 @@ _MOST_WAYS = 2**25  # lengths of ways that the bottleneck matching keeps: 0.13 G
 
 
 def unlabelled_bound(instance: GridInstance, table: Neighbors) -> int:
-    """Steps that no plan can do without, whoever takes which goal.
+    """Steps that no plan can do without, with any assignment of goals.
 
     The largest of: the way to the nearest goal, or from the nearest start; what a plane across an
     axis lets through; and where the ways fit into memory, the longest way of the matching of starts

@@ -75,7 +75,7 @@ class FlyOptions(EpisodeOptions):
     """
 
     agent: str | None = None
-    """who flies, by default the best for the task by the benchmark: hover, random, straight-line,
+    """the agent, by default the best for the task by the benchmark: hover, random, straight-line,
     fast-line, orca, roundabout, tracking, detour, mlr-dmpc, rth3d (these four also
     -compensated), tracking-adaptive, tracking-compensated-adaptive, air-blind, air-blind-adaptive,
     air-aware, neural-swarm-planner, swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo,
@@ -175,10 +175,10 @@ def find_task(name: str) -> str:
 
 
 def _best_agent(options: EpisodeOptions, task: str) -> str:
-    """Who flies a task best, as it was asked for.
+    """The best agent for a task, as it was asked for.
 
     Raises:
-        ValueError: the benchmark knows nobody; the message says who flies something near.
+        ValueError: the benchmark has no agent for it; the message names a near task that has one.
     """
     from swarm_envs import make
     from swarm_envs.agents import recommended

@@ -3,13 +3,13 @@
 Layouts:
 
 - `stack`: half of each column's drones carry a payload, which is drawn. Any drone may take any
-  place, so whoever has little thrust to spare had better stand on top. The task's reference leads
+  place, so a drone with little thrust to spare had better stand on top. The task's reference leads
   each drone to the place nearest to it.
 - `sprint`: each drone has a place of its own, and just the time to get there and stay. Who stands
   above whom is drawn.
 
 Drones start beside their column, each at the height of its first place and in a direction of its
-own, so that straight ways within a column do not meet, whoever takes which place.
+own, so that straight ways within a column do not meet, with any assignment of places.
 """
 
 from __future__ import annotations
