@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import sys
 import tempfile
@@ -217,17 +218,21 @@ def files_of(name: str, others: Sequence[str]) -> list[str]:
     return [str(path if shared else folder)]
 
 
-def package_state() -> dict[str, tuple[int, ...]]:
-    """What changes if anybody changes the package's sources and weights, by file.
+def package_state() -> dict[str, str]:
+    """Digests of the package's sources and weights, by file: they change if anybody changes one.
 
-    The time of a file's last change of any kind cannot be set by a user.
+    Times are not compared, because a hard link to a file, as builds make them, changes its time.
     """
     package = Path(swarm_envs.__file__).parent
     parts = [package, *(part for part in package.iterdir() if part.is_symlink())]
     files = [file for part in parts for file in part.resolve().rglob("*.*")]
     kept = (".py", ".safetensors", ".json")
-    stats = {str(file): file.stat() for file in files if file.suffix in kept}
-    return {file: (s.st_ino, s.st_size, s.st_ctime_ns) for file, s in stats.items()}
+    return {str(file): _digest(file) for file in files if file.suffix in kept}
+
+
+def _digest(file: Path) -> str:
+    with file.open("rb") as content:
+        return hashlib.file_digest(content, "sha256").hexdigest()
 
 
 def _import_paths() -> list[str]:
