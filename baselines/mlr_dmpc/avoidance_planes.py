@@ -24,8 +24,9 @@ A half-space normal . p >= offset that holds at the worst corner of the box thus
 plan: it cannot bind, and leaving it out changes nothing. The plane of eq. (15) lies between the
 plan p0 that is flown and the known trajectory q of the other, its normal within an angle alpha of
 Theta^-1 (p0 - q). So it holds for every q with |Theta^-1 (q - p0)| cos alpha >= d + r (d + 2 r if
-the other may be replanned), where r is the largest |Theta^-1 (p - p0)| of p in the box: whoever
-cannot come within reach costs no row. Each candidate of a drone has its own rows; each is tested.
+the other may be replanned), where r is the largest |Theta^-1 (p - p0)| of p in the box: a
+drone that cannot come within reach costs no row. Each candidate of a drone has its own rows; each
+is tested.
 """
 
 from __future__ import annotations

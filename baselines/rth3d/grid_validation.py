@@ -137,7 +137,7 @@ def validate(
         goals: (n, 3) integers.
         shape: of the grid.
         obstacles: booleans of that shape, anywhere, or None.
-        labels: whether each robot must end at its own goal, or all at goals, whoever at which.
+        labels: whether each robot must end at its own goal; else all goals must be taken.
 
     Returns:
         A report that is true if the plan is feasible, and otherwise says what is wrong.

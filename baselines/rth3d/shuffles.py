@@ -6,8 +6,8 @@ other; runs; and steps back: m + 2 steps at most. Along the long axis, the robot
 change lanes (3 steps), run, park in the row between the lanes, and form a column again (2 steps).
 
 A cell is 3 x 3 vertices, long axis first. Its robots stand in the column x = 1, at y = 0, 1, 2, or
-at y = 0, 2 around an obstacle. To change lanes, whoever continues to larger x gets into the lane
-y = 0, to smaller x into y = 2, and whoever stays into the row y = 1 between them.
+at y = 0, 2 around an obstacle. To change lanes, a robot that continues to larger x gets into the
+lane y = 0, to smaller x into y = 2, and one that stays into the row y = 1 between them.
 """
 
 from __future__ import annotations

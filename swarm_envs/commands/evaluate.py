@@ -131,7 +131,7 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
         counted = {"filter": agent.statistics()} if isinstance(agent, SafetyFilter) else {}
         return {**report, **scores, **counted}
     except Exception as error:
-        if ":" in name:  # whoever wrote the file needs to see where it failed
+        if ":" in name:  # its author needs to see where it failed
             traceback.print_exception(error.__cause__ or error)
         return {**report, "error": str(error)}
     finally:
@@ -273,7 +273,7 @@ def _scores(record: AgentEpisodes, options: EvaluateOptions) -> dict[str, Any]:
 
     if record.failure is None:
         return score_episodes(record.flown(frozen_seeds(options.seed, options.episodes)))
-    if ":" in record.name:  # whoever wrote the file needs to see where it failed
+    if ":" in record.name:  # its author needs to see where it failed
         sys.stderr.write(record.trace)
     return {"error": record.failure}
 

@@ -201,7 +201,7 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
             bar.total = bar.n  # it may have ended before the clock
             return recording
         except Exception as error:
-            if ":" in name:  # whoever wrote the file needs to see where it failed
+            if ":" in name:  # its author needs to see where it failed
                 traceback.print_exc()
             what = f"{type(error).__name__}: {error}"
             refused = env.agents and env.view.time == 0.0 and isinstance(error, ValueError)

@@ -147,12 +147,12 @@ def odd_policy(
     sizes, width = note.sizes, ACTIONS[action].width
     networks = {}
     for owner in note.owners:
-        told, phi = sizes.width, None
+        inputs, phi = sizes.width, None
         if encoder != "mlp":
             phi = layers(rng, sizes.own + sizes.neighbor, 9, 5)
-            told = sizes.own + (10 if pooling == "max-sum" else 5)
+            inputs = sizes.own + (10 if pooling == "max-sum" else 5)
         score = layers(rng, 10, 4, 1) if encoder == "attention" else None
-        actor = layers(rng, told, 11, 7, width)
+        actor = layers(rng, inputs, 11, 7, width)
         networks[owner] = Network(actor, phi, score, pooling, activation)
     note.networks(to_tensors(networks))  # such a policy could come from a file
     return Policy(note, networks, {"config": {"name": "closes /* the */ comment"}})

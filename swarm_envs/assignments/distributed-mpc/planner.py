@@ -34,7 +34,7 @@ class MyPlanner:
         return np.clip(plan, -MAX_ACCELERATION, MAX_ACCELERATION)
 
     def evasion(self, state, heard, ages):
-        """Away from whoever is near now, m."""
+        """Offset away from the drones that are near now, m."""
         away = np.zeros(3)
         for other, (way, age) in enumerate(zip(heard, ages, strict=True)):
             if other != self.drone and age >= 0:

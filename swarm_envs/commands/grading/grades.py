@@ -1,4 +1,4 @@
-"""What a class is told: the table, its files, and the feedback for each student."""
+"""The results of a class: the table, its files, and the feedback for each student."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _nbgrader_row(name: str, grade: Grade) -> dict[str, Any]:
 
 
 def write_feedback(folder: Path, assignment: Assignment, grades: Sequence[Grade]) -> None:
-    """Write what each student is told: `results.json` as Gradescope reads it, and `failure.html`.
+    """Write the feedback for each student: `results.json` in Gradescope's format, `failure.html`.
 
     Raises:
         OSError: a file cannot be written.
