@@ -327,11 +327,6 @@ class FeatureSizes(NamedTuple):
         assert self.own_type is not None
         return self.own_type + TYPES.index(token)
 
-    def neighbor_column(self, token: str) -> int:
-        """Which of a neighbour's numbers is 1 where it is there and of a type, else 0."""
-        assert self.neighbor_type is not None
-        return self.neighbor_type + TYPES.index(token)
-
     def split(self, values: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Features (..., width) as a drone's (..., own) and its neighbours' (..., K, neighbor)."""
         shape = (*values.shape[:-1], self.num_neighbors, self.neighbor)

@@ -11,7 +11,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.forces import active_pairs, write_forces
+from swarm_envs.interactions.forces import write_forces
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle, parse_team
 from tests.helpers.drawn_networks import drawn
 
@@ -209,12 +209,6 @@ def test_inputs_are_clamped_to_what_was_measured() -> None:
     a, b = (model.forces(position, v, "SS")[0, 1, 2] for v in (fast, faster))
     assert a == pytest.approx(b, abs=1e-12)
     assert abs(a) < 30 * GRAM_FORCE
-
-
-def test_active_pairs_counts_the_volume() -> None:
-    window = load("learned").field.window
-    position = np.array([[0, 0, 1.0], [0.1, 0, 1.0], [0.34, 0, 1.0], [0, 0, 2.2], [1, 1, 1.0]])
-    assert active_pairs(window, position) == 6
 
 
 def test_read_only_arrays_compile_no_kernel_more() -> None:
