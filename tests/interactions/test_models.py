@@ -119,31 +119,6 @@ def test_ground_effect_lifts(model: InteractionModel) -> None:
         assert low > 1.0 * GRAM_FORCE
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-v0"])
-def test_compiled_networks_agree_with_torch(name: str) -> None:
-    torch = pytest.importorskip("torch")
-    from importlib import resources
-
-    from swarm_envs.training.force_model import load_network
-
-    rng = np.random.default_rng(4)
-    weights = resources.files("swarm_envs.interactions").joinpath(f"weights/{name}.safetensors")
-    with resources.as_file(weights) as path:
-        network = load_network(path)
-    compiled = load(name)
-    worst = 0.0
-    for height in (0.1, 0.4, 1.2):
-        position, velocity = swarm(rng, 200, 4, height)
-        team = parse_team("SLSL")
-        types = [vehicle.interaction_type for vehicle in team]
-        force_g = compiled.forces(position, velocity, team)[..., 2] / GRAM_FORCE
-        arrays = (torch.from_numpy(position), torch.from_numpy(velocity))
-        with torch.no_grad():
-            expected = network.force_g(*arrays, types).numpy()
-        worst = max(worst, float(np.abs(force_g - expected).max()))
-    assert worst < 1e-9
-
-
 def deep_set_file(
     path: Path, types: tuple[str, ...], rng: np.random.Generator, anchor: float | None = None
 ) -> dict[str, np.ndarray]:

@@ -355,6 +355,20 @@ def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
     assert "of Table II no row of S2S, SS2S" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"teams": ("SX",)}, "token 'X'"),
+        ({"teams": ("S", "S")}, "named once"),
+        ({"label": "truth"}, "unknown label 'truth'"),
+        ({"format": "csv"}, "unknown format 'csv'"),
+    ],
+)
+def test_a_collection_that_cannot_be_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(CollectionConfig(), **change)
+
+
 @pytest.mark.parametrize("words", ["--teams", "--teams S L --walks 0 --low-walks 0"])
 def test_a_collection_of_no_flight_is_refused_with_exit_code_2(words, tmp_path, capsys):
     with pytest.raises(SystemExit) as end:

@@ -20,7 +20,7 @@ from swarm_envs.training.force_model.network import (
     PairwiseSum,
     layers,
 )
-from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
+from swarm_envs.vehicles import GRAM_FORCE
 from tests.helpers.tiny_fits import RANGE
 
 KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise", "composed")
@@ -76,22 +76,6 @@ def test_compiled_forces_are_those_of_torch(network: ForceNetwork, model: Intera
         expected = torch_force_g(network, position, velocity, team)
         assert np.abs(expected).max() > 0.1
         np.testing.assert_allclose(compiled, expected, atol=1e-9, rtol=0)
-
-
-def test_the_order_of_drones_does_not_matter(
-    network: ForceNetwork, model: InteractionModel
-) -> None:
-    position, velocity = swarm(10, 40, len(TEAM))
-    vehicles = parse_team(TEAM)
-    for order in (np.array([2, 1, 4, 3, 0]), np.array([4, 0, 3, 2, 1])):
-        shuffled: tuple[Vehicle, ...] = tuple(vehicles[i] for i in order)
-        names = "".join(TEAM[i] for i in order)
-        force = torch_force_g(network, position, velocity, TEAM)
-        again = torch_force_g(network, position[:, order], velocity[:, order], names)
-        assert np.abs(again - force[:, order]).max() < 1e-6
-        compiled = model.forces(position, velocity, TEAM)
-        again = model.forces(position[:, order], velocity[:, order], shuffled)
-        assert np.abs(again - compiled[:, order]).max() < 1e-6 * GRAM_FORCE
 
 
 @pytest.mark.parametrize("offset", [(0.351, 0.0, 0.0), (0.0, -0.36, 0.2), (0.1, 0.1, 1.11)])
