@@ -133,39 +133,6 @@ def deep_set_file(
     return tensors
 
 
-def plain_network(tensors: dict[str, np.ndarray], name: str, x: np.ndarray) -> np.ndarray:
-    k = 0
-    while f"{name}.{k}.weight" in tensors:
-        x = tensors[f"{name}.{k}.weight"] @ (np.maximum(x, 0.0) if k else x)
-        x = x + tensors[f"{name}.{k}.bias"]
-        k += 1
-    return x
-
-
-def test_any_types_and_shapes_against_the_formula(tmp_path: Path) -> None:
-    """Equation (10), written out in numpy for three types and networks of odd shapes."""
-    rng = np.random.default_rng(5)
-    path = tmp_path / "three.safetensors"
-    tensors = deep_set_file(path, ("A", "B", "C"), rng)
-    base = VEHICLES["S"]
-    team = [Vehicle(**{**vars(base), "token": t, "interaction_type": t}) for t in "ABCAB"]
-    position, velocity = swarm(rng, 1, 5)
-    force = load(path).forces(position, velocity, team)[0, :, 2] / GRAM_FORCE
-    p, v = position[0], velocity[0]
-    for i, ego in enumerate(team):
-        code = plain_network(
-            tensors, "phi.environment", np.array([-p[i, 2], -v[i, 0], -v[i, 1], -v[i, 2]])
-        )
-        for j, other in enumerate(team):
-            inside = (abs(p[j] - p[i]) < [0.35, 0.35, 1.1]).all()
-            if j != i and inside:
-                code = code + plain_network(
-                    tensors, f"phi.{other.token}", np.concatenate([p[j] - p[i], v[j] - v[i]])
-                )
-        expected = plain_network(tensors, f"rho.{ego.token}", code)[0]
-        assert force[i] == pytest.approx(expected, abs=1e-10)
-
-
 def test_anchored_means_zero_aloft_at_any_speed(tmp_path: Path) -> None:
     path = tmp_path / "anchored.safetensors"
     deep_set_file(path, ("S", "L"), np.random.default_rng(6), anchor=0.5)

@@ -21,7 +21,6 @@ from swarm_envs.agents.evaluation import frozen_seeds
 from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
-from swarm_envs.files import claimed
 from swarm_envs.training.rl.dagger import DaggerLearner
 from swarm_envs.training.rl.mappo import MappoLearner
 from swarm_envs.training.rl.ppo import PpoLearner
@@ -201,13 +200,6 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
         path.write_bytes(content)
         assert main(command("ppo", tmp_path)) == 1
         assert "checkpoint.safetensors' is damaged" in capsys.readouterr().err
-
-
-def test_a_folder_that_another_run_writes_into_is_refused(tmp_path, capsys):
-    with claimed(tmp_path):
-        assert main(command("mappo", tmp_path)) == 1
-    assert "writes into" in capsys.readouterr().err
-    assert [file.name for file in tmp_path.iterdir()] == [".lock"]
 
 
 @pytest.mark.parametrize(
