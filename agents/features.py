@@ -24,8 +24,6 @@ from swarm_envs.vehicles import VEHICLES
 __all__ = [
     "FEATURE_SETS",
     "GOAL",
-    "NEIGHBOR_WIDTH",
-    "OWN_WIDTH",
     "REFERENCE",
     "TYPED",
     "TYPES",

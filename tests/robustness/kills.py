@@ -72,7 +72,7 @@ def _fit(out: Path) -> int:
 
 
 def _curriculum(out: Path) -> int:
-    from swarm_envs.training.curriculum import run_curriculum
+    from swarm_envs.training.curriculum.run import run_curriculum
     from tests.training.test_curriculum import TINY
 
     run_curriculum(replace(TINY, out=out))

@@ -13,23 +13,23 @@ from swarm_envs.physics import BatchPhysics
 from swarm_envs.training.collection import (
     CalibrationErrors,
     CollectionConfig,
-    FlightLog,
     SensorNoise,
     collect,
     interaction_force,
     interaction_rows,
-    read_flights,
 )
 from swarm_envs.training.collection.collect import (
     FlightBatch,
     flight_generator,
     fly_flights,
     make_motion,
+    read_flights,
 )
 from swarm_envs.training.collection.flight import fly_motion, vehicle_ids, vehicle_names
 from swarm_envs.training.collection.log import (
     LOG_RATE,
     NO_NOISE,
+    FlightLog,
     derivative,
     hann_average,
     lagged_thrust,

@@ -23,8 +23,8 @@ from tqdm import tqdm
 
 from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json, written_whole
+from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.force_model.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import FitConfig, Model, with_mode_defaults
 from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
 from swarm_envs.training.force_model.pipeline import network_spec, training_recipe

@@ -20,8 +20,8 @@ from swarm_envs.training.flight_logs import (
     read_logs,
     write_table,
 )
+from swarm_envs.training.flight_logs.fit_data import read_data
 from swarm_envs.training.flight_logs.log_report import Calibration
-from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE, SMALL
