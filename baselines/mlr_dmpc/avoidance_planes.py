@@ -229,24 +229,6 @@ def reachable_boxes(
 
 
 @kernel
-def comes_near(
-    low: FloatArray, high: FloatArray, others: FloatArray, shrink: FloatArray, keep: FloatArray
-) -> BoolArray:
-    """(C,) whether paths (C, S, 3) come nearer than `keep` (S,), scaled, to boxes (S, 3), m."""
-    out: BoolArray = np.zeros(len(others), dtype=np.bool_)
-    for c in range(len(others)):
-        for s in range(len(keep)):
-            square = 0.0
-            for i in range(3):
-                at = others[c, s, i]
-                square += (max(low[s, i] - at, at - high[s, i], 0.0) * shrink[i]) ** 2
-            if square < keep[s] ** 2:
-                out[c] = True
-                break
-    return out
-
-
-@kernel
 def out_of_reach(
     low: FloatArray, high: FloatArray, normals: FloatArray, offsets: FloatArray
 ) -> BoolArray:
