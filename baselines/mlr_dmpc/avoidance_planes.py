@@ -59,8 +59,8 @@ class Neighbors(NamedTuple):
     concurrent: BoolArray
     """(C,) whether that drone may be replanned in the same round."""
 
-    def some(self, kept: BoolArray) -> Neighbors:
-        """Those of a mask (C,)."""
+    def some(self, kept: BoolArray | IntArray) -> Neighbors:
+        """Those of a mask (C,) or of indices."""
         return Neighbors(self.positions[kept], self.drone[kept], self.concurrent[kept])
 
 

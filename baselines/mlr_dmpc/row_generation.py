@@ -22,21 +22,32 @@ _MOST_PROGRAMS = 30
 class ProgramRows(NamedTuple):
     """Every row of a program, as what it bounds; those that are in the program, or need not be."""
 
-    base: FloatArray  # (S, 3) positions at the collision samples for variables of zero, m
-    by_variables: FloatArray  # (S, n) positions of an axis by its variables
-    normals: FloatArray  # (R, S, 3) of half-spaces
-    offsets: FloatArray  # (R, S) least normal . p, m
-    done: BoolArray  # (R, S) half-spaces in the program, or out of reach
-    # (C,) least normal . p at the last sample with the soft margin wide open, m
+    base: FloatArray
+    """(S, 3) positions at the collision samples for variables of zero, m."""
+    by_variables: FloatArray
+    """(S, n) positions of an axis by its variables."""
+    normals: FloatArray
+    """(R, S, 3) of half-spaces."""
+    offsets: FloatArray
+    """(R, S) least normal . p, m."""
+    done: BoolArray
+    """(R, S) half-spaces in the program, or out of reach."""
     soft_offsets: FloatArray
-    # (C,) by how much a unit of its soft variable closes a margin, m; 0 if it has none
+    """(C,) least normal . p at the last sample with the soft margin wide open, m."""
     soft_scales: FloatArray
-    soft_done: BoolArray  # (C,) soft rows in the program, or out of reach
-    bounded_base: FloatArray  # (B, 3) bounded quantities for variables of zero
-    bounded_by_variables: FloatArray  # (B, n) bounded quantities of an axis by its variables
-    lower: FloatArray  # (B, 3) least bounded quantities
-    upper: FloatArray  # (B, 3) largest bounded quantities
-    bounds_done: BoolArray  # (2, B, 3) bounds in the program, lower and upper
+    """(C,) by how much a unit of its soft variable closes a margin, m; 0 if it has none."""
+    soft_done: BoolArray
+    """(C,) soft rows in the program, or out of reach."""
+    bounded_base: FloatArray
+    """(B, 3) bounded quantities for variables of zero."""
+    bounded_by_variables: FloatArray
+    """(B, n) bounded quantities of an axis by its variables."""
+    lower: FloatArray
+    """(B, 3) least bounded quantities."""
+    upper: FloatArray
+    """(B, 3) largest bounded quantities."""
+    bounds_done: BoolArray
+    """(2, B, 3) bounds in the program, lower and upper."""
 
 
 class _WorkingSet(NamedTuple):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from tqdm import tqdm
@@ -25,16 +26,17 @@ from swarm_envs.files import write_json
 from tests.benchmarks.rows import Row, sentence
 from tests.helpers.mlr_rounds import scattered
 
+Planes = Literal["relinearised", "fixed"]
 SIZES = (4, 8, 16, 32, 64, 128, 256)
 
 
-def box_of(n: int, planes: str) -> MlrDmpcConfig:
+def box_of(n: int, planes: Planes) -> MlrDmpcConfig:
     """The default parameters in a box for n drones."""
     half = 2.0 * np.sqrt(n / 16)
     return MlrDmpcConfig(box=((-half, -half, 0.3), (half, half, 3.0)), planes=planes)
 
 
-def plan_row(n: int, plans: int, solver: str, planes: str) -> Row:
+def plan_row(n: int, plans: int, solver: str, planes: Planes) -> Row:
     """Trajectories of n drones on their way between random places."""
     config, rng = box_of(n, planes), np.random.default_rng(n)
     starts, targets = scattered(n, config, rng), scattered(n, config, rng)
