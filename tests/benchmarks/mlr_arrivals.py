@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -22,7 +23,7 @@ from tests.benchmarks.rows import Row, sentence
 from tests.helpers.mlr_rounds import scattered
 
 DRONES, LIMIT_S = 16, 60.0
-SCENES = {
+SCENES: dict[str, dict[str, Any]] = {
     "circle": {"compute_units": 3},
     "circle, one unit": {"compute_units": 1},
     "circle, 1 % loss": {"loss": 0.01},
