@@ -127,7 +127,7 @@ class TrackingSuccess:
 @typed
 @dataclass(frozen=True)
 class ByScore:
-    """A task that continues until the time limit, and succeeds with a sufficient score."""
+    """A task that continues until the time limit: success is a sufficient score without a crash."""
 
     radius: Annotated[float, POSITIVE_M]
     """How near a drone must be to its goal, m."""

@@ -149,7 +149,7 @@ def give_next_goals(
                 goals[e, 0, i, k], goals[e, site // size, site % size, k] = new, old
             send_to(d, goals[e, 0, i])
         environment.score = environment.goals_reached / (size * rules.horizon_s / 60.0)
-        end_by_score(environment, rules)
+        end_by_score(environment, drones[e], rules)
 
 
 @kernel

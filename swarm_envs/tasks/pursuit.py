@@ -89,7 +89,7 @@ def score_pursuit(
                 d.last_distance += d.distance - np.sqrt(square)
             near += d.active > 0.0 and d.distance < rules.success_radius
         environments[e].score += near / size * rules.decision_s / rules.horizon_s
-        end_by_score(environments[e], rules)
+        end_by_score(environments[e], drones[e], rules)
 
 
 @typed
