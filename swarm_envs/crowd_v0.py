@@ -63,17 +63,6 @@ class CrowdOptions(TaskOptions):
     task_type: ClassVar[type[CrowdTask]] = CrowdTask
     """What `make_task` makes."""
 
-    def make_task(self) -> CrowdTask:
-        """Crowds as these options say."""
-        return self.task_type(
-            team=self.vehicles,
-            layout=self.layout,
-            spacing_m=self.spacing_m,
-            reach_m=self.reach_m,
-            reward_weights=self.weights,
-            obstacles=self.standing,
-        )
-
 
 blueprint, parallel_env, env = task_views(CrowdOptions)
 """Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

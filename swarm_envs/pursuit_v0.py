@@ -63,18 +63,6 @@ class PursuitOptions(TaskOptions):
     task_type: ClassVar[type[PursuitTask]] = PursuitTask
     """What `make_task` makes."""
 
-    def make_task(self) -> PursuitTask:
-        """Pursuits as these options say."""
-        return self.task_type(
-            team=self.vehicles,
-            layout=self.layout,
-            spacing_m=self.spacing_m,
-            speed_m_s=self.speed_m_s,
-            change_s=self.change_s,
-            reward_weights=self.weights,
-            obstacles=self.standing,
-        )
-
 
 blueprint, parallel_env, env = task_views(PursuitOptions)
 """Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

@@ -159,7 +159,8 @@ class Task(ABC):
     """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
     advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None
     """A kernel that scores a judged decision and sets new goals: `(flown, drones, environments,
-    goals, settings)`, `flown` (E,) being the environments that made one."""
+    goals, settings)`. These are the environments (E,) that made one; records (E, N) and (E,); goals
+    (E, S, N, 3) of every stage or row, m; and one record (1,) of the rules."""
 
     def with_team(self, team: Team) -> Self:
         """The same task for another team.

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
 from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray
 from swarm_envs.tables import Record, Records
+
+SCORED_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "progress": 0.5,
+        "at_goal": 0.0,
+        "tracking": 0.0,
+        "effort": -0.1,
+        "proximity": -4.0,
+        "crash": -5.0,
+        "success": 0.0,
+    }
+)
+"""Default weight of each reward term: none depends on the clock."""
 
 
 @part

@@ -141,7 +141,9 @@ def test_no_score_is_a_success_once_a_drone_is_hurt(task, physics, on_contact):
         pytest.skip("pybullet is not installed")
     agent, engine = load("hover"), {"physics": physics, "on_contact": on_contact}
     given = {"num_drones": 4, "horizon_s": 3.0, **engine, **agent.requires}
-    made = swarm_envs.make(task, **{"crowd_v0": {"layout": "open"}, "pursuit_v0": {}}[task], **given)
+    made = swarm_envs.make(
+        task, **{"crowd_v0": {"layout": "open"}, "pursuit_v0": {}}[task], **given
+    )
     for falls in (True, False):
         task_of_zero = dataclasses.replace(made.core.task, success=ByScore(0.15, 0.0))
         env = SwarmParallelEnv(task_of_zero, made.core.config)
