@@ -191,6 +191,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             if done.any():
                 cut = result.truncated[:, None] & result.active & ~result.ended
                 self._report_ends(core, done, over, cut, infos[begin:])
+                core.rows[done] = 0.0  # what is observed next: they wait, or begin again
             if over.any():
                 core.reset(mask=over)
             paid = result.rewards.reshape(-1) - self.decision_cost
