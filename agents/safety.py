@@ -18,7 +18,6 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from swarm_envs import RELEASED
 from swarm_envs.agents.barrier import (
     LIMITS,
     WALLS,
@@ -157,7 +156,7 @@ class SafetyFilter:
         first, width = columns.neighbors, columns.neighbor_width
         self._dropped = slice(first + observed * width, first + watched * width)
         self._columns = columns
-        self._barrier = self.safety.barrier(radial=env.core.task.name not in RELEASED)
+        self._barrier = self.safety.barrier(radial=not env.core.task.old_filter)
         if self._barrier.radial and getattr(self.agent, "straight", False):
             _check_crossing(env.view)
         self._arena, rows = (

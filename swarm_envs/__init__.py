@@ -27,12 +27,10 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-RELEASED = ("swap_v0", "ring_v0", "formation_v0")
-"""Tasks that keep the force, reward and filter of release 0.1.0."""
 TASKS = (
     *("swap_v1", "ring_v1", "formation_v1", "columns_v0", "delivery_v0"),
     *("crowd_v0", "pursuit_v0", "gates_v0"),
-    *RELEASED,
+    *("swap_v0", "ring_v0", "formation_v0"),
 )
 """Every task by its versioned name: modules with a `parallel_env()`."""
 

@@ -155,6 +155,9 @@ class Task(ABC):
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
     """A kernel that writes the terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
+    old_filter: bool = False
+    """Whether safety filters fly as in release 0.1.0: they see no obstacles, and drones that are
+    too near may fly through each other."""
     score_names: tuple[str, ...] = ()
     """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
     advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None
