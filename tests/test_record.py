@@ -41,7 +41,7 @@ def same(one: Any, other: Any) -> bool:
     "more",
     [
         (),
-        ("--agent", "random", "--task", "swap_v0"),  # one flight at a time
+        ("--agent", "random", "--physics", "bullet"),  # one flight at a time
         ("--task", "crowd", "--drones", "8", "--agent", "straight-line", "--horizon-s", "4"),
     ],
 )

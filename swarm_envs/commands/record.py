@@ -206,7 +206,7 @@ def _save(file: Path, flights: Iterator[Flight]) -> None:
     from swarm_envs.files import written_whole
 
     found = [*flights]
-    content = {
+    content: dict[str, Any] = {
         name: np.stack([f[name] for f in found])
         if found[0][name].ndim == 0
         else np.concatenate([f[name] for f in found])
@@ -247,12 +247,11 @@ def _assemble(
     import minari
     from tqdm import tqdm
 
-    from swarm_envs import gymnasium_name
-
     shutil.rmtree(folder / "whole", ignore_errors=True)
     (folder / "whole").mkdir()
     kind = "" if options.rows == "team" else "Solo"
-    task = gymnasium_name(find_task(options.task), kind)
+    family, _, version = find_task(options.task).partition("_")
+    task = f"swarm_envs/{family.capitalize()}{kind}-{version}"
     env = gymnasium.make(task, disable_env_checker=True, **setting)
     plain = all(isinstance(value, str | int | float | list) for value in setting.values())
     about = {

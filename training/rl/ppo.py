@@ -112,7 +112,7 @@ class FlownRollouts(RolloutBuffer):  # type: ignore[misc]  # SB3's base has no t
         rows, *others = columns
         columns = [rows, others[0], *(column.flatten() for column in others[1:])]
         order = torch.from_numpy(np.random.permutation(len(rows)))  # noqa: NPY002  # as SB3
-        for chosen in torch.split(order, batch_size or len(rows)):  # type: ignore[no-untyped-call]
+        for chosen in torch.split(order, batch_size or len(rows)):
             yield RolloutBufferSamples(*(column[chosen] for column in columns))
 
 
