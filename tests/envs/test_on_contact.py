@@ -175,7 +175,7 @@ def test_the_shared_policy_waits_for_its_team():
             seen.append((rewards[:3], dones.tolist(), dones[2], infos, rows[:3]))
     first, waiting, last = seen[0], seen[1], seen[-1]
     assert first[1] == [True, True, False] * 2
-    assert first[3][0]["terminal_observation"].any()
+    assert first[3][0]["terminal_observation"].any() and not first[4][:2].any()
     assert not first[3][0]["TimeLimit.truncated"] and "episode_metrics" not in first[3][0]
     assert [info["active"] for info in waiting[3]] == [False, False, True] * 2
     assert not waiting[0][:2].any() and not waiting[4][:2].any() and not any(waiting[1])
