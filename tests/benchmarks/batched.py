@@ -85,6 +85,16 @@ def thread_row(force_rate: int, repetitions: int) -> Row:
     return row | spread([b / a for a, b in zip(one, two, strict=True)]) | {"unit": "times"}
 
 
+def hall_row(start: str, force_rate: int, repetitions: int) -> Row:
+    """How much longer a decision takes in the world "hall", measured in turn."""
+    envs, drones = BATCH
+    options: dict[str, object] = {"force_rate": force_rate, "threads": 1}
+    cores = [make_core(envs, drones, start, world=w, **options) for w in ("ideal", "hall")]
+    ideal, hall = rates_of(cores, repetitions)
+    row = _row(f"hall over ideal world, {start}", cores[0])
+    return row | spread([a / b for a, b in zip(ideal, hall, strict=True)]) | {"unit": "times"}
+
+
 def scale_rows(sizes: Sequence[tuple[int, int]], repetitions: int) -> Iterator[Row]:
     """CPU time of one decision of batches of (environments, drones), ms, measured in turn."""
     cores = [make_core(envs, drones, threads=1) for envs, drones in sizes]
