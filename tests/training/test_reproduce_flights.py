@@ -174,7 +174,8 @@ def test_rings_are_judged_by_their_worst_drone(tmp_path):
     assert [drone["place"] for drone in row["drones"]] == 3 * ["upright ring"] + 2 * ["level ring"]
     worst = max(drone["without"]["median"] for drone in row["drones"])
     assert row["without"]["median"] == pytest.approx(worst)
-    assert row["ratio"] < 0.5 and row["explained"] > 0.75
+    # The forces of this ring, 0.1 to 1.2 g, are as small as the belief's error under other drones.
+    assert row["ratio"] < 0.3 and row["explained"] > 0.77
 
 
 def test_the_hall_is_flown_beside_the_ideal_world(tmp_path):

@@ -164,7 +164,9 @@ def fly_motion(
             physics.step(thrust_factor * commands)
             state = _seen(physics)
             if step == 0:  # the two steps around the entry
-                log.specific_force[k] = (physics.state.velocity - before) / (TIME_STEP * (2 if k else 1))
+                log.specific_force[k] = (physics.state.velocity - before) / (
+                    TIME_STEP * (2 if k else 1)
+                )
             before = now
             touched = (physics.contact | physics.contacts.tumbling).any(axis=1)
             length[touched] = np.minimum(length[touched], k)
