@@ -25,8 +25,7 @@ __all__ = [
     "CONTACT_COLUMNS",
     "CONTACT_VALUES",
     "CONTROLLER_END",
-    "HALL_END",
-    "HALL_VARIES_END",
+    "HALL_ENDS",
     "LANES",
     "RESET_COLUMNS",
     "RESET_VALUES",
@@ -400,10 +399,10 @@ VEHICLE_END = CONTROLLER_END + _columns(_VEHICLE)
 """Columns from `CONTROLLER_END` to this one are never written back by physics steps."""
 ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
 """Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
-HALL_VARIES_END = ADAPTATION_END + _columns(_HALL_VARIES)
-"""Columns from `ADAPTATION_END` to this one are what changes in the world "hall"."""
-HALL_END = HALL_VARIES_END + _columns(_HALL_STAYS)
-"""Columns from `HALL_VARIES_END` to this one are never written back by physics steps."""
+_HALL_CHANGED = ADAPTATION_END + _columns(_HALL_VARIES)
+HALL_ENDS = (_HALL_CHANGED, _HALL_CHANGED + _columns(_HALL_STAYS))
+"""Columns from `ADAPTATION_END` to the first are what changes in the world "hall"; those from there to
+the second are never written back by physics steps."""
 ACTIVE = int(dict(DRONE_TYPE.fields or ())["active"][1]) // 8
 """Column that says whether a drone still flies."""
 

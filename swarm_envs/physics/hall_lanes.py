@@ -16,15 +16,15 @@ from __future__ import annotations
 
 import math
 
-from swarm_envs.compiled import equation, part
+from swarm_envs.compiled import equation, kernel, part
 from swarm_envs.control.loop import four, three
 from swarm_envs.interactions.packed import Scratch
 from swarm_envs.noise import even_number, moved, pair_of_normals, stream_of
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.tables import ADAPTATION_END, HALL_END, HALL_VARIES_END, LANES, Records
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tables import ADAPTATION_END, HALL_ENDS, LANES, Records
 
-__all__ = ["turned"]
+__all__ = ["sense_in_hall"]
 
 DRAWS = 9
 """Random numbers of 64 bits that a drone takes in a physics step."""
@@ -63,7 +63,7 @@ def load_hall(
         e = members[place]
         for i in range(drones):
             row, n, lane = columns[e, i], slot // LANES, slot % LANES
-            for c in range(ADAPTATION_END, HALL_END):
+            for c in range(ADAPTATION_END, HALL_ENDS[1]):
                 tile[n, c, lane] = row[c]
             first = stream_of(environments[e].hall_key, i)
             blocks[n].stream[lane] = moved(first, environments[e].age * DRAWS)
@@ -77,7 +77,7 @@ def store_hall(columns: FloatArray, members: IntArray, count: int, tile: FloatAr
     for place in range(count):
         for i in range(drones):
             row = columns[members[place], i]
-            for c in range(ADAPTATION_END, HALL_VARIES_END):
+            for c in range(ADAPTATION_END, HALL_ENDS[0]):
                 row[c] = tile[slot // LANES, c, slot % LANES]
             slot += 1
 
@@ -206,3 +206,31 @@ def see(blocks: Records, count: int) -> None:
             x, y, z, w = turned(four(b.quaternion, lane), three(b.attitude_error, lane))
             b.seen_quaternion[0, lane], b.seen_quaternion[1, lane] = x, y
             b.seen_quaternion[2, lane], b.seen_quaternion[3, lane] = z, w
+
+
+@kernel
+def sense_in_hall(first: int, last: int, drones: Records, mask: BoolArray, out: Records) -> None:
+    """Write the state as drones of the world `"hall"` estimate it; rotors and batteries are known.
+
+    Args:
+        first: the first environment to look at.
+        last: one past the last.
+        drones: (E, N) records: the true state, and the errors of its estimate.
+        mask: (E,) environments to look at.
+        out: (E, N) records, written.
+    """
+    for e in range(first, last):
+        if not mask[e]:
+            continue
+        for i in range(drones.shape[1]):
+            d, o = drones[e, i], out[e, i]
+            a, q = d.attitude_error, d.quaternion
+            x, y, z, w = turned((q[0], q[1], q[2], q[3]), (a[0], a[1], a[2]))
+            o.quaternion[0], o.quaternion[1], o.quaternion[2], o.quaternion[3] = x, y, z, w
+            for k in range(3):
+                o.position[k] = d.position[k] + d.position_error[k]
+                o.velocity[k] = d.velocity[k] + d.velocity_error[k]
+                o.angular_velocity[k] = d.angular_velocity[k] + d.gyro_error[k]
+            for k in range(4):
+                o.rotor_thrust[k] = d.rotor_thrust[k]
+            o.battery, o.rotor_limit = d.battery, d.rotor_limit

@@ -17,7 +17,7 @@ import numpy as np
 
 from swarm_envs.compiled import kernel, part
 from swarm_envs.control.adaptation import adapt
-from swarm_envs.control.loop import four, hold_rates, seen_state, three, track
+from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
 from swarm_envs.interactions.forces import felt_forces, swarm_forces
 from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
@@ -181,7 +181,8 @@ def gather(
             slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
             felt["type"] = int(b.feedforward_type[lane] if compensated else b.type[lane])
-            position, velocity, _, _ = seen_state(b, hall)
+            position = b.position if hall is None else b.seen_position
+            velocity = b.velocity if hall is None else b.seen_velocity
             for k in range(3):
                 felt["position"][k], felt["velocity"][k] = position[k, lane], velocity[k, lane]
 

@@ -54,7 +54,7 @@ def test_what_ships_predicts_fresh_flights(tmp_path, truth):
     ("truth", "within_g"), [("learned", 1.6), ("learned-v0", 0.6), ("wake", 1.2)]
 )
 def test_what_ships_follows_the_force_that_acts(truth, within_g):
-    """Within a fifth of the force's 7 g. That of `learned` is a deep set, which `learned` is not."""
+    """Within a quarter of the force, 7 g; in `learned`, which no deep set is, least exactly."""
     rng = np.random.default_rng(5)
     lower = np.tile([0.0, 0.0, 0.9], (400, 1))
     upper = lower + rng.uniform([-0.1, -0.1, 0.2], [0.1, 0.1, 0.5], (400, 3))

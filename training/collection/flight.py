@@ -16,11 +16,11 @@ import numpy as np
 from swarm_envs.arguments import Range, typed_options
 from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
 from swarm_envs.control.tracking import TrackingController
-from swarm_envs.envs.observation import sense_in_hall
 from swarm_envs.errors import check_name
 from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
+from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state, state_of
 from swarm_envs.tables import SENSED_TYPE
@@ -144,8 +144,9 @@ def fly_motion(
     gains = PILOTS[check_name("pilot", pilot, PILOTS)]
     tracker = TrackingController(team, envs, ControllerConfig(gains, feedforward))
     setpoint = Setpoint.hold(motion.start)
-    for e, rng in enumerate(rngs if hall is not None else ()):
-        hall.draw(rng, e, physics.world)
+    if hall is not None:
+        for e, rng in enumerate(rngs):
+            hall.draw(rng, e, physics.world)
     physics.reset(hover_state(team, motion.start))
     state = _seen(physics)
     entries = round(duration_s * LOG_RATE)
