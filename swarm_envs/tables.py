@@ -401,8 +401,8 @@ ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
 """Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
 _HALL_CHANGED = ADAPTATION_END + _columns(_HALL_VARIES)
 HALL_ENDS = (_HALL_CHANGED, _HALL_CHANGED + _columns(_HALL_STAYS))
-"""Columns from `ADAPTATION_END` to the first are what changes in the world "hall"; those from there to
-the second are never written back by physics steps."""
+"""Columns from `ADAPTATION_END` to the first are what changes in the world "hall"; those from there
+to the second are never written back by physics steps."""
 ACTIVE = int(dict(DRONE_TYPE.fields or ())["active"][1]) // 8
 """Column that says whether a drone still flies."""
 
