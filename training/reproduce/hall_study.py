@@ -28,6 +28,7 @@ from swarm_envs.baselines.neural_swarm.flights import (
 )
 from swarm_envs.control.config import ControllerConfig, Indi
 from swarm_envs.hall import Hall
+from swarm_envs.interactions import load
 from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
@@ -82,20 +83,23 @@ class _Side:
 
     believes: bool
     adapts: bool
+    exact: bool = False
 
     @property
     def name(self) -> str:
         """Also part of its cells' names."""
-        words = [w for w, has in (("belief", self.believes), ("INDI", self.adapts)) if has]
+        has = {"belief": self.believes, "INDI": self.adapts, "exact force": self.exact}
+        words = [word for word, there in has.items() if there]
         return " + ".join(words) or "neither"
 
     def controller(self, truth: str) -> ControllerConfig:
         """The configuration of the tracking loop, in an environment with these forces."""
-        belief = load_belief(truth) if self.believes else None
+        belief = load_belief(truth) if self.believes else load(truth) if self.exact else None
         return ControllerConfig(feedforward=belief, adaptation=Indi() if self.adapts else None)
 
 
 _SIDES = tuple(_Side(believes, adapts) for adapts in (False, True) for believes in (False, True))
+_RING_SIDES = (*_SIDES, _Side(False, False, exact=True))  # whose belief is not what is missing
 
 
 def _truths(options: Any) -> tuple[str, ...]:
@@ -117,8 +121,8 @@ def _rows(options: Any) -> Iterator[tuple[str, str, str, _Side]]:
     truths = _truths(options)
     for motion, truth in [*((TEAM, t) for t in truths), *((RING, t) for t in (*truths, "none"))]:
         for world in hall_worlds():
-            for side in _SIDES:
-                if truth != "none" or not side.believes:
+            for side in _SIDES if motion == TEAM else _RING_SIDES:
+                if truth != "none" or not (side.believes or side.exact):
                     yield motion, truth, world, side
 
 
@@ -179,12 +183,12 @@ def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
 
 
 def _text(summary: Mapping[str, Any]) -> str:
-    lines: list[tuple[str, ...]] = [("motion", "forces", "world", *(side.name for side in _SIDES))]
+    lines: list[tuple[str, ...]] = [("motion", "forces", "world", *(s.name for s in _RING_SIDES))]
     for place, rows in groupby(
         summary["rows"], lambda row: (row["motion"], row["truth"], row["world"])
     ):
         said = {row["controller"]: _said(row) for row in rows}
-        lines.append((*place, *(said.get(side.name, "-") for side in _SIDES)))
+        lines.append((*place, *(said.get(side.name, "-") for side in _RING_SIDES)))
     head = (
         f"Worst height error, of {TEAM} that of the small drone, median of {summary['episodes']} "
         "flights [95 % interval], cm; by what the controller has"
