@@ -38,9 +38,10 @@ def _compensation(
         compensated: why the error with compensation may be another.
         ratio: why their ratio may be.
     """
-    flown, before, after = air["world"] == "hall", *case["paper_cm"]
+    flown, (before, after) = air["world"] == "hall", case["paper_cm"]
+    none: tuple[Reason, ...] = ()
     for side, key, paper, reasons in (
-        ("without", "without", before, ()),
+        ("without", "without", before, none),
         ("with", "compensated", after, compensated),
     ):
         yield Claim(
