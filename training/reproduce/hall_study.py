@@ -102,10 +102,6 @@ _SIDES = tuple(_Side(believes, adapts) for adapts in (False, True) for believes 
 _RING_SIDES = (*_SIDES, _Side(False, False, exact=True))  # whose belief is not what is missing
 
 
-def _truths(options: Any) -> tuple[str, ...]:
-    return _TRUTHS if options.truth is None else (options.truth,)
-
-
 def _settings(options: Any) -> dict[str, Any]:
     return {
         "motions": [TEAM, RING],
@@ -118,7 +114,7 @@ def _settings(options: Any) -> dict[str, Any]:
 
 def _rows(options: Any) -> Iterator[tuple[str, str, str, _Side]]:
     """Motion, force model, world and controller of every cell."""
-    truths = _truths(options)
+    truths = _TRUTHS if options.truth is None else (options.truth,)
     for motion, truth in [*((TEAM, t) for t in truths), *((RING, t) for t in (*truths, "none"))]:
         for world in hall_worlds():
             for side in _SIDES if motion == TEAM else _RING_SIDES:

@@ -147,7 +147,6 @@ def opened(
     what: str,
     others: Sequence[str] = (),
     limits: Limits | None = None,
-    protections: Protections | None = None,
 ) -> Iterator[tuple[RemoteWork, dict[str, Any]]]:
     """Start the process of a work, and end it and all that it began.
 
@@ -156,7 +155,6 @@ def opened(
         what: `fly`, or `fit` for a force model.
         others: names of all works; it sees none of these.
         limits: on it; None for the usual.
-        protections: what the system offers; None to find out.
 
     Returns:
         The work, and what it says of itself; nothing of it is checked.
@@ -164,7 +162,7 @@ def opened(
     Raises:
         WorkFailed: it cannot be made.
     """
-    limits, offered = limits or Limits(), protections or probe()
+    limits, offered = limits or Limits(), probe()
     name = absolute(name)
     kernels = kernel_folder()
     with tempfile.TemporaryDirectory(prefix="swarm-envs-grade-") as folder, guarded():
@@ -221,13 +219,15 @@ def files_of(name: str, others: Sequence[str]) -> list[str]:
 def package_state() -> dict[str, str]:
     """Digests of the package's sources and weights, by file: they change if anybody changes one.
 
-    Times are not compared, because a hard link to a file, as builds make them, changes its time.
+    Times are not compared, because a hard link to a file, as builds make them, changes its time;
+    nor caches, which other processes may fill meanwhile.
     """
     package = Path(swarm_envs.__file__).parent
     parts = [package, *(part for part in package.iterdir() if part.is_symlink())]
     files = [file for part in parts for file in part.resolve().rglob("*.*")]
     kept = (".py", ".safetensors", ".json")
-    return {str(file): _digest(file) for file in files if file.suffix in kept}
+    sources = (f for f in files if f.suffix in kept and "__pycache__" not in f.parts)
+    return {str(file): _digest(file) for file in sources}
 
 
 def _digest(file: Path) -> str:
