@@ -29,10 +29,10 @@ class CellOptions:
     from its episodes, and what comes out otherwise when it is flown again"""
     join: list[Path] = field(default_factory=list)
     """put these results files into one, and its report, in the folder --out; nothing is flown"""
-    agents: list[str] = field(default_factory=lambda: ["*"])
+    agent: list[str] = field(default_factory=lambda: ["*"])
     """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
-    tasks: list[str] = field(default_factory=lambda: ["*-v2"])
+    task: list[str] = field(default_factory=lambda: ["*-v2"])
     """ids of tasks, such as `swap-circle-4-v2`, or patterns of them, in quotes; `*-v1` are those of
     release 0.1.0"""
     episodes: Count | None = None
@@ -111,7 +111,7 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
 
     check_folder("--out", out)
     try:
-        tasks, agents = choose_tasks(options.tasks, options.crew()), choose_agents(options.agents)
+        tasks, agents = choose_tasks(options.task, options.crew()), choose_agents(options.agent)
     except ValueError as error:
         raise Misuse(str(error)) from error
     plan = BenchmarkPlan(

@@ -64,7 +64,7 @@ class PolicyOptions(HeaderOptions):
     set-point, in float32 and without heap; see docs/deploy.md.
     """
 
-    policy: str
+    agent: str
     """swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo, a .safetensors file, or a
     training run's folder"""
 
@@ -108,13 +108,13 @@ def export_policy(options: PolicyOptions) -> None:
     from swarm_envs.agents.c_header import costs, policy_header
     from swarm_envs.agents.policy import PolicyAgent
 
-    agent = load(options.policy)
+    agent = load(options.agent)
     if not isinstance(agent, PolicyAgent):
-        raise Misuse(f"agent {options.policy!r} is no trained policy; name one, such as swap-ppo")
+        raise Misuse(f"agent {options.agent!r} is no trained policy; name one, such as swap-ppo")
     policy, found = agent.policy, costs(agent.policy)
     text = policy_header(policy, name, options.seed)
     facts = {
-        "policy": options.policy,
+        "policy": options.agent,
         "weights_sha256": policy.digest,
         "flash_bytes": found.flash_bytes,
         "stack_bytes": found.stack_bytes,
