@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -90,11 +89,6 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     if options.join:
         assert options.out is not None
         return _join(options.join, options.out)
-    if options.replays and importlib.util.find_spec("plotly") is None:
-        raise ImportError(
-            "replay pages need plotly; install it by: pip install 'swarm-envs[viz]', or do without "
-            "them by --no-replays"
-        )
     if options.out is not None:
         return _fly(options, options.out)
     assert options.report is not None

@@ -126,15 +126,11 @@ def run_fly(options: FlyOptions) -> None:
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
-    """Raise ImportError if plotly, pyarrow, pybullet or ffmpeg is missing for a file."""
+    """Raise ImportError if pyarrow, pybullet or ffmpeg is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
         check_trajectory_path(files["trajectory"])
-    if "replay" in files:
-        from swarm_envs.viewing.replay import check_replay_path
-
-        check_replay_path(files["replay"])
     if "video" in files:
         from swarm_envs.physics.bullet import import_bullet
 

@@ -70,13 +70,11 @@ def run_grade(options: GradeOptions) -> int:
 
     _check_system()
     from swarm_envs.commands.grading.remote import package_state
-    from swarm_envs.viewing.replay import check_replay_path
 
     if options.out is not None:
         check_file("--out", options.out, (".csv", ".json"))
     if options.feedback is not None:
         check_folder("--feedback", options.feedback)
-        check_replay_path(options.feedback / "failure.html")
     if options.data is not None:
         _check_rows(options.data)
     assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.agent)
