@@ -114,8 +114,8 @@ def _unknown_agent(name: str) -> str:
     """Message for a name that no agent has: the nearest, and where all are listed."""
     if name.endswith(".py"):
         return f"agent {name!r} names no class; write {name + ':Class'!r}"
-    near = difflib.get_close_matches(name, SHIPPED, n=3, cutoff=0.4)
-    hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+    near = difflib.get_close_matches(name, SHIPPED, n=1, cutoff=0.4)
+    hint = f"did you mean {near[0]!r}? " if near else ""
     return (
         f"unknown agent {name!r}; {hint}`swarm-envs fly --help` lists the included agents; others "
         "are 'path/to/file.py:Class' and folders of training runs; +filter may follow each"

@@ -26,6 +26,7 @@ extensions = [
     "extensions.docstrings",
     "extensions.figure_tables",
     "extensions.links",
+    "extensions.notebooks",
     "extensions.option_tables",
     "extensions.state_tables",
     "extensions.task_pages",
