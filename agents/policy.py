@@ -59,12 +59,15 @@ FILE = "policy.safetensors"
 """Name of the policy in the folder of a training run."""
 CHECKPOINT = "checkpoint.safetensors"
 """Name of what a killed run resumes from, beside it."""
-FORMAT = "swarm-envs-policy-4"
+FORMAT = "swarm-envs-policy-5"
 """What a file of a policy says it is."""
 _BEFORE = {
-    "swarm-envs-policy-1": {"fewest", "encoder", "pooling", "types", "per_type", "activation"},
-    "swarm-envs-policy-2": {"fewest", "activation"},
-    "swarm-envs-policy-3": {"activation"},
+    "swarm-envs-policy-1": {
+        *("fewest", "encoder", "pooling", "types", "per_type", "activation", "also")
+    },
+    "swarm-envs-policy-2": {"fewest", "activation", "also"},
+    "swarm-envs-policy-3": {"activation", "also"},
+    "swarm-envs-policy-4": {"also"},
 }
 """Formats that are read, though no longer written: what their notes do not say."""
 MOST_DRONES = 10_000
@@ -102,6 +105,13 @@ class PolicyNote:
     mislead it when they are"""
     activation: str = "tanh"
     """what follows every hidden layer: one of `ACTIVATIONS`"""
+    also: tuple[str, ...] = ()
+    """versioned names of other tasks that it was measured to fly, though trained for one"""
+
+    @property
+    def families(self) -> set[str]:
+        """Tasks that it flies, whatever their version."""
+        return {task_family(name) for name in (self.task, *self.also)}
 
     @property
     def sizes(self) -> FeatureSizes:
@@ -159,7 +169,8 @@ class PolicyNote:
         Raises:
             ValueError: naming the entry.
         """
-        check_name("task", self.task, TASKS)
+        for name in (self.task, *self.also):
+            check_name("task", name, TASKS)
         check_name("action", self.action, ACTIONS)
         check_name("features", self.features, FEATURE_SETS)
         check_name("encoder", self.encoder, ENCODERS)
@@ -295,11 +306,10 @@ def _about(note: Mapping[str, Any]) -> PolicyNote:
     known = {
         field.name: note[field.name] for field in fields(PolicyNote) if field.name not in later
     }
-    if "types" in known:
-        known["types"] = tuple(known["types"])
+    known |= {name: tuple(known[name]) for name in ("types", "also") if name in known}
     about = PolicyNote(**known)
     about.check()
-    if later and about.encoder != "mlp":
+    if "activation" in later and about.encoder != "mlp":
         raise ValueError(f"its encoder {about.encoder!r} is that of format {note['format']!r}")
     return about
 
@@ -331,6 +341,7 @@ class PolicyAgent:
             "observation": "flat",
             "num_neighbors": note.num_neighbors,
             "num_obstacles": 0,
+            "observe_load": False,
         }
 
     @classmethod
@@ -357,7 +368,7 @@ class PolicyAgent:
         """
         check_requirements(env, self)
         note, task = self.policy.note, env.core.task
-        if task_family(task.name) != task_family(note.task):
+        if task_family(task.name) not in note.families:
             raise ValueError(
                 f"this policy was trained for task {note.task!r}, but the environment's is "
                 f"{task.name!r}; train one for it by `swarm-envs train`"
@@ -402,7 +413,7 @@ swap_ppo = partial(_shipped_policy, "swap-ppo")
 swap_ppo_8 = partial(_shipped_policy, "swap-ppo-8")
 """The policy that ships for swaps of two to eight drones."""
 swap_dagger = partial(_shipped_policy, "swap-dagger")
-"""The policy that ships for swaps of two to 32 drones, small and large."""
+"""The policy that ships for swaps and formations of two to 32 drones, small and large."""
 formation_ppo = partial(_shipped_policy, "formation-ppo")
 """The policy that ships for formations of six to eight drones."""
 ring_ppo = partial(_shipped_policy, "ring-ppo")

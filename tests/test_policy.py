@@ -14,7 +14,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from swarm_envs import formation_v0, make, ring_v0, swap_v0, swap_v1
+from swarm_envs import formation_v0, formation_v1, make, ring_v0, swap_v0, swap_v1
 from swarm_envs.agents import Agent, fly_episode, load
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
 from swarm_envs.agents.features import FEATURE_SETS, REFERENCE, goal_features
@@ -293,4 +293,15 @@ def test_teams_of_any_size_and_vehicles_swap_by_imitation(team):
     agent = load("swap-dagger")
     env = swap_v1.parallel_env(team=team, layout="random", physics="batch", **agent.requires)
     assert successes(env, agent, frozen_seeds(5, 24)) == 1.0
+    env.close()
+
+
+def test_a_policy_flies_the_other_tasks_that_its_note_names():
+    agent = load("swap-dagger")
+    assert isinstance(agent, PolicyAgent)
+    assert agent.policy.note.also == ("formation_v1", "crowd_v0")
+    env = formation_v1.parallel_env(
+        num_drones=8, layout="shuffle", physics="batch", **agent.requires
+    )
+    assert successes(env, agent, frozen_seeds(6, 16)) == 1.0
     env.close()

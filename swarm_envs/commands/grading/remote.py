@@ -221,13 +221,15 @@ def files_of(name: str, others: Sequence[str]) -> list[str]:
 def package_state() -> dict[str, str]:
     """Digests of the package's sources and weights, by file: they change if anybody changes one.
 
-    Times are not compared, because a hard link to a file, as builds make them, changes its time.
+    Times are not compared, because a hard link to a file, as builds make them, changes its time;
+    nor caches, which other processes may fill meanwhile.
     """
     package = Path(swarm_envs.__file__).parent
     parts = [package, *(part for part in package.iterdir() if part.is_symlink())]
     files = [file for part in parts for file in part.resolve().rglob("*.*")]
     kept = (".py", ".safetensors", ".json")
-    return {str(file): _digest(file) for file in files if file.suffix in kept}
+    sources = (f for f in files if f.suffix in kept and "__pycache__" not in f.parts)
+    return {str(file): _digest(file) for file in sources}
 
 
 def _digest(file: Path) -> str:

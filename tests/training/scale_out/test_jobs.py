@@ -125,7 +125,7 @@ def test_processes_end_with_their_driver(how, tmp_path):
 
 
 def wait_for(condition) -> None:
-    deadline = time.monotonic() + 120
+    deadline = time.monotonic() + 600
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
