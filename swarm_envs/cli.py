@@ -17,6 +17,7 @@ from swarm_envs import __version__
 from swarm_envs.arguments import Range, Seed
 from swarm_envs.commands.checks import (
     Misuse,
+    check_inputs,
     check_outputs,
     command_options,
     forget_output,
@@ -109,6 +110,7 @@ def _curriculum(arguments: Sequence[str]) -> int:
 def _learn(config: Any, module: str, function: str) -> int:
     """Fit a model with a function of a module that needs torch, and print its report."""
     check_outputs(config.out, config.json)
+    check_inputs(config)
     need_torch()
     from swarm_envs.files import claimed
 
@@ -124,6 +126,7 @@ def _collect(arguments: Sequence[str]) -> int:
 
     options = _read("collect", CollectOptions, arguments)
     check_outputs(options.out, options.json)
+    check_inputs(options)
     with claimed(options.out):
         run_collect(options)
     return DONE
@@ -166,6 +169,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", RlConfig, arguments, prefixes=True)
     check_training(config)
+    check_inputs(config)
     need_torch()
     run_train(config)
     return DONE

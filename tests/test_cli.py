@@ -115,6 +115,8 @@ def test_a_fit_without_torch_says_how_to_get_it(tmp_path):
 def test_what_fails_later_is_a_failure(capsys, tmp_path):
     pytest.importorskip("torch")
     data, out = tmp_path / "rows.npz", tmp_path / "out"
+    assert main(["fit", "--data", str(data), "--out", str(out)]) == 2  # there is no such file
+    data.write_text("no rows")
     assert main(["fit", "--data", str(data), "--out", str(out)]) == 1
     assert "swarm-envs fit: error:" in capsys.readouterr().err
 
