@@ -129,7 +129,7 @@ class NumpyTrackingController:
         x, y, z = torque.tolist()
         vehicle, offset = self.vehicle, self.vehicle.arm / math.sqrt(2.0)
         limits = (vehicle.max_rotor_thrust, offset, vehicle.thrust_to_torque)
-        return np.array(mix_rotors(float(thrust), x, y, z, *limits))
+        return np.array(list(mix_rotors(float(thrust), x, y, z, *limits)))
 
     def desired_force(
         self,

@@ -29,7 +29,8 @@ def scaled_wrench(
 def mix(vehicle: Vehicle, thrust: float, torque: FloatArray) -> FloatArray:
     """Rotor thrusts (4,) that the mixer gives."""
     limits = (vehicle.max_rotor_thrust, vehicle.arm / np.sqrt(2), vehicle.thrust_to_torque)
-    return np.array(mix_rotors(thrust, *torque.tolist(), *limits))
+    x, y, z = torque.tolist()
+    return np.array(list(mix_rotors(thrust, x, y, z, *limits)))
 
 
 def wrench_of_rotors(vehicle: Vehicle) -> FloatArray:
