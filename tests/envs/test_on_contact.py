@@ -7,7 +7,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 from pettingzoo.test import api_test, parallel_api_test
 
 from swarm_envs import swap_v1
@@ -88,16 +87,6 @@ def test_snapshots_remember_who_has_ended(engine):
     assert env.agents == ["drone_2"]
     again = [env.step({"drone_2": GO})[0]["drone_2"] for _ in range(5)]
     np.testing.assert_array_equal(there, again)
-    env.close()
-
-
-def test_the_default_ends_the_team():
-    env = make("end_team", physics="batch")
-    env.reset(seed=0, options={"start": START, "goal": GOAL})
-    while env.agents:
-        _, _, terminations, _, infos = env.step(dict(zip(env.agents, MEET, strict=True)))
-    assert all(terminations.values())
-    assert "arrived_fraction" not in infos["drone_0"]["episode_metrics"]
     env.close()
 
 
@@ -230,20 +219,3 @@ def test_agents_fly_it_alone_and_at_once():
     if hasattr(agent, "act_batch"):
         assert fly_batch(core, agent.act_batch, seeds) == alone
     env.close()
-
-
-def test_autoreset_begins_with_everybody():
-    envs = make_vector(
-        "swap_v1",
-        1,
-        AutoresetMode.SAME_STEP,
-        num_drones=3,
-        action="velocity",
-        on_contact="end_pair",
-        horizon_s=1.0,
-    )
-    envs.reset(seed=0, options={"start": START, "goal": GOAL})
-    for _ in range(49):
-        _, _, _, _, infos = envs.step(MEET.reshape(1, -1))
-    assert infos["active"].all()
-    envs.close()
