@@ -212,6 +212,10 @@ class Physics:
         ]
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
 
+    def compile(self) -> None:
+        """Compile `fly`, which the first step would do otherwise."""
+        _ = self._compiled
+
     @cached_property
     def _begin(self) -> Callable[..., None]:
         """`begin_flight` for the types of our arguments."""

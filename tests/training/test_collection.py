@@ -29,7 +29,6 @@ from swarm_envs.training.collection.collect import (
 from swarm_envs.training.collection.flight import fly_motion, vehicle_ids, vehicle_names
 from swarm_envs.training.collection.log import (
     LOG_RATE,
-    NO_NOISE,
     FlightLog,
     derivative,
     hann_average,
@@ -412,6 +411,7 @@ def test_a_collection_of_no_flight_is_refused_with_exit_code_2(words, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+NO_NOISE = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 EXACT = CollectionConfig(noise=NO_NOISE, duration_s=6.0)
 
 
