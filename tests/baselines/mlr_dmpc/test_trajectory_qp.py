@@ -111,7 +111,7 @@ def assert_holds(plan: Trajectory, case: Situation, config: MlrDmpcConfig) -> No
     assert np.array_equal(plan.state, plan.state.astype(np.float32))
     at_start = own.states(np.array([since]))[0]
     assert np.allclose(plan.state, at_start, atol=1e-6)
-    end = plan.states(np.array([plan.duration_s - 1e-7]))[0]
+    end = plan.states(np.array([len(plan.jerk) * plan.input_sampling_s - 1e-7]))[0]
     assert np.allclose(end[1:], 0.0, atol=5e-6) and not plan.jerk[-1].any()
 
 
