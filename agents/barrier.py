@@ -325,12 +325,14 @@ def filter_accelerations(
         broken: (R,) by how much the worst row is broken, m/s^2; 0 if none is.
     """
     for r in range(observed.shape[0]):
-        count = _write_limits(scratch.rows, scratch.bound)
+        row, count = observed[r], _write_limits(scratch.rows, scratch.bound)
+        kind = _type_of(row, places.type)
+        own, radius = _acceleration(row, places, ratios[kind]), radii[kind]
         if barrier.walls:
-            count = _write_walls(observed[r], barrier, places, ratios, radii, arena, count, scratch)
+            count = _write_walls(row, own, radius, barrier, places, arena, count, scratch)
         if barrier.radial:
-            count = _write_obstacles(observed[r], barrier, places, ratios, radii, count, scratch)
-        count = _write_neighbors(observed[r], barrier, places, ratios, radii, count, scratch)
+            count = _write_obstacles(row, own, radius, barrier, places, count, scratch)
+        count = _write_neighbors(row, own, radius, barrier, places, radii, count, scratch)
         for k in range(3):
             scratch.target[k] = ACCELERATION_LIMIT * asked[r, k]
         broken[r] = least_broken(
@@ -373,23 +375,22 @@ def _acceleration(
 @kernel
 def _write_walls(
     row: Float32Array,
+    own: tuple[float, float, float],
+    radius: float,
     barrier: Barrier,
     places: ObservationColumns,
-    ratios: FloatArray,
-    radii: FloatArray,
     arena: FloatArray,
     count: int,
     scratch: BarrierWorkspace,
 ) -> int:
     """A wall at distance d, towards which the speed is s: the barrier is BRAKING d - s."""
-    kind, delay = _type_of(row, places.type), barrier.response
-    own = _acceleration(row, places, ratios[kind])
+    delay = barrier.response
     for k in range(WALLS):
         axis, side = k // 2, 1.0 if k % 2 == 0 else -1.0
         now = own[0] if axis == 0 else own[1] if axis == 1 else own[2]
         speed = SPEED_LIMIT * row[places.velocity + axis]
         place = row[places.position + axis] + delay * (speed + 0.5 * delay * now)
-        away = side * (place - arena[k % 2, axis]) - radii[kind] - 0.5 * barrier.margin
+        away = side * (place - arena[k % 2, axis]) - radius - 0.5 * barrier.margin
         for other in range(3):
             scratch.rows[count, other] = 0.0
         scratch.rows[count, axis] = side
@@ -402,16 +403,15 @@ def _write_walls(
 @kernel
 def _write_obstacles(
     row: Float32Array,
+    own: tuple[float, float, float],
+    radius: float,
     barrier: Barrier,
     places: ObservationColumns,
-    ratios: FloatArray,
-    radii: FloatArray,
     count: int,
     scratch: BarrierWorkspace,
 ) -> int:
     """As of a wall through an obstacle's nearest point, with the whole margin."""
-    kind, delay = _type_of(row, places.type), barrier.response
-    own = _acceleration(row, places, ratios[kind])
+    delay = barrier.response
     for m in range(places.num_obstacles):
         first = places.obstacles + 4 * m
         square = row[first] ** 2 + row[first + 1] ** 2 + row[first + 2] ** 2
@@ -423,7 +423,7 @@ def _write_obstacles(
             scratch.rows[count, axis] = side
             leaving += side * SPEED_LIMIT * row[places.velocity + axis]
             now += side * (own[0] if axis == 0 else own[1] if axis == 1 else own[2])
-        away += delay * (leaving + 0.5 * delay * now) - radii[kind] - barrier.margin
+        away += delay * (leaving + 0.5 * delay * now) - radius - barrier.margin
         leaving += delay * now
         scratch.bound[count] = -barrier.rate * (leaving + BRAKING * away)
         count += 1
@@ -433,21 +433,20 @@ def _write_obstacles(
 @kernel
 def _write_neighbors(
     row: Float32Array,
+    own: tuple[float, float, float],
+    radius: float,
     barrier: Barrier,
     places: ObservationColumns,
-    ratios: FloatArray,
     radii: FloatArray,
     count: int,
     scratch: BarrierWorkspace,
 ) -> int:
-    kind = _type_of(row, places.type)
-    a0, a1, a2 = _acceleration(row, places, ratios[kind])
-    delay, flat = barrier.response, 1.0 / barrier.stretch
+    (a0, a1, a2), delay, flat = own, barrier.response, 1.0 / barrier.stretch
     for n in range(places.num_neighbors):
         first = places.neighbors + n * places.neighbor_width
         if row[first + places.neighbor_width - 1] < 0.5:
             continue
-        reach = radii[kind] + radii[_type_of(row, first + 9)] + barrier.margin
+        reach = radius + radii[_type_of(row, first + 9)] + barrier.margin
         r0 = SPEED_LIMIT * row[first + 3]
         r1 = SPEED_LIMIT * row[first + 4]
         r2 = SPEED_LIMIT * row[first + 5]

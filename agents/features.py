@@ -24,8 +24,6 @@ from swarm_envs.vehicles import VEHICLES
 __all__ = [
     "FEATURE_SETS",
     "GOAL",
-    "NEIGHBOR_WIDTH",
-    "OWN_WIDTH",
     "REFERENCE",
     "TYPED",
     "TYPES",
@@ -326,11 +324,6 @@ class FeatureSizes(NamedTuple):
         """Which of its own numbers is 1 where a drone is of a type, else 0."""
         assert self.own_type is not None
         return self.own_type + TYPES.index(token)
-
-    def neighbor_column(self, token: str) -> int:
-        """Which of a neighbour's numbers is 1 where it is there and of a type, else 0."""
-        assert self.neighbor_type is not None
-        return self.neighbor_type + TYPES.index(token)
 
     def split(self, values: Float32Array) -> tuple[Float32Array, Float32Array]:
         """Features (..., width) as a drone's (..., own) and its neighbours' (..., K, neighbor)."""

@@ -156,8 +156,7 @@ class SafetyFilter:
         first, width = columns.neighbors, columns.neighbor_width
         self._dropped = slice(first + observed * width, first + watched * width)
         self._columns = columns
-        # Version 0 of the tasks keeps the numbers of release 0.1.0, and so its filter.
-        self._barrier = self.safety.barrier(radial=not env.core.task.name.endswith("_v0"))
+        self._barrier = self.safety.barrier(radial=not env.core.task.old_filter)
         if self._barrier.radial and getattr(self.agent, "straight", False):
             _check_crossing(env.view)
         self._arena, rows = (

@@ -33,10 +33,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 from swarm_envs.arguments import NOT_NEGATIVE, POSITIVE_M, Interval, OneOf, typed_options
 from swarm_envs.envs.options import AirTaskOptions, NumDrones, task_views
+from swarm_envs.tasks.base import Task
 from swarm_envs.tasks.columns import COLUMN_LAYOUTS, ColumnsTask, column_team
 from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team
@@ -58,22 +59,17 @@ class ColumnsOptions(AirTaskOptions):
 
     default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     """Weight of each reward term that is not given."""
+    task_type: ClassVar[type[ColumnsTask]] = ColumnsTask
+    """What `make_task` makes."""
 
     @property
     def vehicles(self) -> Team:
         """The team: as given, else the layout's."""
         return column_team(self.layout, self.num_drones) if self.team is None else super().vehicles
 
-    def make_task(self) -> ColumnsTask:
+    def make_task(self) -> Task:
         """Columns as these options say."""
-        given: dict[str, Any] = {"gap_m": self.gap_m, "payload_kg": self.payload_kg}
-        given = {name: value for name, value in given.items() if value is not None}
-        return ColumnsTask(
-            team=self.vehicles,
-            **{**COLUMN_LAYOUTS[self.layout], **given},
-            reward_weights=self.weights,
-            obstacles=self.standing,
-        )
+        return self.task_of(**COLUMN_LAYOUTS[self.layout])
 
 
 blueprint, parallel_env, env = task_views(ColumnsOptions)

@@ -52,19 +52,13 @@ class DeliveryOptions(AirTaskOptions):
 
     default_weights: ClassVar[Mapping[str, float]] = REWARD_WEIGHTS
     """Weight of each reward term that is not given."""
+    task_type: ClassVar[type[DeliveryTask]] = DeliveryTask
+    """What `make_task` makes."""
 
     @property
     def vehicles(self) -> Team:
         """The team: as given, else couriers and large ones."""
         return delivery_team(self.num_drones) if self.team is None else super().vehicles
-
-    def make_task(self) -> DeliveryTask:
-        """Deliveries as these options say."""
-        return DeliveryTask(
-            team=self.vehicles,
-            reward_weights=self.weights,
-            obstacles=self.standing,
-        )
 
 
 blueprint, parallel_env, env = task_views(DeliveryOptions)

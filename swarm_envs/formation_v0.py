@@ -29,6 +29,7 @@ class FormationTaskV0(FormationTask):
 
     name = "formation_v0"
     velocity_integral_limit = 0.05
+    old_filter = True
     write_reward_terms = staticmethod(write_terms_v0)
 
 

@@ -42,7 +42,7 @@ from swarm_envs.envs.config import WORLDS
 from swarm_envs.envs.options import NumDrones, TaskOptions, task_views
 from swarm_envs.hall import Hall
 from swarm_envs.physics.contact import ON_CONTACT
-from swarm_envs.tasks.base import ByScore
+from swarm_envs.tasks.base import ByScore, Task
 from swarm_envs.tasks.gates import REWARD_WEIGHTS, GatesTask
 
 
@@ -66,15 +66,9 @@ class GatesOptions(TaskOptions):
     task_type: ClassVar[type[GatesTask]] = GatesTask
     """What `make_task` makes."""
 
-    def make_task(self) -> GatesTask:
+    def make_task(self) -> Task:
         """Gates as these options say."""
-        return self.task_type(
-            team=self.vehicles,
-            gap_m=self.gap_m,
-            success=ByScore(radius=self.radius_m, least=0.0),
-            reward_weights=self.weights,
-            obstacles=self.standing,
-        )
+        return self.task_of(success=ByScore(radius=self.radius_m, least=0.0))
 
 
 blueprint, parallel_env, env = task_views(GatesOptions)

@@ -28,6 +28,7 @@ class RingTaskV0(RingTask):
 
     name = "ring_v0"
     velocity_integral_limit = 0.05
+    old_filter = True
     write_reward_terms = staticmethod(write_terms_v0)
 
 

@@ -61,15 +61,6 @@ class RingOptions(TaskOptions):
     task_type: ClassVar[type[RingTask]] = RingTask
     """What `make_task` makes."""
 
-    def make_task(self) -> RingTask:
-        """Rings as these options say."""
-        return self.task_type(
-            team=self.vehicles,
-            rings=self.rings,
-            reward_weights=self.weights,
-            obstacles=self.standing,
-        )
-
 
 blueprint, parallel_env, env = task_views(RingOptions)
 """Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

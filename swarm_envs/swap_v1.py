@@ -69,17 +69,6 @@ class SwapOptions(TaskOptions):
     task_type: ClassVar[type[SwapTask]] = SwapTask
     """What `make_task` makes."""
 
-    def make_task(self) -> SwapTask:
-        """Swaps as these options say."""
-        return self.task_type(
-            team=self.vehicles,
-            layout=self.layout,
-            stacked=self.stacked or StackedLayout(),
-            circle=self.circle or CircleLayout(),
-            reward_weights=self.weights,
-            obstacles=self.standing,
-        )
-
 
 blueprint, parallel_env, env = task_views(SwapOptions)
 """Make what every interface is made from, PettingZoo's parallel environment, and its AEC one."""

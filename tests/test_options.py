@@ -53,6 +53,7 @@ from swarm_envs.training.belief.feedforward import FeedforwardConfig
 from swarm_envs.training.collection import CollectionConfig
 from swarm_envs.training.collection.flight import CalibrationErrors
 from swarm_envs.training.collection.log import SensorNoise
+from swarm_envs.training.collection.motion import MotionRanges
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.force_fit_config import FitConfig
@@ -88,6 +89,7 @@ OTHERS: dict[type, dict[str, Any]] = {
     SmoothingConfig: {"distance": 0.3, "box": ((0.0, 0.0, 0.0), (3.0, 3.0, 3.0))},
     Jam: {"first_round": 1, "last_round": 2},
     **{kind: {} for kind in (CalibrationErrors, SensorNoise, LogOptions, CollectionConfig)},
+    MotionRanges: {},
     CurriculumConfig: {"out": Path("curriculum")},
     FeedforwardConfig: {"out": Path("belief")},
     FitConfig: {"out": Path("fit"), "data": Path("data")},
@@ -141,6 +143,13 @@ def test_a_number_with_a_range_is_finite_and_no_truth_value():
         for option in options_of(settings).values():
             if option.kind.words.startswith(("positive", "an integer")):
                 assert not any(map(option.kind.fits, bad)), option
+
+
+def test_every_number_of_a_fit_has_a_range():
+    for settings in (FitConfig, LogOptions, MotionRanges, SensorNoise, CalibrationErrors):
+        for option in options_of(settings).values():
+            if option.kind.has_type(1):
+                assert not option.kind.fits(-1), option.name
 
 
 BOUNDS: list[tuple[type, str, list[Any], list[Any]]] = [

@@ -46,7 +46,8 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
     With `on_contact="end_pair"` a drone may end before its team: that is an end of the
     sub-environment, without metrics. Until the team's end it waits: it observes zeros, its rewards
     are 0, its actions are not used, and `info["active"]` is False, so that a learner can leave
-    these steps out. The team's end ends the wait too, and begins an episode of every drone.
+    these steps out, as `swarm-envs train` does. The team's end ends the wait too, and begins an
+    episode of every drone.
 
     Its copies and pickles have simulators of their own, and fly on as it would.
 
@@ -117,6 +118,14 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
         """Observations of a core's rows (..., width): in its form, or as features."""
         return self._shape(rows)
 
+    @property
+    def waiting(self) -> Any:
+        """What a drone observes that has ended and waits for its team: zeros, or their features.
+
+        No drone that flies observes this: the attitude of a row is a rotation.
+        """
+        return _row(self.observe(np.zeros((1, self.core.rows.shape[-1]), np.float32)), 0)
+
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed the next reset: environment e by `seed` + e; every drone of it alike.
 
@@ -182,6 +191,7 @@ class SharedPolicyVecEnv(VecEnv):  # type: ignore[misc]  # SB3's base has no typ
             if done.any():
                 cut = result.truncated[:, None] & result.active & ~result.ended
                 self._report_ends(core, done, over, cut, infos[begin:])
+                core.rows[done] = 0.0  # what is observed next: they wait, or begin again
             if over.any():
                 core.reset(mask=over)
             paid = result.rewards.reshape(-1) - self.decision_cost

@@ -59,8 +59,8 @@ class Neighbors(NamedTuple):
     concurrent: BoolArray
     """(C,) whether that drone may be replanned in the same round."""
 
-    def some(self, kept: BoolArray) -> Neighbors:
-        """Those of a mask (C,)."""
+    def some(self, kept: BoolArray | IntArray) -> Neighbors:
+        """Those of a mask (C,) or of indices."""
         return Neighbors(self.positions[kept], self.drone[kept], self.concurrent[kept])
 
 
@@ -226,24 +226,6 @@ def reachable_boxes(
     high = _highest(state, lower, upper, steps, counts)
     low = -_highest(-state, -upper, -lower, steps, counts)
     return low - _SLOP, high + _SLOP
-
-
-@kernel
-def comes_near(
-    low: FloatArray, high: FloatArray, others: FloatArray, shrink: FloatArray, keep: FloatArray
-) -> BoolArray:
-    """(C,) whether paths (C, S, 3) come nearer than `keep` (S,), scaled, to boxes (S, 3), m."""
-    out: BoolArray = np.zeros(len(others), dtype=np.bool_)
-    for c in range(len(others)):
-        for s in range(len(keep)):
-            square = 0.0
-            for i in range(3):
-                at = others[c, s, i]
-                square += (max(low[s, i] - at, at - high[s, i], 0.0) * shrink[i]) ** 2
-            if square < keep[s] ** 2:
-                out[c] = True
-                break
-    return out
 
 
 @kernel

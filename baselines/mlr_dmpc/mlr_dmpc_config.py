@@ -7,6 +7,7 @@ soft_m=0.3, soft_near_m=0.8, turn_rad=0.0, collision_sampling_s=0.1` all are.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
@@ -164,7 +165,7 @@ class MlrDmpcConfig:
         """By how many collision samples a plan is older after a round."""
         return round(self.round_s / self.collision_sampling_s)
 
-    @property
+    @cached_property
     def sampled_distance_m(self) -> float:
         """What is kept at samples (d_hat_min), so that `distance_m` is between them (24), (26), m.
 

@@ -1,129 +1,40 @@
-"""One trajectory of one drone: the program (13)-(15), solved by row generation, and checked.
-
-Of thousands of rows, only those that a plan would break enter the program.
-"""
+"""One trajectory of one drone: the program (13)-(15), solved by row generation, and checked."""
 
 from __future__ import annotations
 
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import (
     ROW_MARGIN,
+    SPARE_M,
     HalfSpaces,
     Neighbors,
-    comes_near,
     out_of_reach,
     reachable_boxes,
     soft_weights,
     voronoi_planes,
 )
-from swarm_envs.baselines.mlr_dmpc.condensed_qp import Condensed, condensed, solver
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import Condensed, condensed
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, end_position
+from swarm_envs.baselines.mlr_dmpc.row_generation import (
+    NO_ROWS,
+    Program,
+    ProgramRows,
+    RowGeneration,
+)
+from swarm_envs.baselines.mlr_dmpc.trajectory import (
+    Identity,
+    Trajectory,
+    least_distances,
+    sampled_positions,
+)
 from swarm_envs.compiled import kernel
-from swarm_envs.state import BoolArray, FloatArray, IntArray
-
-
-class _Rows(NamedTuple):
-    """Every row of a program, as what it bounds; those that are in the program, or need not be."""
-
-    base: FloatArray  # (S, 3) positions at the collision samples for variables of zero, m
-    by_variables: FloatArray  # (S, n) positions of an axis by its variables
-    normals: FloatArray  # (R, S, 3) of half-spaces
-    offsets: FloatArray  # (R, S) least normal . p, m
-    done: BoolArray  # (R, S) half-spaces in the program, or out of reach
-    # (C,) least normal . p at the last sample with the soft margin wide open, m
-    soft_offsets: FloatArray
-    # (C,) by how much a unit of its soft variable closes a margin, m; 0 if it has none
-    soft_scales: FloatArray
-    soft_done: BoolArray  # (C,) soft rows in the program, or out of reach
-    bounded_base: FloatArray  # (B, 3) bounded quantities for variables of zero
-    bounded_by_variables: FloatArray  # (B, n) bounded quantities of an axis by its variables
-    lower: FloatArray  # (B, 3) least bounded quantities
-    upper: FloatArray  # (B, 3) largest bounded quantities
-    bounds_done: BoolArray  # (2, B, 3) bounds in the program, lower and upper
-
-
-class _WorkingSet(NamedTuple):
-    """The rows in the program: matrix @ z + scale * (soft variable of the row) >= bound."""
-
-    matrix: FloatArray  # (m, 3 n)
-    bound: FloatArray  # (m,)
-    scale: FloatArray  # (m,) 0 for a row without soft variable
-
-
-@kernel
-def broken_rows(rows: _Rows, z: FloatArray, threshold: float, stride: int) -> _WorkingSet:
-    """Rows not yet done with slack below a threshold, m, at variables z (n, 3), now done.
-
-    Of each trajectory's half-spaces only every `stride`-th, the most broken among them: others
-    close in time seldom bind then.
-    """
-    free = z.shape[0]
-    picked = _pick(rows, z, threshold, stride)
-    count = picked.shape[0]
-    matrix, bound = np.zeros((count, 3 * free)), np.empty(count)
-    scale = np.zeros(count)
-    for m in range(count):
-        kind, r, s = picked[m]
-        if kind < 2:
-            sign = 1.0 if kind == 0 else -1.0
-            limit = rows.lower[r, s] if kind == 0 else rows.upper[r, s]
-            bound[m] = sign * (limit - rows.bounded_base[r, s])
-            for k in range(free):
-                matrix[m, s * free + k] = sign * rows.bounded_by_variables[r, k]
-            continue
-        bound[m] = rows.offsets[r, s]
-        if kind == 3:
-            bound[m], scale[m] = rows.soft_offsets[r], rows.soft_scales[r]
-        for i in range(3):
-            bound[m] -= rows.normals[r, s, i] * rows.base[s, i]
-            for k in range(free):
-                matrix[m, i * free + k] = rows.normals[r, s, i] * rows.by_variables[s, k]
-    return _WorkingSet(matrix, bound, scale)
-
-
-@kernel
-def _pick(rows: _Rows, z: FloatArray, threshold: float, stride: int) -> IntArray:
-    """(m, 3) kind (lower, upper, half-space, soft), row and sample or axis of what is broken."""
-    most = rows.bounds_done.size + rows.done.size + rows.soft_done.size
-    picked, count = np.empty((most, 3), np.int64), 0
-    bounded = rows.bounded_base + rows.bounded_by_variables @ z
-    for r in range(bounded.shape[0]):
-        for i in range(3):
-            slacks = (bounded[r, i] - rows.lower[r, i], rows.upper[r, i] - bounded[r, i])
-            for kind in range(2):
-                if slacks[kind] < threshold and not rows.bounds_done[kind, r, i]:
-                    rows.bounds_done[kind, r, i] = True
-                    picked[count] = kind, r, i
-                    count += 1
-    position = rows.base + rows.by_variables @ z
-    last = position.shape[0] - 1
-    for r in range(rows.normals.shape[0]):
-        worst, at = threshold, -1
-        for s in range(last + 1):
-            if not rows.done[r, s]:
-                slack = _along(rows.normals, position, r, s) - rows.offsets[r, s]
-                if slack < worst:
-                    worst, at = slack, s
-        for s in range(at % stride if at >= 0 else last + 1, last + 1, stride):
-            slack = _along(rows.normals, position, r, s) - rows.offsets[r, s]
-            if slack < threshold and not rows.done[r, s]:
-                rows.done[r, s] = True
-                picked[count] = 2, r, s
-                count += 1
-        soft = r < rows.soft_done.shape[0] and not rows.soft_done[r]
-        if soft and _along(rows.normals, position, r, last) - rows.soft_offsets[r] < threshold:
-            rows.soft_done[r] = True
-            picked[count] = 3, r, last
-            count += 1
-    return picked[:count]
+from swarm_envs.state import FloatArray, IntArray
 
 
 @kernel
@@ -139,16 +50,6 @@ def least_slack(positions: FloatArray, normals: FloatArray, offsets: FloatArray)
     return least
 
 
-@kernel
-def _along(normals: FloatArray, positions: FloatArray, r: int, s: int) -> float:
-    """Normal . p of half-space r at sample s."""
-    return (
-        normals[r, s, 0] * positions[s, 0]
-        + normals[r, s, 1] * positions[s, 1]
-        + normals[r, s, 2] * positions[s, 2]
-    )
-
-
 TOLERANCE = 1e-6
 """By how much a plan may break a bound, SI; a half-space by half of that, as two drones may."""
 ACCEPTED = "accepted"
@@ -156,41 +57,11 @@ ACCEPTED = "accepted"
 _BOUND_MARGIN = 2e-5
 _BOUND_ROUNDING = 2e-6
 _ROW_ROUNDING = 1e-6
-_FIRST_SLACK = 0.1
 _STRIDE_S = 0.3
 _RELINEARISATIONS = 6  # most programs of a plan after the first
-_RANGE_MARGIN = 1e-3  # bounds are broken by less, SI
-_TOUCHING_M = 1e-4  # rows with more slack do not hold a plan back
+_NEAR_M = 0.3  # candidates this much further off than they must be have rows
 _SETTLED_M = 0.02  # the end of a plan moves less: it is not solved again
-_BROKEN = -1e-7
-_MOST_PROGRAMS = 30
 _NEGLIGIBLE_WEIGHT = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class Program:
-    """A quadratic program for one plan, with what its solution is checked against."""
-
-    state: FloatArray
-    """(3, 3) at the start, as a message carries it."""
-    slope: FloatArray
-    """(n, 3) of the cost."""
-    rows: _Rows
-    """What the solution must satisfy."""
-    shifted: FloatArray
-    """(n, 3) variables of the plan that is flown."""
-    shifted_slack: float
-    """Least slack of the half-spaces at the plan that is flown, m."""
-    in_reach: int
-    """Trajectories and obstacles with a half-space that may bind."""
-    accepted_offsets: FloatArray
-    """(R, S) least normal . p of an accepted plan, m."""
-    accepted_lower: FloatArray
-    """(B, 3) of the bounded quantities of an accepted plan."""
-    accepted_upper: FloatArray
-    """(B, 3) likewise."""
-    stride: int
-    """Samples from one half-space of a trajectory to the next in the first programs."""
 
 
 def program(
@@ -257,30 +128,6 @@ def _take_planes(
     between.normals[both], between.offsets[both] = same
 
 
-def _in_range(
-    own: Trajectory, start_round: int, neighbors: Neighbors, config: MlrDmpcConfig
-) -> Neighbors:
-    """Those that are planned in the same round, or that some plan from now on comes near to.
-
-    From the others every plan keeps its distance, and the soft margin at the end.
-    """
-    fixed = condensed(config)
-    since = config.round_s * (start_round - own.identity.start_round)
-    state = own.states(np.array([since]))[0]
-    _, bounded = _samples_left(own, since, fixed)
-    lower = np.minimum(fixed.lower, bounded) - _RANGE_MARGIN
-    upper = np.maximum(fixed.upper, bounded) + _RANGE_MARGIN
-    keep = np.full(config.num_samples, config.sampled_distance_m + _RANGE_MARGIN)
-    keep[-1] += config.soft_m
-    near = comes_near(
-        *reachable_boxes(state, lower, upper, config),
-        neighbors.positions,
-        config.inverse_scaling,
-        keep,
-    )
-    return neighbors.some(near | neighbors.concurrent)
-
-
 def _program_rows(
     fixed: Condensed,
     state: FloatArray,
@@ -288,14 +135,14 @@ def _program_rows(
     weights: FloatArray,
     config: MlrDmpcConfig,
     bounds: tuple[FloatArray, FloatArray],
-) -> _Rows:
+) -> ProgramRows:
     low, high = reachable_boxes(state, *bounds, config)
     done = out_of_reach(low, high, spaces.normals, spaces.offsets)
     end = spaces.normals[: len(weights), -1:]
     soft_offsets = spaces.offsets[: len(weights), -1] + config.soft_m
     soft_done = out_of_reach(low[-1:], high[-1:], end, soft_offsets[:, None])[:, 0]
     soft_done |= (weights <= _NEGLIGIBLE_WEIGHT) | (config.soft_m == 0.0)
-    return _Rows(
+    return ProgramRows(
         fixed.positions.start @ state,
         fixed.positions.free,
         spaces.normals,
@@ -325,67 +172,6 @@ def _samples_left(
     return states[:samples, 0], np.concatenate([bounded, jerk])
 
 
-class RowGeneration:
-    """The optimum of a program: solved with ever more rows until it breaks none of the others.
-
-    Raises:
-        ValueError: there is no such solver.
-    """
-
-    def __init__(self, problem: Program, solver_name: str) -> None:
-        self.z = -problem.slope
-        """(n, 3) variables."""
-        self.failure = f"no end of rows after {_MOST_PROGRAMS} programs"
-        """Why there is no optimum, or nothing."""
-        self.solve_ms = 0.0
-        """In the solver, CPU time of this thread, ms."""
-        self.softened = False
-        """Whether the optimum closes a soft margin."""
-        self._problem, self._solver = problem, solver(solver_name)
-        self._parts: list[_WorkingSet] = []
-        self._active: BoolArray = np.zeros(0, dtype=bool)
-        self._run()
-
-    @property
-    def num_rows(self) -> int:
-        """Rows of the last program."""
-        return len(self._active)
-
-    def _run(self) -> None:
-        stride = self._problem.stride
-        self._add(self._problem.shifted, _FIRST_SLACK, stride)
-        for programs in range(1, _MOST_PROGRAMS + 1):
-            if not self._solve():
-                self.failure = "the solver found no plan"
-                return
-            if not self._add(self.z, _BROKEN, stride if programs == 1 else 1):
-                self.failure = ""
-                return
-
-    def _add(self, z: FloatArray, threshold: float, stride: int) -> int:
-        """Take in the rows with slack below a threshold at z; how many there were."""
-        part = broken_rows(self._problem.rows, z, threshold, stride)
-        self._parts.append(part)
-        self._active = np.concatenate([self._active, np.zeros(len(part.bound), dtype=bool)])
-        return len(part.bound)
-
-    def _solve(self) -> bool:
-        """Solve for the rows so far; whether there is a solution."""
-        matrix, bound, scale = (np.concatenate([part[k] for part in self._parts]) for k in range(3))
-        soft = np.flatnonzero(scale)
-        margins = np.zeros((len(bound), len(soft)))
-        margins[soft, np.arange(len(soft))] = scale[soft]
-        slope = np.concatenate([self._problem.slope.T.ravel(), np.zeros(len(soft))])
-        begin = time.thread_time()
-        found = self._solver(slope, np.hstack([matrix, margins]), bound, self._active)
-        self.solve_ms += 1e3 * (time.thread_time() - begin)
-        self._active = found.active
-        free = len(self._problem.slope)
-        self.softened = bool((np.abs(found.y[3 * free :]) > TOLERANCE).any())
-        self.z = np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
-        return found.solved
-
-
 class Planned(NamedTuple):
     """A trajectory, and how it came about."""
 
@@ -404,7 +190,7 @@ class Planned(NamedTuple):
     num_rows: int
     """Rows of the last program."""
     in_reach: int
-    """Trajectories and obstacles that the drone can come near to: the others cost no row."""
+    """Trajectories and obstacles that have rows."""
 
 
 def plan_trajectory(
@@ -425,21 +211,17 @@ def plan_trajectory(
         The plan if every constraint holds as it will be sent, rounded to float32; else `own`.
     """
     begin = time.thread_time()
-    identity = Identity(start_round, compute_unit)
-    anew = config.planes == "relinearised"
-    if anew:
-        neighbors = _in_range(own, start_round, neighbors, config)
-    situation = own, start_round, neighbors, target, config, planes
-    problem = program(*situation)
-    first = _solve(problem, solver_name, identity, config)
-    solve_ms, best = first.solve_ms, first
-    again = anew and not neighbors.concurrent.all() and first.held_back
-    for _ in range(_RELINEARISATIONS if again and first.reason == ACCEPTED else 0):
-        found = _solve(program(*situation, best.plan), solver_name, identity, config)
+    task = _Task(own, start_round, compute_unit, neighbors, target, config, solver_name, planes)
+    best = first = _best(task)
+    solve_ms = first.solve_ms
+    for _ in range(_RELINEARISATIONS):
+        if best.reason != ACCEPTED or not best.held_back:
+            break
+        found = _best(task, best)
         solve_ms += found.solve_ms
         if found.reason != ACCEPTED:
             break
-        ends = end_position(found.plan, config) - end_position(best.plan, config)
+        ends = found.path[-1] - best.path[-1]
         best = found
         if np.abs(ends).max() < _SETTLED_M:
             break
@@ -448,37 +230,94 @@ def plan_trajectory(
         best.plan if accepted else own,
         accepted,
         first.reason,
-        problem.shifted_slack,
+        first.problem.shifted_slack,
         solve_ms,
         1e3 * (time.thread_time() - begin),
         best.num_rows,
-        problem.in_reach,
+        first.problem.in_reach,
     )
+
+
+class _Task(NamedTuple):
+    """What `plan_trajectory` is called with."""
+
+    own: Trajectory
+    start_round: int
+    compute_unit: int
+    neighbors: Neighbors
+    target: FloatArray
+    config: MlrDmpcConfig
+    solver_name: str
+    planes: Sequence[HalfSpaces]
 
 
 class _Solution(NamedTuple):
     """A program's optimum as a plan."""
 
+    problem: Program
     plan: Trajectory  # as it would be sent
+    path: FloatArray  # (S, 3) of the plan
     reason: str  # `accepted`, or why not
     solve_ms: float  # in the solver
     num_rows: int  # of the last program
-    held_back: bool  # by a half-space or a soft margin: other planes may allow a better plan
+    active: IntArray  # (m, 3) half-spaces that hold with equality, as `broken_rows` names them
+    held_back: bool  # by planes that may be taken anew
+    with_rows: IntArray  # (K,) candidates that have rows, or are near to the plan
 
 
-def _solve(
-    problem: Program, solver_name: str, identity: Identity, config: MlrDmpcConfig
-) -> _Solution:
-    fixed = condensed(config)
-    found = RowGeneration(problem, solver_name)
+def _best(task: _Task, around: _Solution | None = None) -> _Solution:
+    """The optimum behind planes of what is flown, or of a solution of before.
+
+    With relinearised planes, only candidates that come near and those planned in the same round
+    have rows. If a solution comes nearer than it may to others, it is found again with their rows.
+    """
+    neighbors, config = task.neighbors, task.config
+    near_m = config.sampled_distance_m + max(config.soft_m, _NEAR_M)
+    if around is not None:
+        chosen = around.with_rows
+    elif config.planes == "fixed":
+        chosen = np.arange(len(neighbors.drone))
+    else:
+        path = sampled_positions(task.own, task.start_round, config)
+        near = least_distances(path, neighbors.positions, config) < near_m
+        chosen = np.flatnonzero(near | neighbors.concurrent)
+    while True:
+        found = _solve(task, chosen, around)
+        apart = least_distances(found.path, neighbors.positions, config)
+        near = apart < near_m
+        near[chosen] = False
+        others = np.flatnonzero(near)
+        chosen = np.concatenate([chosen, others])
+        missed = (apart[others] < config.sampled_distance_m + SPARE_M).any()
+        if found.reason != ACCEPTED or not missed:
+            return found._replace(with_rows=chosen)
+
+
+def _solve(task: _Task, chosen: IntArray, around: _Solution | None) -> _Solution:
+    config, fixed = task.config, condensed(task.config)
+    among = task.neighbors.some(chosen)
+    plan = None if around is None else around.plan
+    problem = program(task.own, task.start_round, among, task.target, config, task.planes, plan)
+    found = RowGeneration(problem, task.solver_name, NO_ROWS if around is None else around.active)
     jerk = fixed.jerks.at(problem.state, found.z)
     jerk[-1] = 0.0
+    identity = Identity(task.start_round, task.compute_unit)
     plan = Trajectory(identity, problem.state, jerk, config.input_sampling_s)
     reason = found.failure or broken(plan, problem, fixed)
-    rows = problem.rows
-    slack = least_slack(rows.base + rows.by_variables @ found.z, rows.normals, rows.offsets)
-    held_back = found.softened or slack < _TOUCHING_M
-    return _Solution(plan, reason, found.solve_ms, found.num_rows, held_back)
+    kind, row, _ = found.active.T
+    paths = (kind >= 2) & (row < len(chosen))
+    fixed_planes = config.planes == "fixed" or among.concurrent[row[paths & (kind == 2)]].all()
+    return _Solution(
+        problem,
+        plan,
+        plan.positions(fixed.collision_times),
+        reason,
+        found.solve_ms,
+        found.num_rows,
+        found.active[(kind < 2) | paths],
+        not fixed_planes,
+        chosen,
+    )
 
 
 def broken(plan: Trajectory, problem: Program, fixed: Condensed) -> str:

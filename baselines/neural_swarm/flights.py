@@ -92,6 +92,19 @@ class FlightTest:
         """Set-points of a flight that is flown to its end."""
         return round(self.seconds * self.decision_rate)
 
+    def core(self, num_envs: int, **loop: Any) -> SwarmCore:
+        """The environments of as many flights; `loop` says what flies them, as `EnvConfig` does."""
+        config = EnvConfig(
+            physics=self.engine,
+            interactions=self.truth,
+            horizon_s=self.horizon_s,
+            randomization=self.randomization,
+            world=self.world,
+            end_on_success=False,
+            **loop,
+        )
+        return SwarmCore(self.task, config, num_envs)
+
 
 @dataclass(frozen=True)
 class Flights:
@@ -193,7 +206,7 @@ def run_flights(
     metrics: list[dict[str, Any]] = []
     for first in range(0, len(seeds), AT_ONCE):
         together = list(seeds[first : first + AT_ONCE])
-        core = _make_core(test, controller, len(together))
+        core = test.core(len(together), **TrackingAgent(controller, test.decision_rate).requires)
         try:
             core.reset(together)
             parts.append(_follow_references(core, 1 + test.decisions, tick))
@@ -212,19 +225,6 @@ def run_flights(
 
 fly = run_flights
 """The name of `run_flights` in version 0.1."""
-
-
-def _make_core(test: FlightTest, controller: ControllerConfig, num_envs: int) -> SwarmCore:
-    config = EnvConfig(
-        physics=test.engine,
-        interactions=test.truth,
-        horizon_s=test.horizon_s,
-        randomization=test.randomization,
-        world=test.world,
-        end_on_success=False,
-        **TrackingAgent(controller, test.decision_rate).requires,
-    )
-    return SwarmCore(test.task, config, num_envs)
 
 
 def _follow_references(

@@ -14,7 +14,7 @@ from swarm_envs.baselines.rth3d.grid import (
 )
 from swarm_envs.baselines.rth3d.grid_plan import GridPlan, PlanTimeout
 from swarm_envs.baselines.rth3d.grid_planning import METHODS, plan
-from swarm_envs.baselines.rth3d.grid_validation import ValidationReport, validate
+from swarm_envs.baselines.rth3d.grid_validation import validate
 from swarm_envs.baselines.rth3d.rubik import max_density
 
 __all__ = [
@@ -25,7 +25,6 @@ __all__ = [
     "NoPlanExists",
     "PlanNotFound",
     "PlanTimeout",
-    "ValidationReport",
     "building_columns",
     "make_instance",
     "max_density",

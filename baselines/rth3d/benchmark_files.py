@@ -15,7 +15,7 @@ from swarm_envs.baselines.rth3d.grid import GridInstance, check_instance, check_
 from swarm_envs.files import written_whole
 from swarm_envs.state import BoolArray
 
-__all__ = ["read_benchmark", "write_benchmark"]
+__all__ = ["read_benchmark"]
 
 _FREE, _BLOCKED = ".GS", "@OTW"
 _COLUMNS = ("bucket", "map", "width", "height", "start x", "start y", "goal x", "goal y", "length")

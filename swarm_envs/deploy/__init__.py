@@ -5,10 +5,7 @@ Trained policies and force models as C headers are made by `swarm_envs.agents.c_
 """
 
 from swarm_envs.deploy.export import (
-    Separation,
-    TeamReport,
     export_flight,
-    fit_flight,
     report,
 )
 from swarm_envs.deploy.flight import Flight, flight_along, flight_of, settled
@@ -17,11 +14,8 @@ from swarm_envs.deploy.pieces import Pieces, evaluate, read_pieces
 __all__ = [
     "Flight",
     "Pieces",
-    "Separation",
-    "TeamReport",
     "evaluate",
     "export_flight",
-    "fit_flight",
     "flight_along",
     "flight_of",
     "read_pieces",

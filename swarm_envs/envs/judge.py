@@ -162,6 +162,7 @@ def judge(  # noqa: C901  # one decision, on one screen
         if done and not lost and not environment.held:
             environment.held = True
             environment.reached += 1
+            environment.unhurt += unhurt
             environment.achieved = 1.0 / stages
             environment.succeeded = unhurt and environment.reached == stages
         won = rules.end_on_success and environment.reached == stages and not rules.tracks
@@ -189,7 +190,7 @@ def metrics(
     """What the episodes of these environments are judged by, so far, in their order.
 
     - `success`: whether the team did its task, nobody hurt; `stages_reached` of `stages`: sets of
-      goals at which all who still flew have stood; `length_s`: time flown.
+      goals at which the whole team has stood, nobody hurt; `length_s`: time flown.
     - `arrived_fraction`, where contact does not end the team's episode: share of drones that still
       fly and are at their goals, or have kept to their reference.
     - `collided_drones`, `collided_floor`, `collided_wall`, `collided_obstacle`, `tumbled`:
@@ -199,8 +200,8 @@ def metrics(
       `minimum_obstacle_distance_m`: from a drone's centre to an obstacle (None without one).
     - `worst_tracking_error_m`, `rms_tracking_error_m`, `worst_height_error_m`: against the
       reference, over all drones; the lists `..._by_drone_m` say which. None without a
-      reference, or before errors count: in `ring` after the start-up. Errors are taken at
-      decisions, so compare them at one decision rate.
+      reference of one's own, or before errors count: in `ring` after the start-up. Errors are
+      taken at decisions, so compare them at one decision rate.
     - `worst_force_g`: largest force of the air on a drone, its drag included; `energy_j`: ideal
       induced energy of all rotors; `force_bound_violations`: drone-steps of 1/240 s with a
       vertical force above the drone's bound, and `fraction_over_force_bound`: their share of
@@ -230,7 +231,7 @@ def metrics(
         "success": ended["succeeded"],
         **arrived,
         "stages": stages,
-        "stages_reached": ended["reached"],
+        "stages_reached": ended["unhurt"],
         "length_s": ended["time"],
         **{name: (hurt & code > 0).sum(axis=1) for name, code in _ACCIDENTS.items()},
         "near_misses": ((clearance >= 1.0) & (clearance < NEAR_MISS)).sum(axis=1),
@@ -281,8 +282,12 @@ def _scored(ended: Record, task: Task) -> dict[str, Any]:
 
 
 def _tracking(drones: Records, scored: int, task: Task) -> dict[str, Any]:
-    """The tracking errors of the drones (N,) of one environment."""
-    if task.motion.rests or not scored:
+    """The tracking errors of the drones (N,) of one environment.
+
+    Where any drone may take any goal, references lead to goals that others may have by then.
+    """
+    shared = isinstance(task.success, Success) and not task.success.named
+    if task.motion.rests or shared or not scored:
         names = ("worst_tracking_error_m", "rms_tracking_error_m", "worst_height_error_m")
         return dict.fromkeys(names)
     return {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import textwrap
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, fields
 from typing import Annotated, Any, ClassVar, Generic, NamedTuple, ParamSpec
@@ -66,9 +66,29 @@ class TaskOptions(EnvConfig, ABC):
     default_weights: ClassVar[Mapping[str, float]]
     """Weight of each reward term that is not given."""
 
-    @abstractmethod
+    task_type: ClassVar[type[Task]]
+    """What `make_task` makes: a dataclass."""
+
     def make_task(self) -> Task:
-        """The task that is flown."""
+        """The task that is flown.
+
+        Raises:
+            ValueError: the options contradict each other, or the task refuses them.
+        """
+        return self.task_of()
+
+    def task_of(self, **others: Any) -> Task:
+        """A task whose fields have the options of the same names, except those that are None.
+
+        Args:
+            **others: fields that no option gives.
+        """
+        kind: Any = self.task_type
+        shared = {f.name for f in fields(self)} & {f.name for f in fields(kind)}
+        given = {name: getattr(self, name) for name in shared if getattr(self, name) is not None}
+        about = {"reward_weights": self.weights, "obstacles": self.standing}
+        task: Task = kind(**{**others, **given, **about, "team": self.vehicles})
+        return task
 
     @property
     def standing(self) -> tuple[Obstacle, ...]:

@@ -267,25 +267,6 @@ def all_forces(
     write_forces(field, types, p, v, out, scratch_for(field, places, drones))
 
 
-@kernel
-def active_pairs(window: FloatArray, position: FloatArray) -> int:
-    """Number of ordered pairs of one environment inside the interaction volume.
-
-    Args:
-        window: (4,) the model's window, m.
-        position: (N, 3) m.
-    """
-    count = 0
-    for i in range(position.shape[0]):
-        for j in range(position.shape[0]):
-            if i != j:
-                dx = position[j, 0] - position[i, 0]
-                dy = position[j, 1] - position[i, 1]
-                dz = position[j, 2] - position[i, 2]
-                count += pair_weight(window, dx, dy, dz) > 0.0
-    return count
-
-
 def types_array(names: tuple[str, ...], types: tuple[str, ...], where: str = "") -> IntArray:
     """Indices (N,) of interaction type names in a model's types.
 

@@ -127,7 +127,7 @@ class TrackingSuccess:
 @typed
 @dataclass(frozen=True)
 class ByScore:
-    """A task that continues until the time limit, and succeeds with a sufficient score."""
+    """A task that continues until the time limit: success is a sufficient score without a crash."""
 
     radius: Annotated[float, POSITIVE_M]
     """How near a drone must be to its goal, m."""
@@ -155,11 +155,15 @@ class Task(ABC):
     write_reward_terms: Callable[[Records, Records, Records, FloatArray], None]
     """A kernel that writes the terms (T, E, N): see `swarm_envs.tasks.rewards.write_terms`
     for its arguments, and docs/architecture.md for the fields that it can read."""
+    old_filter: bool = False
+    """Whether safety filters fly as in release 0.1.0: they see no obstacles, and drones that are
+    too near may fly through each other."""
     score_names: tuple[str, ...] = ()
     """The metrics that `environments.score` and, if there are two, `.goals_reached` are."""
     advance: Callable[[BoolArray, Records, Records, FloatArray, Records], None] | None = None
     """A kernel that scores a judged decision and sets new goals: `(flown, drones, environments,
-    goals, settings)`, `flown` (E,) being the environments that made one."""
+    goals, settings)`. These are the environments (E,) that made one; records (E, N) and (E,); goals
+    (E, S, N, 3) of every stage or row, m; and one record (1,) of the rules."""
 
     def with_team(self, team: Team) -> Self:
         """The same task for another team.

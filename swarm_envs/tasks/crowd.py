@@ -30,7 +30,7 @@ from swarm_envs.tasks.placing import (
     draw_apart,
 )
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
-from swarm_envs.tasks.scores import end_by_score, send_to
+from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score, send_to
 from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "CrowdTask", "Layout"]
@@ -46,19 +46,8 @@ _LOWEST, _HIGHEST = 0.5, 2.0
 _TREES_M, _TREE_RADIUS, _TREE_SHIFT = 1.2, 0.15, 0.2
 _TOWERS_M, _TOWER_WIDTH = 1.4, 0.45
 
-REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
-    {
-        "progress": 0.5,
-        "at_goal": 0.0,
-        "tracking": 0.0,
-        "effort": -0.1,
-        "proximity": -4.0,
-        "crash": -5.0,
-        "success": 0.0,
-        "reached": 1.0,
-    }
-)
-"""Default weight of each reward term: none depends on the clock."""
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "reached": 1.0})
+"""Default weight of each reward term."""
 
 
 def crowd_obstacles(layout: str, num_drones: int) -> tuple[Obstacle, ...]:
@@ -122,12 +111,7 @@ def give_next_goals(
 ) -> None:
     """Count the goals that were reached in this decision, and give their drones others.
 
-    Args:
-        flown: (E,) environments that made the decision.
-        drones: (E, N) records, judged.
-        environments: (E,) records.
-        goals: (E, S, N, 3) sites, m; those of the first row are the drones' goals.
-        settings: (1,) record.
+    Arguments as of `Task.advance`.
     """
     rules, size = settings[0], drones.shape[1]
     for e in range(drones.shape[0]):
@@ -149,7 +133,7 @@ def give_next_goals(
                 goals[e, 0, i, k], goals[e, site // size, site % size, k] = new, old
             send_to(d, goals[e, 0, i])
         environment.score = environment.goals_reached / (size * rules.horizon_s / 60.0)
-        end_by_score(environment, rules)
+        end_by_score(environment, drones[e], rules)
 
 
 @kernel

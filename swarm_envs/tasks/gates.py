@@ -21,7 +21,7 @@ from swarm_envs.tasks.base import ByScore, Placement, Task
 from swarm_envs.tasks.motion import OWN_GOALS, Motion
 from swarm_envs.tasks.obstacles import Column, Obstacle
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
-from swarm_envs.tasks.scores import send_to
+from swarm_envs.tasks.scores import SCORED_WEIGHTS, send_to
 from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "GatesTask"]
@@ -34,17 +34,7 @@ _START_X = -1.65
 _CEILING = 2.2
 """Highest place of a column, m."""
 
-REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
-    {
-        "progress": 0.5,
-        "at_goal": 0.0,
-        "tracking": 0.0,
-        "effort": -0.1,
-        "proximity": -4.0,
-        "crash": -5.0,
-        "success": 10.0,
-    }
-)
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "success": 10.0})
 """Default weight of each reward term."""
 
 
@@ -58,12 +48,7 @@ def pass_gates(
 ) -> None:
     """Send teams that stand in a gate, all at once, to the next; the last one ends the episode.
 
-    Args:
-        flown: (E,) environments that made the decision.
-        drones: (E, N) records, judged.
-        environments: (E,) records.
-        goals: (E, S, N, 3) places in each gate, m.
-        settings: (1,) record.
+    Arguments as of `Task.advance`.
     """
     rules, size, stages = settings[0], drones.shape[1], goals.shape[1]
     for e in range(drones.shape[0]):

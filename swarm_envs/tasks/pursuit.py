@@ -23,7 +23,7 @@ from swarm_envs.tasks.motion import PURSUIT, REST, Motion
 from swarm_envs.tasks.obstacles import Obstacle
 from swarm_envs.tasks.placing import ARENA_HEIGHT, WALL_MARGIN, derangement, draw_apart
 from swarm_envs.tasks.rewards import REWARD_NAMES, check_reward_weights, write_terms
-from swarm_envs.tasks.scores import end_by_score
+from swarm_envs.tasks.scores import SCORED_WEIGHTS, end_by_score
 from swarm_envs.vehicles import Team
 
 __all__ = ["REWARD_WEIGHTS", "Layout", "PursuitTask"]
@@ -43,17 +43,7 @@ _STARTUP_S = 2.0
 _RADIUS = 0.2
 _LEAST = {"moving": 0.9, "swap-goals": 0.5, "chase": 0.9}
 
-REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType(
-    {
-        "progress": 0.5,
-        "at_goal": 0.5,
-        "tracking": 0.0,
-        "effort": -0.1,
-        "proximity": -4.0,
-        "crash": -5.0,
-        "success": 0.0,
-    }
-)
+REWARD_WEIGHTS: Mapping[str, float] = MappingProxyType({**SCORED_WEIGHTS, "at_goal": 0.5})
 """Default weight of each reward term."""
 
 
@@ -67,12 +57,7 @@ def score_pursuit(
 ) -> None:
     """Count the time that drones spend near their goals.
 
-    Args:
-        flown: (E,) environments that made the decision.
-        drones: (E, N) records, judged.
-        environments: (E,) records.
-        goals: (E, S, N, 3) m.
-        settings: (1,) record.
+    Arguments as of `Task.advance`.
     """
     rules, size = settings[0], drones.shape[1]
     for e in range(drones.shape[0]):
@@ -89,7 +74,7 @@ def score_pursuit(
                 d.last_distance += d.distance - np.sqrt(square)
             near += d.active > 0.0 and d.distance < rules.success_radius
         environments[e].score += near / size * rules.decision_s / rules.horizon_s
-        end_by_score(environments[e], rules)
+        end_by_score(environments[e], drones[e], rules)
 
 
 @typed

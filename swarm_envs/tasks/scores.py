@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from types import MappingProxyType
+
 import numpy as np
 
 from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray
-from swarm_envs.tables import Record
+from swarm_envs.tables import Record, Records
+
+SCORED_WEIGHTS: Mapping[str, float] = MappingProxyType(
+    {
+        "progress": 0.5,
+        "at_goal": 0.0,
+        "tracking": 0.0,
+        "effort": -0.1,
+        "proximity": -4.0,
+        "crash": -5.0,
+        "success": 0.0,
+    }
+)
+"""Default weight of each reward term: none depends on the clock."""
 
 
 @part
@@ -25,7 +41,13 @@ def send_to(d: Record, goal: FloatArray) -> None:
 
 
 @part
-def end_by_score(environment: Record, rules: Record) -> None:
-    """Say that an episode which the clock has ended is a success, if its score is high enough."""
-    if environment.truncated and environment.score >= rules.least_score:
+def end_by_score(environment: Record, drones: Records, rules: Record) -> None:
+    """Say that an episode which the clock has ended is a success.
+
+    Its score is high enough, and nothing has ever happened to any of its drones (N,).
+    """
+    won = environment.truncated and environment.score >= rules.least_score
+    for i in range(drones.shape[0]):
+        won = won and drones[i].hurt == 0.0
+    if won:
         environment.succeeded, environment.achieved = True, 1.0

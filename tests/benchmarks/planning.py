@@ -18,7 +18,8 @@ from tqdm import tqdm
 
 from swarm_envs import make
 from swarm_envs.agents import fly_episode
-from swarm_envs.baselines.neural_swarm import PlanAgent, SwarmPlan, plan_swarm
+from swarm_envs.baselines.neural_swarm import SwarmPlan, plan_swarm
+from swarm_envs.baselines.neural_swarm.agent import PlanAgent
 from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, plot_plan
 from swarm_envs.baselines.neural_swarm.planner.scp import StepRecord, refine
 from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_lines

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
 
@@ -49,20 +48,6 @@ def test_one_environment_and_many_fly(monkeypatch):
         assert 0.0 < row["low"] <= row["value"] <= row["high"]
 
 
-def test_growth_is_drawn_from_its_rows(tmp_path):
-    many, large = [(1, 4), (2, 4)], [(1, 5), (1, 6)]
-    rows = [row for sizes in (many, large) for row in batched.scale_rows(sizes, 1)]
-    assert [(row["environments"], row["drones"]) for row in rows] == [*many, *large]
-    batched.draw(rows, tmp_path / "speed.png")
-    assert (tmp_path / "speed.png").read_bytes()[:4] == b"\x89PNG"
-
-
-@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs Linux")
-def test_memory_is_that_of_a_whole_process(monkeypatch):
-    monkeypatch.setattr(batched, "MEMORY", (2, 4))
-    assert 50.0 < batched.memory_row()["value"] < 1024.0
-
-
 def test_all_ways_compute_the_same_forces():
     position, velocity = forces.states(3, 4)
     model, team = load("learned-v0"), forces.team_of(4)
@@ -74,12 +59,6 @@ def test_all_ways_compute_the_same_forces():
     pytest.importorskip("torch")
     trained = forces.torch_forces("float64", position, velocity, team)().numpy() * GRAM_FORCE
     np.testing.assert_allclose(trained, expected[..., 2], rtol=0, atol=1e-9 * GRAM_FORCE)
-
-
-def test_what_is_not_installed_is_said_in_its_row(monkeypatch):
-    row = forces.force_row("kernel", "float32", 2, 4, 2)
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
-    assert "not installed" in table([row, forces.force_row("torch", "float64", 2, 4, 1)])
 
 
 @pytest.fixture

@@ -42,15 +42,3 @@ def test_measuring_needs_no_package_but_the_peer():
 def test_a_row_says_why_it_has_no_number(script, note, tmp_path):
     row = peers.batch_peer_row(interpreter(tmp_path / "python", script), *BATCH)
     assert (row["value"], row["note"]) == (None, note)
-
-
-def test_an_interpreter_that_is_not_there_is_named(tmp_path):
-    row = peers.batch_peer_row(str(tmp_path / "python"), *BATCH)
-    assert str(tmp_path / "python") in row["note"]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="the program is a shell script")
-def test_rates_become_a_median_and_a_range(tmp_path):
-    python = interpreter(tmp_path / "python", "echo '{\"rates\": [1.0, 4.0, 2.0]}'")
-    row = peers.batch_peer_row(python, *BATCH)
-    assert (row["low"], row["value"], row["high"]) == (1.0, 2.0, 4.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
@@ -23,3 +24,14 @@ def test_block_runs(library: str, block: str) -> None:
     for module in re.findall(rf"from ({library}[\w.]*)", block):
         pytest.importorskip(module)  # Ray may be there without what RLlib needs
     exec(compile(block, "block", "exec"), {"__name__": "block"})
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("default")
+def test_rllib_trains_while_drones_fall_one_after_another(capsys):
+    pytest.importorskip("ray.rllib.algorithms.ppo", reason="run by `make test-compat`")
+    block = BLOCKS[LIBRARIES.index("ray")]
+    given, falls = '"on_contact": "end_pair"', '"action": "rotors", "on_contact": "end_pair"'
+    assert given in block
+    exec(compile(block.replace(given, falls), "block", "exec"), {"__name__": "block"})
+    assert math.isfinite(float(capsys.readouterr().out.split()[-1]))

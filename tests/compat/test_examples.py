@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import math
 import runpy
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import pytest
+
+from swarm_envs import swap_v1
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 pytestmark = pytest.mark.filterwarnings("default")
@@ -23,7 +27,16 @@ def test_stable_baselines3():
     assert math.isfinite(main_of("sb3_ppo")(["--steps", "4096", "--envs", "8"]))
 
 
+@pytest.fixture(params=["end_team", "end_pair"])
+def on_contact(request, monkeypatch):
+    """What examples fly; without touching them."""
+    for module, name in ((swap_v1, "parallel_env"), (gymnasium, "make_vec")):
+        made = partial(getattr(module, name), on_contact=request.param)
+        monkeypatch.setattr(module, name, made)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("on_contact")
 def test_torchrl():
     pytest.importorskip("torchrl", reason="run by `make test-compat`")
     rewards = main_of("torchrl_mappo")(["--steps", "240", "--batch", "120"])
@@ -32,6 +45,7 @@ def test_torchrl():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("on_contact")
 def test_skrl(tmp_path):
     pytest.importorskip("skrl", reason="run by `make test-compat`")
     agent = main_of("skrl_ppo")(["--steps", "64", "--envs", "4", "--out", str(tmp_path)])

@@ -22,13 +22,12 @@ from swarm_envs.deploy import (
     Flight,
     evaluate,
     export_flight,
-    fit_flight,
     flight_of,
     read_pieces,
     report,
     settled,
 )
-from swarm_envs.deploy.export import separation
+from swarm_envs.deploy.export import fit_flight, separation
 from swarm_envs.interactions import load as load_model
 from swarm_envs.trajectories import rest_to_rest
 from swarm_envs.vehicles import GRAVITY, SMALL, parse_team

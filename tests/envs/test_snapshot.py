@@ -99,15 +99,6 @@ def test_a_snapshot_is_independent_of_what_flies_on(engine):
     assert fly(env, np.random.default_rng(2), 30) == first
 
 
-def test_looking_changes_nothing(engine):
-    """Taking a snapshot, or a pickle, leaves the flight as it is, to the last bit."""
-    one, other = flying(engine), flying(engine)
-    one.get_state()
-    pickle.dumps(one)
-    one.state()
-    assert fly(one, np.random.default_rng(2), 30) == fly(other, np.random.default_rng(2), 30)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

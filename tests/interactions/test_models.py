@@ -11,7 +11,7 @@ import pytest
 from safetensors.numpy import save_file
 
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.interactions.forces import active_pairs, write_forces
+from swarm_envs.interactions.forces import write_forces
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Vehicle, parse_team
 from tests.helpers.drawn_networks import drawn
 
@@ -119,31 +119,6 @@ def test_ground_effect_lifts(model: InteractionModel) -> None:
         assert low > 1.0 * GRAM_FORCE
 
 
-@pytest.mark.parametrize("name", ["learned", "learned-v0"])
-def test_compiled_networks_agree_with_torch(name: str) -> None:
-    torch = pytest.importorskip("torch")
-    from importlib import resources
-
-    from swarm_envs.training.force_model import load_network
-
-    rng = np.random.default_rng(4)
-    weights = resources.files("swarm_envs.interactions").joinpath(f"weights/{name}.safetensors")
-    with resources.as_file(weights) as path:
-        network = load_network(path)
-    compiled = load(name)
-    worst = 0.0
-    for height in (0.1, 0.4, 1.2):
-        position, velocity = swarm(rng, 200, 4, height)
-        team = parse_team("SLSL")
-        types = [vehicle.interaction_type for vehicle in team]
-        force_g = compiled.forces(position, velocity, team)[..., 2] / GRAM_FORCE
-        arrays = (torch.from_numpy(position), torch.from_numpy(velocity))
-        with torch.no_grad():
-            expected = network.force_g(*arrays, types).numpy()
-        worst = max(worst, float(np.abs(force_g - expected).max()))
-    assert worst < 1e-9
-
-
 def deep_set_file(
     path: Path, types: tuple[str, ...], rng: np.random.Generator, anchor: float | None = None
 ) -> dict[str, np.ndarray]:
@@ -156,39 +131,6 @@ def deep_set_file(
     notes = {"format": "deep-set-1", "types": types, "anchor_height_m": anchor, "window": None}
     save_file(tensors, path, metadata={"swarm_envs": json.dumps(notes)})
     return tensors
-
-
-def plain_network(tensors: dict[str, np.ndarray], name: str, x: np.ndarray) -> np.ndarray:
-    k = 0
-    while f"{name}.{k}.weight" in tensors:
-        x = tensors[f"{name}.{k}.weight"] @ (np.maximum(x, 0.0) if k else x)
-        x = x + tensors[f"{name}.{k}.bias"]
-        k += 1
-    return x
-
-
-def test_any_types_and_shapes_against_the_formula(tmp_path: Path) -> None:
-    """Equation (10), written out in numpy for three types and networks of odd shapes."""
-    rng = np.random.default_rng(5)
-    path = tmp_path / "three.safetensors"
-    tensors = deep_set_file(path, ("A", "B", "C"), rng)
-    base = VEHICLES["S"]
-    team = [Vehicle(**{**vars(base), "token": t, "interaction_type": t}) for t in "ABCAB"]
-    position, velocity = swarm(rng, 1, 5)
-    force = load(path).forces(position, velocity, team)[0, :, 2] / GRAM_FORCE
-    p, v = position[0], velocity[0]
-    for i, ego in enumerate(team):
-        code = plain_network(
-            tensors, "phi.environment", np.array([-p[i, 2], -v[i, 0], -v[i, 1], -v[i, 2]])
-        )
-        for j, other in enumerate(team):
-            inside = (abs(p[j] - p[i]) < [0.35, 0.35, 1.1]).all()
-            if j != i and inside:
-                code = code + plain_network(
-                    tensors, f"phi.{other.token}", np.concatenate([p[j] - p[i], v[j] - v[i]])
-                )
-        expected = plain_network(tensors, f"rho.{ego.token}", code)[0]
-        assert force[i] == pytest.approx(expected, abs=1e-10)
 
 
 def test_anchored_means_zero_aloft_at_any_speed(tmp_path: Path) -> None:
@@ -209,12 +151,6 @@ def test_inputs_are_clamped_to_what_was_measured() -> None:
     a, b = (model.forces(position, v, "SS")[0, 1, 2] for v in (fast, faster))
     assert a == pytest.approx(b, abs=1e-12)
     assert abs(a) < 30 * GRAM_FORCE
-
-
-def test_active_pairs_counts_the_volume() -> None:
-    window = load("learned").field.window
-    position = np.array([[0, 0, 1.0], [0.1, 0, 1.0], [0.34, 0, 1.0], [0, 0, 2.2], [1, 1, 1.0]])
-    assert active_pairs(window, position) == 6
 
 
 def test_read_only_arrays_compile_no_kernel_more() -> None:

@@ -11,6 +11,7 @@ OPTIONAL = {
     "train": ("torch", "stable_baselines3"),
     "tensorboard": ("tensorboard", "torch", "stable_baselines3"),
     "ray": ("ray",),
+    "minari": ("minari", "h5py"),
     "quadprog": ("quadprog",),
     "mutation": ("cosmic_ray",),
     "docs": ("sphinx", "furo", "myst_parser", "torch", "stable_baselines3"),

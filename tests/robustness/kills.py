@@ -41,6 +41,9 @@ ON_POLICY += ["--checkpoint-rollouts", "3"]
 OFF_POLICY = [*RL, "--steps", "3000", "--checkpoint-rollouts", "6", "--sac.gradient-steps", "4"]
 OFF_POLICY += ["--sac.learning-starts", "200", "--sac.buffer-size", "1000"]
 OFF_POLICY += ["--sac.batch-size", "32", "--sac.train-freq", "4"]
+DAGGER = [*RL, "--steps", "3000", "--checkpoint-rollouts", "6", "--dagger.gradient-steps", "2"]
+DAGGER += ["--dagger.batch-size", "32", "--dagger.buffer-size", "500", "--dagger.train-freq", "4"]
+DAGGER += ["--dagger.teacher", "fast-line", "circle=roundabout"]
 SWEEP = ["drones=2", "environments=8", "n_steps=8", "batch_size=64", "hidden=8,8", "steps=2000"]
 SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "n_epochs=1"]
 SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]
@@ -69,7 +72,7 @@ def _fit(out: Path) -> int:
 
 
 def _curriculum(out: Path) -> int:
-    from swarm_envs.training.curriculum import run_curriculum
+    from swarm_envs.training.curriculum.run import run_curriculum
     from tests.training.test_curriculum import TINY
 
     run_curriculum(replace(TINY, out=out))
@@ -83,6 +86,7 @@ COMMANDS: Mapping[str, Run] = {
     "ppo": run("train", *ON_POLICY),
     "mappo": run("train", "--algo", "mappo", *ON_POLICY),
     "sac": run("train", "--algo", "sac", *OFF_POLICY),
+    "dagger": run("train", "--algo", "dagger", *DAGGER),
     "train-sweep": run("train-sweep", "--seeds", "0", "1", "--set", *SWEEP, "--episodes", "6"),
     "evaluate": run(
         *("evaluate", "--drones", "2", "--horizon-s", "1", "--agent", "hover", "tracking"),

@@ -15,6 +15,7 @@ from swarm_envs import agents, make, task_family
 from swarm_envs.agents import fly_episode, record_episode
 from swarm_envs.agents.scripted import HoverAgent
 from swarm_envs.baselines import mlr_dmpc, neural_swarm, rth3d
+from swarm_envs.baselines.neural_swarm.agent import PlanAgent
 from swarm_envs.baselines.neural_swarm.theorem import error_ball
 from swarm_envs.control.config import PositionGains
 from swarm_envs.deploy import evaluate, flight_along, read_pieces, settled
@@ -191,7 +192,7 @@ GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
         **{"controller": None, "config": None},
     },
     neural_swarm.TrackingAgent: {"controller": None, "decision_rate": 48},
-    neural_swarm.PlanAgent: {"belief": None, "decision_rate": 48},
+    PlanAgent: {"belief": None, "decision_rate": 48},
     neural_swarm.plan_swarm: {
         **{"starts": STARTS, "goals": GOALS, "team": "SS", "model": "none", "bounds": None},
         **{"seed": 0, "plane": "xyz", "dt": 0.1, "max_duration": 5.0, "time_limit": 0.05},
@@ -208,12 +209,12 @@ GIVEN: dict[Callable[..., Any], dict[str, Any]] = {
 
 NOT_CALLED: dict[str, tuple[str, ...]] = {
     "takes what another function has made, not values of users": (
-        *("plot_plan", "report", "fit_flight", "flight_of", "export_flight"),
+        *("plot_plan", "report", "flight_of", "export_flight"),
         *("write_replay", "write_table", "save_network", "save_rows"),
         *("interaction_force", "interaction_rows", "next_clearance"),
     ),
     "takes settings, which tests/test_options.py gives bad values": (
-        *("collect", "read_flights", "run_curriculum", "fit", "search"),
+        *("collect", "fit", "search"),
     ),
     "begins as `fly_episode` does, which is called": ("record_episode",),
     "takes no argument": ("bullet_available",),

@@ -158,6 +158,29 @@ def stand(env: SwarmParallelEnv, places: np.ndarray, steps: int) -> dict[str, An
     return infos
 
 
+@pytest.mark.parametrize(("crash", "reached"), [(False, 3), (True, 1)])
+def test_stages_are_of_the_whole_team(crash, reached):
+    """One courier is flown into the floor after the first stage; the two others do all three."""
+    agent, plain = load("air-blind"), {"interactions": "none", "world": "ideal"}
+    env = make("delivery_v0", num_drones=3, **plain, **agent.requires)
+    observations, _ = env.reset(seed=1)
+    agent.reset(env, 1)
+    stood = set()
+    while env.agents:
+        actions = agent.act(observations, env.view)
+        stage = int(env.core.world.environments["stage"][0])
+        if crash and stage > 0 and "drone_0" in actions:
+            actions["drone_0"][:3] += [0.0, 0.0, -1.0]
+        observations, *_, infos = env.step(actions)
+        away = np.linalg.norm(env.view.state.position - env.view.goals, axis=1)
+        stood |= {stage} if (away[1:] < 0.02).all() else set()
+    metrics = next(iter(infos.values()))["episode_metrics"]
+    assert stood == {0, 1, 2} and metrics["collided_floor"] == crash
+    assert (metrics["stages_reached"], metrics["stages"]) == (reached, 3)
+    assert metrics["success"] is not crash
+    assert metrics["worst_height_error_m"] is not None
+
+
 @pytest.mark.parametrize("named", [False, True])
 def test_any_drone_may_take_any_place(named):
     """Independent of goals: success follows from the set of places that are taken."""
@@ -170,6 +193,7 @@ def test_any_drone_may_take_any_place(named):
     mixed = places[np.random.default_rng(1).permutation(8)]
     infos = stand(env, mixed, 40)
     assert env.agents == [] if not named else len(env.agents) == 8
+    assert (env.core.metrics()["worst_height_error_m"] is None) is not named
     if named:
         np.testing.assert_array_equal(env.view.goals, places)
         return

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -129,6 +130,33 @@ def test_success_is_a_throughput_at_the_clock(least, won):
     assert metrics["success"] is won and metrics["stages_reached"] == won
     assert truncations["drone_0"] and not ends["drone_0"]
     assert infos["drone_0"]["reward_terms"]["success"] == won
+
+
+@pytest.mark.parametrize("on_contact", ["end_pair", "bounce"])
+@pytest.mark.parametrize("physics", ["batch", "bullet"])
+@pytest.mark.parametrize("task", ["crowd_v0", "pursuit_v0"])
+def test_no_score_is_a_success_once_a_drone_is_hurt(task, physics, on_contact):
+    """One of four is flown into the floor: no more is asked of the score than zero."""
+    if physics == "bullet" and not bullet_available():
+        pytest.skip("pybullet is not installed")
+    agent, engine = load("hover"), {"physics": physics, "on_contact": on_contact}
+    given = {"num_drones": 4, "horizon_s": 3.0, **engine, **agent.requires}
+    layout = "open" if task == "crowd_v0" else "moving"
+    made = swarm_envs.make(task, layout=layout, **given)
+    easy: Any = dataclasses.replace(cast(Any, made.core.task), success=ByScore(0.15, 0.0))
+    for falls in (True, False):
+        env = SwarmParallelEnv(easy, made.core.config)
+        observations, _ = env.reset(seed=0)
+        agent.reset(env, 0)
+        while env.agents:
+            actions = agent.act(observations, None)
+            if falls and "drone_2" in actions:
+                actions["drone_2"] = np.array([0.0, 0.0, -1.0], np.float32)
+            observations, *_, infos = env.step(actions)
+        metrics = infos["drone_0"]["episode_metrics"]
+        assert (metrics["collided_floor"] == 1) is falls
+        assert metrics["success"] is not falls and metrics["stages_reached"] == (not falls)
+        assert infos["drone_0"]["reward_terms"]["success"] == (not falls)
 
 
 def test_progress_is_of_the_goal_that_was_flown_to():

@@ -49,7 +49,7 @@ def test_the_score_is_the_share_of_time_near_the_goals(layout):
     assert metrics["share_on_goal"] == pytest.approx(near.mean())
     assert 0.1 < near.mean() <= 1.0
     least = 0.5 if layout == "swap-goals" else 0.9
-    assert metrics["success"] == (near.mean() >= least)
+    assert metrics["success"] == (near.mean() >= least and metrics["collided_drones"] == 0)
 
 
 def test_progress_is_of_the_goal_that_was_had():

@@ -24,7 +24,6 @@ from swarm_envs.training.collection import CollectionConfig, interaction_rows
 from swarm_envs.training.collection.collect import collect
 from swarm_envs.training.force_model import load_network
 from swarm_envs.training.force_model.evaluate import mean_squared_errors, predict_rows
-from swarm_envs.vehicles import GRAM_FORCE
 
 WEIGHTS = Path(str(resources.files("swarm_envs.baselines.neural_swarm") / "weights"))
 FRESH = CollectionConfig(
@@ -47,21 +46,6 @@ def test_what_ships_predicts_fresh_flights(tmp_path, truth):
     assert errors.overall < errors.zero / 10
     for name, error in errors.scenario.items():
         assert error < max(errors.scenario_zero[name] / 4, 1.5 * LABEL_NOISE[name[-1]]), name
-
-
-@pytest.mark.parametrize(
-    ("truth", "within_g"), [("learned", 1.7), ("learned-v0", 1.0), ("wake", 1.5)]
-)
-def test_what_ships_follows_the_force_that_acts(truth, within_g):
-    rng = np.random.default_rng(5)
-    lower = np.tile([0.0, 0.0, 0.9], (400, 1))
-    upper = lower + rng.uniform([-0.1, -0.1, 0.2], [0.1, 0.1, 0.5], (400, 3))
-    position = np.stack([upper, lower], axis=1)
-    velocity = rng.uniform(-0.4, 0.4, position.shape)
-    acted = load(truth).forces(position, velocity, "LS")[:, 1, 2] / GRAM_FORCE
-    believed = load_belief(truth).forces(position, velocity, "LS")[:, 1, 2] / GRAM_FORCE
-    assert np.abs(acted).mean() > 4.0
-    assert np.sqrt(np.mean((believed - acted) ** 2)) < within_g
 
 
 @pytest.mark.parametrize("apart", [[0.35, 0.0, 0.3], [0.0, -0.4, 0.1], [0.0, 0.0, 1.1]])

@@ -13,23 +13,23 @@ from swarm_envs.physics import BatchPhysics
 from swarm_envs.training.collection import (
     CalibrationErrors,
     CollectionConfig,
-    FlightLog,
     SensorNoise,
     collect,
     interaction_force,
     interaction_rows,
-    read_flights,
 )
 from swarm_envs.training.collection.collect import (
     FlightBatch,
     flight_generator,
     fly_flights,
     make_motion,
+    read_flights,
 )
 from swarm_envs.training.collection.flight import fly_motion, vehicle_ids, vehicle_names
 from swarm_envs.training.collection.log import (
     LOG_RATE,
     NO_NOISE,
+    FlightLog,
     derivative,
     hann_average,
     lagged_thrust,
@@ -353,6 +353,20 @@ def test_the_command_says_which_scenarios_are_missing(tmp_path, capsys):
     words = "--teams S SL --duration-s 3 --walks 1 --low-walks 0 --swaps 0 --low-swaps 0"
     assert main(["collect", "--out", str(tmp_path), *words.split(), "--no-progress"]) == 0
     assert "of Table II no row of S2S, SS2S" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"teams": ("SX",)}, "token 'X'"),
+        ({"teams": ("S", "S")}, "named once"),
+        ({"label": "truth"}, "unknown label 'truth'"),
+        ({"format": "csv"}, "unknown format 'csv'"),
+    ],
+)
+def test_a_collection_that_cannot_be_is_refused(change, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(CollectionConfig(), **change)
 
 
 @pytest.mark.parametrize("words", ["--teams", "--teams S L --walks 0 --low-walks 0"])

@@ -20,23 +20,23 @@ from swarm_envs.vehicles import LARGE, SMALL, SMALL_STRONG
 from tests.helpers.tiny_fits import make_rows
 
 
-def planted_rows(count, seed=0):
-    """A neighbour above pushes down by at most 6 g; types are drawn."""
+def rows_of_types(types=("S", "L"), count=1500, seed=0):
+    """Rows in which a neighbour pushes down by 2 g times one plus its type's index, if above."""
     rng = np.random.default_rng(seed)
-    neighbor = rng.uniform(-1, 1, (count, 1, 6)) * [0.2, 0.2, 0.9, 0.5, 0.5, 0.5]
-    lateral = np.sum(neighbor[:, 0, :2] ** 2, axis=1)
+    ego, kind = rng.integers(len(types), size=(2, count))
+    neighbor = rng.uniform(-1.0, 1.0, (count, 1, 6)) * [0.1, 0.1, 0.6, 0.3, 0.3, 0.3]
     force = np.zeros((count, 3))
-    force[:, 2] = -6.0 * np.exp(-lateral / 0.01) * (neighbor[:, 0, 2] > 0)
+    force[:, 2] = np.where(neighbor[:, 0, 2] > 0.0, -2.0 * (1 + kind), 0.0)
     return make_rows(
         count,
-        ego_type=rng.integers(0, 2, count),
-        position=rng.uniform(0.5, 1.5, (count, 3)),
-        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
+        types=types,
+        ego_type=ego,
+        position=rng.uniform(0.4, 1.2, (count, 3)),
+        velocity=rng.uniform(-0.2, 0.2, (count, 3)),
         neighbor=neighbor,
-        neighbor_type=rng.integers(0, 2, (count, 1)),
+        neighbor_type=kind[:, None],
         force_g=force,
-        step=np.arange(count) * 3,
-        validation=np.arange(count) // 50 % 5 == 0,
+        vehicle=50 + ego,
     )
 
 
@@ -47,7 +47,7 @@ def config_of(rows, folder, **options):
 
 
 def test_a_finished_fit_of_other_options_or_data_is_not_overwritten(tmp_path):
-    config = config_of(planted_rows(800), tmp_path)
+    config = config_of(rows_of_types(count=800), tmp_path)
     fit(config)
     path = config.out / "learned.safetensors"
     made = path.read_bytes()
@@ -56,7 +56,7 @@ def test_a_finished_fit_of_other_options_or_data_is_not_overwritten(tmp_path):
     said = r"seed is 0 there, 1 here; logs.guard_s is 0.5 there, 0.6 here; choose another folder"
     with pytest.raises(ValueError, match=said):
         fit(replace(config, seed=1, logs=LogOptions(guard_s=0.6)))
-    save_rows(tmp_path / "rows.npz", planted_rows(800, seed=1))
+    save_rows(tmp_path / "rows.npz", rows_of_types(count=800, seed=1))
     with pytest.raises(ValueError, match=r"options: data_sha256 is \w{64} there, \w{64} here; c"):
         fit(config)
     (config.out / "learned.json").write_text("[]")
@@ -76,7 +76,7 @@ def test_configurations_differ_in_what_is_said():
 
 @pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed", "wake"])
 def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
-    rows = planted_rows(1500)
+    rows = rows_of_types()
     met = (rows.neighbor_type[:, 0] == 0) | (rows.ego_type == 1)  # L is never over S
     report = fit(config_of(rows.select(met), tmp_path, model=model, steps=20))
     (note,) = [n for n in report.notes if "in no training row" in n]
@@ -92,14 +92,14 @@ def test_of_a_pair_of_types_that_never_met_nothing_is_invented(model, tmp_path):
 
 
 def test_the_ground_under_a_type_that_never_flew_is_not_invented(tmp_path):
-    rows = planted_rows(1000)
+    rows = rows_of_types(count=1000)
     fit(config_of(rows.select(rows.ego_type == 0), tmp_path, model="wake"))
     found = load(str(tmp_path / "out" / "wake.json"))
     assert found.forces([[[0.0, 0.0, 0.08]]], np.zeros((1, 1, 3)), "L")[0, 0, 2] == 0.0
 
 
 def test_a_model_that_is_no_better_than_nothing_says_so(tmp_path):
-    rows = planted_rows(1500)
+    rows = rows_of_types()
     noise = rows.with_vertical_force(np.random.default_rng(1).normal(0, 1, 1500))
     report = fit(config_of(noise, tmp_path, model="wake"))
     (note,) = report.notes
@@ -112,7 +112,9 @@ def test_a_model_that_is_no_better_than_nothing_says_so(tmp_path):
 
 
 def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
-    report = fit(config_of(planted_rows(800), tmp_path, mode="measured", offsets="estimated"))
+    report = fit(
+        config_of(rows_of_types(count=800), tmp_path, mode="measured", offsets="estimated")
+    )
     calibration = Calibration(50, "S", 9, 9, 0.1, 0.1)
     logs = replace(report.logs, vehicles={"S1": calibration})
     said = "calibration offsets are not subtracted: labels are fitted as measured"
@@ -123,26 +125,6 @@ def test_a_measured_fit_says_that_offsets_stay_in(tmp_path):
 STRONG = replace(SMALL_STRONG, interaction_type="S*")
 HUGE = replace(LARGE, interaction_type="XL")
 QUICK = {"steps": 20, "learning_rate": 1e-2, "batch_size": 128}
-
-
-def rows_of_types(types, count=1500):
-    """Rows in which a neighbour pushes down by 2 g times one plus its type's index, if above."""
-    rng = np.random.default_rng(0)
-    ego, kind = rng.integers(len(types), size=(2, count))
-    neighbor = rng.uniform(-1.0, 1.0, (count, 1, 6)) * [0.1, 0.1, 0.6, 0.3, 0.3, 0.3]
-    force = np.zeros((count, 3))
-    force[:, 2] = np.where(neighbor[:, 0, 2] > 0.0, -2.0 * (1 + kind), 0.0)
-    return make_rows(
-        count,
-        types=types,
-        ego_type=ego,
-        position=rng.uniform(0.4, 1.2, (count, 3)),
-        velocity=rng.uniform(-0.2, 0.2, (count, 3)),
-        neighbor=neighbor,
-        neighbor_type=kind[:, None],
-        force_g=force,
-        vehicle=50 + ego,
-    )
 
 
 @pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed"])
@@ -166,7 +148,7 @@ def test_three_types_one_of_them_invented_are_fitted_and_fly(model, tmp_path):
 
 @pytest.mark.parametrize("model", ["deep-set", "pairwise", "composed"])
 def test_a_type_that_is_never_a_neighbour_feels_but_does_not_push(model, tmp_path):
-    rows = rows_of_types(("S", "L"))
+    rows = rows_of_types()
     report = fit(
         config_of(rows.select(rows.neighbor_type[:, 0] == 0), tmp_path, model=model, **QUICK)
     )
@@ -182,7 +164,7 @@ def test_a_type_that_is_never_a_neighbour_feels_but_does_not_push(model, tmp_pat
 
 
 def test_a_fitted_wake_is_read_back_and_a_damaged_one_is_refused(tmp_path):
-    report = fit(config_of(rows_of_types(("S", "L")), tmp_path, model="wake", **QUICK))
+    report = fit(config_of(rows_of_types(), tmp_path, model="wake", **QUICK))
     path = tmp_path / "out" / "wake.json"
     found = load(path)
     assert found.types == ("S", "L")

@@ -14,7 +14,6 @@ from swarm_envs.training.force_model.network import (
     OUTER_FADE,
     DeepSet,
     DeepSetSpec,
-    fade,
     layers,
 )
 from swarm_envs.training.force_model.optimisers import hold_spectral_norms
@@ -75,33 +74,6 @@ def test_force_is_equation_10_written_out():
         for i in range(4):
             expected = written_out(made, position[e].numpy(), velocity[e].numpy(), team, i)
             assert force[e, i] == pytest.approx(expected, abs=1e-11)
-
-
-@pytest.mark.parametrize(("axis", "edge"), [(0, 0.35), (1, 0.35), (2, 1.1)])
-def test_pair_fades_to_zero_at_the_edge_without_a_step(axis, edge):
-    made = network()
-    count = 4001
-    distance = torch.linspace(edge - 0.35, edge + 0.05, count, dtype=torch.float64)
-    position = torch.full((count, 2, 3), 0.0, dtype=torch.float64)
-    position[:, :, 2] = 1.0
-    position[:, 1, axis] += distance
-    force = made.force_g(position, torch.zeros_like(position), ("S", "L")).detach()
-    # Nothing, but for rounding: torch multiplies the last rows of a batch in another order, and the
-    # baseline stands elsewhere in it. The compiled model's zero is exact: interactions/test_models.
-    assert force[distance >= edge].abs().max() < 1e-15
-    assert force.abs().max() > 1e-3
-    assert force.diff(dim=0).abs().max() < 0.01 * force.abs().max()
-
-
-def test_fade_is_smooth_and_falls_from_one_to_zero():
-    u = torch.linspace(0.2, 0.4, 2001, dtype=torch.float64)
-    value = fade(u, 0.25, 0.35)
-    slope, bend = value.diff() / 1e-4, value.diff().diff() / 1e-8
-    assert value[u <= 0.25].min() == 1
-    assert value[u >= 0.35].max() == 0
-    assert slope.max() <= 1e-12
-    assert slope.min() == pytest.approx(-1.875 / 0.1, rel=1e-3)
-    assert bend.diff().abs().max() < 0.02 * bend.abs().max()  # no jump in the second derivative
 
 
 def test_clip_scales_down_to_the_limit_and_never_up():

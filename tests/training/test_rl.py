@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import multiprocessing
-import os
-import time
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +18,10 @@ from safetensors import safe_open
 from swarm_envs import swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.evaluation import frozen_seeds
-from swarm_envs.agents.policy import FILE, Policy, PolicyAgent, PolicyNote
+from swarm_envs.agents.policy import FILE, PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.commands.train import setting
-from swarm_envs.files import claimed
 from swarm_envs.training.rl.dagger import DaggerLearner
-from swarm_envs.training.rl.learner import make_learner
 from swarm_envs.training.rl.mappo import MappoLearner
 from swarm_envs.training.rl.ppo import PpoLearner
 from swarm_envs.training.rl.recipes import choosing_seeds
@@ -144,53 +138,6 @@ def test_stopped_after_a_segment_it_goes_on_to_the_same_policy(
             assert np.array_equal(here.get_tensor(name), there.get_tensor(name)), name
 
 
-def start(algo: str, out: Path) -> BaseProcess:
-    """A process that has begun to train: its folder is claimed."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tests.helpers.warm_training"])
-    process = context.Process(target=main, args=(command(algo, out),))
-    process.start()
-    while process.is_alive() and not (out / ".lock").is_file():
-        time.sleep(0.002)
-    return process
-
-
-def checkpoints(folder: Path) -> int:
-    """How many segments the checkpoint has behind it; it must be readable."""
-    path = folder / "checkpoint.safetensors"
-    if not path.is_file():
-        return 0
-    with safe_open(path, framework="np") as file:
-        return file.metadata()["progress"].count('"collision"')
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="no SIGKILL on this system")
-@pytest.mark.parametrize("number", range(6))
-@every_algorithm
-def test_killed_at_a_random_moment_it_ends_as_if_nothing_had_happened(
-    algo, number, whole, tmp_path
-):
-    """Random are the segment and, up to that of about one segment, the time after its start."""
-    out, draws = tmp_path / "run", np.random.default_rng(number)
-    until, rest_s = draws.integers(checkpoints(whole[algo])), draws.uniform(0.0, 0.1)
-    process = start(algo, out)
-    while process.is_alive() and checkpoints(out) < until:
-        time.sleep(0.001)
-    time.sleep(rest_s)
-    process.kill()
-    process.join()
-    saved = checkpoints(out)
-    assert saved >= until
-    assert len(curve(out)) in (saved, saved - 1)  # the table follows the checkpoint
-    again = start(algo, out)
-    again.join()
-    assert again.exitcode == 0
-    assert curve(out) == curve(whole[algo])
-    assert (out / FILE).read_bytes() == (whole[algo] / FILE).read_bytes()
-    assert {file.name for file in out.iterdir()} == {file.name for file in whole[algo].iterdir()}
-
-
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -255,13 +202,6 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
         assert "checkpoint.safetensors' is damaged" in capsys.readouterr().err
 
 
-def test_a_folder_that_another_run_writes_into_is_refused(tmp_path, capsys):
-    with claimed(tmp_path):
-        assert main(command("mappo", tmp_path)) == 1
-    assert "writes into" in capsys.readouterr().err
-    assert [file.name for file in tmp_path.iterdir()] == [".lock"]
-
-
 @pytest.mark.parametrize(
     ("options", "why"),
     [
@@ -296,25 +236,6 @@ def test_what_cannot_be_trained_is_refused(options, why, tmp_path, capsys):
     assert code == 2
     assert why in " ".join(capsys.readouterr().err.replace("│", " ").split())
     assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize("algo", ["ppo", "mappo", "sac"])
-def test_the_agent_acts_as_the_network_that_was_trained(algo):
-    """Of SAC the last layer's tanh too."""
-    sizes: dict[str, Any] = {} if algo == "sac" else {"batch_size": 64}
-    config = RlConfig(out=Path("never"), algo=algo, drones=2, environments=4, **sizes)
-    learner: Any = make_learner(config, "swap_v0")
-    note = PolicyNote("swap_v0", 2, "acceleration", 10, 3)
-    agent = PolicyAgent(Policy(note, learner.actor(), {}))
-    observed = learner.env.reset()
-    assert observed.shape == (8, 18 + 17 * 3)
-    if algo == "mappo":
-        wanted = learner.networks.actor(torch.from_numpy(observed)).detach().numpy()
-    else:
-        wanted, _ = learner.model.predict(observed, deterministic=True)
-    assert np.abs(wanted).max() > 1e-3
-    rows = learner.env.core.rows.reshape(8, -1)
-    np.testing.assert_allclose(agent.act_batch(rows), wanted, atol=1e-6)
 
 
 def test_segments_cover_every_rollout_once_and_keep_the_stages_apart():

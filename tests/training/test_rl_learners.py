@@ -27,7 +27,7 @@ from swarm_envs.training.rl.mappo import (
     generalised_advantages,
 )
 from swarm_envs.training.rl.recipes import evaluate_policy
-from swarm_envs.training.rl.rl_config import RlConfig, SacConfig
+from swarm_envs.training.rl.rl_config import DaggerConfig, RlConfig, SacConfig
 from swarm_envs.training.rl.sac import SacLearner, SoftActorCritic, TwinCritic
 
 
@@ -96,6 +96,7 @@ class Rooms(gymnasium.Env):
 def learner(lookahead: int = 1, memory: int = 600, temperature: float = 1e-7) -> SoftActorCritic:
     return SoftActorCritic(
         Rooms(),
+        np.full(1, np.nan, np.float32),  # nobody waits
         lookahead,
         DISCOUNT,
         learning_rate=1e-2,
@@ -218,6 +219,50 @@ def test_sac_remembers_the_latest_decisions_and_checkpoints_of_its_end_none():
     assert cut[9].all() and not cut[5:9].any()  # no return reaches into the next segment
     learner.fly(range(4, 5))
     assert not any(name.startswith("memory") for name in learner.tensors())
+
+
+def drawn(made: Any, algo: str) -> tuple[np.ndarray, int]:
+    """Observations that a learner learns from, and of how many decisions they are."""
+    if algo == "ppo":
+        buffer = made.model.rollout_buffer
+        rows = torch.cat([batch.observations for batch in buffer.get(32)])
+        return rows.numpy(), len(rows)
+    if algo == "sac":
+        buffer = made.model.replay_buffer
+        flew = (buffer.observations[: buffer.pos] != made.env.waiting).any(-1)
+        return buffer.sample(500).observations.numpy(), int(flew.sum())
+    return made._memory["seen"][: made._filled].numpy(), made._filled
+
+
+@pytest.mark.parametrize("algo", ["ppo", "sac", "dagger"])
+def test_who_waits_for_its_team_is_not_learned_from(algo):
+    """Decisions of drones that flew are counted from outside; no zeros of others are drawn."""
+    options: dict[str, Any] = {"n_steps": 48, "batch_size": 96, "n_epochs": 1, "steps": 48 * 24}
+    if algo == "sac":
+        options = {"sac": SacConfig(train_freq=48, learning_starts=600, gradient_steps=2)}
+    if algo == "dagger":
+        options = {"dagger": DaggerConfig(train_freq=100, gradient_steps=1, guided=0.0, noise=0.5)}
+    config = RlConfig(
+        out=Path("never"), algo=algo, drones=6, environments=4, on_contact="end_pair", **options
+    )
+    made: Any = make_learner(config, "swap_v1")
+    waits: list[int] = []
+    for core in made.env.cores:
+        fly = core.step
+
+        def counted(actions, fly=fly):
+            result = fly(actions)
+            waits.append(int((~result.active).sum()))
+            return result
+
+        core.step = counted
+    made.fly(range(1))
+    rows, flew = drawn(made, algo)
+    sizes = [core.num_envs * core.num_drones for core in made.env.cores]
+    assert sum(waits) > 5 and flew == len(waits) // len(sizes) * sum(sizes) - sum(waits)
+    if algo != "dagger":  # which makes features itself
+        assert (rows != made.env.waiting).any(axis=1).all()
+    made.close()
 
 
 MARGIN = 0.5

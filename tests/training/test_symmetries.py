@@ -17,10 +17,8 @@ from swarm_envs.training.force_model.network import (
     DeepSetSpec,
     ForceNetwork,
     NetworkKind,
-    PairwiseSum,
-    layers,
 )
-from swarm_envs.vehicles import GRAM_FORCE, Vehicle, parse_team
+from swarm_envs.vehicles import GRAM_FORCE
 from tests.helpers.tiny_fits import RANGE
 
 KINDS: tuple[NetworkKind, ...] = ("deep-set", "pairwise", "composed")
@@ -78,22 +76,6 @@ def test_compiled_forces_are_those_of_torch(network: ForceNetwork, model: Intera
         np.testing.assert_allclose(compiled, expected, atol=1e-9, rtol=0)
 
 
-def test_the_order_of_drones_does_not_matter(
-    network: ForceNetwork, model: InteractionModel
-) -> None:
-    position, velocity = swarm(10, 40, len(TEAM))
-    vehicles = parse_team(TEAM)
-    for order in (np.array([2, 1, 4, 3, 0]), np.array([4, 0, 3, 2, 1])):
-        shuffled: tuple[Vehicle, ...] = tuple(vehicles[i] for i in order)
-        names = "".join(TEAM[i] for i in order)
-        force = torch_force_g(network, position, velocity, TEAM)
-        again = torch_force_g(network, position[:, order], velocity[:, order], names)
-        assert np.abs(again - force[:, order]).max() < 1e-6
-        compiled = model.forces(position, velocity, TEAM)
-        again = model.forces(position[:, order], velocity[:, order], shuffled)
-        assert np.abs(again - compiled[:, order]).max() < 1e-6 * GRAM_FORCE
-
-
 @pytest.mark.parametrize("offset", [(0.351, 0.0, 0.0), (0.0, -0.36, 0.2), (0.1, 0.1, 1.11)])
 def test_a_neighbour_outside_the_volume_does_not_matter(
     offset: tuple[float, ...], network: ForceNetwork, model: InteractionModel
@@ -134,29 +116,6 @@ def test_pairwise_forces_add_up_and_deep_sets_do_not() -> None:
     assert gaps["pairwise"] < 1e-12
     assert gaps["deep-set"] > 0.01
     assert gaps["composed"] > 0.01
-
-
-def test_a_pairwise_sum_is_what_the_module_says() -> None:
-    made = random_network("pairwise")
-    assert isinstance(made, PairwiseSum)
-    position, velocity = np.array([[[0.0, 0.1, 0.3], [0.1, 0.0, 0.7]]]), np.zeros((1, 2, 3))
-    velocity[0, 0] = [0.1, 0.2, -0.3]
-
-    def perceptron(module: torch.nn.Module, x: FloatArray) -> float:
-        chain = [(m.weight.detach().numpy(), m.bias.detach().numpy()) for m in layers(module)]
-        assert [weight.shape[0] for weight, _ in chain] == [25, 40, 40, 1]
-        for weight, bias in chain[:-1]:
-            x = np.maximum(weight @ x + bias, 0.0)
-        return float((chain[-1][0] @ x + chain[-1][1])[0])
-
-    pair = np.concatenate([position[0, 1] - position[0, 0], velocity[0, 1] - velocity[0, 0]])
-    ground = made.environment["S"]
-    expected = perceptron(made.network_of("L", "S"), pair)  # well inside: weight 1
-    expected += perceptron(ground, -np.array([0.3, 0.1, 0.2, -0.3]))
-    expected -= perceptron(ground, -np.array([0.6, 0.1, 0.2, -0.3]))
-    expected += float(made.drag[0, 2]) * 0.3 / GRAM_FORCE
-    found = torch_force_g(made, position, velocity, "SL")[0, 0]
-    assert found == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["", "a.b", "environment", "keys"])

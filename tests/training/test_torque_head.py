@@ -12,10 +12,10 @@ import torch
 from swarm_envs.interactions import load
 from swarm_envs.interactions.torque import GRAM_CENTIMETRE, load_torque
 from swarm_envs.state import FloatArray
+from swarm_envs.training.flight_logs.fit_data import read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.examples import changed_label, transform, turn
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.network import (
     OUTER_FADE,

@@ -9,18 +9,16 @@ the interaction force), `storage` (files), `table` (rows for the trainer).
 Command: `swarm-envs collect --out DIR --seed 0`; the page is docs/collect.md.
 """
 
-from swarm_envs.training.collection.collect import CollectionConfig, collect, read_flights
+from swarm_envs.training.collection.collect import CollectionConfig, collect
 from swarm_envs.training.collection.flight import CalibrationErrors
-from swarm_envs.training.collection.log import FlightLog, SensorNoise, interaction_force
+from swarm_envs.training.collection.log import SensorNoise, interaction_force
 from swarm_envs.training.collection.table import interaction_rows
 
 __all__ = [
     "CalibrationErrors",
     "CollectionConfig",
-    "FlightLog",
     "SensorNoise",
     "collect",
     "interaction_force",
     "interaction_rows",
-    "read_flights",
 ]

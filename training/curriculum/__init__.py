@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 from swarm_envs.training.curriculum.curriculum_config import CurriculumConfig
 
 if TYPE_CHECKING:
-    from swarm_envs.training.curriculum.run import Closeness, next_clearance, run_curriculum
+    from swarm_envs.training.curriculum.run import Closeness, next_clearance
 
-__all__ = ["Closeness", "CurriculumConfig", "next_clearance", "run_curriculum"]
+__all__ = ["Closeness", "CurriculumConfig", "next_clearance"]
 
 
 def __getattr__(name: str) -> Any:

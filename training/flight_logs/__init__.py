@@ -48,7 +48,7 @@ Commands: `swarm-envs fit --data logs/ --out runs/fit`; to look at logs without 
 
 Order of reading: `log_options`, `swarm_envs.training.flight_table` (the file), `checks` (its
 rules), `clock` (one clock for all drones, the force, which entries stay), `read` (all),
-`log_report`.
+`log_report`, `fit_data` (logs among tables of rows, as a fit takes them).
 """
 
 from swarm_envs.training.flight_logs.log_options import LogOptions

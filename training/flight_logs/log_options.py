@@ -22,7 +22,7 @@ from swarm_envs.arguments import (
 )
 from swarm_envs.state import BoolArray, FloatArray
 
-__all__ = ["LogOptions", "block_count", "held_out_blocks", "is_guarded", "is_held_out"]
+__all__ = ["LogOptions", "held_out_blocks"]
 
 
 @typed_options

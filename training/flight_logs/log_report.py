@@ -19,7 +19,7 @@ from swarm_envs.training.interaction_rows.calibration import quiet_rows
 from swarm_envs.training.interaction_rows.row_tables import vehicle_name, with_present_types
 from swarm_envs.vehicles import VEHICLES
 
-__all__ = ["FileReport", "JoinedRows", "LogReport", "without_scarce_data"]
+__all__ = ["LogReport"]
 
 PLAUSIBLE_SHARE = 0.15
 """Calibration offset over weight above which the mass or the thrust curve can hardly be right."""

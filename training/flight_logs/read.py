@@ -152,12 +152,7 @@ def _digest(*arrays: npt.NDArray[Any]) -> str:
 
 __all__ = [
     "MANIFEST",
-    "Found",
-    "find_data",
-    "read_flight_logs",
     "read_logs",
-    "refuse_copy",
-    "table_key",
 ]
 
 

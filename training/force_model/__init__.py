@@ -1,10 +1,10 @@
 """Trainer of the interaction-force models: from rows of measured force to weights that ship.
 
-Order of reading: `force_fit_config` (options), `fit_data` (files of rows and of flights), `labels`
-(what is taken out of the labels), `network` (the heterogeneous deep set, Neural-Swarm2 eq. 10, and
-a sum over pairs), `examples`, `optimisers`, `train`, `export`, `evaluate`, `lipschitz`, and
-`pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the same rows; `wake_fit` and
-`card` also make the parameters and the model card that ship.
+Order of reading: `force_fit_config` (options), `flight_logs.fit_data` (files of rows and of
+flights), `labels` (what is taken out of the labels), `network` (the heterogeneous deep set,
+Neural-Swarm2 eq. 10, and a sum over pairs), `examples`, `optimisers`, `train`, `export`,
+`evaluate`, `lipschitz`, and `pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the
+same rows; `wake_fit` and `card` also make the parameters and the model card that ship.
 
 Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the pages are docs/fit.md and
 docs/training.md.
@@ -14,7 +14,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from swarm_envs.training.force_model.evaluate import FitReport
     from swarm_envs.training.force_model.export import load_network, save_network
     from swarm_envs.training.force_model.force_fit_config import FitConfig
     from swarm_envs.training.force_model.network import DeepSet
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 _HOMES = {
     "DeepSet": "network",
     "FitConfig": "force_fit_config",
-    "FitReport": "evaluate",
     "fit": "pipeline",
     "load_network": "export",
     "save_network": "export",
@@ -32,7 +30,6 @@ _HOMES = {
 __all__ = [
     "DeepSet",
     "FitConfig",
-    "FitReport",
     "fit",
     "load_network",
     "save_network",

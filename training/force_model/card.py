@@ -261,7 +261,7 @@ Written by `swarm_envs.training.force_model.card` from the JSON reports beside t
 
 Interaction force on small quadrotors (types S, a Crazyflie 2.X, and L, a larger frame) from their
 neighbours and the ground, in gram-force. `learned` joins the pushes of pairs, each a wake and a
-network; `wake` is a closed form with {_wake_count()} numbers; `deep-set` is the heterogeneous deep
+network; `wake` is a closed form with 25 numbers; `deep-set` is the heterogeneous deep
 set of Neural-Swarm2 (eq. 10), and `learned-v0` the one that was called `learned` before. All are
 fitted by our own trainer to the same rows.
 
@@ -278,10 +278,6 @@ Filter of the rows, the authors' own: some neighbour within |dx|, |dy| <= 0.35 m
 at all; z > 0.07 m (S), 0.085 m (L); |f_z| <= 50 g, and f_z <= 35 g above 0.25 m. In rows of three
 drones 18-27 % of the neighbours lie outside the interaction volume: the window masks them here.
 """
-
-
-def _wake_count() -> int:
-    return 4 * 4 + 3 * 2 + 3
 
 
 def _labels(learned: Report) -> str:

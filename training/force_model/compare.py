@@ -23,8 +23,8 @@ from tqdm import tqdm
 
 from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json, written_whole
+from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
-from swarm_envs.training.force_model.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import FitConfig, Model, with_mode_defaults
 from swarm_envs.training.force_model.labels import FALL_SPEED, flown, treat
 from swarm_envs.training.force_model.pipeline import network_spec, training_recipe
@@ -169,7 +169,7 @@ def compare(config: CompareConfig) -> ModelComparison:
     label, squared = np.zeros(len(rows)), {model: np.zeros(len(rows)) for model in config.models}
     parts = [(model, k) for model in config.models for k in range(config.folds)]
     for model, k in tqdm(parts, disable=not config.progress, unit="fit"):
-        target, held_out = _target(rows, model, config), fold == k
+        target, held_out = treat(rows, _fit_config(model, config)).target, fold == k
         label = target.force_g[:, 2]
         path = config.out / f"{model}-{k}.npy"
         if not path.is_file():
@@ -200,10 +200,6 @@ def _check_same(config: CompareConfig, digest: str) -> None:
 def _fit_config(model: Model, config: CompareConfig) -> FitConfig:
     given = FitConfig(data=config.data, out=config.out, model=model, seed=config.seed)
     return with_mode_defaults(given, given.mode, model)
-
-
-def _target(rows: InteractionRows, model: Model, config: CompareConfig) -> InteractionRows:
-    return treat(rows, _fit_config(model, config)).target
 
 
 def fitted_force_g(

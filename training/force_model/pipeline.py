@@ -12,6 +12,7 @@ import torch
 
 from swarm_envs.arguments import typed
 from swarm_envs.files import write_json
+from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.evaluate import (
     Findings,
@@ -22,7 +23,6 @@ from swarm_envs.training.force_model.evaluate import (
     worth,
 )
 from swarm_envs.training.force_model.export import load_network, save_network
-from swarm_envs.training.force_model.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
 from swarm_envs.training.force_model.labels import (
     Treated,

@@ -33,8 +33,8 @@ from swarm_envs.files import write_json
 from swarm_envs.interactions import load
 from swarm_envs.interactions.field import INTERACTION_VOLUME
 from swarm_envs.interactions.forces import all_forces
+from swarm_envs.training.flight_logs.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.compare import fitted_force_g, flight_folds
-from swarm_envs.training.force_model.fit_data import data_sha256, read_data
 from swarm_envs.training.force_model.force_fit_config import FitConfig, with_mode_defaults
 from swarm_envs.training.force_model.labels import flown, treat
 from swarm_envs.training.force_model.residual_config import FITTED, ResidualConfig
@@ -46,8 +46,6 @@ from swarm_envs.training.interaction_rows.rows import (
 )
 from swarm_envs.training.provenance import json_ready
 from swarm_envs.vehicles import GRAM_FORCE, GRAVITY, VEHICLES
-
-__all__ = ["fit_residual"]
 
 REPORT = "residual.json"
 """File that a fit writes."""

@@ -43,7 +43,7 @@ from swarm_envs.training.force_model.labels import (
     shown_pairs,
     treat,
 )
-from swarm_envs.training.force_model.network import OUTER_FADE, FadeWindow, fade
+from swarm_envs.training.force_model.network import OUTER_FADE, fade
 from swarm_envs.training.interaction_rows.calibration import RULE
 from swarm_envs.training.interaction_rows.rows import (
     BoolArray,
@@ -112,10 +112,9 @@ class WakeRows(NamedTuple):
     """(P,) fade at the edge of the volume."""
 
 
-def wake_rows(
-    rows: InteractionRows, velocity: WakeVelocity, window: FadeWindow = OUTER_FADE
-) -> WakeRows:
+def wake_rows(rows: InteractionRows, velocity: WakeVelocity) -> WakeRows:
     """Pick the pairs out of a table of rows."""
+    window = OUTER_FADE
     distance = torch.from_numpy(np.abs(rows.neighbor[..., :3]))
     weight = fade(distance[..., 0], *window.lateral_m) * fade(distance[..., 1], *window.lateral_m)
     weight = weight * fade(distance[..., 2], *window.vertical_m)

@@ -119,7 +119,7 @@ def _grid(options: Any) -> Cells:
         FileNotFoundError: there is no data.
         ValueError: a run in the folder was made with other data or settings.
     """
-    from swarm_envs.training.force_model.fit_data import data_sha256
+    from swarm_envs.training.flight_logs.fit_data import data_sha256
 
     if not options.data.exists():
         raise FileNotFoundError(

@@ -52,39 +52,22 @@ _EPISODES = 8  # random errors of each set of gains
 _TURN_S = 0.7  # mean time for which a random error goes in one direction, s
 
 
-def growing_error(
-    steps: int, rate: float, direction: npt.ArrayLike = (0.0, 0.0, -1.0), dt: float = TIME_STEP
-) -> FloatArray:
-    """(steps, 3) an error that grows as fast as it may, N: the worst for Theorem 5.
-
-    Args:
-        steps: of dt seconds.
-        rate: its rate of change, N/s.
-        direction: (3,) where it points; by default down.
-        dt: length of a step, s.
-    """
-    unit = np.asarray(direction, dtype=np.float64)
-    unit = unit / np.linalg.norm(unit)
-    return np.asarray(rate * dt * np.arange(steps)[:, None] * unit)
+def growing_error(steps: int, rate: float) -> FloatArray:
+    """(steps, 3) an error that grows downwards by a rate, N/s: the worst for Theorem 5, N."""
+    return np.asarray(rate * TIME_STEP * np.arange(steps)[:, None] * [0.0, 0.0, -1.0])
 
 
 def random_errors(
-    rng: np.random.Generator,
-    flights: int,
-    steps: int,
-    size: float,
-    rate: float,
-    dt: float = TIME_STEP,
+    rng: np.random.Generator, flights: int, steps: int, size: float, rate: float
 ) -> FloatArray:
     """Errors that always change at their largest rate, in directions that turn at random.
 
     Args:
         rng: source of the directions.
         flights: E.
-        steps: T, of dt seconds.
+        steps: T, of `TIME_STEP` seconds.
         size: largest norm, N.
         rate: norm of the rate of change, N/s; at the edge of the ball of `size` it points inwards.
-        dt: length of a step, s.
 
     Returns:
         (E, T, 3) N.
@@ -92,12 +75,12 @@ def random_errors(
     errors = np.zeros((flights, steps, 3))
     heading = _directions(rng, flights)
     for k in range(1, steps):
-        turns = rng.random(flights) < dt / _TURN_S
+        turns = rng.random(flights) < TIME_STEP / _TURN_S
         heading[turns] = _directions(rng, int(turns.sum()))
         last = errors[:, k - 1]
-        outside = np.linalg.norm(last + rate * dt * heading, axis=1) > size
+        outside = np.linalg.norm(last + rate * TIME_STEP * heading, axis=1) > size
         heading[outside] = -last[outside] / np.linalg.norm(last[outside], axis=1, keepdims=True)
-        errors[:, k] = last + rate * dt * heading
+        errors[:, k] = last + rate * TIME_STEP * heading
     return errors
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from tqdm import tqdm
 
-from swarm_envs.arguments import typed
 from swarm_envs.baselines.neural_swarm.flights import format_columns
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.field import LATERAL_REACH, VERTICAL_REACH
@@ -35,7 +34,7 @@ from swarm_envs.training.reproduce.heat_maps import (
     summarise_maps,
     superposed_force_g,
 )
-from swarm_envs.training.reproduce.study import Report, Study, write_report
+from swarm_envs.training.reproduce.study import Report, Study
 from swarm_envs.viewing.style import GREY, picture
 
 if TYPE_CHECKING:
@@ -106,10 +105,10 @@ def examine_formation(model: InteractionModel, formation: str, team: str) -> _Sw
     return _Swarm(formation, team, position, inside.sum(axis=1) - 1, joint, superposed)
 
 
-def all_swarms(model: InteractionModel, sizes: Sequence[int] = _SIZES) -> list[_Swarm]:
+def all_swarms(model: InteractionModel) -> list[_Swarm]:
     """Stacks and rings of small drones of every size, and of large above small ones."""
-    swarms = [examine_formation(model, f, "S" * n) for f in _FORMATIONS for n in sizes]
-    return swarms + [examine_formation(model, "stack", "S" + "L" * (n - 1)) for n in sizes]
+    swarms = [examine_formation(model, f, "S" * n) for f in _FORMATIONS for n in _SIZES]
+    return swarms + [examine_formation(model, "stack", "S" + "L" * (n - 1)) for n in _SIZES]
 
 
 def _numbers_of(s: _Swarm) -> dict[str, Any]:
@@ -194,54 +193,15 @@ def _growth(axis: Axes, model: InteractionModel, formation: str) -> None:
         axis.legend(fontsize=8, ncols=2, loc="upper right", bbox_to_anchor=(1.0, 0.93))
 
 
-@typed
-def reproduce_figure(
-    out: Path,
-    model: str | Path = "learned",
-    bins: Path | None = None,
-    truth: str | Path | None = None,
-    seed: int = 0,
-    step_m: float = 0.01,
-    progress: bool = True,
-) -> dict[str, Any]:
-    """Draw Fig. 5, its superposition gaps, larger swarms, and the calibration if bins are given.
-
-    Args:
-        out: folder for `figure_5.json` and the pictures.
-        model: name of a model that ships, or path of a weights file.
-        bins: table of measured bins; None leaves the calibration out.
-        truth: the true force where the model was learned, in simulation: how much of it the
-            model explains is asked on swarms of 2 to 16 drones; None leaves that out.
-        seed: of those swarms.
-        step_m: grid of the heat maps.
-        progress: show a progress bar.
-
-    Returns:
-        What `figure_5.json` holds.
-
-    Raises:
-        FileNotFoundError: there is no such weights file or table.
-        ValueError: the model or the table cannot be used.
-    """
-    report = _report(model, bins, truth, seed, step_m, progress)
-    write_report(out, "figure_5", report)
-    return report.summary
-
-
-def _report(
-    model: str | Path,
-    bins: Path | None,
-    truth: str | Path | None,
-    seed: int,
-    step_m: float = 0.01,
-    progress: bool = True,
-) -> Report:
+def _report(options: Any, cells: Mapping[str, Any]) -> Report:
+    """Fig. 5, its superposition gaps, larger swarms, and the calibration if bins are given."""
+    model, truth = options.model, options.truth
     forces = load(model)
-    table = None if bins is None else read_bins(bins)
+    table = None if options.bins is None else read_bins(options.bins)
     true_forces = None if truth is None else load(truth)
     name = Path(forces.name).name
-    with tqdm(total=3, disable=not progress, unit="step", desc="Fig. 5") as bar:
-        maps = all_maps(forces, step_m)
+    with tqdm(total=3, unit="step", desc="Fig. 5") as bar:
+        maps = all_maps(forces, 0.01)
         bar.update()
         swarms = all_swarms(forces)
         bar.update()
@@ -266,7 +226,7 @@ def _report(
             "bins": [dataclasses.asdict(b) for b in predicted],
         }
     if true_forces is not None:
-        explained = generalisation(forces, true_forces, seed=seed)
+        explained = generalisation(forces, true_forces, seed=options.seed)
         summary["generalisation"] = [team._asdict() for team in explained]
     summary["files"] = {kind: file for kind, (file, _) in pictures.items()}
     return Report(summary, format_summary(summary), files=dict(pictures.values()))
@@ -336,7 +296,7 @@ FIGURE_5 = Study(
     label="Fig. 5",
     shows="heat maps of the force on a small drone, eight surroundings",
     takes=("model", "bins", "truth"),
-    report=lambda o, cells: _report(o.model, o.bins, o.truth, o.seed),
+    report=_report,
     claims=_claims,
     pictures=("figure_5.png", "superposition_gaps.png"),
 )

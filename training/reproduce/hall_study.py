@@ -93,10 +93,6 @@ class _Side:
 _SIDES = tuple(_Side(believes, adapts) for adapts in (False, True) for believes in (False, True))
 
 
-def _truths(options: Any) -> tuple[str, ...]:
-    return _TRUTHS if options.truth is None else (options.truth,)
-
-
 def _settings(options: Any) -> dict[str, Any]:
     return {
         "team": TEAM,
@@ -109,7 +105,7 @@ def _settings(options: Any) -> dict[str, Any]:
 
 def _rows(options: Any) -> Iterator[tuple[str, str, _Side]]:
     """Force model, world and controller of every cell."""
-    for truth in _truths(options):
+    for truth in _TRUTHS if options.truth is None else (options.truth,):
         for world in hall_worlds():
             for side in _SIDES:
                 yield truth, world, side

@@ -19,7 +19,6 @@ from swarm_envs.arguments import NOT_NEGATIVE, typed
 from swarm_envs.baselines.neural_swarm.flights import FlightTest
 from swarm_envs.control.config import ControllerConfig
 from swarm_envs.control.tracking import TrackingController
-from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
@@ -80,7 +79,7 @@ def fly_imperfectly(
         seeds: at least one. They draw the swaps as `flights.fly` does, and the noise.
         imperfection: how.
     """
-    core = _make_core(test, len(seeds))
+    core = test.core(len(seeds), action="rotors", decision_rate=PHYSICS_RATE)
     try:
         core.reset(list(seeds))
         loop = TrackingController(test.task.team, len(seeds), replace(controller, feedforward=None))
@@ -96,19 +95,6 @@ def fly_imperfectly(
         return Worst(drones["worst_height_error"].copy(), crashed)
     finally:
         core.close()
-
-
-def _make_core(test: FlightTest, num_envs: int) -> SwarmCore:
-    config = EnvConfig(
-        physics=test.engine,
-        interactions=test.truth,
-        horizon_s=test.horizon_s,
-        randomization=test.randomization,
-        end_on_success=False,
-        action="rotors",
-        decision_rate=PHYSICS_RATE,
-    )
-    return SwarmCore(test.task, config, num_envs)
 
 
 def _setpoint(core: SwarmCore) -> Setpoint:

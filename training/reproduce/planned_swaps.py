@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarm_envs.baselines.neural_swarm.agent import load_belief
+from swarm_envs.baselines.neural_swarm.flights import FlightTest
 from swarm_envs.baselines.neural_swarm.planner.pipeline import plan_swarm
 from swarm_envs.baselines.neural_swarm.planner.plan import SwarmPlan
 from swarm_envs.baselines.neural_swarm.planner.problem import FORCE_BOUNDS_G, PlanningBounds
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 from swarm_envs.control.config import MID, ControllerConfig, PositionGains
-from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.errors import check_name
 from swarm_envs.interactions import InteractionModel, load
@@ -227,7 +227,9 @@ def fly_plan(
     Returns:
         What became of it, sampled after each decision, and whether it ended by a crash.
     """
-    core = _make_core(plan, controller, truth, engine)
+    horizon_s = round(plan.duration * _DECISION_RATE) / _DECISION_RATE
+    test = FlightTest(SwapTask(plan.team, "random"), truth, engine, horizon_s=horizon_s)
+    core = test.core(1, action="setpoint", decision_rate=_DECISION_RATE, controller=controller)
     try:
         straight = np.zeros((len(plan.team), 2))
         core.reset([0], options={"start": plan.starts, "goal": plan.goals})
@@ -240,21 +242,6 @@ def fly_plan(
         return track, bool((core.world.drones["crashed"][0] > 0.0).any())
     finally:
         core.close()
-
-
-def _make_core(
-    plan: SwarmPlan, controller: ControllerConfig, truth: str | InteractionModel, engine: str
-) -> SwarmCore:
-    config = EnvConfig(
-        physics=engine,
-        interactions=truth,
-        action="setpoint",
-        decision_rate=_DECISION_RATE,
-        controller=controller,
-        horizon_s=round(plan.duration * _DECISION_RATE) / _DECISION_RATE,
-        end_on_success=False,
-    )
-    return SwarmCore(SwapTask(plan.team, "random"), config)
 
 
 def _sample(core: SwarmCore, plan: SwarmPlan) -> tuple[Any, ...]:

@@ -206,21 +206,14 @@ def run_study(study: Study, options: Any, progress: bool = True) -> tuple[dict[s
         cells = run_cells(jobs, path, settings, study.label, progress)
     report = study.report(options, cells)
     kept = settings is not None and path == options.out / f"{study.file}.json"
-    written = write_report(options.out, study.file, report, kept)
+    written = _write_report(options.out, study.file, report, kept)
     if options.json is not None:
         write_json(options.json, report.summary)
     return report.summary, f"{report.text}\nwrote {', '.join(map(str, written))}"
 
 
-def write_report(out: Path, name: str, report: Report, kept: bool = False) -> list[Path]:
-    """Write the numbers, the table, the pictures and the pages of a report; give their files.
-
-    Args:
-        out: folder, made if missing.
-        name: of the files.
-        report: what was found.
-        kept: the JSON file of this name holds the cells, and is there already.
-    """
+def _write_report(out: Path, name: str, report: Report, kept: bool) -> list[Path]:
+    """Write what a report holds, and give the files; `kept`: the JSON file holds the cells."""
     files = [out / f"{name}.json"]
     if report.table:
         files.append(out / f"{name}.csv")

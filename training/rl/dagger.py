@@ -108,7 +108,9 @@ class DaggerLearner(Learner):
             wanted, weight = teacher.labels(core.rows, self.config.dagger.avoiding)
             running = means[first : first + len(features)].reshape(wanted.shape)
             first += len(features)
-            self._remember(features, wanted, weight)
+            flies = core.world.drones["active"].reshape(-1) > 0.0
+            rows = (features, wanted, weight)
+            self._remember(*(part.reshape(len(flies), -1)[flies] for part in rows))
             self._fly(core, self._flown_actions(running, wanted, guided))
 
     def _features(self, core: SwarmCore) -> Float32Array:
@@ -134,11 +136,11 @@ class DaggerLearner(Learner):
             core.reset(mask=ended)
 
     def _remember(self, *rows: Float32Array) -> None:
-        """Write rows over the oldest."""
+        """Write rows (R, width) over the oldest."""
         count, size = len(rows[0]), self.config.dagger.buffer_size
         places = torch.from_numpy((self._place + np.arange(count)) % size)
         for held, new in zip(self._memory.values(), rows, strict=True):
-            held[places] = torch.from_numpy(new).reshape(count, -1)
+            held[places] = torch.from_numpy(new)
         self._place = (self._place + count) % size
         self._filled = min(self._filled + count, size)
 

@@ -6,15 +6,19 @@ behind what comes out of them, for actions and for values.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import torch
 from stable_baselines3 import PPO
+from stable_baselines3.common.buffers import RolloutBuffer
 from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.type_aliases import RolloutBufferSamples
 from torch import Tensor, nn
 
 from swarm_envs.agents.networks import Network
+from swarm_envs.envs.observation import Float32Array
 from swarm_envs.training.rl.encoders import Actor, EncoderSpec, Trunks, plain_networks
 from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -38,6 +42,8 @@ class PpoLearner(Sb3Learner):
             gae_lambda=config.gae_lambda,
             clip_range=config.clip_range,
             ent_coef=1.0,  # `TeamPolicy` weighs it
+            rollout_buffer_class=FlownRollouts,
+            rollout_buffer_kwargs={"waiting": self.env.waiting},
             seed=config.seed,
             device="cpu",
             policy_kwargs={
@@ -80,6 +86,34 @@ class PpoLearner(Sb3Learner):
     def optimisers(self) -> dict[str, torch.optim.Optimizer]:
         """Adam."""
         return {"optimiser.": self.model.policy.optimizer}
+
+
+class FlownRollouts(RolloutBuffer):  # type: ignore[misc]  # SB3's base has no types here
+    """Stable-Baselines3's rollouts, of which only decisions of drones that flew are learned from.
+
+    Args:
+        *arguments: as `RolloutBuffer` takes them.
+        waiting: (width,) what a drone observes that has ended before its team.
+        **options: as `RolloutBuffer` takes them.
+    """
+
+    def __init__(self, *arguments: Any, waiting: Float32Array, **options: Any) -> None:
+        self._waiting = waiting
+        super().__init__(*arguments, **options)
+
+    def get(self, batch_size: int | None = None) -> Iterator[RolloutBufferSamples]:
+        """Batches in random order, of at most this many decisions; None for a single one."""
+        flew = (self.observations != self._waiting).any(-1).T.reshape(-1)
+        tables = (self.observations, self.actions, self.values, self.log_probs)
+        columns = [
+            self.to_torch(self.swap_and_flatten(table)[flew])
+            for table in (*tables, self.advantages, self.returns)
+        ]
+        rows, *others = columns
+        columns = [rows, others[0], *(column.flatten() for column in others[1:])]
+        order = torch.from_numpy(np.random.permutation(len(rows)))  # noqa: NPY002  # as SB3
+        for chosen in torch.split(order, batch_size or len(rows)):
+            yield RolloutBufferSamples(*(column[chosen] for column in columns))
 
 
 class ActorCritic(nn.Module):

@@ -39,7 +39,7 @@ from swarm_envs.tasks.ring import REWARD_WEIGHTS as RING_REWARDS
 from swarm_envs.tasks.swap import REWARD_WEIGHTS, SwapTask
 from swarm_envs.training.rl.rl_config import RlConfig
 
-__all__ = ["RECIPES", "choosing_seeds", "evaluate_policy", "recipe_of", "with_recipe"]
+__all__ = ["choosing_seeds", "evaluate_policy", "recipe_of", "with_recipe"]
 
 CIRCLE_SHARE, CROWDED_SHARE = 0.25, 0.5
 """Shares of episodes on a circle, and in a small cube; the rest are those of the random layout."""

@@ -24,11 +24,13 @@ import torch
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import NStepReplayBuffer, ReplayBuffer
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.type_aliases import ReplayBufferSamples
 from stable_baselines3.sac.policies import SACPolicy
 from torch import Tensor, nn
 from torch.nn import functional
 
 from swarm_envs.agents.networks import Network
+from swarm_envs.envs.observation import Float32Array
 from swarm_envs.training.rl.encoders import EncoderSpec, Trunks, plain_networks
 from swarm_envs.training.rl.learner import Entry, Sb3Learner, Watch
 from swarm_envs.training.rl.rl_config import RlConfig
@@ -49,6 +51,7 @@ class SacLearner(Sb3Learner):
         assert config.gamma is not None  # the recipe has one
         self.model = SoftActorCritic(
             self.env,
+            waiting=self.env.waiting,
             lookahead=options.lookahead,
             gamma=config.gamma,
             learning_rate=lambda _: config.learning_rate_after(self.rollouts),
@@ -195,23 +198,48 @@ class TwinPolicy(SACPolicy):  # type: ignore[misc]  # SB3's base has no types he
         return TwinCritic(width, self.critic_kwargs["net_arch"])
 
 
+class FlownReplay(NStepReplayBuffer):  # type: ignore[misc]  # SB3's base has no types here
+    """Stable-Baselines3's replay buffer, of which only decisions of drones that flew are drawn.
+
+    Args:
+        *arguments: as `NStepReplayBuffer` takes them.
+        waiting: (width,) what a drone observes that has ended before its team.
+        **options: as `NStepReplayBuffer` takes them.
+    """
+
+    def __init__(self, *arguments: Any, waiting: Float32Array, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._waiting = torch.from_numpy(waiting)
+
+    def sample(self, batch_size: int, env: Any = None) -> ReplayBufferSamples:
+        """As of the base, less the decisions of drones that waited; at least one is left."""
+        while True:
+            batch = super().sample(batch_size, env)
+            flew = (batch.observations != self._waiting).any(-1)
+            if flew.any():
+                return ReplayBufferSamples(*(part[flew] for part in batch))
+
+
 class SoftActorCritic(SAC):  # type: ignore[misc]  # SB3's base has no types here
     """Stable-Baselines3's SAC with gradient steps of its own.
 
     Args:
         env: the environments.
+        waiting: (width,) what a drone observes that has ended before its team.
         lookahead: rewards that are counted before the critic's estimate (n-step returns).
         gamma: discount of a step.
         **options: as SAC takes them.
     """
 
-    def __init__(self, env: Any, lookahead: int, gamma: float, **options: Any) -> None:
+    def __init__(
+        self, env: Any, waiting: Float32Array, lookahead: int, gamma: float, **options: Any
+    ) -> None:
         super().__init__(
             TwinPolicy,
             env,
             gamma=gamma,
-            replay_buffer_class=NStepReplayBuffer,
-            replay_buffer_kwargs={"n_steps": lookahead, "gamma": gamma},
+            replay_buffer_class=FlownReplay,
+            replay_buffer_kwargs={"n_steps": lookahead, "gamma": gamma, "waiting": waiting},
             **options,
         )
         self.critic_target.requires_grad_(False)

@@ -214,15 +214,13 @@ class LocalWorkers(WorkerPool):
 
     Args:
         count: of processes.
-        retries: how often a job is restarted after the process that did it has died.
 
     Raises:
-        ValueError: the count is below one, or the retries negative.
+        ValueError: the count is below one.
     """
 
-    def __init__(self, count: int, retries: int = RETRIES) -> None:
+    def __init__(self, count: int) -> None:
         self._count = check_integer("workers", count, 1)
-        self._retries = check_integer("retries", retries, 0)
         self._threads = ThreadPoolExecutor(self._count)
         self._processes: dict[int, _Process] = {}  # by the thread that waits for its answers
         self._lock = threading.Lock()
@@ -250,12 +248,12 @@ class LocalWorkers(WorkerPool):
 
     def _ask(self, request: str) -> str:
         why = ""
-        for _ in range(1 + self._retries):
+        for _ in range(1 + RETRIES):
             try:
                 return self._process().ask(request)
             except WorkerDied as death:
                 why = str(death)
-        raise WorkerDied(f"the process that did it died, {1 + self._retries} times: {why}")
+        raise WorkerDied(f"the process that did it died, {1 + RETRIES} times: {why}")
 
     def _process(self) -> _Process:
         """This thread's process, begun if it has none that lives."""

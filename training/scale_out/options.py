@@ -10,7 +10,6 @@ from functools import partial
 from typing import Any
 
 from swarm_envs.arguments import Count, typed
-from swarm_envs.errors import check_integer
 from swarm_envs.training.scale_out.jobs import RETRIES, LocalWorkers, Serial, WorkerPool, answer
 
 __all__ = ["ScaleOptions"]
@@ -74,22 +73,20 @@ class RayWorkers(WorkerPool):
         address: `auto`, the cluster that runs on this machine or that `RAY_ADDRESS` names; `local`,
             one of this machine alone, which ends with this; or host:port, or ray://host:port.
         cpus: processors of a local one; all if None.
-        retries: how often a job is restarted after its process or node has died.
 
     Raises:
         ImportError: Ray is not installed.
         ConnectionError: there is no cluster at this address.
-        ValueError: this is no address, or the retries are negative.
+        ValueError: this is no address.
     """
 
-    def __init__(self, address: str, cpus: int | None = None, retries: int = RETRIES) -> None:
-        retries = check_integer("retries", retries, 0)
+    def __init__(self, address: str, cpus: int | None = None) -> None:
         check_address(address)
         self._ray = _import_ray()
         self._ours = not self._ray.is_initialized()
         if self._ours:
             _connect(self._ray, address, cpus)
-        self._answer = self._ray.remote(num_cpus=1, max_retries=retries)(answer)
+        self._answer = self._ray.remote(num_cpus=1, max_retries=RETRIES)(answer)
         self._given: set[Any] = set()
 
     @property

@@ -247,7 +247,7 @@ def success_rates(content: Mapping[str, Any], family: str) -> list[list[str]]:
     """
     tasks = [task for task in content["tasks"] if task["task"] == family]
     cells = {(cell["task"], cell["agent"]): cell for cell in content["cells"]}
-    rows = [["agent", *(_short(task["id"]) for task in tasks)]]
+    rows = [["agent", *(" ".join(task["id"].split("-")[1:-1]) for task in tasks)]]
     for agent in content["agents"]:
         row = [_rate(cells[task["id"], agent["name"]]) for task in tasks]
         if set(row) != {_NOT_FLOWN["unsupported"]}:
@@ -270,11 +270,6 @@ def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
 
 def _name(agent: Mapping[str, Any]) -> str:
     return f"{agent['name']}{'*' if agent['privileged'] else ''}"
-
-
-def _short(task: str) -> str:
-    """`circle 4` of `swap-circle-4-v1`."""
-    return " ".join(task.split("-")[1:-1])
 
 
 def _standing(standing: Mapping[str, Any] | None) -> str:

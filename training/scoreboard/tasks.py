@@ -95,8 +95,9 @@ def definition(task: ScoredTask) -> dict[str, Any]:
 
     How many episodes are flown is no part of it: fewer seeds are the first of more.
     """
-    old, setting = task.environment.endswith("_v0"), task.setting
-    air = "learned-v0" if old else setting["interactions"]  # what `_v0` calls learned
+    setting = task.setting
+    old = not task.certificate  # version 1, whose environments call this learned
+    air = "learned-v0" if old else setting["interactions"]
     world = Hall.of(setting.get("world", "ideal"))
     return {
         "environment": task.environment,

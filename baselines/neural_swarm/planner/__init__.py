@@ -6,17 +6,14 @@ of the cheapest plan found. `scp.refine` improves them, one robot's subproblem a
 equation and which lines of the algorithm.
 """
 
-from swarm_envs.baselines.neural_swarm.planner.ao_rrt import SearchConfig, search
+from swarm_envs.baselines.neural_swarm.planner.ao_rrt import search
 from swarm_envs.baselines.neural_swarm.planner.plan_plot import plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import PlanningBounds, PlanningProblem
-from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
 from swarm_envs.baselines.neural_swarm.planner.trajectories import Trajectories
 
 __all__ = [
     "PlanningBounds",
     "PlanningProblem",
-    "RefinementOptions",
-    "SearchConfig",
     "Trajectories",
     "plot_plan",
     "search",

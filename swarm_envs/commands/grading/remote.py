@@ -147,7 +147,6 @@ def opened(
     what: str,
     others: Sequence[str] = (),
     limits: Limits | None = None,
-    protections: Protections | None = None,
 ) -> Iterator[tuple[RemoteWork, dict[str, Any]]]:
     """Start the process of a work, and end it and all that it began.
 
@@ -156,7 +155,6 @@ def opened(
         what: `fly`, or `fit` for a force model.
         others: names of all works; it sees none of these.
         limits: on it; None for the usual.
-        protections: what the system offers; None to find out.
 
     Returns:
         The work, and what it says of itself; nothing of it is checked.
@@ -164,7 +162,7 @@ def opened(
     Raises:
         WorkFailed: it cannot be made.
     """
-    limits, offered = limits or Limits(), protections or probe()
+    limits, offered = limits or Limits(), probe()
     name = absolute(name)
     kernels = kernel_folder()
     with tempfile.TemporaryDirectory(prefix="swarm-envs-grade-") as folder, guarded():

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from swarm_envs.baselines.mlr_dmpc.avoidance_planes import out_of_reach, reachable_boxes
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import condensed
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
-from swarm_envs.baselines.mlr_dmpc.trajectory_qp import Program, RowGeneration, program
+from swarm_envs.baselines.mlr_dmpc.row_generation import Program, RowGeneration
+from swarm_envs.baselines.mlr_dmpc.trajectory_qp import program
 from tests.helpers.mlr_rounds import situation
 
 WIDE = MlrDmpcConfig(box=((-5.0, -5.0, 0.3), (5.0, 5.0, 3.0)))

@@ -15,16 +15,10 @@ from swarm_envs.baselines.mlr_dmpc.avoidance_planes import Neighbors
 from swarm_envs.baselines.mlr_dmpc.condensed_qp import SOLVERS, condensed
 from swarm_envs.baselines.mlr_dmpc.formations import circle_swap
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.row_generation import Program, RowGeneration
 from swarm_envs.baselines.mlr_dmpc.swarm import MlrDmpcSwarm, SwarmRound
 from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, Trajectory, hover, sampled_positions
-from swarm_envs.baselines.mlr_dmpc.trajectory_qp import (
-    ACCEPTED,
-    Program,
-    RowGeneration,
-    broken,
-    plan_trajectory,
-    program,
-)
+from swarm_envs.baselines.mlr_dmpc.trajectory_qp import ACCEPTED, broken, plan_trajectory, program
 from tests.helpers.mlr_rounds import (
     Situation,
     arrival_time,

@@ -7,8 +7,8 @@ import pytest
 
 from swarm_envs import formation_v0, ring_v0, swap_v0
 from swarm_envs.agents import fly_episode
-from swarm_envs.baselines.neural_swarm import PlanAgent, load_belief
-from swarm_envs.baselines.neural_swarm.agent import bounds_for
+from swarm_envs.baselines.neural_swarm import load_belief
+from swarm_envs.baselines.neural_swarm.agent import PlanAgent, bounds_for
 from swarm_envs.tasks.obstacles import Column
 
 

@@ -12,7 +12,6 @@ import pytest
 from swarm_envs.baselines.rth3d.flight.clearance import (
     least_spacing,
     smallest_distance,
-    space_for_forces,
     worst_clearance,
 )
 from swarm_envs.baselines.rth3d.flight.smooth import (
@@ -25,9 +24,7 @@ from swarm_envs.baselines.rth3d.flight.smooth import (
     smoothness,
 )
 from swarm_envs.baselines.rth3d.flight.spline import SplineFlight, on_grid, shortest_step
-from swarm_envs.interactions import load
 from swarm_envs.state import FloatArray
-from swarm_envs.vehicles import parse_team
 
 UNIT = np.ones(3)
 MOVES = np.concatenate([np.zeros((1, 3), int), np.eye(3, dtype=int), -np.eye(3, dtype=int)])
@@ -227,22 +224,6 @@ def test_smoothing_stays_out_of_a_house():
     assert free.duration_s < smoother.duration_s
 
 
-def test_forces_decide_the_spacing():
-    team, model = parse_team("S" * 8), load("wake")
-    paths = wandering_paths(8, 3, 8, 1)
-    hard, soft = (space_for_forces(paths, team, model, limit) for limit in (4.0, 12.0))
-    for spaced, limit in ((hard, 4.0), (soft, 12.0)):
-        worst = 0.0
-        for time in np.linspace(0.0, spaced.flight.duration_s, 150):
-            state = spaced.flight.reference(float(time))
-            force = model.forces(state.position[None], state.velocity[None], team)
-            worst = max(worst, float(np.abs(force[0, :, 2]).max()) / 9.80665e-3)
-        assert worst <= 1.05 * limit
-    assert np.prod(hard.spacing) > np.prod(soft.spacing)
-    with pytest.raises(ValueError, match=r"within 0.001 g"):
-        space_for_forces(paths, team, model, 1e-3)
-
-
 def test_what_cannot_be_flown_is_refused():
     still = np.zeros((8, 2, 3))
     for control, step_s, said in (
@@ -257,5 +238,3 @@ def test_what_cannot_be_flown_is_refused():
         worst_clearance((1.0, 0.0, 1.0))
     with pytest.raises(ValueError, match="two robots of this flight touch: no plane separates"):
         planes_between(SplineFlight(np.zeros((7, 2, 3)), 0.5), 0.3, np.ones(3), 0.2)
-    with pytest.raises(ValueError, match="limit_g"):
-        space_for_forces(np.zeros((4, 1, 3), int), parse_team("S"), load("none"), -1.0)

@@ -14,7 +14,7 @@ from swarm_envs.training.collection import CollectionConfig, collect, interactio
 from swarm_envs.training.collection.log import SensorNoise, with_noise
 from swarm_envs.training.flight_logs import read_logs, write_table
 from swarm_envs.training.flight_logs.__main__ import check_logs as look
-from swarm_envs.training.force_model.fit_data import data_sha256
+from swarm_envs.training.flight_logs.fit_data import data_sha256
 from swarm_envs.training.force_model.force_fit_config import FitConfig
 from swarm_envs.training.force_model.pipeline import fit
 from swarm_envs.training.interaction_rows import read_rows

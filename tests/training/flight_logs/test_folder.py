@@ -20,8 +20,8 @@ from swarm_envs.training.flight_logs import (
     read_logs,
     write_table,
 )
+from swarm_envs.training.flight_logs.fit_data import read_data
 from swarm_envs.training.flight_logs.log_report import Calibration
-from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.force_model.pipeline import REPORTS, WEIGHTS
 from swarm_envs.training.interaction_rows import InteractionRows, save_rows
 from swarm_envs.vehicles import GRAM_FORCE, SMALL
@@ -32,7 +32,7 @@ OPTIONS = LogOptions(min_scenario_rows=1, min_quiet_rows=0, block_s=1.0, guard_s
 @pytest.fixture(scope="module")
 def table(flown: Any, as_table: Any) -> FlightTable:
     """Two drones, 8 s."""
-    made: FlightTable = as_table(flown("SL"), "SL")
+    made: FlightTable = as_table(flown("SL", "walk", 8.0), "SL", ["50", "big"])
     return made
 
 
@@ -177,41 +177,26 @@ BAD_LOGS: dict[str, tuple[Edit, str]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def sound(flown: Any, as_table: Any) -> FlightTable:
-    """Two drones, 8 s."""
-    table: FlightTable = as_table(flown("SL", "walk", 8.0), "SL", ["50", "big"])
-    return table
-
-
-@pytest.fixture(scope="module")
-def sound_rows(sound: FlightTable, tmp_path_factory: pytest.TempPathFactory) -> InteractionRows:
-    """The rows of that flight."""
-    path = tmp_path_factory.mktemp("log") / "flight.csv"
-    write_table(path, sound)
-    return read_logs(path, dataclasses.replace(MIXED, block_s=1.0))[0]
-
-
 @pytest.fixture
-def folder(sound: FlightTable, sound_rows: InteractionRows, tmp_path: Path) -> Path:
+def folder(table: FlightTable, rows: InteractionRows, tmp_path: Path) -> Path:
     """A sound log and a sound table, two bad logs, two bad tables, and what is neither."""
     data = tmp_path / "data"
-    write_table(data / "a-log.csv", sound)
-    save_rows(data / "table.npz", sound_rows)
+    write_table(data / "a-log.csv", table)
+    save_rows(data / "table.npz", rows)
     for name, (edit, _) in BAD_LOGS.items():
-        write_table(data / f"bad-{name}.csv", edit(sound))
-    force = sound_rows.force_g * GRAM_FORCE
-    save_rows(data / "bad-newtons.npz", dataclasses.replace(sound_rows, force_g=force))
+        write_table(data / f"bad-{name}.csv", edit(table))
+    force = rows.force_g * GRAM_FORCE
+    save_rows(data / "bad-newtons.npz", dataclasses.replace(rows, force_g=force))
     (data / "bad-cut.npz").write_bytes((data / "table.npz").read_bytes()[:900])
     (data / "notes.txt").write_text("windy")
     return data
 
 
-def test_logs_and_tables_are_joined(folder: Path, sound_rows: InteractionRows) -> None:
+def test_logs_and_tables_are_joined(folder: Path, rows: InteractionRows) -> None:
     found, report = read_data(folder, MIXED)
     files = {file.file: file for file in report.files}
-    assert files["table.npz"].rows == len(sound_rows)
-    assert len(found) == report.rows == files["a-log.csv"].rows + len(sound_rows)
+    assert files["table.npz"].rows == len(rows)
+    assert len(found) == report.rows == files["a-log.csv"].rows + len(rows)
     assert np.unique(found.flight).size == 2
     assert sorted(found.vehicle_names.values()) == ["50", "big"]  # the same in both files
     assert set(report.vehicles) == {"50", "big"}
@@ -222,10 +207,10 @@ def test_logs_and_tables_are_joined(folder: Path, sound_rows: InteractionRows) -
 
 
 def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
-    sound: FlightTable, tmp_path: Path
+    table: FlightTable, tmp_path: Path
 ) -> None:
     """Logs alone and logs among tables alike."""
-    write_table(tmp_path / "flight.csv", sound)
+    write_table(tmp_path / "flight.csv", table)
     options = dataclasses.replace(MIXED, min_quiet_rows=10_000)
     with pytest.raises(ValueError, match="vehicle not calibrated"):
         read_data(tmp_path, options)
@@ -234,8 +219,8 @@ def test_vehicles_need_no_quiet_rows_where_no_offset_is_wanted(
     assert {vehicle.refused for vehicle in report.vehicles.values()} == {None}
 
 
-def test_logs_alone_give_no_torque(sound: FlightTable, tmp_path: Path) -> None:
-    write_table(tmp_path / "flight.csv", sound)
+def test_logs_alone_give_no_torque(table: FlightTable, tmp_path: Path) -> None:
+    write_table(tmp_path / "flight.csv", table)
     with pytest.raises(ValueError, match="a flight log carries no torque"):
         read_data(tmp_path, MIXED, torque=True)
 

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swarm_envs.training.flight_logs.fit_data import read_data
 from swarm_envs.training.flight_logs.log_options import LogOptions
 from swarm_envs.training.force_model.evaluate import mean_squared_errors
-from swarm_envs.training.force_model.fit_data import read_data
 from swarm_envs.training.interaction_rows import InteractionRows, read_rows, save_rows
 from swarm_envs.training.interaction_rows.row_tables import join_rows
 from swarm_envs.vehicles import GRAM_FORCE

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import random
-import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -250,34 +246,3 @@ def test_what_cannot_be_flown_or_reported_is_misuse(tmp_path, capsys):
     misused("--out", tmp_path / "none", "--json", "out.txt", said="must end in .json")
     misused("--out", tmp_path, "--report", tmp_path, said="either --out DIR")
     assert not (tmp_path / "none").exists()
-
-
-@pytest.mark.slow
-def test_killed_at_random_moments_it_ends_with_the_same_bytes(tmp_path):
-    rng = random.Random(1)
-    few = ["--task", FOUR, "ring-5-v1", "--agent", "swap-ppo", "detour", "tracking"]
-    few += ["--episodes", "40", "--table", "csv", "--workers", "2"]
-    out, whole = tmp_path / "killed", tmp_path / "whole"
-    command = [sys.executable, "-m", "swarm_envs", "benchmark", *few, "--out", str(out)]
-    for kill in range(6):
-        wanted = kept(out) + rng.randint(kill % 2, 15)
-        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        deadline = time.monotonic() + 300
-        while kept(out) < wanted:
-            assert time.monotonic() < deadline
-            assert process.poll() is None, f"ended before kill {kill}"
-            time.sleep(0.001)
-        time.sleep(rng.uniform(0.0, 0.3))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
-    assert benchmark(out, *few) == benchmark(whole, *few) == 0
-    assert (out / "episodes.csv").read_bytes() == (whole / "episodes.csv").read_bytes()
-    assert without_times(out) == without_times(whole)
-    *killed, last = content(out)["manifest"]["runs"]
-    assert len(killed) >= 4  # fewer than six were noted if one was killed as soon as it began
-    assert [("wall_s" in run) for run in (*killed, last)] == [False] * len(killed) + [True]
-
-
-def kept(out: Path) -> int:
-    files = out.glob("episodes/*/*.jsonl")
-    return sum(max(0, file.read_bytes().count(b"\n") - 1) for file in files)

@@ -9,13 +9,9 @@ import pytest
 from PIL import Image
 
 from swarm_envs.baselines.neural_swarm import PlanningBounds, SwarmPlan, plan_swarm
-from swarm_envs.baselines.neural_swarm.planner import (
-    PlanningProblem,
-    RefinementOptions,
-    Trajectories,
-    plot_plan,
-)
+from swarm_envs.baselines.neural_swarm.planner import PlanningProblem, Trajectories, plot_plan
 from swarm_envs.baselines.neural_swarm.planner.problem import Plane
+from swarm_envs.baselines.neural_swarm.planner.scp import RefinementOptions
 from swarm_envs.baselines.neural_swarm.planner.trajectories import straight_lines
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import parse_team

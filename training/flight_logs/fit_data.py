@@ -41,7 +41,7 @@ from swarm_envs.training.interaction_rows.row_tables import (
 )
 from swarm_envs.training.provenance import file_sha256
 
-__all__ = ["data_sha256"]
+__all__ = ["data_sha256", "read_data"]
 
 
 class _Part(NamedTuple):

@@ -1,0 +1,230 @@
+"""A program solved by row generation: only those of its rows enter that a plan would break."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from swarm_envs.baselines.mlr_dmpc.condensed_qp import solver
+from swarm_envs.compiled import kernel
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+
+NO_ROWS: IntArray = np.zeros((0, 3), dtype=np.int64)
+"""No rows of a program, as `broken_rows` names them."""
+_FIRST_SLACK = 0.1
+_BROKEN = -1e-7
+_MOST_PROGRAMS = 30
+
+
+class ProgramRows(NamedTuple):
+    """Every row of a program, as what it bounds; those that are in the program, or need not be."""
+
+    base: FloatArray
+    """(S, 3) positions at the collision samples for variables of zero, m."""
+    by_variables: FloatArray
+    """(S, n) positions of an axis by its variables."""
+    normals: FloatArray
+    """(R, S, 3) of half-spaces."""
+    offsets: FloatArray
+    """(R, S) least normal . p, m."""
+    done: BoolArray
+    """(R, S) half-spaces in the program, or out of reach."""
+    soft_offsets: FloatArray
+    """(C,) least normal . p at the last sample with the soft margin wide open, m."""
+    soft_scales: FloatArray
+    """(C,) by how much a unit of its soft variable closes a margin, m; 0 if it has none."""
+    soft_done: BoolArray
+    """(C,) soft rows in the program, or out of reach."""
+    bounded_base: FloatArray
+    """(B, 3) bounded quantities for variables of zero."""
+    bounded_by_variables: FloatArray
+    """(B, n) bounded quantities of an axis by its variables."""
+    lower: FloatArray
+    """(B, 3) least bounded quantities."""
+    upper: FloatArray
+    """(B, 3) largest bounded quantities."""
+    bounds_done: BoolArray
+    """(2, B, 3) bounds in the program, lower and upper."""
+
+
+class _WorkingSet(NamedTuple):
+    """The rows in the program: matrix @ z + scale * (soft variable of the row) >= bound."""
+
+    matrix: FloatArray  # (m, 3 n)
+    bound: FloatArray  # (m,)
+    scale: FloatArray  # (m,) 0 for a row without soft variable
+
+
+@kernel
+def _working_set(rows: ProgramRows, picked: IntArray) -> _WorkingSet:
+    """The rows `picked` (m, 3) of `broken_rows`, now done."""
+    free, count = rows.by_variables.shape[1], picked.shape[0]
+    matrix, bound = np.zeros((count, 3 * free)), np.empty(count)
+    scale = np.zeros(count)
+    for m in range(count):
+        kind, r, s = picked[m]
+        if kind < 2:
+            rows.bounds_done[kind, r, s] = True
+            sign = 1.0 if kind == 0 else -1.0
+            limit = rows.lower[r, s] if kind == 0 else rows.upper[r, s]
+            bound[m] = sign * (limit - rows.bounded_base[r, s])
+            for k in range(free):
+                matrix[m, s * free + k] = sign * rows.bounded_by_variables[r, k]
+            continue
+        bound[m] = rows.offsets[r, s]
+        if kind == 2:
+            rows.done[r, s] = True
+        else:
+            rows.soft_done[r] = True
+            bound[m], scale[m] = rows.soft_offsets[r], rows.soft_scales[r]
+        for i in range(3):
+            bound[m] -= rows.normals[r, s, i] * rows.base[s, i]
+            for k in range(free):
+                matrix[m, i * free + k] = rows.normals[r, s, i] * rows.by_variables[s, k]
+    return _WorkingSet(matrix, bound, scale)
+
+
+@kernel
+def broken_rows(rows: ProgramRows, z: FloatArray, threshold: float, stride: int) -> IntArray:
+    """Rows not yet done with slack below a threshold, m, at variables z (n, 3).
+
+    Of each trajectory's half-spaces only every `stride`-th, the most broken among them: others
+    close in time seldom bind then.
+
+    Returns:
+        (m, 3) kind (lower, upper, half-space, soft), row, and sample or axis.
+    """
+    most = rows.bounds_done.size + rows.done.size + rows.soft_done.size
+    picked, count = np.empty((most, 3), np.int64), 0
+    bounded = rows.bounded_base + rows.bounded_by_variables @ z
+    for r in range(bounded.shape[0]):
+        for i in range(3):
+            slacks = (bounded[r, i] - rows.lower[r, i], rows.upper[r, i] - bounded[r, i])
+            for kind in range(2):
+                if slacks[kind] < threshold and not rows.bounds_done[kind, r, i]:
+                    picked[count] = kind, r, i
+                    count += 1
+    position = rows.base + rows.by_variables @ z
+    last = position.shape[0] - 1
+    for r in range(rows.normals.shape[0]):
+        worst, at = threshold, -1
+        for s in range(last + 1):
+            if not rows.done[r, s]:
+                slack = _along(rows.normals, position, r, s) - rows.offsets[r, s]
+                if slack < worst:
+                    worst, at = slack, s
+        for s in range(at % stride if at >= 0 else last + 1, last + 1, stride):
+            slack = _along(rows.normals, position, r, s) - rows.offsets[r, s]
+            if slack < threshold and not rows.done[r, s]:
+                picked[count] = 2, r, s
+                count += 1
+        soft = r < rows.soft_done.shape[0] and not rows.soft_done[r]
+        if soft and _along(rows.normals, position, r, last) - rows.soft_offsets[r] < threshold:
+            picked[count] = 3, r, last
+            count += 1
+    return picked[:count]
+
+
+@kernel
+def _along(normals: FloatArray, positions: FloatArray, r: int, s: int) -> float:
+    """Normal . p of half-space r at sample s."""
+    return (
+        normals[r, s, 0] * positions[s, 0]
+        + normals[r, s, 1] * positions[s, 1]
+        + normals[r, s, 2] * positions[s, 2]
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A quadratic program for one plan, with what its solution is checked against."""
+
+    state: FloatArray
+    """(3, 3) at the start, as a message carries it."""
+    slope: FloatArray
+    """(n, 3) of the cost."""
+    rows: ProgramRows
+    """What the solution must satisfy."""
+    shifted: FloatArray
+    """(n, 3) variables of the plan that is flown."""
+    shifted_slack: float
+    """Least slack of the half-spaces at the plan that is flown, m."""
+    in_reach: int
+    """Trajectories and obstacles with a half-space that may bind."""
+    accepted_offsets: FloatArray
+    """(R, S) least normal . p of an accepted plan, m."""
+    accepted_lower: FloatArray
+    """(B, 3) of the bounded quantities of an accepted plan."""
+    accepted_upper: FloatArray
+    """(B, 3) likewise."""
+    stride: int
+    """Samples from one half-space of a trajectory to the next in the first programs."""
+
+
+class RowGeneration:
+    """The optimum of a program: solved with ever more rows until it breaks none of the others.
+
+    Raises:
+        ValueError: there is no such solver.
+    """
+
+    def __init__(self, problem: Program, solver_name: str, first: IntArray = NO_ROWS) -> None:
+        """`first`: rows (m, 3) as in `active`, to try as active first."""
+        self.z = -problem.slope
+        """(n, 3) variables."""
+        self.failure = f"no end of rows after {_MOST_PROGRAMS} programs"
+        """Why there is no optimum, or nothing."""
+        self.solve_ms = 0.0
+        """In the solver, CPU time of this thread, ms."""
+        self._problem, self._solver = problem, solver(solver_name)
+        self._parts: list[_WorkingSet] = []
+        self._picked, self._active = NO_ROWS, np.zeros(0, dtype=bool)
+        self._add(first, True)
+        self._run()
+
+    @property
+    def num_rows(self) -> int:
+        """Rows of the last program."""
+        return len(self._active)
+
+    @property
+    def active(self) -> IntArray:
+        """(m, 3) rows that hold with equality, as `broken_rows` names them."""
+        return self._picked[self._active]
+
+    def _run(self) -> None:
+        rows, stride = self._problem.rows, self._problem.stride
+        self._add(broken_rows(rows, self._problem.shifted, _FIRST_SLACK, stride))
+        for programs in range(1, _MOST_PROGRAMS + 1):
+            if not self._solve():
+                self.failure = "the solver found no plan"
+                return
+            picked = broken_rows(rows, self.z, _BROKEN, stride if programs == 1 else 1)
+            if not len(picked):
+                self.failure = ""
+                return
+            self._add(picked)
+
+    def _add(self, picked: IntArray, active: bool = False) -> None:
+        """Take in rows (m, 3)."""
+        self._parts.append(_working_set(self._problem.rows, picked))
+        self._picked = np.concatenate([self._picked, picked])
+        self._active = np.concatenate([self._active, np.full(len(picked), active)])
+
+    def _solve(self) -> bool:
+        """Solve for the rows so far; whether there is a solution."""
+        matrix, bound, scale = (np.concatenate([part[k] for part in self._parts]) for k in range(3))
+        soft = np.flatnonzero(scale)
+        margins = np.zeros((len(bound), len(soft)))
+        margins[soft, np.arange(len(soft))] = scale[soft]
+        slope = np.concatenate([self._problem.slope.T.ravel(), np.zeros(len(soft))])
+        begin = time.thread_time()
+        found = self._solver(slope, np.hstack([matrix, margins]), bound, self._active)
+        self.solve_ms += 1e3 * (time.thread_time() - begin)
+        self._active = found.active
+        free = len(self._problem.slope)
+        self.z = np.ascontiguousarray(found.y[: 3 * free].reshape(3, free).T)
+        return found.solved
