@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 import swarm_envs
+from swarm_envs.baselines.mlr_dmpc import MlrDmpcConfig
 from swarm_envs.interactions import load
 from swarm_envs.vehicles import GRAM_FORCE, SMALL
-from tests.benchmarks import against, batched, forces, throughput
+from tests.benchmarks import against, batched, forces, mlr_arrivals, throughput
 from tests.benchmarks.rows import run, spread, table
 
 
@@ -104,3 +105,17 @@ def test_parts_are_shares_of_a_training(threads, unit):
     assert [row["what"].strip() for row in parts] == list(PARTS)
     whole, features, flown = (row["value"] for row in parts)
     assert 0.0 < features + flown < whole < 100.0
+
+
+@pytest.mark.parametrize(
+    ("far", "limits", "least"),
+    [
+        (1.0, {"acceleration_limit": 99.0, "speed_limit": 99.0}, (32.0 / 5.0) ** (1 / 3)),
+        (9.0, {"acceleration_limit": 99.0}, 9.0 / 2.0 + 2.0 * (2.0 / 5.0) ** 0.5),
+        (9.0, {"acceleration_limit": 1.0}, 9.0 / 2.0 + 2.0 / 1.0 + 1.0 / 5.0),
+    ],
+)
+def test_a_drone_alone_needs_what_its_limits_allow(far, limits, least):
+    config = MlrDmpcConfig(**limits)
+    goal = np.array([[0.0, far, 0.1]])
+    assert mlr_arrivals.alone_s(np.zeros((1, 3)), goal, config) == pytest.approx(least)
