@@ -21,7 +21,7 @@ TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py tes
 TESTS_rllib := test_rllib.py test_docs.py
 
 .PHONY: help demo test quick stale test-all test-compat coverage mutation matrix lint format bench \
-	bench-against docs clean
+	bench-against docs films clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
@@ -38,6 +38,7 @@ help:
 	@echo 'make bench     speed, and peers beside it where they are installed'
 	@echo 'make bench-against REF=...  speed of this tree against that commit, measured in turn'
 	@echo 'make docs      this documentation as a site, in build/docs'
+	@echo 'make films     the films of the docs, in docs/films'
 	@echo 'make clean     remove everything that these made'
 
 $(VENV)/.python:
@@ -142,6 +143,10 @@ bench-against: $(VENV)/.dev
 docs: $(VENV)/.dev
 	$(BIN)/python -m sphinx -b html -W --keep-going docs build/docs
 	@echo 'open build/docs/index.html'
+
+# Films of the docs, a minute each: `make films FILMS='swap gates'` for some.
+films: $(VENV)/.dev
+	$(BIN)/python docs/films.py $(FILMS)
 
 clean:
 	rm -rf $(VENV) $(COMPAT) build dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

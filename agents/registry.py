@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import importlib
 import importlib.util
 import inspect
@@ -80,7 +81,7 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
     """
     name = os.fspath(name)
     if not name:
-        raise ValueError(f"name is '', but must be one of {', '.join(SHIPPED)}, or a file's")
+        raise ValueError("name is '', but must be an agent's, such as 'swap-ppo'")
     if name.endswith(FILTER):
         from swarm_envs.agents.safety import SafetyFilter
 
@@ -105,10 +106,20 @@ def load_agent(name: str | os.PathLike[str], environment: str | None = None) -> 
                 f"there is no {name!r} to take an agent from; a trained policy is the folder of "
                 "its run"
             )
-        hint = f"{name}:Class" if name.endswith(".py") else "path/to/file.py:Class"
-        known = unknown_name("agent", name, SHIPPED)
-        raise ValueError(f"{known}; for one of your own write {hint!r}")
+        raise ValueError(_unknown_agent(name))
     return _make(name, _import_file(Path(file)), path)
+
+
+def _unknown_agent(name: str) -> str:
+    """Message for a name that no agent has: the nearest, and where all are listed."""
+    if name.endswith(".py"):
+        return f"agent {name!r} names no class; write {name + ':Class'!r}"
+    near = difflib.get_close_matches(name, SHIPPED, n=1, cutoff=0.4)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return (
+        f"unknown agent {name!r}; {hint}`swarm-envs fly --help` lists the included agents; others "
+        "are 'path/to/file.py:Class' and folders of training runs; +filter may follow each"
+    )
 
 
 def load_class(name: str) -> Any:

@@ -25,6 +25,7 @@ extensions = [
     "extensions.api_pages",
     "extensions.docstrings",
     "extensions.figure_tables",
+    "extensions.notebooks",
     "extensions.links",
     "extensions.option_tables",
     "extensions.state_tables",

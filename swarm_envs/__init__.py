@@ -25,7 +25,7 @@ from swarm_envs.errors import check_name
 if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 TASKS = (
     *("swap_v1", "ring_v1", "formation_v1", "columns_v0", "delivery_v0"),

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -14,6 +17,7 @@ from swarm_envs import __version__
 from swarm_envs.arguments import Range, Seed
 from swarm_envs.commands.checks import (
     Misuse,
+    check_inputs,
     check_outputs,
     command_options,
     forget_output,
@@ -107,6 +111,7 @@ def _learn(config: Any, module: str, function: str) -> int:
     """Fit a model with a function of a module that needs torch, and print its report."""
     check_outputs(config.out, config.json)
     need_torch()
+    check_inputs(config)
     from swarm_envs.files import claimed
 
     with claimed(config.out):
@@ -121,6 +126,7 @@ def _collect(arguments: Sequence[str]) -> int:
 
     options = _read("collect", CollectOptions, arguments)
     check_outputs(options.out, options.json)
+    check_inputs(options)
     with claimed(options.out):
         run_collect(options)
     return DONE
@@ -163,6 +169,7 @@ def _train(arguments: Sequence[str]) -> int:
 
     config = _read("train", RlConfig, arguments, prefixes=True)
     check_training(config)
+    check_inputs(config)
     need_torch()
     run_train(config)
     return DONE
@@ -202,7 +209,7 @@ EXAMPLES: Mapping[str, str] = {
     "evaluate": "--layout random --agent swap-ppo straight-line --episodes 64 --json out.json",
     "record": "--task swap --drones 8 --agent roundabout --flights 256",
     "benchmark": "--out board --workers 2",
-    "grade": "--assignment swap --work my.py:MyAgent --seed 4711 --out grades.csv",
+    "grade": "--assignment swap --agent my.py:MyAgent --seed 4711 --out grades.csv",
     "assignment": "start controller my-controller",
     "replay": "flight/trajectory.parquet --out flight.html",
     "plan": "--grid 48x24x12 --density 0.333 --seed 1 --out plan",
@@ -213,7 +220,7 @@ EXAMPLES: Mapping[str, str] = {
     "fit --residual": "--data flights --out runs/residual",
     "fit": "--data flights --model deep-set --seed 0 --out runs/fit",
     "export trajectory": "flight/trajectory.parquet --out real --tolerance 0.01",
-    "export policy": "--policy swap-ppo --out policy.h",
+    "export policy": "--agent swap-ppo --out policy.h",
     "export force": "--model learned --out learned.h",
     "reproduce neural-swarm2": "--figure 5 --out runs/figure-5",
     "reproduce dmpc-swarm": "--figure 4 --out runs/figure-4",
@@ -244,7 +251,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(PROGRAM, unknown_name("command", name, COMMANDS), MISUSED)
     where = f"{PROGRAM} {name}"
     try:
-        code = COMMANDS[name].run(rest)
+        with _terminable():
+            code = COMMANDS[name].run(rest)
         sys.stdout.flush()  # here it can be told that what reads it is gone, or a disk full
         return code
     except Misuse as error:
@@ -254,6 +262,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _complain(where, " ".join(str(error).splitlines()), FAILED)
     except KeyboardInterrupt as interrupt:
         return _complain(where, str(interrupt) or "interrupted", INTERRUPTED)
+
+
+@contextmanager
+def _terminable() -> Iterator[None]:
+    """Let SIGTERM end a command like Ctrl-C, so that it removes what it has half written."""
+
+    def end(*_: object) -> None:
+        raise KeyboardInterrupt("terminated")
+
+    if threading.current_thread() is not threading.main_thread():  # where signals cannot be set
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _overview() -> str:
@@ -284,7 +309,7 @@ def _read(
     )
 
 
-_RENAMED = {
+_SB3 = {
     "rollout": "n-steps",
     "passes": "n-epochs",
     "discount": "gamma",
@@ -295,13 +320,19 @@ _RENAMED = {
     "sac.temperature": "sac.ent-coef",
 }
 """Options of trainings that have Stable-Baselines3's names since version 0.2."""
+_RENAMED: Mapping[str, Mapping[str, str]] = {
+    "train": {f"--{old}": f"--{now}" for old, now in _SB3.items()},
+    "train-sweep": {old: now.replace("-", "_") for old, now in _SB3.items()},  # as NAME=VALUE
+    "benchmark": {"--agents": "--agent", "--tasks": "--task"},
+    "grade": {"--work": "--agent"},
+    "export policy": {"--policy": "--agent"},
+}
+"""Old names of options by command: accepted for a version, with a note that names the new one."""
 
 
 def _with_new_names(name: str, arguments: Sequence[str]) -> Iterator[str]:
-    """Arguments with the options' new names; old ones are accepted for a version, and named."""
-    new = {f"--{old}": f"--{now}" for old, now in _RENAMED.items()} if name == "train" else {}
-    if name == "train-sweep":  # where options are given as NAME=VALUE
-        new = {old: now.replace("-", "_") for old, now in _RENAMED.items()}
+    """Arguments with the options' new names."""
+    new = _RENAMED.get(name, {})
     for word in arguments:
         option, equals, value = word.partition("=")
         if option in new:

@@ -17,9 +17,10 @@ import re
 import shutil
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, TypeVar, overload
@@ -27,9 +28,11 @@ from typing import Any, TypeVar, overload
 import numba
 import numpy as np
 from numba.extending import register_jitable
+from tqdm import tqdm
 
 __all__ = [
     "announce_compilation",
+    "compilation",
     "entry_point",
     "equation",
     "kernel",
@@ -116,6 +119,8 @@ def _within_kernels(function: F, **options: Any) -> F:
 
 
 _announced = False
+_bar: Any = None
+"""The progress bar of the innermost `compilation`."""
 
 
 def announce_compilation(entry: Callable[..., Any]) -> None:
@@ -144,6 +149,22 @@ def announce_compilation(entry: Callable[..., Any]) -> None:
     _announced = True
     sys.stderr.write(f"swarm_envs: compiling kernels (10 to 30 s){when} ...\n")
     sys.stderr.flush()
+
+
+@contextmanager
+def compilation(kernels: int) -> Iterator[None]:
+    """Show one progress bar if `entry_point` needs more than two seconds for so many kernels."""
+    global _bar
+    before = _bar
+    with tqdm(total=kernels, unit="kernel", delay=2.0) as _bar:
+        timer = threading.Timer(2.0, _bar.refresh)
+        timer.start()
+        try:
+            yield
+            _bar.set_description_str("compiled kernels", refresh=False)
+        finally:
+            timer.cancel()
+            _bar = before
 
 
 # ---- The folder of a module's kernels
@@ -311,6 +332,8 @@ def entry_point(compiled: F, *arguments: object) -> F:
     types.
     """
     announce_compilation(compiled)
+    if _bar is not None:
+        _bar.set_description_str(f"compiling {compiled.__name__}", refresh=False)
     if numba.config.DISABLE_JIT:
         return compiled
     dispatcher: Any = compiled
@@ -321,4 +344,6 @@ def entry_point(compiled: F, *arguments: object) -> F:
     finally:
         if collects:
             gc.enable()
+    if _bar is not None:
+        _bar.update()
     return entry

@@ -141,7 +141,7 @@ def test_files_that_give_no_agent(tmp_path) -> None:
         load(f"{tmp_path / 'none.py'}:Agent")
     with pytest.raises(ValueError, match="must be a Python file"):
         load(f"{tmp_path / 'a.txt'}:Agent")
-    with pytest.raises(ValueError, match=re.escape("for one of your own write 'mine.py:Class'")):
+    with pytest.raises(ValueError, match=re.escape("write 'mine.py:Class'")):
         load("mine.py")
 
 

@@ -380,7 +380,7 @@ def graded(folder: Path, cheat: str, limit_s: float) -> dict[str, dict[str, str]
     works, table = written(folder, cheat)
     before, state = confinement.descendants(), remote.package_state()
     words = ["--episodes", "1", "--limit-s", str(limit_s), "--out", str(table)]
-    code = main(["grade", "--assignment", "swap", *words, "--work", *works])
+    code = main(["grade", "--assignment", "swap", *words, "--agent", *works])
     assert confinement.descendants() - before == set()
     assert remote.package_state() == state
     result = folder / "result.txt"
@@ -516,7 +516,7 @@ def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path,
     starter.parent.mkdir()
     starter.write_bytes((STARTERS / "swap" / "swap.py").read_bytes())
     works = [f"{work}:Agent", f"{work}:Peeks", str(stolen), f"{source}:Mine", f"{starter}:MyAgent"]
-    words = ["--episodes", "2", "--out", str(table), "--work", *works]
+    words = ["--episodes", "2", "--out", str(table), "--agent", *works]
     assert main(["grade", "--assignment", "swap", *words]) == 0
     with table.open(newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -536,7 +536,7 @@ def test_honest_works_get_the_mark_of_evaluate(tmp_path, assignment, task, episo
     table, report = tmp_path / "grades.csv", tmp_path / "report.json"
     work = f"{STARTERS / assignment / ASSIGNMENTS[assignment].work}"
     common = ["--episodes", episodes, "--seed", "7"]
-    main(["grade", "--assignment", assignment, *common, "--out", str(table), "--work", work])
+    main(["grade", "--assignment", assignment, *common, "--out", str(table), "--agent", work])
     main(["evaluate", "--task", "swap", *task, *common, "--json", str(report), "--agent", work])
     expected = json.loads(report.read_text(encoding="utf-8"))
     with table.open(newline="", encoding="utf-8") as file:
@@ -549,7 +549,7 @@ def test_honest_works_get_the_mark_of_evaluate(tmp_path, assignment, task, episo
 def test_what_is_missing_is_said(monkeypatch, tmp_path, capsys):
     bare = Protections((), 0)
     monkeypatch.setattr(confinement, "probe", lambda: bare)
-    words = ["--assignment", "swap", "--work", str(tmp_path / "none.py:Agent")]
+    words = ["--assignment", "swap", "--agent", str(tmp_path / "none.py:Agent")]
     assert main(["grade", *words]) == 1
     said = capsys.readouterr().out
     assert all(missing in said for missing in bare.missing)

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -11,6 +14,7 @@ import swarm_envs
 from swarm_envs import cli
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM, main
 from swarm_envs.commands.export import KINDS
+from swarm_envs.files import written_whole
 from swarm_envs.training.reproduce.papers import PAPERS
 
 
@@ -86,6 +90,7 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, capsys, mon
 
 WITHOUT_TORCH = """
 import sys
+import time
 from importlib.machinery import PathFinder
 
 class WithoutTorch:
@@ -105,7 +110,8 @@ def run_without_torch(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_fit_without_torch_says_how_to_get_it(tmp_path):
-    done = run_without_torch("fit", "--data", "rows.npz", "--out", str(tmp_path / "out"))
+    (data := tmp_path / "rows.npz").touch()
+    done = run_without_torch("fit", "--data", str(data), "--out", str(tmp_path / "out"))
     assert done.returncode == 1
     assert "pip install 'swarm-envs[train]'" in done.stderr
     assert "CPU build of torch" in done.stderr
@@ -115,11 +121,25 @@ def test_a_fit_without_torch_says_how_to_get_it(tmp_path):
 def test_what_fails_later_is_a_failure(capsys, tmp_path):
     pytest.importorskip("torch")
     data, out = tmp_path / "rows.npz", tmp_path / "out"
+    assert main(["fit", "--data", str(data), "--out", str(out)]) == 2  # there is no such file
+    data.write_text("no rows")
     assert main(["fit", "--data", str(data), "--out", str(out)]) == 1
     assert "swarm-envs fit: error:" in capsys.readouterr().err
 
 
-def test_old_names_of_options_are_accepted_for_a_version(capsys):
+def test_sigterm_leaves_no_partial_file(tmp_path, monkeypatch):
+    def write(options):
+        with written_whole(tmp_path / "a.json") as partial:
+            partial.touch()
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5)
+
+    monkeypatch.setattr("swarm_envs.commands.fly.run_fly", write)
+    assert main(["fly"]) == 130
+    assert not [*tmp_path.iterdir()]
+
+
+def test_old_names_of_options_are_accepted_for_a_version(capsys, tmp_path):
     words = ["--rollout", "8", "--sac.smoothing=0.1", "--seed", "3"]
     assert [*cli._with_new_names("train", words)] == [
         *("--n-steps", "8", "--sac.tau=0.1", "--seed", "3")
@@ -127,3 +147,5 @@ def test_old_names_of_options_are_accepted_for_a_version(capsys):
     assert "--rollout is called --n-steps now" in capsys.readouterr().err
     assert [*cli._with_new_names("train-sweep", ["--set", "passes=2"])] == ["--set", "n_epochs=2"]
     assert [*cli._with_new_names("fly", ["--rollout"])] == ["--rollout"]
+    assert main(["export", "policy", "--policy", "hover", "--out", str(tmp_path / "a.h")]) == 2
+    assert "--policy is called --agent now" in capsys.readouterr().err

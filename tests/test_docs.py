@@ -45,6 +45,13 @@ def test_links_lead_somewhere():
                 assert anchor in anchors(target), f"{page} links into {target.name}: {hint}"
 
 
+def test_every_task_has_a_film_and_all_are_small():
+    sizes = {film.stem: film.stat().st_size for film in (DOCS / "films").glob("*.webp")}
+    assert {task_family(task) for task in TASKS} <= set(sizes)
+    assert max(sizes.values()) < 400_000
+    assert sum(sizes.values()) < 8_000_000
+
+
 def test_every_page_is_in_a_table_of_contents():
     found, queue = {DOCS / "index.md"}, [DOCS / "index.md"]
     while queue:

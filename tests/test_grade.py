@@ -87,7 +87,7 @@ def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys
     names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing", "Dies")]
     names.append(str(tmp_path / "none.py:Agent"))
     arguments = ["--episodes", "1", "--out", str(table)]
-    assert main(["grade", "--assignment", "swap", *arguments, "--work", *names]) == 1
+    assert main(["grade", "--assignment", "swap", *arguments, "--agent", *names]) == 1
     with table.open(newline="") as file:
         found = {line["work"].split(":")[-1]: line for line in csv.DictReader(file)}
     assert [line["points"] for line in found.values()] == ["0.0"] * 5  # who hovers never arrives
@@ -101,7 +101,7 @@ def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys
 
 def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, tmp_path, capsys):
     names = [f"{work}:Hangs", str(tmp_path / "none.py:Agent")]
-    assert main(["grade", "--assignment", "swap", "--limit-s", "12", "--work", *names]) == 1
+    assert main(["grade", "--assignment", "swap", "--limit-s", "12", "--agent", *names]) == 1
     said = capsys.readouterr().out
     assert re.search(r"work.py:Hangs +0.0 +FAILED: .*took longer than 12 s", said)
     assert said.count("FAILED") == 2
@@ -122,7 +122,7 @@ def interrupt_once_there(table: Path) -> None:
 def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
     table = tmp_path / "grades.csv"
     names = [f"{work}:Sees", f"{work}:Sleeps", f"{work}:Fine"]
-    arguments = ["--episodes", "1", "--limit-s", "60", "--out", str(table), "--work", *names]
+    arguments = ["--episodes", "1", "--limit-s", "60", "--out", str(table), "--agent", *names]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which xdist has put aside
     watch = threading.Thread(target=interrupt_once_there, args=(table,))
     watch.start()
@@ -144,11 +144,11 @@ def test_a_pattern_names_the_whole_class(tmp_path, capsys):
         (tmp_path / student).mkdir()
         (tmp_path / student / "swap.py").write_text("", encoding="utf-8")
     pattern = f"{tmp_path}/*/swap.py:Agent"
-    assert main(["grade", "--assignment", "swap", "--work", pattern]) == 1
+    assert main(["grade", "--assignment", "swap", "--agent", pattern]) == 1
     said = capsys.readouterr().out
     assert said.count("unknown class 'Agent'") == 2
     assert "ann/swap.py:Agent" in said and "bob/swap.py:Agent" in said
-    assert main(["grade", "--assignment", "swap", "--work", f"{tmp_path}/x*/swap.py:Agent"]) == 2
+    assert main(["grade", "--assignment", "swap", "--agent", f"{tmp_path}/x*/swap.py:Agent"]) == 2
     assert "no file's name matches" in capsys.readouterr().err
 
 
@@ -182,7 +182,7 @@ def points_of(tmp_path: Path, assignment: str, episodes: int, *works: str) -> li
     if assignment == "force-model":
         assert main(["collect", "--out", str(tmp_path / "flights"), "--teams", "SS"]) == 0
         arguments += ["--data", str(tmp_path / "flights" / "rows.npz")]
-    assert main(["grade", *arguments, "--work", *works]) == 0
+    assert main(["grade", *arguments, "--agent", *works]) == 0
     with table.open(newline="") as file:
         return [float(line["points"]) for line in csv.DictReader(file)]
 
@@ -232,7 +232,7 @@ def test_a_learner_is_trained_before_it_flies(tmp_path, capsys):
     file = tmp_path / "learner.py"
     file.write_text(LEARNER, encoding="utf-8")
     works = [f"{file}:Learner", f"{file}:Silent"]
-    arguments = ["--assignment", "learning", "--episodes", "1", "--work", *works]
+    arguments = ["--assignment", "learning", "--episodes", "1", "--agent", *works]
     assert main(["grade", *arguments]) == 1
     assert capsys.readouterr().out.count("FAILED") == 1
 
@@ -244,7 +244,7 @@ def test_a_controller_of_the_package_is_no_solution(tmp_path, capsys):
         + WORK.replace("'decision_rate': 10}", "'controller': ControllerConfig()}"),
         encoding="utf-8",
     )
-    arguments = ["--assignment", "controller", "--episodes", "1", "--work", f"{file}:Fine"]
+    arguments = ["--assignment", "controller", "--episodes", "1", "--agent", f"{file}:Fine"]
     assert main(["grade", *arguments]) == 1
     assert "it requires 'controller', which is what" in capsys.readouterr().out
 
@@ -266,7 +266,7 @@ def test_planners_share_nothing_and_keep_their_limits(tmp_path, capsys):
     file = tmp_path / "planner.py"
     file.write_text(PLANNER, encoding="utf-8")
     works = [f"{file}:Still", f"{file}:Strong"]
-    arguments = ["--assignment", "distributed-mpc", "--episodes", "2", "--work", *works]
+    arguments = ["--assignment", "distributed-mpc", "--episodes", "2", "--agent", *works]
     assert main(["grade", *arguments]) == 1
     said = capsys.readouterr().out
     assert re.search(r"planner.py:Still +0.0  0\n", said)  # who stands still never arrives
@@ -300,7 +300,7 @@ def test_starts_keep_apart_and_goals_are_others_starts():
 def test_feedback_names_the_rubric_and_shows_the_first_failure(tmp_path, work):
     out, table = tmp_path / "feedback", tmp_path / "grades.json"
     names = [f"{work}:Fine", f"{work}:Nan"]
-    arguments = ["--episodes", "2", "--feedback", str(out), "--out", str(table), "--work", *names]
+    arguments = ["--episodes", "2", "--feedback", str(out), "--out", str(table), "--agent", *names]
     assert main(["grade", "--assignment", "swap", *arguments]) == 1
     fine, bad = sorted(out.iterdir())
     said = json.loads((fine / "results.json").read_text())
@@ -354,9 +354,9 @@ def test_the_tests_of_students_who_fly_pass(tmp_path, name):
 @pytest.mark.parametrize(
     ("arguments", "why"),
     [
-        (["--assignment", "swap"], "--work is empty"),
-        (["--assignment", "force-model", "--work", "a.py:A"], "needs it"),
-        (["--assignment", "swap", "--work", "a", "--limit-s", "0"], "must be positive"),
+        (["--assignment", "swap"], "--agent is empty"),
+        (["--assignment", "force-model", "--agent", "a.py:A"], "needs it"),
+        (["--assignment", "swap", "--agent", "a", "--limit-s", "0"], "must be positive"),
     ],
 )
 def test_what_cannot_be_graded_is_refused(arguments, why, capsys):
@@ -377,6 +377,6 @@ def test_data_that_cannot_grade_is_the_teachers_mistake(tmp_path, capsys):
         (damaged, "cannot be read"),
         (unheld, "0 of 40 rows are for validation"),
     ):
-        words = ["--assignment", "force-model", "--data", str(path), "--work", "a.py:A"]
+        words = ["--assignment", "force-model", "--data", str(path), "--agent", "a.py:A"]
         assert main(["grade", *words]) == 2
         assert why in capsys.readouterr().err

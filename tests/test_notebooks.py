@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import io
 import json
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 NOTEBOOKS = sorted((ROOT / "docs").rglob("*.ipynb"))
+OUTPUTS = {"stream", "execute_result", "display_data"}
 every_notebook = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 
 
@@ -31,28 +34,30 @@ def _margin(line: str) -> str:
 
 
 @every_notebook
-def test_it_runs(path, tmp_path, monkeypatch):
+def test_it_runs_and_prints_what_it_shows(path, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(plt, "show", lambda: None)  # no window, and no warning that there is none
     names: dict[str, Any] = {"__name__": "notebook"}
     for number, cell in enumerate(cells(path)):
         if cell["cell_type"] == "code":
-            source = plain("".join(cell["source"]))
-            exec(compile(source, f"cell {number}", "exec", dont_inherit=True), names)
+            source, said = plain("".join(cell["source"])), io.StringIO()
+            with redirect_stdout(said):
+                exec(compile(source, f"cell {number}", "exec", dont_inherit=True), names)
+            kept = [o["text"] for o in cell["outputs"] if o["output_type"] == "stream"]
+            assert said.getvalue() == "".join("".join(text) for text in kept)
     plt.close("all")
     assert names["metrics"]["length_s"] > 0.0
 
 
 @every_notebook
-def test_it_is_a_notebook_without_outputs(path):
+def test_it_is_a_notebook_with_outputs(path):
     notebook = json.loads(path.read_text(encoding="utf-8"))
     assert (notebook["nbformat"], notebook["nbformat_minor"]) == (4, 5)
     for cell in cells(path):
         assert cell["cell_type"] in ("code", "markdown")
         assert cell["id"]
         if cell["cell_type"] == "code":
-            assert cell["outputs"] == []
-            assert cell["execution_count"] is None
+            assert {output["output_type"] for output in cell["outputs"]} <= OUTPUTS
             ast.parse(plain("".join(cell["source"])))
 
 

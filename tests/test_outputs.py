@@ -48,7 +48,7 @@ def test_a_file_in_place_of_a_folder_is_refused_and_kept(command, tmp_path, caps
 @pytest.mark.parametrize(
     "words",
     [
-        ["benchmark", "--agents", "hover", "--tasks", "swap-random-2-v1"],
+        ["benchmark", "--agent", "hover", "--task", "swap-random-2-v1"],
         ["collect", "--teams", "S"],
         ["curriculum"],
         ["demo"],

@@ -50,9 +50,9 @@ def test_fly_with_defaults_succeeds(capsys, tmp_path):
 
 def test_a_refusal_names_the_agent_that_can(capsys):
     arguments = ["--layout", "circle", "--drones", "16", "--physics", "batch"]
-    assert main(["fly", *arguments, "--agent", "swap-ppo"]) == 1
+    assert main(["fly", *arguments, "--agent", "swap-ppo"]) == 2
     best = recommended("swap", num_drones=16, layout="circle")
-    assert f"the agent {best!r} flies this" in capsys.readouterr().err
+    assert f"try --agent {best}" in capsys.readouterr().err
 
 
 def test_recommendations_follow_from_the_board():

@@ -203,7 +203,7 @@ def test_events_are_named_once_when_they_begin():
     [
         (True, False, "Success, after 0.10 s."),
         (False, True, "Ended in flight, at 0.10 s: drone_1 hits the floor."),
-        (False, False, "No success: the clock ran out after 0.10 s."),
+        (False, False, "No success: the time limit was reached after 0.10 s."),
     ],
 )
 def test_the_outcome_in_a_sentence(success, contact, said):

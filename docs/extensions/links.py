@@ -1,6 +1,7 @@
 """Links of pages that read well in a checkout, and on the site, where there is no checkout.
 
 A link out of `docs/` leads to the page of model cards if it is one of them, else its words stay.
+A line in italics that says what `make docs` inserts is for checkouts only, and left out.
 A line of a toctree that asks for the pages of a folder is left out while there are none.
 """
 
@@ -12,6 +13,7 @@ from typing import Any
 
 OUTWARD = re.compile(r"\[([^\]]+)\]\((\.\./[^)]+)\)")
 MANY = re.compile(r"^([\w/-]+\*)\n", re.MULTILINE)
+PLAIN = re.compile(r"^_`make docs` .*_\n", re.MULTILINE)
 CARDS = "model-cards.md"
 
 
@@ -40,7 +42,7 @@ def setup(app: Any) -> dict[str, Any]:
     def read(app: Any, page: str, content: list[str]) -> None:
         docs = Path(app.srcdir).resolve()
         text = inward(content[0], docs / f"{page}.md", docs)
-        content[0] = without_empty_folders(text, docs)
+        content[0] = PLAIN.sub("", without_empty_folders(text, docs))
 
     app.connect("source-read", read)
     return {"parallel_read_safe": True}

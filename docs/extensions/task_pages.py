@@ -29,7 +29,6 @@ _ASIDE = re.compile(r"^\([^)]*\):?\s*")
 _ACTION = re.compile(r"^\| `(\w+)` \| (.+) \|$", re.MULTILINE)
 _TERM = re.compile(r"^- `(\w+)`: (.+(?:\n  .+)*)", re.MULTILINE)
 _KNOWN = ("Start", "Success", "Rewards", "End", "Versions")
-_PICTURES = ("webp", "png", "svg")
 
 
 def sections(text: str) -> dict[str, str]:
@@ -56,7 +55,7 @@ def task_page(task: str, folder: Path) -> str:
 
     Args:
         task: such as `swap_v1`.
-        folder: where a picture named after the task's family is looked for.
+        folder: of the page; a film named after the task's family is in `films` next to it.
     """
     options = options_type(task)
     env = swarm_envs.make(task, physics="batch")
@@ -64,7 +63,8 @@ def task_page(task: str, folder: Path) -> str:
     head, _, rest = parts[""].partition("\n\n")
     title, _, summary = head.partition(": ")
     family = swarm_envs.task_family(task)
-    found = [f"{family}.{kind}" for kind in _PICTURES if (folder / f"{family}.{kind}").exists()]
+    film = f"../films/{family}.webp"
+    found = [film] if (folder / film).exists() else []
     return "\n\n".join(
         [
             f"# {title.partition(',')[0]}",

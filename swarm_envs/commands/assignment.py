@@ -66,7 +66,7 @@ def _write_notebook(folder: Path, name: str, work: str) -> None:
         _cell("markdown", page),
         _cell("code", f"%%writefile {file}\n{starter}"),
         _cell("code", f"!python -m pytest -q test_{file}"),
-        _cell("code", f"!swarm-envs grade --assignment {name} --work {work} {said}"),
+        _cell("code", f"!swarm-envs grade --assignment {name} --agent {work} {said}"),
     ]
     numbered = [{**cell, "id": f"cell-{number}"} for number, cell in enumerate(cells)]
     about = {"kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"}}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,10 +28,10 @@ class CellOptions:
     from its episodes, and what comes out otherwise when it is flown again"""
     join: list[Path] = field(default_factory=list)
     """put these results files into one, and its report, in the folder --out; nothing is flown"""
-    agents: list[str] = field(default_factory=lambda: ["*"])
+    agent: list[str] = field(default_factory=lambda: ["*"])
     """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
-    tasks: list[str] = field(default_factory=lambda: ["*-v2"])
+    task: list[str] = field(default_factory=lambda: ["*-v2"])
     """ids of tasks, such as `swap-circle-4-v2`, or patterns of them, in quotes; `*-v1` are those of
     release 0.1.0"""
     episodes: Count | None = None
@@ -90,11 +89,6 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     if options.join:
         assert options.out is not None
         return _join(options.join, options.out)
-    if options.replays and importlib.util.find_spec("plotly") is None:
-        raise ImportError(
-            "replay pages need plotly; install it by: pip install 'swarm-envs[viz]', or do without "
-            "them by --no-replays"
-        )
     if options.out is not None:
         return _fly(options, options.out)
     assert options.report is not None
@@ -111,7 +105,7 @@ def _fly(options: BenchmarkOptions, out: Path) -> int:
 
     check_folder("--out", out)
     try:
-        tasks, agents = choose_tasks(options.tasks, options.crew()), choose_agents(options.agents)
+        tasks, agents = choose_tasks(options.task, options.crew()), choose_agents(options.agent)
     except ValueError as error:
         raise Misuse(str(error)) from error
     plan = BenchmarkPlan(

@@ -102,6 +102,28 @@ def _check_writable(given: str, folder: Path) -> None:
         raise Misuse(f"{given}, but {what}") from error
 
 
+def check_inputs(options: Any) -> None:
+    """Refuse options that name data, a force model or an agent that is not there.
+
+    Raises:
+        Misuse: naming what is missing.
+    """
+    from swarm_envs.agents import load as load_agent
+    from swarm_envs.interactions import load
+
+    data = getattr(options, "data", None)
+    if data is not None and not data.exists():
+        raise Misuse(f"--data is {str(data)!r}, but there is no such file or folder")
+    named = (("interactions", load), ("agent", load_agent), ("start", load_agent))
+    for name, read in named:
+        value = getattr(options, name, None)
+        try:
+            if isinstance(value, str | Path):
+                read(value)
+        except (ValueError, FileNotFoundError) as error:
+            raise Misuse(str(error)) from error
+
+
 def need_torch(extra: str = "train") -> None:
     """Refuse to train where torch is not installed.
 

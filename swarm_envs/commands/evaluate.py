@@ -279,30 +279,43 @@ def _scores(record: AgentEpisodes, options: EvaluateOptions) -> dict[str, Any]:
 
 
 def _table(agents: list[dict[str, Any]]) -> str:
-    """The reports in a few columns."""
-    heads = ("agent", "success", "95 %", "collided", "near miss", "time, s", "energy, J", "act, ms")
-    rows = [heads, *(_row(report) for report in agents if "error" not in report)]
+    """The reports in a few columns; a number that no agent has is left out."""
+    known = [report for report in agents if "error" not in report]
+    shown = {n: head for n, head in _COLUMNS.items() if any(r.get(n) is not None for r in known)}
+    heads = ("agent", "success (95 %)", "collided", "near miss", *shown.values(), "decision, ms")
+    rows = [heads, *(_row(report, [*shown]) for report in known)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(heads))]
     lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)) for row in rows]
     lines += [f"{r['agent']} FAILED: {r['error']}" for r in agents if "error" in r]
     if any(report.get("privileged") for report in agents):
         lines.append("* sees the true state")
+    if known:
+        lines.append("decision: median (99th percentile) of the agent's time for the whole team")
     return "\n" + "\n".join(line.rstrip() for line in lines)
 
 
-def _row(report: dict[str, Any]) -> tuple[str, ...]:
+_COLUMNS = {
+    "time_to_goal_s": "time to goal, s",
+    "worst_height_error_m": "worst height error, m",
+    "throughput_per_min": "goals per minute",
+    "share_on_goal": "time on goal",
+    "gates_per_min": "gates per minute",
+    "energy_j": "energy, J",
+}
+"""Numbers of a report and their heads, in the order of the table."""
+
+
+def _row(report: dict[str, Any], shown: list[str]) -> tuple[str, ...]:
     low, high = report["intervals"]["success_rate"]
     return (
         report["agent"] + ("*" if report["privileged"] else ""),
-        f"{report['success_rate']:.1%}",
-        f"{100 * low:.1f}-{100 * high:.1f}",
+        f"{report['success_rate']:.1%} ({100 * low:.0f}-{100 * high:.0f})",
         f"{report['collision_rate']:.1%}",
         f"{report['near_miss_rate']:.1%}",
-        _number(report["time_to_goal_s"]),
-        _number(report["energy_j"]),
+        *(_number(report.get(name), 3 if name.endswith("_m") else 2) for name in shown),
         f"{report['act_ms']['p50']:.2f} ({report['act_ms']['p99']:.2f})",
     )
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}"
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

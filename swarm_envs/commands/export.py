@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from swarm_envs.arguments import Seed
-from swarm_envs.commands.checks import Misuse, check_file, check_outputs, command_options
+from swarm_envs.commands.checks import (
+    Misuse,
+    check_file,
+    check_inputs,
+    check_outputs,
+    command_options,
+)
 from swarm_envs.errors import unknown_name
 
 if TYPE_CHECKING:
@@ -64,7 +70,7 @@ class PolicyOptions(HeaderOptions):
     set-point, in float32 and without heap; see docs/deploy.md.
     """
 
-    policy: str
+    agent: str
     """swap-ppo, swap-ppo-8, swap-dagger, formation-ppo, ring-ppo, a .safetensors file, or a
     training run's folder"""
 
@@ -88,7 +94,10 @@ def export_force(options: ForceOptions) -> None:
     from swarm_envs.interactions import load
     from swarm_envs.interactions.c_header import c_header
 
-    model = load(options.model)
+    try:
+        model = load(options.model)
+    except (ValueError, FileNotFoundError) as error:
+        raise Misuse(str(error)) from error
     text = c_header(model, name, options.seed)
     facts = {"model": model.name, "types": list(model.types), "weights": model.field.weights.size}
     _write(options, text, {"header": str(options.out), "name": name, **facts})
@@ -108,13 +117,14 @@ def export_policy(options: PolicyOptions) -> None:
     from swarm_envs.agents.c_header import costs, policy_header
     from swarm_envs.agents.policy import PolicyAgent
 
-    agent = load(options.policy)
+    check_inputs(options)
+    agent = load(options.agent)
     if not isinstance(agent, PolicyAgent):
-        raise Misuse(f"agent {options.policy!r} is no trained policy; name one, such as swap-ppo")
+        raise Misuse(f"agent {options.agent!r} is no trained policy; name one, such as swap-ppo")
     policy, found = agent.policy, costs(agent.policy)
     text = policy_header(policy, name, options.seed)
     facts = {
-        "policy": options.policy,
+        "policy": options.agent,
         "weights_sha256": policy.digest,
         "flash_bytes": found.flash_bytes,
         "stack_bytes": found.stack_bytes,

@@ -126,15 +126,11 @@ def run_fly(options: FlyOptions) -> None:
 
 
 def _check_writers(files: Mapping[str, Path]) -> None:
-    """Raise ImportError if plotly, pyarrow, pybullet or ffmpeg is missing for a file."""
+    """Raise ImportError if pyarrow, pybullet or ffmpeg is missing for a file."""
     if "trajectory" in files:
         from swarm_envs.viewing.trajectory import check_trajectory_path
 
         check_trajectory_path(files["trajectory"])
-    if "replay" in files:
-        from swarm_envs.viewing.replay import check_replay_path
-
-        check_replay_path(files["replay"])
     if "video" in files:
         from swarm_envs.physics.bullet import import_bullet
 
@@ -193,20 +189,28 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
     from swarm_envs.agents import record_episode
 
     total = round(env.view.horizon_s * env.core.config.decision_rate) + 1
-    with tqdm(total=total, desc="flight", unit="decision", mininterval=0.5) as bar:
-        try:
-            recording = record_episode(
-                env, agent, options.seed, watch=lambda _: bar.update(), name=name
-            )
-            bar.total = bar.n  # it may have ended before the clock
-            return recording
-        except Exception as error:
-            if ":" in name:  # its author needs to see where it failed
-                traceback.print_exc()
-            what = f"{type(error).__name__}: {error}"
-            refused = env.agents and env.view.time == 0.0 and isinstance(error, ValueError)
-            what += _other_agent(options, env.core.task.name, name) if refused else ""
-            raise ValueError(f"agent {name!r} failed in flight: {what}") from error
+    bars: list[Any] = []  # made after the reset, so that neither planning nor compilation count
+
+    def watch(_: SwarmParallelEnv) -> None:
+        if not bars:
+            bars.append(tqdm(total=total, desc="flight", unit="decision", mininterval=0.5))
+        bars[0].update()
+
+    try:
+        recording = record_episode(env, agent, options.seed, watch=watch, name=name)
+        bars[0].total = bars[0].n  # it may have ended before the time limit
+        return recording
+    except Exception as error:
+        if ":" in name:  # its author needs to see where it failed
+            traceback.print_exc()
+        elif not bars and isinstance(error, ValueError):
+            other = _other_agent(options, env.core.task.name, name)
+            raise Misuse(f"agent {name!r} cannot fly this: {error}{other}") from error
+        what = f"{type(error).__name__}: {error}"
+        raise ValueError(f"agent {name!r} failed in flight: {what}") from error
+    finally:
+        for bar in bars:
+            bar.close()
 
 
 def _other_agent(options: FlyOptions, task: str, name: str) -> str:
@@ -215,7 +219,7 @@ def _other_agent(options: FlyOptions, task: str, name: str) -> str:
         best = _best_agent(options, task)
     except ValueError:
         return ""
-    return f"; the agent {best!r} flies this" if best != name else ""
+    return f"; try --agent {best}" if best != name else ""
 
 
 def _print_summary(recording: Recording, agent: Agent) -> None:

@@ -34,7 +34,7 @@ class GradeOptions:
 
     assignment: AssignmentName
     """which one; `swarm-envs assignment list` says what they are"""
-    work: list[str] = field(default_factory=list)
+    agent: list[str] = field(default_factory=list)
     """what was handed in: path/to/file.py:Class each, or a pattern such as 'class/*/swap.py:Class';
     also folders of trained policies"""
     out: Path | None = None
@@ -53,8 +53,8 @@ class GradeOptions:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be graded."""
-        if not self.work:
-            raise ValueError("--work is empty; name one file.py:Class or more")
+        if not self.agent:
+            raise ValueError("--agent is empty; name one file.py:Class or more")
         if (self.assignment == "force-model") != (self.data is not None):
             raise ValueError("--data is for --assignment force-model, which needs it")
 
@@ -70,16 +70,14 @@ def run_grade(options: GradeOptions) -> int:
 
     _check_system()
     from swarm_envs.commands.grading.remote import package_state
-    from swarm_envs.viewing.replay import check_replay_path
 
     if options.out is not None:
         check_file("--out", options.out, (".csv", ".json"))
     if options.feedback is not None:
         check_folder("--feedback", options.feedback)
-        check_replay_path(options.feedback / "failure.html")
     if options.data is not None:
         _check_rows(options.data)
-    assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.work)
+    assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.agent)
     grades: list[Grade] = []
     try:
         for work in tqdm(works, desc="grading", unit="file"):
@@ -137,7 +135,7 @@ def _expanded(works: list[str]) -> list[str]:
         path, colon, name = work.rpartition(":") if ".py:" in work else (work, "", "")
         files = sorted(glob.glob(path)) if glob.has_magic(path) else [path]  # noqa: PTH207
         if not files:
-            raise Misuse(f"--work is {work!r}, but no file's name matches that pattern")
+            raise Misuse(f"--agent is {work!r}, but no file's name matches that pattern")
         found += [f"{file}{colon}{name}" for file in files]
     return found
 

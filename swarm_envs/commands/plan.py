@@ -205,7 +205,7 @@ def summary_lines(found: GridPlan) -> list[str]:
     if found.before_compaction is not None:
         lines.append(f"before compaction {found.before_compaction}")
     if found.bound is not None:
-        lines.append(f"guaranteed: at most {found.bound}")
+        lines.append(f"RTH3D guarantees a makespan of at most {found.bound}")
     width = max(len(phase.name) for phase in found.phases)
     for phase in found.phases:
         lines.append(f"  {phase.name.ljust(width)}  {phase.makespan:5d}  {phase.seconds:7.2f} s")

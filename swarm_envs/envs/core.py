@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from swarm_envs.compiled import entry_point
+from swarm_envs.compiled import compilation, entry_point
 from swarm_envs.envs.actions import ACTIONS, apply_actions, as_actions, check_actions
 from swarm_envs.envs.config import EnvConfig, check_mask, check_reset_options, check_seeds
 from swarm_envs.envs.judge import judge, metrics, success_rules
@@ -23,7 +23,6 @@ from swarm_envs.envs.observation import (
     Float32Array,
     observation_width,
     sense,
-    sense_in_hall,
     write_observations,
 )
 from swarm_envs.envs.randomization import draw_vehicles
@@ -32,6 +31,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces
 from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
+from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SENSED_TYPE, World, as_columns
@@ -189,15 +189,17 @@ class SwarmCore:
         rewards = np.zeros(drones.shape)
         terms = np.zeros((2, 2, drones.shape[1]))[:, :1]  # of any strides, as the parts of a batch
         flown, state = self._flown, self._state
-        return _Kernels(
-            entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
-            entry_point(task.write_reference, *state),
-            entry_point(judge, actions, *state),
-            None if task.advance is None else entry_point(task.advance, flown, *state),
-            entry_point(task.write_reward_terms, drones, environments, settings, terms),
-            entry_point(weigh, terms, self._weights, drones, flown, rewards),
-            entry_point(write_observations, 0, 0, flown, *self._observed[0]),
-        )
+        with compilation(len(_Kernels._fields) + 1 - (task.advance is None)):
+            self.physics.compile()
+            return _Kernels(
+                entry_point(apply_actions, 0, actions, 1.0, drones, environments, settings, flown),
+                entry_point(task.write_reference, *state),
+                entry_point(judge, actions, *state),
+                None if task.advance is None else entry_point(task.advance, flown, *state),
+                entry_point(task.write_reward_terms, drones, environments, settings, terms),
+                entry_point(weigh, terms, self._weights, drones, flown, rewards),
+                entry_point(write_observations, 0, 0, flown, *self._observed[0]),
+            )
 
     @property
     def form(self) -> tuple[str, int, int, bool, bool]:

@@ -212,6 +212,10 @@ class Physics:
         ]
         self._begun = (self.world.drones, self._columns, self.settings, self._open_circuit)
 
+    def compile(self) -> None:
+        """Compile `fly`, which the first step would do otherwise."""
+        _ = self._compiled
+
     @cached_property
     def _begin(self) -> Callable[..., None]:
         """`begin_flight` for the types of our arguments."""
@@ -366,7 +370,7 @@ class Physics:
         if external_force is not None:
             drones["external"] = external_force
         self._advance()
-        if external_force is not None:
+        if external_force is not None or self.hall is not None:
             drones["external"] = 0.0  # it pushes in this step alone
         return self.state
 

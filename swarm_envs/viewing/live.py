@@ -16,13 +16,13 @@ import threading
 import time
 import webbrowser
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from importlib import resources
 from typing import TYPE_CHECKING, Any
 from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 
 from swarm_envs.viewing.record import solids
+from swarm_envs.viewing.replay import asset
 from swarm_envs.viewing.style import drone_colors
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ class LiveViewer:
             "arena": arena.tolist(),
             "speeds": SPEEDS,
             "solids": [
-                {"round": solid.round, "low": solid.low, "high": solid.high}
+                np.round(solid.rings(), 3).tolist()
                 for solid in solids(getattr(core.task, "obstacles", ()), float(arena[1, 2]))
             ],
         }
@@ -195,11 +195,14 @@ class _Handler(BaseHTTPRequestHandler):
         return None
 
     def _page(self) -> bytes:
-        folder = resources.files("swarm_envs.viewing") / "page"
-        script = (folder / "live.js").read_text(encoding="utf-8")
-        page = (folder / "live.html").read_text(encoding="utf-8")
-        scene = json.dumps(self.server.scene).replace("<", "\\u003c")
-        return page.replace("/*scene*/", scene).replace("/*script*/", script).encode()
+        page, scene = asset("live.html"), json.dumps(self.server.scene).replace("<", "\\u003c")
+        for mark, text in (
+            ("scene", scene),
+            ("view", asset("scene.js")),
+            ("script", asset("live.js")),
+        ):
+            page = page.replace(f"/*{mark}*/", text)
+        return page.encode()
 
     def _answer(self, kind: str, body: bytes) -> None:
         self.send_response(200)

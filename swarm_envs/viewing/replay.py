@@ -1,12 +1,11 @@
 """A recorded episode as one HTML page that needs no server and no network.
 
-The page carries plotly.js, a small script that moves time, and the numbers. A policy in its head
-forbids it to fetch anything. Many pages in one folder may share plotly.js: see `share_script`.
+The page carries the numbers and a script that draws them. A policy in its head forbids it to fetch
+anything.
 """
 
 from __future__ import annotations
 
-import importlib
 import json
 import re
 from collections import Counter
@@ -32,14 +31,12 @@ from swarm_envs.viewing.summary import (
     team_label,
 )
 
-__all__ = ["check_replay_path", "share_script", "write_replay"]
+__all__ = ["write_replay"]
 
 _UNIT = {"position": 1e-3, "reference": 1e-3, "goal": 1e-3, "force": 0.01, "quaternion": 1e-4}
 """What one in the page's integers is: mm, hundredths of a gram."""
 MOST_SAMPLES = 50_000
 """Drones times frames in a page; a longer flight keeps every second sample, or fewer."""
-SHARED_SCRIPT = "plotly.js"
-"""Name of the file beside pages that share it."""
 _FASTEST = 60.0
 """Frames per second that a page keeps at most."""
 _LONGEST_ARROW_M = 0.45
@@ -47,60 +44,27 @@ _SCALES = (0.1, 0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 """Lengths of an arrow of one gram, m; the longest that fits is taken."""
 
 
-def write_replay(
-    path: Path, recording: Recording, shared: bool = False, most_samples: int = MOST_SAMPLES
-) -> None:
+def write_replay(path: Path, recording: Recording, most_samples: int = MOST_SAMPLES) -> None:
     """Write the page, whole or not at all.
 
     Args:
         path: ends in `.html`.
         recording: what it shows.
-        shared: leave plotly.js out: the page loads it from where `share_script` puts it.
         most_samples: drones times frames that the page keeps, beside those of events.
 
     Raises:
         ValueError: another suffix.
-        ImportError: plotly is missing; the message says how to get it.
         OSError: the file cannot be written.
     """
-    check_replay_path(path)
-    page = replay_page(recording, shared, most_samples)
+    if path.suffix != ".html":
+        raise ValueError(f"the replay's path is {str(path)!r}, but must end in .html")
+    page = replay_page(recording, most_samples)
     with written_whole(path) as partial:
         partial.write_text(page, encoding="utf-8")
 
 
-def share_script(folder: Path) -> None:
-    """Put plotly.js, which is 5 MB, beside pages that share it; one that is there stays.
-
-    Raises:
-        ImportError: plotly is missing.
-        OSError: the file cannot be written.
-    """
-    if not (folder / SHARED_SCRIPT).is_file():
-        with written_whole(folder / SHARED_SCRIPT) as partial:
-            partial.write_text(_plotly().get_plotlyjs(), encoding="utf-8")
-
-
-def check_replay_path(path: Path) -> None:
-    """Refuse a name that is not a page's, and pages where plotly is missing.
-
-    Raises:
-        ValueError: the name does not end in `.html`.
-        ImportError: plotly is missing.
-    """
-    if path.suffix != ".html":
-        raise ValueError(f"the replay's path is {str(path)!r}, but must end in .html")
-    _plotly()
-
-
-def replay_page(
-    recording: Recording, shared: bool = False, most_samples: int = MOST_SAMPLES
-) -> str:
-    """The page as text: 3-D swarm, playback, plots. The arguments are those of `write_replay`.
-
-    Raises:
-        ImportError: plotly is missing.
-    """
+def replay_page(recording: Recording, most_samples: int = MOST_SAMPLES) -> str:
+    """The page as text: 3-D swarm, playback, plots. The arguments are those of `write_replay`."""
     about, happened = recording.about, events(recording)
     marked = sorted([*happened, *near_misses(recording)], key=lambda event: event.frame)
     data = json.dumps(
@@ -120,18 +84,12 @@ def replay_page(
             f"<div><dt>{escape(label)}</dt><dd>{escape(value)}</dd></div>"
             for label, value in metric_rows(about.metrics)
         ),
-        "footer": "Drawn with plotly.js (MIT).",
-        "css": _asset("replay.css"),
-        "script": _asset("replay.js"),
-        "script_from": " 'self' file:" if shared else "",
-        "plotly": (
-            f'<script src="{SHARED_SCRIPT}"></script>'
-            if shared
-            else f"<script>{_plotly().get_plotlyjs()}</script>"
-        ),
+        "css": asset("replay.css"),
+        "scene": asset("scene.js"),
+        "script": asset("replay.js"),
         "data": data.replace("</", "<\\/").replace("<!--", "<\\u0021--"),
     }
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: texts[found[1]], _asset("replay.html"))
+    return re.sub(r"\{\{(\w+)\}\}", lambda found: texts[found[1]], asset("replay.html"))
 
 
 def page_data(
@@ -254,15 +212,7 @@ def _legend(recording: Recording, marked: Sequence[Event]) -> str:
     return "".join(entries)
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
+    """A file of the folder `page`."""
     folder = resources.files("swarm_envs.viewing").joinpath("page")
     return folder.joinpath(name).read_text(encoding="utf-8")
-
-
-def _plotly() -> Any:
-    try:
-        return importlib.import_module("plotly.offline")
-    except ImportError as error:
-        raise ImportError(
-            "replays are drawn with plotly; install it by: pip install 'swarm-envs[viz]'"
-        ) from error

@@ -137,7 +137,7 @@ def outcome(recording: Recording) -> str:
     if ending:
         more = f" and {len(ending) - 1} more" if len(ending) > 1 else ""
         return f"Ended in flight, at {ending[0].text}{more}."
-    return f"No success: the clock ran out after {last:.2f} s."
+    return f"No success: the time limit was reached after {last:.2f} s."
 
 
 def metric_rows(metrics: Mapping[str, Any]) -> list[tuple[str, str]]:

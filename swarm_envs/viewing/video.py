@@ -45,13 +45,13 @@ _WEAKEST_N = 0.5 * GRAM_FORCE
 _INK, _QUIET, _PAPER = "#1c2127", "#5c6670", "#ffffff"
 
 
-def count_frames(recording: Recording) -> int:
+def count_frames(recording: Recording, fps: int | None = None) -> int:
     """How many frames the film has."""
-    return math.ceil((float(recording.time[-1]) + _REST_S) * FPS) + 1
+    return math.ceil((float(recording.time[-1]) + _REST_S) * (fps or FPS)) + 1
 
 
-def film(recording: Recording) -> Iterator[npt.NDArray[np.uint8]]:
-    """Frames (544, 768, 3) of an episode at 24 a second; its end stands for another second.
+def film(recording: Recording, fps: int | None = None) -> Iterator[npt.NDArray[np.uint8]]:
+    """Frames (544, 768, 3) of an episode, 24 a second or `fps`; its end stands for another second.
 
     Raises:
         ImportError: pybullet is not installed.
@@ -61,8 +61,8 @@ def film(recording: Recording) -> Iterator[npt.NDArray[np.uint8]]:
     try:
         seen = (recording.position, recording.goal, recording.reference)
         camera.aim(np.concatenate([array.reshape(-1, 3) for array in seen]))
-        for k in range(count_frames(recording)):
-            yield _frame(camera, recording, k / FPS)
+        for k in range(count_frames(recording, fps)):
+            yield _frame(camera, recording, k / (fps or FPS))
     finally:
         camera.close()
 

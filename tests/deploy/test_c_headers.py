@@ -328,14 +328,14 @@ def test_costs_are_counted() -> None:
 def test_the_command_for_policies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, facts = tmp_path / "pilot.h", tmp_path / "facts.json"
     call = ["export", "policy", "--out", str(out)]
-    assert main([*call, "--policy", "swap-ppo", "--json", str(facts)]) == 0
+    assert main([*call, "--agent", "swap-ppo", "--json", str(facts)]) == 0
     agent = shipped("swap-ppo")
     assert out.read_text() == policy_header(agent.policy, "pilot")
     told = json.loads(facts.read_text())
     assert told["weights_sha256"] == agent.digest
     assert told["flash_bytes"] == costs(agent.policy).flash_bytes
     assert "pilot_act" in capsys.readouterr().out
-    assert main([*call, "--policy", "hover"]) == 2
+    assert main([*call, "--agent", "hover"]) == 2
     assert "'hover' is no trained policy" in capsys.readouterr().err
 
 
@@ -484,7 +484,7 @@ def test_the_commands_run_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 def test_its_c_compiles(tmp_path: Path) -> None:
     (block,) = blocks("c")
     for kind, file in (("force", "learned.h"), ("policy", "policy.h")):
-        name = ["--policy", "swap-ppo"] if kind == "policy" else []
+        name = ["--agent", "swap-ppo"] if kind == "policy" else []
         assert main(["export", kind, *name, "--out", str(tmp_path / file)]) == 0
     (tmp_path / "app.c").write_text(block)
     subprocess.run([str(COMPILER), *STRICT, "-c", "app.c"], cwd=tmp_path, check=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 OPTIONAL = {
     "parquet": ("pyarrow",),
     "film": ("imageio_ffmpeg",),
-    "viz": ("imageio_ffmpeg", "plotly", "pyarrow"),
+    "viz": ("imageio_ffmpeg", "pyarrow"),
     "train": ("torch", "stable_baselines3"),
     "tensorboard": ("tensorboard", "torch", "stable_baselines3"),
     "ray": ("ray",),

@@ -76,9 +76,8 @@ def quickstart(here: Installation) -> None:
 
 def refusals(here: Installation) -> None:
     """Without an extra, what needs it says so before any work, and which one it is."""
-    page = ("fly", "--agent", "hover", "--replay", "flight.html")
-    here.refused(*page, says="swarm-envs[viz]")
-    here.refused("fly", "--agent", "hover", "--out", "flight", says="swarm-envs[parquet]")
+    log = ("fly", "--agent", "hover", "--trajectory", "flight.parquet")
+    here.refused(*log, says="swarm-envs[parquet]")
     here.refused("train", "--out", "run", says="swarm-envs[train]")
     asked = ("evaluate", "--agent", "hover", "--episodes", 1, "--ray", "local")
     here.refused(*asked, says="swarm-envs[ray]")

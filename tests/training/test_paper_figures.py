@@ -133,7 +133,6 @@ def test_a_flight_is_a_sequence_of_arrivals():
 
 
 def test_replay_pages_are_written(tmp_path, monkeypatch):
-    pytest.importorskip("plotly")
     monkeypatch.setattr(dmpc_flights, "DRONES", 4)
     monkeypatch.setattr(dmpc_figures, "MODES", {"ours": True})
     run_quietly("dmpc-swarm", figure="4", seeds=1, out=tmp_path)

@@ -63,7 +63,7 @@ class DmpcSwarmOptions(StudyOptions):
     seeds: Count = 3
     """how many, each a run of every cell"""
     replay: bool = True
-    """write a replay page of each cell's first run; needs plotly"""
+    """write a replay page of each cell's first run"""
 
 
 OPTIONS = DmpcSwarmOptions

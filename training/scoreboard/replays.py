@@ -16,7 +16,7 @@ from swarm_envs.training.scale_out.jobs import Job
 from swarm_envs.training.scale_out.options import ScaleOptions
 from swarm_envs.training.scoreboard.board import Board, read
 from swarm_envs.training.scoreboard.tasks import make_scored
-from swarm_envs.viewing.replay import check_replay_path, share_script, write_replay
+from swarm_envs.viewing.replay import write_replay
 
 __all__ = ["record_replays"]
 
@@ -89,16 +89,13 @@ def record_replays(folder: Path, workers: int = 1) -> list[str]:
 
     Raises:
         FileNotFoundError: there is no `scores.json`.
-        ImportError: plotly, which draws the pages, is missing; the message says how to get it.
         OSError: a page cannot be written.
         ValueError: `scores.json` is damaged, or there is to be less than one worker.
     """
     scale, board = ScaleOptions(workers=workers), read(folder)
-    check_replay_path(folder / FOLDER / "any.html")
     jobs = deque(_jobs(folder, board))
     if not jobs:
         return []
-    share_script(folder / FOLDER)
     problems = []
     with scale.open() as pool, tqdm(total=len(jobs), desc="replays", unit="page") as bar:
         for outcome in pool.run(jobs):
@@ -153,7 +150,7 @@ def record_one(
         recording = record_episode(env, loaded, seed, name=agent)
     finally:
         env.close()
-    write_replay(Path(file), recording, shared=True, most_samples=MOST_SAMPLES)
+    write_replay(Path(file), recording, most_samples=MOST_SAMPLES)
     if success is None or bool(recording.about.metrics["success"]) == success:
         return None
     ended = "fails" if success else "succeeds"

@@ -108,7 +108,7 @@ def test_who_fails_is_named_and_the_others_go_on(tmp_path, mine, capsys):
     names = ["Fine", "Raises", "Nan", "Picky", "Choosy", "Five", "Unmade"]
     agents = ["hover", "swap-ppo", *(f"{mine}:{name}" for name in names)]
     out, copy = tmp_path / "out", tmp_path / "copy.json"
-    few = ["--tasks", PAIR, FOUR, "--agents", *agents, "--episodes", "4", "--json", str(copy)]
+    few = ["--task", PAIR, FOUR, "--agent", *agents, "--episodes", "4", "--json", str(copy)]
     assert benchmark(out, *few) == 1
     said = capsys.readouterr()
     assert said.out.count("FAILED") == 6
@@ -133,7 +133,7 @@ def test_who_fails_is_named_and_the_others_go_on(tmp_path, mine, capsys):
 def test_one_that_fails_scores_nothing_and_one_that_refuses_is_left_out(tmp_path, mine):
     agents = [f"{mine}:{name}" for name in ("Picky", "Raises")] + ["detour"]
     out = tmp_path / "out"
-    assert benchmark(out, "--tasks", PAIR, FOUR, "--agents", *agents, "--episodes", "2") == 1
+    assert benchmark(out, "--task", PAIR, FOUR, "--agent", *agents, "--episodes", "2") == 1
     standings = content(out)["aggregates"]["swap"]
     assert standings[agents[1]]["value"] == 0.0
     assert (standings[agents[0]]["tasks"], standings[agents[0]]["of"]) == (1, 2)
@@ -148,7 +148,7 @@ def test_the_table_has_every_episode_and_no_times(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "out"
     agents = ["swap-ppo", "detour", "formation-ppo"]
-    assert benchmark(out, "--tasks", FOUR, "ring-5-v1", "--agents", *agents, "--episodes", "3") == 0
+    assert benchmark(out, "--task", FOUR, "ring-5-v1", "--agent", *agents, "--episodes", "3") == 0
     table = parquet.read_table(out / "episodes.parquet").to_pylist()
     timing = parquet.read_table(out / "timing.parquet").to_pylist()
     assert not [name for name in table[0] if "act_us" in name]
@@ -164,7 +164,7 @@ def test_the_table_has_every_episode_and_no_times(tmp_path):
 
 
 def test_processes_and_a_second_run_give_the_bytes_of_one(tmp_path, mine, capsys):
-    few = ["--tasks", PAIR, FOUR, "--episodes", "20", "--table", "csv", "--agents"]
+    few = ["--task", PAIR, FOUR, "--episodes", "20", "--table", "csv", "--agent"]
     few += ["swap-ppo", "straight-line", "swap-ppo-8", f"{mine}:Nan", f"{mine}:Choosy"]
     outs = [tmp_path / "one", tmp_path / "two"]
     assert benchmark(outs[0], *few) == benchmark(outs[1], *few, "--workers", "2") == 1
@@ -179,7 +179,7 @@ def test_processes_and_a_second_run_give_the_bytes_of_one(tmp_path, mine, capsys
 
 
 def test_another_config_is_refused_by_what_differs(tmp_path, mine, capsys):
-    out, few = tmp_path / "out", ["--tasks", PAIR, "--episodes", "1", "--table", "csv", "--agents"]
+    out, few = tmp_path / "out", ["--task", PAIR, "--episodes", "1", "--table", "csv", "--agent"]
     assert benchmark(out, *few, f"{mine}:Fine") == 0
     before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
     assert benchmark(out, *few, f"{mine}:Fine", "hover") == 2
@@ -194,7 +194,7 @@ def test_another_config_is_refused_by_what_differs(tmp_path, mine, capsys):
 
 def test_parquet_without_pyarrow_is_refused_before_anything_flies(tmp_path, monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    assert benchmark(tmp_path / "out", "--agents", "hover") == 1
+    assert benchmark(tmp_path / "out", "--agent", "hover") == 1
     assert "swarm-envs[parquet]" in capsys.readouterr().err
     assert not list((tmp_path / "out").glob("*.json"))
 
@@ -241,7 +241,7 @@ def test_what_cannot_be_flown_or_reported_is_misuse(tmp_path, capsys):
     (tmp_path / "scores.json").write_text("{}")
     misused("--report", tmp_path, said="format is missing")
     misused(said="either --out DIR, to fly, or --report DIR")
-    misused("--out", tmp_path / "none", "--agents", "swap-pop", said="did you mean 'swap-ppo'")
+    misused("--out", tmp_path / "none", "--agent", "swap-pop", said="did you mean 'swap-ppo'")
     misused("--out", tmp_path / "none", "--quick", "--episodes", "3", said="give one")
     misused("--out", tmp_path / "none", "--json", "out.txt", said="must end in .json")
     misused("--out", tmp_path, "--report", tmp_path, said="either --out DIR")

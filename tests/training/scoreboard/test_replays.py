@@ -91,14 +91,12 @@ def shown(path):
 
 
 def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_path):
-    pytest.importorskip("plotly")
     folder = small_board(tmp_path, "hover", "random")
     assert replays.record_replays(folder) == []
     pages = sorted((folder / "replays").glob("*.html"))
     assert [p.name for p in pages] == [
         "swap-circle-2-v1--hover.html", "swap-circle-2-v1--random.html"
     ]  # fmt: skip
-    assert (folder / "replays" / "plotly.js").stat().st_size > 1e6
     assert all(p.stat().st_size < 60_000 for p in pages)
 
     env = swap_v0.parallel_env(**OPTIONS, **load("random").requires)
@@ -119,7 +117,6 @@ def test_pages_show_the_episode_are_kept_and_flown_again_only_if_missing(tmp_pat
 
 
 def test_what_goes_wrong_is_said_and_the_others_are_there(tmp_path):
-    pytest.importorskip("plotly")
     folder = small_board(tmp_path, "hover", "hoover")
     scored = json.loads((folder / "scores.json").read_text())
     scored["cells"][0]["replay"]["success"] = True
@@ -128,9 +125,3 @@ def test_what_goes_wrong_is_said_and_the_others_are_there(tmp_path):
     assert re.match(r"hover on swap-circle-2-v1: .* seed 11 fails now, unlike", unlike)
     assert re.match(r"hoover on swap-circle-2-v1: ValueError: .*'hover'", unknown)
     assert (folder / "replays" / "swap-circle-2-v1--hover.html").is_file()
-
-
-def test_without_plotly_it_is_said_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "plotly.offline", None)
-    with pytest.raises(ImportError, match=r"swarm-envs\[viz\]"):
-        replays.record_replays(small_board(tmp_path, "hover"))

@@ -17,7 +17,7 @@ TASK = "swap-circle-2-v2"
 
 
 def flown(out: Path, agents: list[str], *more: str) -> dict[str, Any]:
-    options = ["--no-replays", "--table", "csv", "--tasks", TASK, "--agents", *agents, *more]
+    options = ["--no-replays", "--table", "csv", "--task", TASK, "--agent", *agents, *more]
     assert main(["benchmark", "--out", str(out), *options]) == 0
     found: dict[str, Any] = json.loads((out / "scores.json").read_text())
     return found
