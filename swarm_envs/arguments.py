@@ -27,7 +27,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, Protocol, TypeVar, Union, cast
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -80,13 +80,6 @@ class Kind(NamedTuple):
     def has_type(self, value: object) -> bool:
         """Whether a value has the right type, whatever its size."""
         return (self.typed or self.fits)(value)
-
-
-class Rule(Protocol):
-    """What a value must be beyond its type: metadata of `Annotated`."""
-
-    def restrict(self, kind: Kind) -> Kind:
-        """The kind of those values that keep the rule, too."""
 
 
 @dataclass(frozen=True)

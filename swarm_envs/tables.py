@@ -25,7 +25,7 @@ __all__ = [
     "CONTACT_COLUMNS",
     "CONTACT_VALUES",
     "CONTROLLER_END",
-    "HALL_END",
+    "HALL_ENDS",
     "LANES",
     "RESET_COLUMNS",
     "RESET_VALUES",
@@ -160,20 +160,9 @@ _ADAPTATION = (
 )
 """What an adaptive tracking loop remembers as well."""
 
-_HALL = (
-    Field(
-        "residual_process",
-        (3,),
-        "",
-        None,
-        "Random process of unit variance.",
-    ),
-    Field("residual_quiet", (), "N", None, "Its standard deviation where no force is modelled."),
-    Field("residual_more", (), "N", None, "What it grows by where that force is large."),
-    Field("residual_half", (), "N", None, "Modelled force at which it has grown by half of that."),
-    Field("residual_alone", (), "N", None, "Its standard deviation where nobody is near."),
+_HALL_VARIES = (
+    Field("residual_process", (3,), "", None, "Random process of unit variance."),
     Field("company", (), "", 0.0, "1 if another drone was in the interaction volume."),
-    Field("force_offset", (), "N", None, "Constant vertical force that no model knows."),
     Field("frame_phase", (), "", None, "Share of a frame's time since the last one arrived."),
     Field("position_error", (3,), "m", 0.0, "Error of the estimated position."),
     Field("velocity_error", (3,), "m/s", 0.0, "Error of the estimated velocity."),
@@ -183,6 +172,15 @@ _HALL = (
 )
 """What the world "hall" adds: air that no model knows, and errors of the estimated state; and the
 torque of option `interaction_torque`."""
+
+_HALL_STAYS = (
+    Field("residual_quiet", (), "N", None, "Random force, its standard deviation without a wake."),
+    Field("residual_more", (), "N", None, "What it grows by where the modelled force is large."),
+    Field("residual_half", (), "N", None, "Modelled force at which it has grown by half of that."),
+    Field("residual_alone", (), "N", None, "Its standard deviation where nobody is near."),
+    Field("force_offset", (), "N", None, "Constant vertical force that no model knows."),
+)
+"""What the hall draws for an episode: physics steps read it."""
 
 _EPISODE = (
     Field("battery_capacity", (), "A s", None, "Charge of a full battery."),
@@ -231,7 +229,8 @@ DRONE = (
     *_CONTROLLER,
     *_VEHICLE,
     *_ADAPTATION,
-    *_HALL,
+    *_HALL_VARIES,
+    *_HALL_STAYS,
     *_EPISODE,
 )
 """Every quantity of a drone."""
@@ -342,10 +341,10 @@ _SCRATCH = (
     Field("old_velocity", (3,), "m/s", None, "Velocity one step ago."),
     Field("old_feedforward", (3,), "N", None, "Interaction force compensated one step ago."),
     Field("stream", (), "", None, "Where the stream of random numbers of a drone is.", np.uint64),
-    Field("true_position", (3,), "m", None, "Position, while the block holds the estimate."),
-    Field("true_quaternion", (4,), "", None, "Attitude, likewise."),
-    Field("true_velocity", (3,), "m/s", None, "Velocity, likewise."),
-    Field("true_angular_velocity", (3,), "rad/s", None, "Angular velocity, likewise."),
+    Field("seen_position", (3,), "m", None, "Position as estimated in the hall."),
+    Field("seen_quaternion", (4,), "", None, "Attitude, likewise."),
+    Field("seen_velocity", (3,), "m/s", None, "Velocity, likewise."),
+    Field("seen_angular_velocity", (3,), "rad/s", None, "Angular velocity, likewise."),
 )
 """What a block has beside the columns of the drones."""
 
@@ -373,7 +372,18 @@ ENVIRONMENT_TYPE = record_type(ENVIRONMENT)
 SETTINGS_TYPE = record_type(SETTINGS)
 """The settings: one record."""
 BLOCK_TYPE = record_type(
-    (*_BODY, *_CONTACT, *_METRICS, *_CONTROLLER, *_VEHICLE, *_ADAPTATION, *_HALL, *_SCRATCH), LANES
+    (
+        *_BODY,
+        *_CONTACT,
+        *_METRICS,
+        *_CONTROLLER,
+        *_VEHICLE,
+        *_ADAPTATION,
+        *_HALL_VARIES,
+        *_HALL_STAYS,
+        *_SCRATCH,
+    ),
+    LANES,
 )
 """What a physics step knows of `LANES` drones."""
 
@@ -390,8 +400,10 @@ VEHICLE_END = CONTROLLER_END + _columns(_VEHICLE)
 """Columns from `CONTROLLER_END` to this one are never written back by physics steps."""
 ADAPTATION_END = VEHICLE_END + _columns(_ADAPTATION)
 """Columns from `VEHICLE_END` to this one belong to the adaptation of the tracking loop."""
-HALL_END = ADAPTATION_END + _columns(_HALL)
-"""Columns from `ADAPTATION_END` to this one belong to the world "hall"."""
+_HALL_CHANGED = ADAPTATION_END + _columns(_HALL_VARIES)
+HALL_ENDS = (_HALL_CHANGED, _HALL_CHANGED + _columns(_HALL_STAYS))
+"""Columns from `ADAPTATION_END` to the first are what changes in the world "hall"; those from there
+to the second are never written back by physics steps."""
 ACTIVE = int(dict(DRONE_TYPE.fields or ())["active"][1]) // 8
 """Column that says whether a drone still flies."""
 

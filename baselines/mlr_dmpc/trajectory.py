@@ -64,11 +64,6 @@ class Trajectory:
             rounded.flags.writeable = False
             object.__setattr__(self, name, rounded)
 
-    @property
-    def duration_s(self) -> float:
-        """From its start to where it rests, s."""
-        return len(self.jerk) * self.input_sampling_s
-
     def states(self, times: FloatArray) -> FloatArray:
         """States (T, 3, 3), position, velocity and acceleration, at times (T,) since its start, s.
 

@@ -79,9 +79,8 @@ def program(
     on that keeps its distances, if there is one; these rows then are as wide as that needs. Bounds
     are those of what is flown, or each solution would wear them down a little more.
 
-    No row asks for all that the plan that is flown gives, so that plan stays feasible, although its
-    state is rounded at the new start. As an instant is planned for at most every second round of
-    the horizon, what roundings give away stays below the margins that bounds and rows begin with.
+    The plan that is flown stays feasible although its state is rounded at the new start: see
+    `_asked`.
     """
     fixed = condensed(config)
     since = config.round_s * (start_round - own.identity.start_round)
@@ -99,11 +98,10 @@ def program(
     offset = np.array(state)
     offset[0] -= target
     weights = soft_weights(positions[-1], target, neighbors.positions[:, -1], config)
-    build = HalfSpaces(
-        spaces.normals, spaces.offsets + np.minimum(ROW_MARGIN, slack - _ROW_ROUNDING)
-    )
-    lower = np.minimum(fixed.lower + _BOUND_MARGIN, bounded - _BOUND_ROUNDING)
-    upper = np.maximum(fixed.upper - _BOUND_MARGIN, bounded + _BOUND_ROUNDING)
+    rounding = _ROW_ROUNDING if around is None else 0.0
+    build = HalfSpaces(spaces.normals, spaces.offsets + _asked(slack, ROW_MARGIN, rounding))
+    lower = fixed.lower + _asked(bounded - fixed.lower, _BOUND_MARGIN, _BOUND_ROUNDING)
+    upper = fixed.upper - _asked(fixed.upper - bounded, _BOUND_MARGIN, _BOUND_ROUNDING)
     rows = _program_rows(fixed, state, build, weights, config, (lower, upper))
     return Program(
         state,
@@ -117,6 +115,17 @@ def program(
         np.maximum(fixed.upper + TOLERANCE, bounded),
         max(round(_STRIDE_S / config.collision_sampling_s), 1),
     )
+
+
+def _asked(slack: FloatArray, margin: float, rounding: float) -> FloatArray:
+    """What rows ask for beyond their offsets: a margin, or what is flown gives less its rounding.
+
+    As an instant is planned for at most every second round of the horizon, roundings seldom use up
+    the margin. Where they have, a row asks for nothing beyond its offset, or for a little more than
+    what is flown gives: for less, the optimum would be refused, round after round.
+    """
+    worn = np.minimum(slack + _ROW_ROUNDING, 0.0)
+    return np.asarray(np.minimum(margin, np.maximum(slack - rounding, worn)))
 
 
 def _take_planes(

@@ -1,8 +1,9 @@
 """The tracking controller of Neural-Swarm2, Sec. VI, in NumPy: one drone, one step, to read.
 
 Written from the equations of the paper (numbers of version 1) in the order in which it derives
-them, with rotation matrices and no compiled code. The loop that environments run,
-`swarm_envs.control.loop`, agrees with it to rounding; a test holds them together.
+them, with rotation matrices. The loop that environments run, `swarm_envs.control.loop`, agrees with
+it to rounding; a test holds them together. How rotors share thrust and torque, `mix_rotors`, is no
+equation of the paper, and the loop's own.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from swarm_envs.control.config import ControllerConfig
+from swarm_envs.control.loop import mix_rotors
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
 
@@ -124,7 +126,10 @@ class NumpyTrackingController:
         thrust_derivative = float(self.thrust_derivative.update(np.asarray(thrust)))
         if self.config.lag_compensation:  # eq. (22); the torque's share is in desired_torque
             thrust = thrust + thrust_derivative / self.vehicle.motor_rate
-        return self.mix(float(thrust), torque)
+        x, y, z = torque.tolist()
+        vehicle, offset = self.vehicle, self.vehicle.arm / math.sqrt(2.0)
+        limits = (vehicle.max_rotor_thrust, offset, vehicle.thrust_to_torque)
+        return np.array(list(mix_rotors(float(thrust), x, y, z, *limits)))
 
     def desired_force(
         self,
@@ -208,48 +213,3 @@ class NumpyTrackingController:
         if c.lag_compensation:
             torque = torque - rate_gain / self.vehicle.motor_rate * derivative
         return np.asarray(torque)
-
-    def mix(self, thrust: float, torque: FloatArray) -> FloatArray:
-        """Rotor thrusts (4,), N, in their range: roll and pitch before thrust before yaw."""
-        d = self.vehicle.arm / math.sqrt(2.0)
-        k = self.vehicle.thrust_to_torque
-        wrench_of_rotors = np.array([[1, 1, 1, 1], [-d, -d, d, d], [-d, d, d, -d], [-k, k, -k, k]])
-        from_wrench = np.linalg.inv(wrench_of_rotors)
-        largest = self.vehicle.max_rotor_thrust
-
-        tilting = from_wrench @ np.array([0.0, torque[0], torque[1], 0.0])
-        span = tilting.max() - tilting.min()
-        if span > largest:
-            tilting = tilting * (largest / span)
-        turning = from_wrench @ np.array([0.0, 0.0, 0.0, torque[2]])
-        base, share = nearest_base(thrust / 4.0, tilting, turning, largest)
-        return np.asarray(np.clip(base + tilting + share * turning, 0.0, largest))
-
-
-def nearest_base(
-    wanted: float, tilting: FloatArray, turning: FloatArray, largest: float
-) -> tuple[float, float]:
-    """Base thrust of all rotors, N, nearest to a wanted one, and the largest share of yaw with it.
-
-    Rotor i gives base + tilting[i] + share * turning[i], which must lie in [0, largest], with a
-    share in [0, 1]. In the plane of share and base these are straight lines; what is sought lies
-    where two of them, or one and the wanted base, cross. So every crossing is tried.
-    """
-    heights = np.concatenate([-tilting, largest - tilting, [wanted]])
-    slopes = np.concatenate([-turning, -turning, [0.0]])
-    shares = {0.0, 1.0}
-    for i in range(9):
-        for j in range(i):
-            if slopes[i] != slopes[j]:
-                shares.add(float((heights[j] - heights[i]) / (slopes[i] - slopes[j])))
-    best = (math.inf, 0.0, wanted)
-    rounding = 1e-12 * largest
-    for share in sorted(share for share in shares if 0.0 <= share <= 1.0):
-        lowest = float(np.max(heights[:4] + share * slopes[:4]))
-        highest = float(np.min(heights[4:8] + share * slopes[4:8]))
-        if lowest > highest + rounding:
-            continue
-        base = max(lowest, min(wanted, highest))
-        if abs(base - wanted) <= best[0] + rounding:
-            best = (abs(base - wanted), share, base)
-    return best[2], best[1]

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from swarm_envs.compiled import equation, part
 from swarm_envs.control.config import LAST_LAYER
-from swarm_envs.control.loop import four
+from swarm_envs.control.loop import four, seen_state
 from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
@@ -28,7 +28,7 @@ __all__ = ["adapt"]
 
 
 @part
-def adapt(blocks: Records, count: int, settings: Records) -> None:
+def adapt(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
     """Make one step of the adaptation for the first `count` blocks: `adaptive_force` is written.
 
     Args:
@@ -36,15 +36,16 @@ def adapt(blocks: Records, count: int, settings: Records) -> None:
             fed forward now; their commands are those of the last step.
         count: how many of them.
         settings: (1,) which adaptation, and its gains.
+        hall: True in the world "hall", else None.
     """
-    find_residual(blocks, count, settings)
+    find_residual(blocks, count, settings, hall)
     filter_residual(blocks, count, settings)
     if settings[0].adaptation == LAST_LAYER:
-        learn_last_layer(blocks, count, settings)
+        learn_last_layer(blocks, count, settings, hall)
 
 
 @part
-def find_residual(blocks: Records, count: int, settings: Records) -> None:
+def find_residual(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
     """Write `residual`, m (dv/dt + g) - T z - f_hat over the last step, N; 0 in the first one.
 
     The acceleration is the difference of the velocities. T is the thrust that the nominal motors
@@ -55,9 +56,10 @@ def find_residual(blocks: Records, count: int, settings: Records) -> None:
     per_step = 1.0 / settings[0].step
     for n in range(count):
         b = blocks[n]
+        _, velocity, attitude, _ = seen_state(b, hall)
         for lane in range(LANES):
             mass, started = b.nominal_mass[lane], b.started[lane]
-            x, y, z, w = four(b.quaternion, lane)
+            x, y, z, w = four(attitude, lane)
             command = 0.0
             for r in range(4):
                 command += b.commands[r, lane]
@@ -66,7 +68,7 @@ def find_residual(blocks: Records, count: int, settings: Records) -> None:
             b.nominal_thrust[lane] = thrust
             for k in range(3):
                 v, old_v, old_f = (
-                    b.velocity[k, lane],
+                    velocity[k, lane],
                     b.last_velocity[k, lane],
                     b.last_feedforward[k, lane],
                 )
@@ -115,17 +117,20 @@ def filter_residual(blocks: Records, count: int, settings: Records) -> None:
 
 
 @part
-def learn_last_layer(blocks: Records, count: int, settings: Records) -> None:
+def learn_last_layer(
+    blocks: Records, count: int, settings: Records, hall: bool | None = None
+) -> None:
     """Neural-Fly: coefficients of a basis in each axis, see `learn_axis`."""
     s = settings[0]
     rates = s.step, s.position_gain, s.adaptive_kept, s.adaptive_noise
     drift = s.adaptive_drift[0], s.adaptive_drift[1], s.adaptive_drift[2]
     for n in range(count):
         b = blocks[n]
+        position, velocity, _, _ = seen_state(b, hall)
         for lane in range(LANES):  # called thrice: LLVM does not unroll so long a loop over axes
-            learn_axis(b, 0, lane, rates, drift)
-            learn_axis(b, 1, lane, rates, drift)
-            learn_axis(b, 2, lane, rates, drift)
+            learn_axis(b, 0, lane, position, velocity, rates, drift)
+            learn_axis(b, 1, lane, position, velocity, rates, drift)
+            learn_axis(b, 2, lane, position, velocity, rates, drift)
 
 
 @equation
@@ -133,6 +138,8 @@ def learn_axis(
     b: Record,
     k: int,
     lane: int,
+    position: Record,
+    velocity: Record,
     rates: tuple[float, float, float, float],
     drift: tuple[float, float, float],
 ) -> None:
@@ -166,10 +173,10 @@ def learn_axis(
     p00, p01, p02 = p00 - g0 * h0, p01 - g0 * h1, p02 - g0 * h2
     p11, p12, p22 = p11 - g1 * h1, p12 - g1 * h2, p22 - g2 * h2
 
-    x, y = per_mass * b.feedforward_force[k, lane], b.velocity[k, lane]
+    x, y = per_mass * b.feedforward_force[k, lane], velocity[k, lane]
     g0, g1, g2 = p00 * x + p01 * y + p02, p01 * x + p11 * y + p12, p02 * x + p12 * y + p22
     v_d, p_d = b.setpoint_velocity[k, lane], b.setpoint_position[k, lane]
-    moved = step * (y - (v_d - kp * (b.position[k, lane] - p_d)))
+    moved = step * (y - (v_d - kp * (position[k, lane] - p_d)))
     a0, a1, a2 = a0 + g0 * moved, a1 + g1 * moved, a2 + g2 * moved
     a[k, 0, lane], a[k, 1, lane], a[k, 2, lane] = a0, a1, a2
     c[k, 0, lane], c[k, 1, lane], c[k, 2, lane] = p00, p01, p02

@@ -16,7 +16,7 @@ from swarm_envs.compiled import equation, part
 from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
-__all__ = ["four", "hold_rates", "three", "track"]
+__all__ = ["four", "hold_rates", "mix_rotors", "three", "track"]
 
 Vector = tuple[float, float, float]
 """x, y, z."""
@@ -34,6 +34,19 @@ def three(field: Record, lane: int) -> Vector:
 def four(field: Record, lane: int) -> Quaternion:
     """The four numbers that a field of a block has in a lane."""
     return field[0, lane], field[1, lane], field[2, lane], field[3, lane]
+
+
+@equation
+def seen_state(b: Record, hall: bool | None) -> tuple[Record, Record, Record, Record]:
+    """Position, velocity, attitude and angular velocity of a block that the controller is given.
+
+    Args:
+        b: record of `LANES` drones.
+        hall: True in the world "hall", where they are estimated, else None.
+    """
+    if hall is None:
+        return b.position, b.velocity, b.quaternion, b.angular_velocity
+    return b.seen_position, b.seen_velocity, b.seen_quaternion, b.seen_angular_velocity
 
 
 @equation
@@ -117,7 +130,13 @@ def mix_rotors(
 
 
 @part
-def track(blocks: Records, count: int, settings: Records, adaptive: bool | None) -> None:
+def track(
+    blocks: Records,
+    count: int,
+    settings: Records,
+    adaptive: bool | None,
+    hall: bool | None = None,
+) -> None:
     """Make one step of position and attitude loop for every drone of the first `count` blocks.
 
     Args:
@@ -127,6 +146,7 @@ def track(blocks: Records, count: int, settings: Records, adaptive: bool | None)
         settings: (1,) gains. They are read here, once: inside of the lane loop they would keep it
             from becoming vector instructions.
         adaptive: True if what `adapt` estimates is compensated as well, else None.
+        hall: True in the world "hall", else None.
     """
     s = settings[0]
     step, per_step, lead = s.step, 1.0 / s.step, s.lead  # a division takes as long as ten sums
@@ -136,6 +156,7 @@ def track(blocks: Records, count: int, settings: Records, adaptive: bool | None)
     least = s.min_vertical_thrust_fraction
     for n in range(count):
         b = blocks[n]
+        position, velocity, attitude, angular_velocity = seen_state(b, hall)
         # Trigonometric functions are no vector instructions: they are left out where none yaws.
         largest_yaw = 0.0
         for lane in range(LANES):
@@ -149,17 +170,17 @@ def track(blocks: Records, count: int, settings: Records, adaptive: bool | None)
         for lane in range(LANES):
             # The desired force along each world axis without gravity and f_hat: eqs. (18) and (19).
             for k in range(3):
-                v, v_d = b.velocity[k, lane], b.setpoint_velocity[k, lane]
+                v, v_d = velocity[k, lane], b.setpoint_velocity[k, lane]
                 a_d, p_d = b.setpoint_acceleration[k, lane], b.setpoint_position[k, lane]
-                error = v - (v_d - kp * (b.position[k, lane] - p_d))
+                error = v - (v_d - kp * (position[k, lane] - p_d))
                 reference_rate = a_d - kp * (v - v_d)
                 integral = b.velocity_integral[k, lane] + error * step
                 integral = min(max(integral, -limit), limit)
                 b.velocity_integral[k, lane] = integral
                 feedback = reference_rate - (kv + ki) * error - kv * ki * integral
                 b.desired_force[k, lane] = b.nominal_mass[lane] * feedback
-            q = four(b.quaternion, lane)
-            omega = rotate_back(q, three(b.angular_velocity, lane))
+            q = four(attitude, lane)
+            omega = rotate_back(q, three(angular_velocity, lane))
             started, weight = b.started[lane], b.nominal_mass[lane] * GRAVITY
 
             # The vertical part of the force is kept positive: it always points up.
@@ -228,7 +249,7 @@ def track(blocks: Records, count: int, settings: Records, adaptive: bool | None)
 
 
 @part
-def hold_rates(blocks: Records, count: int, settings: Records) -> None:
+def hold_rates(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:
     """Make one step of the rate loop for the first `count` blocks, towards `asked`: eq. (21).
 
     The derivative of the body rates asked for is `asked_change`, which is 0 unless `track` writes
@@ -239,6 +260,7 @@ def hold_rates(blocks: Records, count: int, settings: Records) -> None:
         blocks: records of `LANES` drones; rotor commands and the loop's memory are written.
         count: how many of them.
         settings: (1,) gains.
+        hall: True in the world "hall", else None.
     """
     s = settings[0]
     step, per_step, lead, limit = s.step, 1.0 / s.step, s.lead, s.rate_integral_limit
@@ -246,8 +268,9 @@ def hold_rates(blocks: Records, count: int, settings: Records) -> None:
     tilt_integral, yaw_integral = s.rate_integral_tilt, s.rate_integral_yaw
     for n in range(count):
         b = blocks[n]
+        _, _, attitude, angular_velocity = seen_state(b, hall)
         for lane in range(LANES):
-            q, w = four(b.quaternion, lane), three(b.angular_velocity, lane)
+            q, w = four(attitude, lane), three(angular_velocity, lane)
             b.body_rate[0, lane], b.body_rate[1, lane], b.body_rate[2, lane] = rotate_back(q, w)
             for k in range(3):
                 gain, integral_gain = (tilt, tilt_integral) if k < 2 else (yaw, yaw_integral)

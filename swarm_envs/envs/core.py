@@ -23,7 +23,6 @@ from swarm_envs.envs.observation import (
     Float32Array,
     observation_width,
     sense,
-    sense_in_hall,
     write_observations,
 )
 from swarm_envs.envs.randomization import draw_vehicles
@@ -32,6 +31,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.forces import all_forces
 from swarm_envs.neighbors import FEW
 from swarm_envs.physics import BatchPhysics, BulletPhysics, Physics
+from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import PHYSICS_RATE
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import SENSED_TYPE, World, as_columns

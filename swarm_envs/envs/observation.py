@@ -18,7 +18,6 @@ from swarm_envs.compiled import kernel, part
 from swarm_envs.neighbors import nearest, nearest_sorted, sort_along_x
 from swarm_envs.noise import normal
 from swarm_envs.physics.contact import nearest_point
-from swarm_envs.physics.hall_lanes import turned
 from swarm_envs.physics.rigid_body import rotation_entries
 from swarm_envs.physics.step import SETPOINTS
 from swarm_envs.state import BoolArray, FloatArray, IntArray
@@ -251,34 +250,6 @@ def sense(
             norm = np.sqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
             for k in range(4):
                 q[k] /= norm
-                o.rotor_thrust[k] = d.rotor_thrust[k]
-            o.battery, o.rotor_limit = d.battery, d.rotor_limit
-
-
-@kernel
-def sense_in_hall(first: int, last: int, drones: Records, mask: BoolArray, out: Records) -> None:
-    """Write the state as drones of the world `"hall"` estimate it; rotors and batteries are known.
-
-    Args:
-        first: the first environment to look at.
-        last: one past the last.
-        drones: (E, N) records: the true state, and the errors of its estimate.
-        mask: (E,) environments to look at.
-        out: (E, N) records, written.
-    """
-    for e in range(first, last):
-        if not mask[e]:
-            continue
-        for i in range(drones.shape[1]):
-            d, o = drones[e, i], out[e, i]
-            a, q = d.attitude_error, d.quaternion
-            x, y, z, w = turned((q[0], q[1], q[2], q[3]), (a[0], a[1], a[2]))
-            o.quaternion[0], o.quaternion[1], o.quaternion[2], o.quaternion[3] = x, y, z, w
-            for k in range(3):
-                o.position[k] = d.position[k] + d.position_error[k]
-                o.velocity[k] = d.velocity[k] + d.velocity_error[k]
-                o.angular_velocity[k] = d.angular_velocity[k] + d.gyro_error[k]
-            for k in range(4):
                 o.rotor_thrust[k] = d.rotor_thrust[k]
             o.battery, o.rotor_limit = d.battery, d.rotor_limit
 

@@ -370,7 +370,7 @@ class Physics:
         if external_force is not None:
             drones["external"] = external_force
         self._advance()
-        if external_force is not None:
+        if external_force is not None or self.hall is not None:
             drones["external"] = 0.0  # it pushes in this step alone
         return self.state
 

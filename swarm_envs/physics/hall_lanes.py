@@ -9,22 +9,22 @@ what is kept and advanced; the estimate is the truth plus its error. With n stan
 2. a frame of age d: i = -v d + s n - e_p, e_p += K_p i, e_v += K_v i; the same for e_q with the
    angular velocity. Over the delay a drone is taken to go straight on.
 
-While the controller works, the block holds the estimate in place of the truth.
+The controller is given the estimate, which `see` writes.
 """
 
 from __future__ import annotations
 
 import math
 
-from swarm_envs.compiled import equation, part
+from swarm_envs.compiled import equation, kernel, part
 from swarm_envs.control.loop import four, three
 from swarm_envs.interactions.packed import Scratch
 from swarm_envs.noise import even_number, moved, pair_of_normals, stream_of
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.state import FloatArray, IntArray
-from swarm_envs.tables import ADAPTATION_END, HALL_END, LANES, Records
+from swarm_envs.state import BoolArray, FloatArray, IntArray
+from swarm_envs.tables import ADAPTATION_END, HALL_ENDS, LANES, Records
 
-__all__ = ["turned"]
+__all__ = ["sense_in_hall"]
 
 DRAWS = 9
 """Random numbers of 64 bits that a drone takes in a physics step."""
@@ -63,7 +63,7 @@ def load_hall(
         e = members[place]
         for i in range(drones):
             row, n, lane = columns[e, i], slot // LANES, slot % LANES
-            for c in range(ADAPTATION_END, HALL_END):
+            for c in range(ADAPTATION_END, HALL_ENDS[1]):
                 tile[n, c, lane] = row[c]
             first = stream_of(environments[e].hall_key, i)
             blocks[n].stream[lane] = moved(first, environments[e].age * DRAWS)
@@ -77,7 +77,7 @@ def store_hall(columns: FloatArray, members: IntArray, count: int, tile: FloatAr
     for place in range(count):
         for i in range(drones):
             row = columns[members[place], i]
-            for c in range(ADAPTATION_END, HALL_END):
+            for c in range(ADAPTATION_END, HALL_ENDS[0]):
                 row[c] = tile[slot // LANES, c, slot % LANES]
             slot += 1
 
@@ -93,9 +93,10 @@ def find_company(count: int, drones: int, due: IntArray, blocks: Records, scratc
         blocks: records of `LANES` drones.
         scratch: of the force model, which lists the pairs.
     """
-    for at in range(count * drones):
-        slot = due[at // drones] * drones + at % drones
-        blocks[slot // LANES].company[slot % LANES] = 0.0
+    for place in range(count):
+        for i in range(drones):
+            slot = due[place] * drones + i
+            blocks[slot // LANES].company[slot % LANES] = 0.0
     for at in range(scratch.counters[0]["pairs"]):
         i = scratch.pairs[at]["i"]
         slot = due[i // drones] * drones + i % drones
@@ -192,35 +193,44 @@ def estimate(blocks: Records, count: int, settings: Records) -> None:
 
 
 @part
-def use_estimate(blocks: Records, count: int) -> None:
-    """Put the estimate in the place of the truth, which is kept aside."""
+def see(blocks: Records, count: int) -> None:
+    """Write the estimate that the controller is given."""
     for n in range(count):
         b = blocks[n]
         for lane in range(LANES):
             for k in range(3):
-                b.true_position[k, lane] = b.position[k, lane]
-                b.true_velocity[k, lane] = b.velocity[k, lane]
-                b.true_angular_velocity[k, lane] = b.angular_velocity[k, lane]
-                b.position[k, lane] += b.position_error[k, lane]
-                b.velocity[k, lane] += b.velocity_error[k, lane]
-                b.angular_velocity[k, lane] += b.gyro_error[k, lane]
-            q = four(b.quaternion, lane)
-            x, y, z, w = turned(q, three(b.attitude_error, lane))
-            for k in range(4):
-                b.true_quaternion[k, lane] = b.quaternion[k, lane]
-            b.quaternion[0, lane], b.quaternion[1, lane] = x, y
-            b.quaternion[2, lane], b.quaternion[3, lane] = z, w
+                b.seen_position[k, lane] = b.position[k, lane] + b.position_error[k, lane]
+                b.seen_velocity[k, lane] = b.velocity[k, lane] + b.velocity_error[k, lane]
+                rate = b.angular_velocity[k, lane] + b.gyro_error[k, lane]
+                b.seen_angular_velocity[k, lane] = rate
+            x, y, z, w = turned(four(b.quaternion, lane), three(b.attitude_error, lane))
+            b.seen_quaternion[0, lane], b.seen_quaternion[1, lane] = x, y
+            b.seen_quaternion[2, lane], b.seen_quaternion[3, lane] = z, w
 
 
-@part
-def use_truth(blocks: Records, count: int) -> None:
-    """Put the truth back, to the last bit."""
-    for n in range(count):
-        b = blocks[n]
-        for lane in range(LANES):
+@kernel
+def sense_in_hall(first: int, last: int, drones: Records, mask: BoolArray, out: Records) -> None:
+    """Write the state as drones of the world `"hall"` estimate it; rotors and batteries are known.
+
+    Args:
+        first: the first environment to look at.
+        last: one past the last.
+        drones: (E, N) records: the true state, and the errors of its estimate.
+        mask: (E,) environments to look at.
+        out: (E, N) records, written.
+    """
+    for e in range(first, last):
+        if not mask[e]:
+            continue
+        for i in range(drones.shape[1]):
+            d, o = drones[e, i], out[e, i]
+            a, q = d.attitude_error, d.quaternion
+            x, y, z, w = turned((q[0], q[1], q[2], q[3]), (a[0], a[1], a[2]))
+            o.quaternion[0], o.quaternion[1], o.quaternion[2], o.quaternion[3] = x, y, z, w
             for k in range(3):
-                b.position[k, lane] = b.true_position[k, lane]
-                b.velocity[k, lane] = b.true_velocity[k, lane]
-                b.angular_velocity[k, lane] = b.true_angular_velocity[k, lane]
+                o.position[k] = d.position[k] + d.position_error[k]
+                o.velocity[k] = d.velocity[k] + d.velocity_error[k]
+                o.angular_velocity[k] = d.angular_velocity[k] + d.gyro_error[k]
             for k in range(4):
-                b.quaternion[k, lane] = b.true_quaternion[k, lane]
+                o.rotor_thrust[k] = d.rotor_thrust[k]
+            o.battery, o.rotor_limit = d.battery, d.rotor_limit

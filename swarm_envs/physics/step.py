@@ -37,9 +37,8 @@ from swarm_envs.physics.hall_lanes import (
     estimate,
     find_company,
     load_hall,
+    see,
     store_hall,
-    use_estimate,
-    use_truth,
 )
 from swarm_envs.physics.rigid_body import (
     TIME_STEP,
@@ -164,15 +163,28 @@ def store_tile(
 
 
 @part
-def gather(count: int, drones: int, compensated: bool, work: Work, scratch: Scratch) -> None:
-    """Tell a force model which drones are at the places `work.due[:count]`, and where."""
+def gather(
+    count: int, drones: int, compensated: bool, hall: bool | None, work: Work, scratch: Scratch
+) -> None:
+    """Tell a force model which drones are at the places `work.due[:count]`, and where.
+
+    Args:
+        count: how many places.
+        drones: N.
+        compensated: whether the controller compensates these forces, or they act.
+        hall: True if drones are where the hall's estimate says, else None.
+        work: its blocks are read.
+        scratch: of the force model, written.
+    """
     for place in range(count):
         for i in range(drones):
             slot, felt = work.due[place] * drones + i, scratch.drones[place * drones + i]
             b, lane = work.blocks[slot // LANES], slot % LANES
             felt["type"] = int(b.feedforward_type[lane] if compensated else b.type[lane])
+            position = b.position if hall is None else b.seen_position
+            velocity = b.velocity if hall is None else b.seen_velocity
             for k in range(3):
-                felt["position"][k], felt["velocity"][k] = b.position[k, lane], b.velocity[k, lane]
+                felt["position"][k], felt["velocity"][k] = position[k, lane], velocity[k, lane]
 
 
 @part
@@ -293,22 +305,20 @@ def fly(  # noqa: C901  # one step, on one screen
             if k == steps:
                 break
             if hall is not None and phases & CONTROL and controlled:
-                use_estimate(work.blocks, full)
+                see(work.blocks, full)
             if phases & CONTROL and s.level == SETPOINTS:
                 if feedforward is not None:
                     compensated = size > 0
                     for place in range(count):
                         work.due[place] = place
-                    gather(count, size, compensated, work, feedforward_scratch)
+                    gather(count, size, compensated, hall, work, feedforward_scratch)
                     swarm_forces(feedforward, count, size, feedforward_scratch)
                     spread(count, size, compensated, environments, work, feedforward_scratch)
                 if adaptive is not None:
-                    adapt(work.blocks, full, settings)
-                track(work.blocks, full, settings, adaptive)
+                    adapt(work.blocks, full, settings, hall)
+                track(work.blocks, full, settings, adaptive, hall)
             if phases & CONTROL and controlled:
-                hold_rates(work.blocks, full, settings)
-                if hall is not None:
-                    use_truth(work.blocks, full)
+                hold_rates(work.blocks, full, settings, hall)
             if phases & SPIN:
                 compensated = size == 0
                 due: Any = np.int64(0)  # a literal would compile what takes it twice
@@ -319,7 +329,7 @@ def fly(  # noqa: C901  # one step, on one screen
                         due += 1
                     environment.age += 1
                 if due > 0 and air.constants[0]["kind"] != NONE:
-                    gather(due, size, compensated, work, scratch)
+                    gather(due, size, compensated, None, work, scratch)
                     swarm_forces(air, due, size, scratch)
                     spread(due, size, compensated, environments, work, scratch)
                     if hall is not None:

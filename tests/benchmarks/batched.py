@@ -85,6 +85,15 @@ def thread_row(force_rate: int, repetitions: int) -> Row:
     return row | spread([b / a for a, b in zip(one, two, strict=True)]) | {"unit": "times"}
 
 
+def hall_row(force_rate: int, repetitions: int) -> Row:
+    """How much longer a decision takes in the world "hall", measured in turn."""
+    worlds = ("ideal", "hall")
+    cores = [make_core(*BATCH, force_rate=force_rate, threads=1, world=w) for w in worlds]
+    ideal, hall = rates_of(cores, 10 * repetitions)
+    row = _row("hall over ideal world, random", cores[0])
+    return row | spread([a / b for a, b in zip(ideal, hall, strict=True)]) | {"unit": "times"}
+
+
 def scale_rows(sizes: Sequence[tuple[int, int]], repetitions: int) -> Iterator[Row]:
     """CPU time of one decision of batches of (environments, drones), ms, measured in turn."""
     cores = [make_core(envs, drones, threads=1) for envs, drones in sizes]
@@ -131,6 +140,7 @@ def measure(options: argparse.Namespace) -> Iterator[Row]:
                 yield batch_row(start, force_rate, precision, repetitions)
     for force_rate in (240, 48):
         yield thread_row(force_rate, repetitions)
+        yield hall_row(force_rate, repetitions)
     for rates in RATES:
         yield batch_peer_row(options.peers, rates, *BATCH, repetitions)
     yield from scale_rows([(envs, BATCH[1]) for envs in ENVIRONMENTS], repetitions)

@@ -154,6 +154,15 @@ def test_offsets_and_thrust_errors_are_constant_accelerations(engine):
         np.testing.assert_allclose(drones["velocity"][..., 2], expected, rtol=1e-6)
 
 
+def test_an_offset_does_not_grow_over_single_steps():
+    made = core(hall(offset=(0.05, 0.05)))
+    drones = made.world.drones
+    for _ in range(24):
+        made.physics.step(np.repeat(drones["hover_thrust"][..., None], 4, axis=-1))
+    acceleration = drones["force_offset"] / drones["mass"]
+    np.testing.assert_allclose(drones["velocity"][..., 2], 0.1 * acceleration, rtol=1e-6)
+
+
 def test_what_is_drawn_for_an_episode_has_the_spread_that_it_says():
     between = replace(SMALL, token="M", mass=0.5 * (SMALL.mass + LARGE.mass))
     made = core(Hall(offset=(0.02, 0.04), thrust_error=0.04), 1000, team=(SMALL, between, LARGE))

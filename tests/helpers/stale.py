@@ -74,8 +74,23 @@ PRODUCTS = {
         "swarm-envs curriculum --out DIR",
     ),
     "demo": Product(("docs/demo.png",), (LEARNED, BELIEF), "make demo"),
+    "hall": Product(
+        ("docs/limits/hall.png",),
+        (LEARNED, WAKE, BELIEF, BELIEF_WAKE),
+        f"{_PAPER} --study hall --engine batch --out DIR, which has the tables of docs/hall.md too",
+    ),
+    "adaptation": Product(
+        ("docs/generated/adaptation.md",),
+        (LEARNED, WAKE, BELIEF),
+        "python -m tests.benchmarks.adaptation > docs/generated/adaptation.md",
+    ),
+    "side-by-side": Product(
+        ("docs/generated/side_by_side.md",),
+        (LEARNED, WAKE, BELIEF, BELIEF_WAKE),
+        "swarm-envs reproduce all --data ROWS --out DIR",
+    ),
     "planning": Product(
-        ("docs/planning.png",), (BELIEF,), "python tests/benchmarks/planning.py --picture FILE"
+        ("docs/planning.png",), (LEARNED,), "python tests/benchmarks/planning.py --picture FILE"
     ),
     "policies": Product(
         tuple(

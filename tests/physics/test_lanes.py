@@ -16,7 +16,7 @@ from swarm_envs.interactions import load
 from swarm_envs.interactions.forces import swarm_forces
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.physics.contact import SPOT_TYPE, meet, touch
-from swarm_envs.physics.hall_lanes import disturb, estimate, use_estimate
+from swarm_envs.physics.hall_lanes import disturb, estimate, see
 from swarm_envs.physics.rigid_body import integrate, spin_rotors
 from swarm_envs.tables import BLOCK_TYPE, LANES, SETTINGS_TYPE, aligned
 
@@ -53,7 +53,7 @@ def blocks() -> Any:
     return memory
 
 
-@pytest.mark.parametrize("part", [spin_rotors, integrate, use_estimate])
+@pytest.mark.parametrize("part", [spin_rotors, integrate, see])
 def test_the_body_is_vector_instructions(part):
     packed, scalar = instructions(part, blocks(), 2)
     assert packed >= 15

@@ -43,9 +43,10 @@ def test_what_ships_predicts_fresh_flights(tmp_path, truth):
     rows = dataclasses.replace(rows, validation=np.ones(len(rows), dtype=np.bool_))
     network = load_network(WEIGHTS / f"{BELIEFS[truth]}.safetensors")
     errors = mean_squared_errors(predict_rows(network, rows), rows)
-    assert errors.overall < errors.zero / 10
+    assert errors.overall < errors.zero / 30
+    # Noise is the larger for S2L alone, where the force is about 1.5 g.
     for name, error in errors.scenario.items():
-        assert error < max(errors.scenario_zero[name] / 4, 1.5 * LABEL_NOISE[name[-1]]), name
+        assert error < max(errors.scenario_zero[name] / 10, 1.5 * LABEL_NOISE[name[-1]]), name
 
 
 @pytest.mark.parametrize("apart", [[0.35, 0.0, 0.3], [0.0, -0.4, 0.1], [0.0, 0.0, 1.1]])
@@ -72,12 +73,12 @@ def test_what_ships_was_fitted_in_the_environment_that_ships(truth):
 
 
 @pytest.mark.parametrize("team", ["S2S", "L2S", "SS2S"])
-def test_compensation_more_than_halves_the_error_and_harms_nobody(team):
+def test_compensation_leaves_a_tenth_of_the_error_and_harms_nobody(team):
     result = compare_compensation(SwapTrial(team, PAPER_SWAP, 6), load_belief())
     assert result.uncompensated_median_cm > 5.0
-    assert result.compensated_median_cm < 0.5 * result.uncompensated_median_cm
-    assert result.worse == 0 and result.largest_ratio < 0.5
-    assert result.upper_largest_growth_cm < 1.0
+    assert result.compensated_median_cm < 0.1 * result.uncompensated_median_cm
+    assert result.worse == 0 and result.largest_ratio < 0.15
+    assert result.upper_largest_growth_cm < 0.5
 
 
 def test_a_model_of_a_force_that_is_not_there_is_found_out():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from swarm_envs.cli import main
+from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics import BatchPhysics
 from swarm_envs.training.collection import (
@@ -28,7 +29,6 @@ from swarm_envs.training.collection.collect import (
 from swarm_envs.training.collection.flight import fly_motion, vehicle_ids, vehicle_names
 from swarm_envs.training.collection.log import (
     LOG_RATE,
-    NO_NOISE,
     FlightLog,
     derivative,
     hann_average,
@@ -40,7 +40,13 @@ from swarm_envs.training.collection.log import (
     with_noise,
     world_acceleration,
 )
-from swarm_envs.training.collection.motion import MotionRanges, Potential, RandomWalk, repulsion
+from swarm_envs.training.collection.motion import (
+    MotionRanges,
+    MotionTarget,
+    Potential,
+    RandomWalk,
+    repulsion,
+)
 from swarm_envs.training.collection.storage import (
     commanded_thrust,
     flight_file,
@@ -213,17 +219,44 @@ def test_rows_say_what_the_logs_say(collection):
         interaction_rows([])
 
 
+class GoTo:
+    """A motion that ends at these places: `start` (E, N, 3), times `scale`."""
+
+    def __init__(self, start, scale):
+        self.start, self.scale = np.array(start), scale
+
+    def target(self, time, position):
+        still = np.zeros(self.start.shape)
+        return MotionTarget(self.start * self.scale, still, still)
+
+
+def test_in_the_hall_logs_have_an_estimate_and_forces_that_no_model_knows():
+    rngs, hall = [np.random.default_rng(seed) for seed in range(64)], Hall()
+    hover, team = GoTo(np.tile([0.0, 0.0, 1.0], (64, 1, 1)), 1.0), parse_team("S")
+    (still,) = fly_motion(team, GoTo([[[0.0, 0.0, 1.0]]], 1.0), "none", 1.0)
+    assert (still.position == [0.0, 0.0, 1.0]).all()
+    logs = fly_motion(team, hover, "none", 4.0, hall=hall, rngs=rngs)
+    force = np.array([interaction_force(log, team, label="imu")[:, 0, 2] for log in logs])
+    force = force[:, 120:]
+    # Offset and thrust curve are 1.8 and 1.4 % of the weight; the force of lone drones is 1.1 %.
+    assert force.mean(axis=1).std() == pytest.approx(34.0 * np.hypot(0.018, 0.014), rel=0.25)
+    assert force.std(axis=1).mean() == pytest.approx(34.0 * 0.011, rel=0.25)
+    jumps = np.array([np.diff(log.position[:, 0], n=2, axis=0) for log in logs])
+    assert 1e-5 < jumps.std() < 1e-3  # of an estimate, m
+    (alone,) = fly_motion(
+        team,
+        GoTo([[[0.0, 0.0, 1.0]]], 1.0),
+        "none",
+        4.0,
+        hall=hall,
+        rngs=[np.random.default_rng(3)],
+    )
+    np.testing.assert_array_equal(alone.position, logs[3].position)
+
+
 def test_a_log_is_cut_before_the_first_contact():
-    class Collide:
-        start = np.array([[[0.0, 0.0, 1.0], [0.4, 0.0, 1.0]]])
-
-        def target(self, time, position):
-            from swarm_envs.training.collection.motion import MotionTarget
-
-            still = np.zeros((1, 2, 3))
-            return MotionTarget(self.start * [0.0, 1.0, 1.0], still, still)
-
-    (log,) = fly_motion(parse_team("SS"), Collide(), "none", 4.0)
+    meet = GoTo([[[0.0, 0.0, 1.0], [0.4, 0.0, 1.0]]], [0.0, 1.0, 1.0])
+    (log,) = fly_motion(parse_team("SS"), meet, "none", 4.0)
     assert isinstance(log, FlightLog) and 10 < len(log.position) < 4.0 * LOG_RATE
     distance = np.linalg.norm(log.position[:, 0] - log.position[:, 1], axis=1)
     assert distance.min() >= 2 * SMALL.radius
@@ -378,6 +411,7 @@ def test_a_collection_of_no_flight_is_refused_with_exit_code_2(words, tmp_path, 
     assert not (tmp_path / "out").exists()
 
 
+NO_NOISE = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 EXACT = CollectionConfig(noise=NO_NOISE, duration_s=6.0)
 
 

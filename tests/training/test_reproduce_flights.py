@@ -174,7 +174,8 @@ def test_rings_are_judged_by_their_worst_drone(tmp_path):
     assert [drone["place"] for drone in row["drones"]] == 3 * ["upright ring"] + 2 * ["level ring"]
     worst = max(drone["without"]["median"] for drone in row["drones"])
     assert row["without"]["median"] == pytest.approx(worst)
-    assert row["ratio"] < 0.5 and row["explained"] > 0.75
+    # The forces of this ring, 0.1 to 1.2 g, are as small as the belief's error under other drones.
+    assert row["ratio"] < 0.3 and row["explained"] > 0.77
 
 
 def test_the_hall_is_flown_beside_the_ideal_world(tmp_path):
@@ -186,9 +187,10 @@ def test_the_hall_is_flown_beside_the_ideal_world(tmp_path):
     assert "forces: wake, hall" in said
     assert (tmp_path / "figure_8" / "wake-hall" / "L2S.npz").is_file()
     assert FIGURE_8.claims is not None
-    claims = FIGURE_8.claims(report, Extent())
-    explained = [c.quantity for c in claims if c.reasons and "hall, L2S" in c.quantity]
-    assert explained == ["`wake` air, hall, L2S: error without, cm"]
+    claims = list(FIGURE_8.claims(report, Extent()))
+    assert not any(claim.reasons for claim in claims)
+    held = [c.quantity for c in claims if c.agrees is not None and "error with" in c.quantity]
+    assert held and all("hall" in quantity for quantity in held)
 
 
 def test_what_is_odd_is_noted(tmp_path, monkeypatch):

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from swarm_envs.arguments import Range, Seed, typed, typed_options
 from swarm_envs.files import write_json
+from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.physics.rigid_body import TIME_STEP
 from swarm_envs.training.collection.flight import CalibrationErrors, fly_motion
@@ -60,6 +61,9 @@ class CollectionConfig:
     """length of a flight, s; a flight ends earlier at its first contact"""
     interactions: str = "learned"
     """force model of the environment: `learned`, `wake`, `none` or a path of weights"""
+    world: Literal["ideal", "hall"] = "ideal"
+    """`hall`: the pilot flies, and the log has, an estimate of the state, and a force that no model
+    knows acts; see docs/hall.md"""
     feedforward: Path | None = None
     """weights of the force model that the pilot compensates for; None for no compensation"""
     pilot: Literal["soft", "mid", "stiff", "firm"] = "firm"
@@ -232,7 +236,17 @@ def fly_flights(
     rngs = [flight_generator(config, name) for name in batch.names]
     motion, team = make_motion(config, batch, rngs), parse_team(batch.team)
     vehicles = config.errors.draw(team, config.seed, rngs)
-    logs = fly_motion(team, motion, model, config.duration_s, feedforward, vehicles, config.pilot)
+    logs = fly_motion(
+        team,
+        motion,
+        model,
+        config.duration_s,
+        feedforward,
+        vehicles,
+        config.pilot,
+        Hall.of(config.world),
+        rngs,
+    )
     return [
         with_noise(resampled(log, config.log_rate), config.noise, rng)
         for log, rng in zip(logs, rngs, strict=True)

@@ -7,6 +7,7 @@ every flight the same. So what is wrong with it can be found from all its flight
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, NamedTuple
 
@@ -16,10 +17,13 @@ from swarm_envs.arguments import Range, typed_options
 from swarm_envs.control.config import GAINS, ControllerConfig, PositionGains
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.errors import check_name
+from swarm_envs.hall import Hall
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.physics import BatchPhysics
+from swarm_envs.physics.hall_lanes import sense_in_hall
 from swarm_envs.physics.rigid_body import TIME_STEP
-from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state
+from swarm_envs.state import FloatArray, Setpoint, SwarmState, hover_state, state_of
+from swarm_envs.tables import SENSED_TYPE
 from swarm_envs.training.collection.log import LOG_RATE, STEPS_PER_ENTRY, FlightLog, rotate_to_body
 from swarm_envs.training.collection.motion import TeamMotion
 from swarm_envs.vehicles import GRAVITY, VEHICLES, Team
@@ -111,8 +115,10 @@ def fly_motion(
     feedforward: InteractionModel | None = None,
     vehicles: Vehicles | None = None,
     pilot: str = "firm",
+    hall: Hall | None = None,
+    rngs: Sequence[np.random.Generator] = (),
 ) -> list[FlightLog]:
-    """Fly a motion in the environment and log it without noise.
+    """Fly a motion in the environment and log the state that the pilot is given.
 
     Args:
         team: the N vehicles.
@@ -122,12 +128,15 @@ def fly_motion(
         feedforward: the force that the pilot compensates for; None for no compensation.
         vehicles: what the drones really are; None for exactly their type.
         pilot: name of its position gains, see `PILOTS`.
+        hall: numbers of the world "hall", where the pilot is given an estimate; None for the true
+            state of the ideal world.
+        rngs: E generators, which the hall draws from.
 
     Returns:
         E logs; one ends before its team touches anything or tumbles.
     """
     envs, drones = motion.start.shape[:2]
-    physics = BatchPhysics(team, envs, interactions)
+    physics = BatchPhysics(team, envs, interactions, hall=hall)
     thrust_factor: FloatArray = np.ones((envs, drones, 1))
     if vehicles is not None:
         physics.parameters.mass[...] *= vehicles.mass_factor
@@ -135,11 +144,15 @@ def fly_motion(
     gains = PILOTS[check_name("pilot", pilot, PILOTS)]
     tracker = TrackingController(team, envs, ControllerConfig(gains, feedforward))
     setpoint = Setpoint.hold(motion.start)
-    state = physics.reset(hover_state(team, motion.start))
+    if hall is not None:
+        for e, rng in enumerate(rngs):
+            hall.draw(rng, e, physics.world)
+    physics.reset(hover_state(team, motion.start))
+    state = _seen(physics)
     entries = round(duration_s * LOG_RATE)
     log = FlightLog(*(np.empty((entries, envs, drones, width)) for width in _WIDTHS))
     length = np.full(envs, entries)
-    before = state.velocity.copy()
+    before = physics.state.velocity.copy()
     for k in range(entries):
         for step in range(STEPS_PER_ENTRY):
             target = motion.target((k + step / STEPS_PER_ENTRY) / LOG_RATE, state.position)
@@ -148,10 +161,13 @@ def fly_motion(
             commands = tracker.commands(state, setpoint)
             if step == 0:
                 _record(log, k, state, target.position, commands)
-            now = state.velocity.copy()
-            state = physics.step(thrust_factor * commands)
+            now = physics.state.velocity.copy()
+            physics.step(thrust_factor * commands)
+            state = _seen(physics)
             if step == 0:  # the two steps around the entry
-                log.specific_force[k] = (state.velocity - before) / (TIME_STEP * (2 if k else 1))
+                log.specific_force[k] = (physics.state.velocity - before) / (
+                    TIME_STEP * (2 if k else 1)
+                )
             before = now
             touched = (physics.contact | physics.contacts.tumbling).any(axis=1)
             length[touched] = np.minimum(length[touched], k)
@@ -159,6 +175,16 @@ def fly_motion(
     log = log._replace(specific_force=rotate_to_body(log.quaternion, log.specific_force))
     flights = (FlightLog(*(array[:, e] for array in log)) for e in range(envs))
     return [flight.cut(int(count)) for flight, count in zip(flights, length, strict=True)]
+
+
+def _seen(physics: BatchPhysics) -> SwarmState:
+    """The state that the pilot is given: an estimate in the hall, else the true one."""
+    if physics.hall is None:
+        return physics.state
+    drones = physics.world.drones
+    seen = np.zeros(drones.shape, SENSED_TYPE)
+    sense_in_hall(0, len(drones), drones, np.ones(len(drones), np.bool_), seen)
+    return state_of(seen)
 
 
 def _record(

@@ -119,10 +119,6 @@ class SensorNoise:
     sideways force on a small drone per milliradian"""
 
 
-NO_NOISE = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-"""Perfect sensors."""
-
-
 def with_noise(log: FlightLog, noise: SensorNoise, rng: np.random.Generator) -> FlightLog:
     """Return the log as noisy sensors would have written it."""
     shape = log.position.shape

@@ -15,7 +15,7 @@ import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 import tyro
@@ -62,6 +62,9 @@ class CompareConfig:
     """the models; the first is compared with each of the others"""
     folds: Annotated[int, Range(2)] = 5
     """parts of the flights, each held out once"""
+    hold_out: Literal["flights", "two-neighbors"] = "flights"
+    """`two-neighbors`: fit to rows with at most one neighbor and test on the others, in place of
+    the folds; it shows what a model makes of several neighbors"""
     seed: Seed = 0
     """of the folds, the fits and the bootstrap"""
     progress: bool = True
@@ -164,10 +167,10 @@ def compare(config: CompareConfig) -> ModelComparison:
     """
     rows, _ = read_data(config.data, config.logs, config.progress)
     rows = dataclasses.replace(rows, validation=np.zeros(len(rows), dtype=np.bool_))
-    fold, digest = flight_folds(rows, config.folds, config.seed), data_sha256(config.data)
+    fold, digest = _folds(rows, config), data_sha256(config.data)
     _check_same(config, digest)
     label, squared = np.zeros(len(rows)), {model: np.zeros(len(rows)) for model in config.models}
-    parts = [(model, k) for model in config.models for k in range(config.folds)]
+    parts = [(model, k) for model in config.models for k in range(fold.max() + 1)]
     for model, k in tqdm(parts, disable=not config.progress, unit="fit"):
         target, held_out = treat(rows, _fit_config(model, config)).target, fold == k
         label = target.force_g[:, 2]
@@ -178,7 +181,16 @@ def compare(config: CompareConfig) -> ModelComparison:
             with written_whole(path) as partial, partial.open("wb") as stream:
                 np.save(stream, said[held_out])
         squared[model][held_out] = (np.load(path) - label[held_out]) ** 2
-    return _compared(rows, squared, config, digest)
+    tested = fold >= 0
+    squared = {model: own[tested] for model, own in squared.items()}
+    return _compared(rows.select(tested), squared, config, digest)
+
+
+def _folds(rows: InteractionRows, config: CompareConfig) -> IntArray:
+    """Part in which each row is tested, (R,); -1 for rows that are only fitted to."""
+    if config.hold_out == "flights":
+        return flight_folds(rows, config.folds, config.seed)
+    return (rows.neighbor_type >= 0).sum(axis=1, dtype=np.int64).clip(1, 2) - 2
 
 
 def _check_same(config: CompareConfig, digest: str) -> None:

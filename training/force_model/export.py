@@ -124,13 +124,6 @@ def load_network(path: str | os.PathLike[str]) -> ForceNetwork:
     return network
 
 
-def description_of(path: str | os.PathLike[str]) -> dict[str, object]:
-    """Return the JSON description in a weights file: format, types, window, provenance."""
-    with safe_open(path, framework="pt") as file:
-        result: dict[str, object] = json.loads(file.metadata()[METADATA_KEY])
-    return result
-
-
 def _layers(network: ForceNetwork, ending: str) -> dict[str, nn.Linear]:
     """Layers by the names of their tensors, which end in `.weight` or `.bias`."""
     found = {

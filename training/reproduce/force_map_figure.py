@@ -282,7 +282,7 @@ def _claims(numbers: Any, extent: Extent) -> list[Claim]:
             (
                 Reason(
                     spare.format(reading["published_weights_g"]),
-                    Between(*sorted((0.0, reading["paper_g"]))),
+                    Between(*sorted((reading["published_weights_g"], reading["paper_g"]))),
                 ),
             ),
         )

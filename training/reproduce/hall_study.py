@@ -1,8 +1,9 @@
-"""Which part of the hall costs how much: the paper's L2S swap in one part of it after the other.
+"""Which part of the hall costs how much: two motions of the paper, one part after the other.
 
-A small drone passes below a large one (Neural-Swarm2, Sec. VII-E), without and with a belief, and
-with a controller that adapts (docs/adaptation.md), in the ideal world, in each part of
-`swarm_envs.hall.Hall` alone, in the whole hall, and in one whose rotors are wrong by 5 %.
+A small drone passes below a large one (L2S, Neural-Swarm2, Sec. VII-E), and five drones fly the
+rings of Fig. 9, without and with a belief, and with a controller that adapts (docs/adaptation.md),
+in the ideal world, in each part of `swarm_envs.hall.Hall` alone, in the whole hall, and in one
+whose rotors are wrong by 5 %. The rings are flown without any force between drones as well.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,7 @@ import numpy as np
 from swarm_envs.agents.evaluation import bootstrap_interval
 from swarm_envs.baselines.neural_swarm.agent import load_belief
 from swarm_envs.baselines.neural_swarm.flights import (
+    FlightTest,
     default_engine,
     fly,
     format_columns,
@@ -25,11 +28,14 @@ from swarm_envs.baselines.neural_swarm.flights import (
 )
 from swarm_envs.control.config import ControllerConfig, Indi
 from swarm_envs.hall import Hall
+from swarm_envs.interactions import load
+from swarm_envs.tasks.ring import RingTask, ring_team
 from swarm_envs.training.reproduce.charts import draw_numbered_bars, label_axis
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, draw_seeds
 from swarm_envs.viewing.style import picture
 
-TEAM = "L2S"
+TEAM, RING = "L2S", "ring of 5"
+"""What is flown; errors are those of the small drone, and of the worst of each flight."""
 _EPISODES = 40
 _TRUTHS = ("learned", "wake")
 """The forces that are flown in if none is named: those for which a belief ships."""
@@ -77,25 +83,28 @@ class _Side:
 
     believes: bool
     adapts: bool
+    exact: bool = False
 
     @property
     def name(self) -> str:
         """Also part of its cells' names."""
-        words = [w for w, has in (("belief", self.believes), ("INDI", self.adapts)) if has]
+        has = {"belief": self.believes, "INDI": self.adapts, "exact force": self.exact}
+        words = [word for word, there in has.items() if there]
         return " + ".join(words) or "neither"
 
     def controller(self, truth: str) -> ControllerConfig:
         """The configuration of the tracking loop, in an environment with these forces."""
-        belief = load_belief(truth) if self.believes else None
+        belief = load_belief(truth) if self.believes else load(truth) if self.exact else None
         return ControllerConfig(feedforward=belief, adaptation=Indi() if self.adapts else None)
 
 
 _SIDES = tuple(_Side(believes, adapts) for adapts in (False, True) for believes in (False, True))
+_RING_SIDES = (*_SIDES, _Side(False, False, exact=True))  # whose belief is not what is missing
 
 
 def _settings(options: Any) -> dict[str, Any]:
     return {
-        "team": TEAM,
+        "motions": [TEAM, RING],
         "seed": options.seed,
         "episodes": options.episodes or _EPISODES,
         "engine": options.engine or default_engine(),
@@ -103,50 +112,58 @@ def _settings(options: Any) -> dict[str, Any]:
     }
 
 
-def _rows(options: Any) -> Iterator[tuple[str, str, _Side]]:
-    """Force model, world and controller of every cell."""
-    for truth in _TRUTHS if options.truth is None else (options.truth,):
+def _rows(options: Any) -> Iterator[tuple[str, str, str, _Side]]:
+    """Motion, force model, world and controller of every cell."""
+    truths = _TRUTHS if options.truth is None else (options.truth,)
+    for motion, truth in [*((TEAM, t) for t in truths), *((RING, t) for t in (*truths, "none"))]:
         for world in hall_worlds():
-            for side in _SIDES:
-                yield truth, world, side
+            for side in _SIDES if motion == TEAM else _RING_SIDES:
+                if truth != "none" or not (side.believes or side.exact):
+                    yield motion, truth, world, side
 
 
 def _grid(options: Any) -> Cells:
-    """The same swaps in every world by every controller."""
+    """The same flights in every world by every controller."""
     seeds = draw_seeds(options.seed, options.episodes or _EPISODES)
     engine, worlds = options.engine or default_engine(), hall_worlds()
     return {
-        f"{truth}, {world}, {side.name}": partial(
-            _measure, truth, worlds[world], side.controller, seeds, engine
+        f"{motion}, {truth}, {world}, {side.name}": partial(
+            _measure, motion, truth, worlds[world], side.controller, seeds, engine
         )
-        for truth, world, side in _rows(options)
+        for motion, truth, world, side in _rows(options)
     }
 
 
 def _measure(
+    motion: str,
     truth: str,
     world: str | Hall,
     controller: Callable[[str], ControllerConfig],
     seeds: Sequence[int],
     engine: str,
 ) -> Cell:
-    """Fly the swaps: worst height errors of the small drone, and how many ended early."""
-    test = replace(swap_test(TEAM, truth=truth, engine=engine), world=world)
-    flights = fly(test, controller(truth), seeds)
+    """Fly: worst height errors of the drone that counts, and how many flights ended early."""
+    rings = motion == RING
+    plain = swap_test(TEAM, truth=truth, engine=engine)
+    if rings:
+        plain = FlightTest(RingTask(ring_team(5)), truth, engine)
+    flights = fly(replace(plain, world=world), controller(truth), seeds)
+    worst = flights.worst_height_error
     return {
-        "worst_cm": np.round(100.0 * flights.worst_height_error[:, -1], 4).tolist(),
+        "worst_cm": np.round(100.0 * (worst.max(axis=1) if rings else worst[:, -1]), 4).tolist(),
         "crashed": int(flights.crashed.sum()),
     }
 
 
 def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
     rows = []
-    for truth, world, side in _rows(options):
-        cell = cells[f"{truth}, {world}, {side.name}"]
+    for motion, truth, world, side in _rows(options):
+        cell = cells[f"{motion}, {truth}, {world}, {side.name}"]
         worst = np.array(cell["worst_cm"])
         low, high = bootstrap_interval(worst, np.median)
         rows.append(
             {
+                "motion": motion,
                 "truth": truth,
                 "world": world,
                 "controller": side.name,
@@ -162,14 +179,15 @@ def _report(options: Any, cells: Mapping[str, Cell]) -> Report:
 
 
 def _text(summary: Mapping[str, Any]) -> str:
-    lines: list[tuple[str, ...]] = [("forces", "world", *(side.name for side in _SIDES))]
-    rows = summary["rows"]
-    for first in range(0, len(rows), len(_SIDES)):
-        of_world = rows[first : first + len(_SIDES)]
-        lines.append((of_world[0]["truth"], of_world[0]["world"], *map(_said, of_world)))
+    lines: list[tuple[str, ...]] = [("motion", "forces", "world", *(s.name for s in _RING_SIDES))]
+    for place, rows in groupby(
+        summary["rows"], lambda row: (row["motion"], row["truth"], row["world"])
+    ):
+        said = {row["controller"]: _said(row) for row in rows}
+        lines.append((*place, *(said.get(side.name, "-") for side in _RING_SIDES)))
     head = (
-        f"Worst height error of the small drone, {TEAM}, median of {summary['episodes']} swaps "
-        "[95 % interval], cm; by what the controller has"
+        f"Worst height error, of {TEAM} that of the small drone, median of {summary['episodes']} "
+        "flights [95 % interval], cm; by what the controller has"
     )
     return "\n".join([head, *format_columns(lines)])
 
@@ -183,7 +201,8 @@ _COLORS = ("#D55E00", "#0072B2", "#E69F00", "#56B4E9")
 
 
 def _plot(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Medians by world, a panel for each force model."""
+    """Medians of the swap by world, a panel for each force model."""
+    rows = [row for row in rows if row["motion"] == TEAM]
     truths = list(dict.fromkeys(row["truth"] for row in rows))
     headline = "A small drone passes under a large one: what each part of the hall costs"
     with picture(path, 11.0, 4.4 * len(truths), headline) as figure:
@@ -206,7 +225,7 @@ HALL = Study(
     paper="neural-swarm2",
     name="study-hall",
     label="Hall",
-    shows="height errors of L2S in each part of the hall, with and without belief and adaptation",
+    shows="height errors in each part of the hall, with and without belief and adaptation",
     file="hall",
     takes=("truth", "episodes", "engine"),
     grid=_grid,

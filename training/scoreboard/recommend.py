@@ -77,7 +77,7 @@ def replaced(old: list[dict[str, Any]], board: Board) -> list[dict[str, Any]]:
         known = rows.get(key := (row["task"], row["layout"], row["drones"]), {"agents": {}})
         kept = {k: v for k, v in known["agents"].items() if k not in board.agents}
         rows[key] = {**row, "agents": _best_first({**kept, **row["agents"]})}
-    return list(rows.values())
+    return [row for row in rows.values() if row["agents"]]
 
 
 if __name__ == "__main__":

@@ -265,7 +265,9 @@ def _of_own(
         label=name.replace("-", " "),
         help=help_,
         score=score,
-        clock_s=_SPRINT_S if options.get("layout") == "sprint" else clock_s,
+        clock_s=_SPRINT_S
+        if options.get("layout") == "sprint"
+        else options.get("horizon_s", clock_s),
         full_score=full_score,
         certificate=certificate,
         episodes=episodes,
@@ -290,8 +292,8 @@ _NOISE = {
     "mass": (0.95, 1.05),
     "thrust": (0.9, 1.1),
     "motor_rate": (0.8, 1.2),
-    "position_noise_m": 0.005,
-    "velocity_noise": 0.05,
+    "position_noise_m": 0.08,
+    "velocity_noise": 0.3,
 }
 _DETOUR, _ROUND, _TRACKING = "detour-compensated", "roundabout", "tracking-compensated"
 _ADAPTIVE = "tracking-compensated-adaptive"
@@ -305,8 +307,8 @@ _NEW = (
             "columns_v0", _AWARE, 128, layout="sprint", num_drones=6),
     _of_own("air-delivery-7", "Couriers dock above the floor, at two of three docks below others.",
             "delivery_v0", _AWARE, 128, num_drones=7),
-    _of_own("air-gates-3", "A slalom in vertical formation.",
-            "gates_v0", "straight-line", 64, num_drones=3),
+    _of_own("air-gates-4", "A slalom in vertical formation, in 12 s.",
+            "gates_v0", "straight-line@30", 64, num_drones=4, horizon_s=12.0),
     _of_own("crowd-open-64", _GOALS, "crowd_v0", _ROUND, 16, layout="open", num_drones=64),
     _of_own("crowd-forest-16", f"{_GOALS} Between trees.",
             "crowd_v0", _LINE, 64, layout="forest", num_drones=16),
@@ -325,11 +327,11 @@ _NEW = (
     _new("crowd-circle-32", _CIRCLE, "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
     _new("robust-random-8-hall", _HALL, "swap-random-8", _ROUND, 128, world="hall"),
     _new("robust-circle-8-hall", _HALL, "swap-circle-8", _ROUND, 128, world="hall"),
-    _new("robust-stacked-L2S-hall", _HALL, "swap-stacked-L2S", _ADAPTIVE, 128, world="hall"),
     _new("robust-ring-5-hall", _HALL, "ring-5", _ADAPTIVE, 64, world="hall"),
+    _new("robust-ring-16-hall", _HALL, "ring-16", _ADAPTIVE, 64, world="hall"),
     _new("robust-shuffle-8-hall", _HALL, "formation-shuffle-8", _ROUND, 64, world="hall"),
-    _new("robust-random-8-noise", "Mass, thrust and motors differ; what is observed is noisy.",
-         "swap-random-8", _ROUND, 128, randomization=_NOISE),
+    _new("robust-random-8-noise", "Mass, thrust and motors differ; observed as by radio ranging.",
+         "swap-random-8", _DETOUR, 128, randomization=_NOISE),
     _new("robust-random-LLLLSSSS", "Four large drones and four small ones.",
          "swap-random-8", _ROUND, 128, team="LLLLSSSS"),
     _new("robust-random-4-bullet", "On Bullet, where drones push each other.",
