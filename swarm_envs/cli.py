@@ -110,8 +110,8 @@ def _curriculum(arguments: Sequence[str]) -> int:
 def _learn(config: Any, module: str, function: str) -> int:
     """Fit a model with a function of a module that needs torch, and print its report."""
     check_outputs(config.out, config.json)
-    check_inputs(config)
     need_torch()
+    check_inputs(config)
     from swarm_envs.files import claimed
 
     with claimed(config.out):
