@@ -110,7 +110,8 @@ def run_without_torch(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_fit_without_torch_says_how_to_get_it(tmp_path):
-    done = run_without_torch("fit", "--data", "rows.npz", "--out", str(tmp_path / "out"))
+    (data := tmp_path / "rows.npz").touch()
+    done = run_without_torch("fit", "--data", str(data), "--out", str(tmp_path / "out"))
     assert done.returncode == 1
     assert "pip install 'swarm-envs[train]'" in done.stderr
     assert "CPU build of torch" in done.stderr

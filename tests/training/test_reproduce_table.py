@@ -17,7 +17,7 @@ from swarm_envs.training.interaction_rows import read_rows, save_rows
 from swarm_envs.training.reproduce import ablation
 from swarm_envs.training.reproduce.ablation import ABLATIONS, TABLE_3, ablation_fit
 from swarm_envs.training.reproduce.study import run_study
-from tests.helpers.tiny_fits import make_rows
+from tests.helpers.tiny_fits import rows_of
 
 FIT = "swarm_envs.training.force_model.pipeline.fit"
 SOME = ("H=10", "no-spectral-norm")
@@ -43,24 +43,8 @@ def run_table(options):
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory):
     """Rows in which the force is -20 g m/s times the neighbour's speed in x."""
-    rng, count = np.random.default_rng(0), 600
-    neighbor = rng.uniform(-0.3, 0.3, (count, 1, 6))
-    force = np.zeros((count, 3))
-    force[:, 2] = -20.0 * np.abs(neighbor[:, 0, 3])
-    kind = rng.integers(2, size=(2, count))
-    rows = make_rows(
-        count,
-        ego_type=kind[0],
-        position=rng.uniform(0.5, 1.0, (count, 3)),
-        velocity=rng.uniform(-0.3, 0.3, (count, 3)),
-        neighbor=neighbor,
-        neighbor_type=kind[1][:, None],
-        force_g=force,
-        vehicle=np.where(kind[0], 101, 50),
-        scenario=kind[0],
-        validation=np.arange(count) // 50 % 5 == 0,
-        scenario_names=("S", "L"),
-    )
+    rows = rows_of(600, flights=1)
+    rows = rows.with_vertical_force(-20.0 * np.abs(rows.neighbor[:, 0, 3]))
     path = tmp_path_factory.mktemp("rows") / "rows.npz"
     save_rows(path, rows)
     return path
