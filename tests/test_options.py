@@ -198,9 +198,9 @@ def test_ranges_end_where_they_should(settings, name, good, bad):
 COMMANDS: dict[type, dict[str, Any]] = {
     FlyOptions: {},
     EvaluateOptions: {},
-    GradeOptions: {"assignment": "swap", "work": ["a.py:A"]},
+    GradeOptions: {"assignment": "swap", "agent": ["a.py:A"]},
     ForceOptions: {"out": Path("a.h")},
-    PolicyOptions: {"policy": "", "out": Path("a.h")},
+    PolicyOptions: {"agent": "", "out": Path("a.h")},
 }
 
 

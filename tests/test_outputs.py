@@ -53,7 +53,7 @@ def test_a_file_in_place_of_a_folder_is_refused_and_kept(command, tmp_path, caps
         ["curriculum"],
         ["demo"],
         ["evaluate", "--agent", "hover"],
-        ["fit", "--data", "rows.npz"],
+        ["fit", "--data", __file__],
         ["plan", "--grid", "6x6x6"],
         ["reproduce", "all"],
         ["reproduce", "dmpc-swarm", "--figure", "4"],

@@ -24,6 +24,7 @@ OPTIONS = (
     "observation",
     "num_neighbors",
     "num_obstacles",
+    "observe_load",
     "controller",
 )
 """Options that a work may choose. All others say what is flown and when it is a success."""
