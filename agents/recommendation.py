@@ -16,6 +16,7 @@ from typing import Any
 from swarm_envs import task_family
 from swarm_envs.agents.registry import load_agent
 from swarm_envs.arguments import Count, typed
+from swarm_envs.vehicles import SMALL, Team, parse_team
 
 __all__ = ["FILE", "recommended"]
 
@@ -35,6 +36,7 @@ def recommended(
     task: str,
     *,
     num_drones: Count = 4,
+    team: str | None = None,
     learned: bool | None = None,
     privileged: bool | None = None,
     layout: str | None = None,
@@ -47,7 +49,8 @@ def recommended(
 
     Args:
         task: such as `swap`, or with its version.
-        num_drones: how many fly.
+        num_drones: how many fly, if no team is given.
+        team: the vehicles, such as `L2S`; None for small drones. Some policies fly few types.
         learned: True for a trained policy, False for a script; None for either.
         privileged: False for one that sees what is observed alone; None for either.
         layout: of the task; None, or one that the benchmark does not fly, stands for the first one
@@ -57,15 +60,16 @@ def recommended(
         ValueError: the benchmark does not have this task, or no shipped agent flies it so; the
             message names an agent for a task that is near.
     """
-    agents = _agents_for(task, layout, num_drones)
+    crew = num_drones * (SMALL,) if team is None else parse_team(team)
+    agents = _agents_for(task, layout, len(crew))
     wanted = {"learned": learned, "privileged": privileged}
     named = {k: v for k, v in wanted.items() if v is not None}
     for name, about in agents.items():
-        if named.items() <= about.items() and _takes(name, num_drones):
+        if named.items() <= about.items() and _takes(name, crew):
             return name
     said = " and ".join(f"{name}={value}" for name, value in named.items())
     raise ValueError(
-        f"no shipped agent with {said or 'any property'} flies {task!r} with {num_drones} drones; "
+        f"no shipped agent with {said or 'any property'} flies {task!r} with {len(crew)} drones; "
         f"others that do: {', '.join(agents) or 'none'}"
     )
 
@@ -85,8 +89,11 @@ def _agents_for(task: str, layout: str | None, num_drones: int) -> Mapping[str, 
     return agents
 
 
-def _takes(name: str, num_drones: int) -> bool:
-    """Whether an agent takes teams of so many: trained policies do not take all."""
+def _takes(name: str, team: Team) -> bool:
+    """Whether an agent flies such a team: trained policies do not fly all."""
     agent = load_agent(name)
     note = getattr(getattr(getattr(agent, "agent", agent), "policy", None), "note", None)
-    return note is None or bool(note.fewest <= num_drones <= note.drones)
+    if note is None:
+        return True
+    types = {vehicle.token for vehicle in team}
+    return note.fewest <= len(team) <= note.drones and (not note.types or types <= {*note.types})

@@ -180,7 +180,8 @@ def _best_agent(options: EpisodeOptions, task: str) -> str:
     from swarm_envs.agents import recommended
 
     with closing(make(task, **options.setting())) as env:
-        return recommended(task, num_drones=len(env.possible_agents), layout=options.layout)
+        drones = len(env.possible_agents)
+        return recommended(task, num_drones=drones, team=options.team, layout=options.layout)
 
 
 def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) -> Recording:
