@@ -32,7 +32,9 @@ def test_it_is_as_it_was_asked_for():
     assert isinstance(getattr(learned, "agent", learned), PolicyAgent)
     assert not load(recommended("swap", num_drones=8, privileged=False)).privileged
     assert load(recommended("swap", num_drones=8, privileged=True)).privileged
-    assert recommended("swap", num_drones=16, layout="circle", privileged=False) == "roundabout"
+    assert recommended("swap", num_drones=16, layout="circle", learned=False) == "roundabout"
+    assert recommended("swap", team="SSLL", learned=True) == "swap-dagger"
+    assert recommended("swap", team="S*S*LL") == "roundabout"  # policies fly S and L alone
     assert recommended("swap", num_drones=500, privileged=False) == "roundabout"
     with pytest.raises(ValueError, match=r"learned=True flies 'swap' with 500 drones.*roundabout"):
         recommended("swap", num_drones=500, learned=True)
