@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from swarm_envs.compiled import equation, kernel, part
+from swarm_envs.compiled import kernel, part
 from swarm_envs.errors import check_name
 from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
@@ -20,12 +20,6 @@ __all__ = ["REWARD_NAMES", "check_reward_weights", "weigh", "write_terms", "writ
 
 REWARD_NAMES = ("progress", "at_goal", "tracking", "effort", "proximity", "crash", "success")
 """The reward terms of every task; see `write_terms`."""
-
-
-@equation
-def bell(x: float, width: float) -> float:
-    """exp(-(x / width)^2): 1 at zero, 0.37 at `width`."""
-    return math.exp(-((x / width) ** 2))
 
 
 @kernel
@@ -86,8 +80,8 @@ def write_by_clock(
             covered = (d.last_distance - d.distance) / farthest
             proximity = min(max((near - 2.5) / (1.0 - 2.5), 0.0), 1.0)
             out[0, e, i] = decision_s * min(max(covered, -most), most)
-            out[1, e, i] = share * bell(d.distance, 0.15)
-            out[2, e, i] = share * bell(d.tracking_error, 0.10)
+            out[1, e, i] = share * math.exp(-((d.distance / 0.15) ** 2))  # 0.37 at 0.15 m
+            out[2, e, i] = share * math.exp(-((d.tracking_error / 0.10) ** 2))
             out[3, e, i] = decision_s * d.effort
             out[4, e, i] = decision_s * proximity
             out[5, e, i] = d.crashed

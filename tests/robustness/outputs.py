@@ -156,7 +156,9 @@ def read_only(name: str, folder: Path) -> Ended:
 
 
 def interrupted(name: str, folder: Path) -> Ended:
-    """Ctrl-C at some moment of its work."""
+    """Ctrl-C at some moment of its work: also between the last write and the end."""
+    (whole := folder / "whole").mkdir()
+    run(name, whole)
     before = note(name, folder)
 
     def press(child: int) -> None:
@@ -168,7 +170,11 @@ def interrupted(name: str, folder: Path) -> Ended:
     )
     if found.code == 0:  # it was done by then
         return found
-    check_kept(before)
+    if before.read_bytes() == BEFORE:
+        check_kept(before)
+    else:  # it was written by then: whole, but for digits of a wall time
+        size, full_size = before.stat().st_size, (whole / before.name).stat().st_size
+        assert abs(size - full_size) <= 8, f"{before.name} has {size} bytes of {full_size}"
     return refused(found, "interrupted", code=130)
 
 

@@ -14,19 +14,11 @@ from swarm_envs.envs.config import EnvConfig
 from swarm_envs.envs.core import SwarmCore
 from swarm_envs.tables import SETTINGS_TYPE, new_world
 from swarm_envs.tasks.base import SPEED_LIMIT, Success
-from swarm_envs.tasks.rewards import REWARD_NAMES, bell, weigh, write_terms, write_terms_v0
+from swarm_envs.tasks.rewards import REWARD_NAMES, weigh, write_terms, write_terms_v0
 from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.vehicles import parse_team
 
 number = st.floats(-1e6, 1e6)
-
-
-@given(number)
-def test_bell(x):
-    assert bell(0.0, 0.15) == 1.0
-    assert bell(0.15, 0.15) == pytest.approx(1 / math.e)
-    assert bell(x, 0.15) == bell(-x, 0.15)
-    assert 0.0 <= bell(x, 0.15) <= 1.0
 
 
 def written(**fields: float) -> dict[str, float]:
@@ -87,7 +79,7 @@ def test_progress(before, now):
 @given(st.floats(0.0, 1e3))
 def test_bells_are_seconds_or_shares_of_the_clock(x):
     for write, share in ((write_terms, 0.04), (write_terms_v0, 0.004)):
-        at_goal, tracking = share * bell(x, 0.15), share * bell(x, 0.10)
+        at_goal, tracking = share * math.exp(-((x / 0.15) ** 2)), share * math.exp(-100.0 * x * x)
         assert written_by(write, distance=x)["at_goal"] == pytest.approx(at_goal)
         assert written_by(write, tracking_error=x)["tracking"] == pytest.approx(tracking)
 
