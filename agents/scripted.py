@@ -23,7 +23,7 @@ from swarm_envs.envs.observation import Float32Array
 from swarm_envs.envs.parallel import SwarmParallelEnv
 from swarm_envs.envs.view import View
 from swarm_envs.state import FloatArray
-from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, Task
+from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT, ByScore, Task
 from swarm_envs.tasks.motion import LINES
 from swarm_envs.tasks.obstacles import obstacle_distances, obstacle_rows
 from swarm_envs.trajectories import Reference, rest_to_rest
@@ -336,8 +336,18 @@ class DetourAgent:
         self._since = self._duration = 0.0
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Forget the last episode; the seed draws the order in which drones choose."""
-        self._agents, self._arena = list(env.agents), env.core.task.arena
+        """Forget the last episode; the seed draws the order in which drones choose.
+
+        Raises:
+            ValueError: goals at rest that change one by one, while others are under way.
+        """
+        task = env.core.task
+        if isinstance(task.success, ByScore) and task.motion.rests:
+            raise ValueError(
+                f"DetourAgent plans the way of all drones at once, but in {task.name} each drone "
+                "is given another goal when it reaches one; use 'roundabout'"
+            )
+        self._agents, self._arena = list(env.agents), task.arena
         self._rng, self._plan = np.random.default_rng(seed), None
 
     def act(self, observations: Observations, view: View | None) -> Actions:

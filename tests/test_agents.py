@@ -243,3 +243,7 @@ def test_what_it_refuses():
         DetourAgent(share=0.0)
     with pytest.raises(ValueError, match=r"privileged: pass env\.view"):
         DetourAgent().act({}, None)
+    agent = DetourAgent()
+    env = swarm_envs.make("crowd_v0", physics="batch", num_drones=2, **agent.requires)
+    with pytest.raises(ValueError, match="in crowd_v0 each drone is given another goal"):
+        fly_episode(env, agent, seed=0)
