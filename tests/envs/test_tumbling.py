@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -18,7 +20,7 @@ FIELDS = ("position", "quaternion", "velocity", "angular_velocity", "rotor_thrus
 
 
 def flown(
-    engine: str, rate: int, rule: str, **options: str
+    engine: str, rate: int, rule: str, **options: Any
 ) -> tuple[list[float], npt.NDArray[np.void]]:
     """Fly a second: the first drone's angular speed after each decision, rad/s; and the records."""
     env = swap_v1.parallel_env(
