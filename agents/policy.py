@@ -370,8 +370,8 @@ class PolicyAgent:
         note, task = self.policy.note, env.core.task
         if task_family(task.name) not in note.families:
             raise ValueError(
-                f"this policy was trained for task {note.task!r}, but the environment's is "
-                f"{task.name!r}; train one for it by `swarm-envs train`"
+                f"this policy flies {' and '.join(sorted(note.families))}, but the environment's "
+                f"task is {task_family(task.name)}; train one for it by `swarm-envs train`"
             )
         if not note.fewest <= env.core.num_drones <= note.drones:
             raise ValueError(

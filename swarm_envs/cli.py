@@ -300,9 +300,15 @@ def _read(
     """
     import tyro
 
+    from swarm_envs.commands.mistakes import find_mistake
+
+    words = [*_with_new_names(name, arguments)]
+    mistake = find_mistake(options, words, prefixes)
+    if mistake is not None:
+        raise Misuse(f"{mistake}; see `{PROGRAM} {name} --help`")
     return tyro.cli(
         options,
-        args=[*_with_new_names(name, arguments)],
+        args=words,
         description=_description(name, options),
         prog=f"{PROGRAM} {name}",
         config=() if prefixes else (tyro.conf.OmitArgPrefixes,),

@@ -550,7 +550,7 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path, capsys):
     bare = Protections((), 0)
     monkeypatch.setattr(confinement, "probe", lambda: bare)
     words = ["--assignment", "swap", "--agent", str(tmp_path / "none.py:Agent")]
-    assert main(["grade", *words]) == 1
+    assert main(["grade", *words]) == 2  # there is no such file
     said = capsys.readouterr().out
     assert all(missing in said for missing in bare.missing)
     assert said.count("a work is not confined as it should be") == len(bare.missing) >= 4

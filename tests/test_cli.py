@@ -14,8 +14,11 @@ import swarm_envs
 from swarm_envs import cli
 from swarm_envs.cli import COMMANDS, EXAMPLES, PROGRAM, main
 from swarm_envs.commands.export import KINDS
+from swarm_envs.commands.fly import FlyOptions
+from swarm_envs.commands.mistakes import find_mistake
 from swarm_envs.files import written_whole
 from swarm_envs.training.reproduce.papers import PAPERS
+from swarm_envs.training.rl.rl_config import RlConfig
 
 
 def test_no_command_and_help_list_every_command(capsys):
@@ -74,7 +77,6 @@ def test_examples_of_the_help_are_read(call, monkeypatch):
     ("arguments", "said"),
     [
         (["--swap", "3"], "--swaps"),
-        (["--swaps", "many"], "many"),
         (["--seed", "-3"], "--seed is -3, but must be an integer of at least 0"),
         (["--swaps", "0"], "--swaps is 0, but must be an integer of at least 1 and at most 1,000"),
     ],
@@ -86,6 +88,44 @@ def test_bad_options_are_explained_with_exit_code_2(arguments, said, capsys, mon
     assert end.value.code == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("fly --world hal", "unknown --world 'hal'; did you mean 'hall'?"),
+        ("grade --assignment contoller", "did you mean 'controller'?"),
+        ("train --algo=pppo", "unknown --algo 'pppo'; did you mean 'ppo'?"),
+        ("record --rows teem", "did you mean 'team'?"),
+        ("assignment strat swap", "did you mean 'start'?"),
+        ("fit --logs.guard-s abc", "--logs.guard-s is 'abc', but must be finite and not negative"),
+        (
+            "demo --swaps many",
+            "--swaps is 'many', but must be an integer of at least 1 and at most",
+        ),
+        ("fly --drones four", "--drones is 'four', but must be an integer of at least 1;"),
+        ("fly --drones 4.5", "--drones is '4.5', but must be an integer of at least 1;"),
+        ("train --drones 4 six", "--drones is 'six', but must be an integer of at least 1, or"),
+        ("evaluate --workers two", "--workers is 'two', but must be an integer of at least 1;"),
+        ("reproduce neural-swarm2 --figure 2", "--figure is '2', but must be 1 or 5 or"),
+    ],
+)
+def test_a_value_that_an_option_cannot_take_is_named_with_the_rule_and_the_nearest(
+    line, said, capsys
+):
+    assert main(line.split()) == 2
+    told = capsys.readouterr().err
+    assert said in told
+    assert "Annotated" not in told
+    assert f"see `{PROGRAM} {line.split()[0]}" in told
+
+
+def test_what_an_option_can_take_is_no_mistake():
+    words = "--drones None --world hall --task x --randomization mass=1:2 --out a --horizon-s 1e1"
+    assert find_mistake(FlyOptions, words.split()) is None
+    several = "--drones 4 6 --proximity 1 2.5 --sac.tau 0.1"
+    assert find_mistake(RlConfig, several.split(), prefixes=True) is None
+    assert find_mistake(FlyOptions, ["--unknown", "x", "--", "y"]) is None  # others say so
 
 
 WITHOUT_TORCH = """

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from swarm_envs import swap_v1
-from swarm_envs.agents import fly_episode, load
+from swarm_envs.agents import fly_episode, load, recommended
 from swarm_envs.agents.evaluation import (
     TIMED,
     Episode,
@@ -113,8 +113,8 @@ def test_one_agent_s_numbers_stand_at_the_top_and_nothing_else_stays(tmp_path):
 
 def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys):
     report = tmp_path / "out.json"
-    names = ["Raises", "Fine", "Nan", "Leaves", "Unmade", "Picky", "Missing"]
-    agents = [f"{mine}:{name}" for name in names] + ["no-such-agent"]
+    names = ["Raises", "Fine", "Nan", "Leaves", "Unmade"]
+    agents = [f"{mine}:{name}" for name in names]
     assert main(["evaluate", *QUICK, "--agent", *agents, "--json", str(report)]) == 1
     said = capsys.readouterr()
     assert "mine.py" in said.err
@@ -125,10 +125,34 @@ def test_agents_that_fail_are_named_and_the_others_go_on(tmp_path, mine, capsys)
     assert "must be finite" in found["Nan"]["error"]
     assert "decision 1: SystemExit: bye" in found["Leaves"]["error"]
     assert "SystemExit: no" in found["Unmade"]["error"]
-    assert "requires num_drones=5, not 2" in found["Picky"]["error"]
-    assert "did you mean" in found["Missing"]["error"]
-    assert "unknown agent" in found["no-such-agent"]["error"]
-    assert said.out.count("FAILED") == 7
+    assert said.out.count("FAILED") == 4
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("tracing", "unknown agent 'tracing'; did you mean 'tracking'?"),
+        ("{mine}:Missing", "unknown class 'Missing'"),
+        ("{mine}:Picky", "requires num_drones=5, not 2"),
+        ("none.py:Agent", "there is no file 'none.py'"),
+        ("ring-ppo", "this policy flies ring, but the environment's task is swap; train one"),
+        ("swap-ppo", "was trained for teams of 4 drones, but the environment has 2"),
+    ],
+)
+def test_who_cannot_fly_is_refused_before_anybody_flies(name, why, tmp_path, mine, capsys):
+    report = tmp_path / "out.json"
+    agents = ["hover", name.format(mine=mine)]
+    assert main(["evaluate", *QUICK, "--json", str(report), "--agent", *agents]) == 2
+    said = capsys.readouterr()
+    assert why in said.err
+    assert "episode" not in said.err  # no bar
+    assert {file.name for file in tmp_path.iterdir()} == {"mine.py"}
+
+
+def test_without_an_agent_the_best_for_the_task_flies(tmp_path):
+    report, drones = tmp_path / "out.json", ["--drones", "4", "--episodes", "1"]
+    assert main(["evaluate", *drones, "--horizon-s", "0.5", "--json", str(report)]) == 0
+    assert json.loads(report.read_text())["agent"] == recommended("swap", num_drones=4)
 
 
 @pytest.mark.parametrize(

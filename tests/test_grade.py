@@ -85,22 +85,30 @@ def test_points_rise_from_nothing_to_a_hundred():
 def test_files_that_fail_get_nothing_and_the_others_go_on(tmp_path, work, capsys):
     table = tmp_path / "grades.csv"
     names = [f"{work}:{name}" for name in ("Nan", "Fine", "Missing", "Dies")]
-    names.append(str(tmp_path / "none.py:Agent"))
     arguments = ["--episodes", "1", "--out", str(table)]
     assert main(["grade", "--assignment", "swap", *arguments, "--agent", *names]) == 1
     with table.open(newline="") as file:
         found = {line["work"].split(":")[-1]: line for line in csv.DictReader(file)}
-    assert [line["points"] for line in found.values()] == ["0.0"] * 5  # who hovers never arrives
+    assert [line["points"] for line in found.values()] == ["0.0"] * 4  # who hovers never arrives
     assert (found["Fine"]["success_rate"], found["Fine"]["error"]) == ("0.0", "")
     assert "must be finite" in found["Nan"]["error"]
     assert "unknown class 'Missing'" in found["Missing"]["error"]
-    assert "there is no file" in found["Agent"]["error"]
     assert "exit code 3" in found["Dies"]["error"] and "%|" not in found["Dies"]["error"]
-    assert capsys.readouterr().out.count("FAILED") == 4
+    assert capsys.readouterr().out.count("FAILED") == 3
 
 
-def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, tmp_path, capsys):
-    names = [f"{work}:Hangs", str(tmp_path / "none.py:Agent")]
+def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsys):
+    table, missing = tmp_path / "grades.csv", tmp_path / "none.py"
+    names = [f"{work}:Fine", f"{missing}:Agent"]
+    assert main(["grade", "--assignment", "swap", "--out", str(table), "--agent", *names]) == 2
+    told = capsys.readouterr().err
+    assert f"--agent names what is not there: {missing}; nothing was graded" in told
+    assert str(work) not in told
+    assert not table.exists()
+
+
+def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, capsys):
+    names = [f"{work}:Hangs", f"{work}:Missing"]
     assert main(["grade", "--assignment", "swap", "--limit-s", "12", "--agent", *names]) == 1
     said = capsys.readouterr().out
     assert re.search(r"work.py:Hangs +0.0 +FAILED: .*took longer than 12 s", said)

@@ -9,6 +9,7 @@ import pytest
 
 from swarm_envs import make
 from swarm_envs.cli import main
+from swarm_envs.commands.fly import FlyOptions
 from swarm_envs.envs.randomization import Randomization
 from swarm_envs.tasks.obstacles import Box, Column, buildings, parse_obstacles
 from swarm_envs.training.rl.learner import training_blueprint
@@ -85,6 +86,18 @@ def test_the_benchmark_flies_them_under_another_id(tmp_path):
     (task,) = json.loads((tmp_path / "scores.json").read_text())["tasks"]
     assert task["id"].startswith("swap-random-2-v1-") and "hall" in task["label"]
     assert task["options"]["team"] == "SSL" and "num_drones" not in task["options"]
+
+
+@pytest.mark.parametrize("command", ["fly", "evaluate", "record", "train"])
+def test_a_team_and_another_number_of_drones_contradict_each_other(command, tmp_path, capsys):
+    words = [command, "--team", "SSL", "--drones", "5", "--out", str(tmp_path / "out")]
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert end.value.code == 2
+    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "--drones is 5, but --team SSL has 3; give one of them" in told
+    assert not [*tmp_path.iterdir()]
+    assert FlyOptions(team="SSL", drones=3).setting()["team"] == "SSL"
 
 
 @pytest.mark.parametrize("command", ["fit", "train", "fly", "evaluate", "benchmark"])

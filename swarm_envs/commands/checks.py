@@ -78,6 +78,19 @@ def check_outputs(out: Path, json: Path | None) -> None:
         check_file("--json", json)
 
 
+def need_file(option: str, file: Path, what: str) -> None:
+    """Refuse a file that is to be read, but is not there.
+
+    Raises:
+        Misuse: naming the option, the file and what it is for.
+    """
+    given = f"{option} is {str(file)!r}"
+    if not _exists(given, file):
+        raise Misuse(f"{given}, {what}, but there is no such file")
+    if file.is_dir():
+        raise Misuse(f"{given}, {what}, but that is a folder; name a file")
+
+
 def _exists(given: str, path: Path) -> bool:
     try:
         return path.exists()

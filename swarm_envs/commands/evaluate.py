@@ -5,14 +5,15 @@ from __future__ import annotations
 import shutil
 import sys
 import traceback
-from contextlib import nullcontext
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from contextlib import ExitStack, nullcontext
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_file, check_folder, command_options
-from swarm_envs.commands.fly import EpisodeOptions, find_task, prepare
+from swarm_envs.commands.fly import EpisodeOptions, best_agent, check_flies, find_task, prepare
 from swarm_envs.training.scale_out.options import ScaleOptions
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from swarm_envs.envs.parallel import SwarmParallelEnv
     from swarm_envs.training.scale_out.episodes import AgentEpisodes
 
+    Made = tuple[Agent, SwarmParallelEnv] | BaseException
+
 
 @command_options
 @dataclass(frozen=True, kw_only=True)
@@ -28,12 +31,14 @@ class EvaluateOptions(EpisodeOptions):
     """Fly many episodes of one or more agents on the same seeds, and report what they add up to.
 
     Interrupted or killed, the same command resumes after the last whole episode. An agent that
-    fails is named in the report, the others go on, and the exit code is 1.
+    fails in flight is named in the report, the others go on, and the exit code is 1. One that
+    cannot fly this at all is refused before anything flies.
     """
 
-    agent: list[str] = field(default_factory=lambda: ["tracking"])
-    """who flies, one or more: names as of `fly`, folders of trained policies, or
-    path/to/file.py:Class; each with +filter at its end behind a safety filter"""
+    agent: list[str] = field(default_factory=list)
+    """who flies, one or more, by default the best for the task by the benchmark: names as of `fly`,
+    folders of trained policies, or path/to/file.py:Class; each with +filter at its end behind a
+    safety filter"""
     episodes: Count = 256
     """episodes of each agent"""
     seed: Seed = 0
@@ -50,9 +55,10 @@ class EvaluateOptions(EpisodeOptions):
     """who shares the episodes"""
 
     def __post_init__(self) -> None:
-        """Refuse names that would be flown twice."""
-        if len(set(self.agent)) < len(self.agent) or not self.agent:
-            raise ValueError(f"--agent is {self.agent}; name one or more, each once")
+        """Refuse names that would be flown twice, and two numbers of drones."""
+        super().__post_init__()
+        if len(set(self.agent)) < len(self.agent):
+            raise ValueError(f"--agent is {self.agent}; name each once")
 
 
 def run_evaluate(options: EvaluateOptions) -> int:
@@ -60,7 +66,8 @@ def run_evaluate(options: EvaluateOptions) -> int:
 
     Raises:
         BlockingIOError: another process writes into the folder of the episodes.
-        Misuse: there is no such task, option or place to write; nothing was flown.
+        Misuse: there is no such task, agent, option or place to write, or an agent cannot fly
+            this; nothing was flown.
     """
     from swarm_envs import make
     from swarm_envs.files import claimed
@@ -73,19 +80,47 @@ def run_evaluate(options: EvaluateOptions) -> int:
     try:
         task = find_task(options.task)
         make(task, **options.setting()).close()
+        options = replace(options, agent=options.agent or [best_agent(options, task)])
     except (ValueError, TypeError, ImportError) as error:
         raise Misuse(str(error)) from error
     folder = _kept(options) if options.out is None else options.out
-    with nullcontext() if folder is None else claimed(folder):
-        return _evaluate(options, task, reports)
+    with ExitStack() as opened:
+        made = _make_all(options, task, opened)
+        opened.enter_context(nullcontext() if folder is None else claimed(folder))
+        return _evaluate(options, task, made, reports)
 
 
-def _evaluate(options: EvaluateOptions, task: str, reports: list[Path]) -> int:
+def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[str, Made]:
+    """Every agent with its environment, or what its own file raises.
+
+    Raises:
+        Misuse: there is no such agent, or it cannot fly this.
+    """
+    from swarm_envs.agents.evaluation import frozen_seeds
+
+    found: dict[str, Made] = {}
+    for name in options.agent:
+        try:
+            agent, env = prepare(name, options, task)
+        except (ValueError, TypeError, FileNotFoundError) as error:
+            raise Misuse(f"agent {name!r} cannot fly this: {error}") from error
+        except (Exception, SystemExit) as error:
+            found[name] = error
+            continue
+        opened.callback(env.close)
+        check_flies(name, agent, env, options, frozen_seeds(options.seed, 1)[0])
+        found[name] = agent, env
+    return found
+
+
+def _evaluate(
+    options: EvaluateOptions, task: str, made: Mapping[str, Made], reports: list[Path]
+) -> int:
     """Fly all agents and write the reports; return how many failed."""
     from swarm_envs.files import write_json
 
     about = {"task": task, **options.setting(), "seed": options.seed}
-    agents = _reports(options, about)
+    agents = _reports(options, about, made)
     failed = sum("error" in report for report in agents)
     content = {**about, **(agents[0] if len(agents) == 1 else {}), "agents": agents}
     for path in reports:
@@ -109,22 +144,25 @@ def _kept(options: EvaluateOptions) -> Path | None:
     return None if options.json is None else options.json.with_suffix(".episodes")
 
 
-def _reports(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, Any]]:
+def _reports(
+    options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
+) -> list[dict[str, Any]]:
     """Each agent's scores; or, under `error`, why it has none."""
     if not options.scale.alone:
-        return _reports_apart(options, about)
-    return [_report(name, options, about) for name in options.agent]
+        return _reports_apart(options, about, made)
+    return [_report(name, each, options, about) for name, each in made.items()]
 
 
-def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[str, Any]:
+def _report(
+    name: str, made: Made, options: EvaluateOptions, about: dict[str, Any]
+) -> dict[str, Any]:
     from swarm_envs.agents import SafetyFilter
     from swarm_envs.agents.evaluation import score_episodes
 
     report: dict[str, Any] = {"agent": name}
-    try:
-        agent, env = prepare(name, options, about["task"])
-    except (Exception, SystemExit) as error:
-        return {**report, "error": _unflyable(error)}
+    if isinstance(made, BaseException):
+        return {**report, "error": _unflyable(made)}
+    agent, env = made
     report |= _described(agent, env)
     try:
         scores = score_episodes(_fly(name, env, agent, options, about))
@@ -134,8 +172,6 @@ def _report(name: str, options: EvaluateOptions, about: dict[str, Any]) -> dict[
         if ":" in name:  # its author needs to see where it failed
             traceback.print_exception(error.__cause__ or error)
         return {**report, "error": str(error)}
-    finally:
-        env.close()
 
 
 def _unflyable(error: BaseException) -> str:
@@ -196,7 +232,9 @@ def _open_episodes(
     return EpisodeFile(folder, name, depends)
 
 
-def _reports_apart(options: EvaluateOptions, about: dict[str, Any]) -> list[dict[str, Any]]:
+def _reports_apart(
+    options: EvaluateOptions, about: dict[str, Any], made: Mapping[str, Made]
+) -> list[dict[str, Any]]:
     """The same with other processes or a Ray cluster.
 
     Raises:
@@ -206,8 +244,8 @@ def _reports_apart(options: EvaluateOptions, about: dict[str, Any]) -> list[dict
     """
     found: dict[str, dict[str, Any]] = {}
     agents: dict[str, AgentEpisodes] = {}
-    for name in options.agent:
-        found[name], record = _enter_apart(name, options, about)
+    for name, each in made.items():
+        found[name], record = _enter_apart(name, each, options, about)
         if record is not None:
             agents[name] = record
     _fly_apart([*agents.values()], options, about["task"])
@@ -217,7 +255,7 @@ def _reports_apart(options: EvaluateOptions, about: dict[str, Any]) -> list[dict
 
 
 def _enter_apart(
-    name: str, options: EvaluateOptions, about: dict[str, Any]
+    name: str, made: Made, options: EvaluateOptions, about: dict[str, Any]
 ) -> tuple[dict[str, Any], AgentEpisodes | None]:
     """What is known of an agent before it flies; no record if it cannot."""
     from swarm_envs.agents.evaluation import source_digest
@@ -225,13 +263,11 @@ def _enter_apart(
     from swarm_envs.training.scale_out.episodes import AgentEpisodes
 
     report: dict[str, Any] = {"agent": name}
-    try:
-        agent, env = prepare(name, options, about["task"])
-    except (Exception, SystemExit) as error:
-        return {**report, "error": _unflyable(error)}, None
+    if isinstance(made, BaseException):
+        return {**report, "error": _unflyable(made)}, None
+    agent, env = made
     report |= _described(agent, env)
     batched = flies_batches(env, agent)
-    env.close()
     try:
         kept = _open_episodes(name, agent, options, about)
     except Exception as error:

@@ -52,6 +52,17 @@ class EpisodeFields:
 class EpisodeOptions(CrewOptions, EpisodeFields):
     """What is flown, and in which air."""
 
+    def __post_init__(self) -> None:
+        """Refuse two numbers of drones."""
+        from swarm_envs.vehicles import parse_team
+
+        if self.team is None or self.drones is None:
+            return
+        if (count := len(parse_team(self.team))) != self.drones:
+            raise ValueError(
+                f"--drones is {self.drones}, but --team {self.team} has {count}; give one of them"
+            )
+
     def setting(self) -> dict[str, Any]:
         """The options of the environment that were given."""
         from swarm_envs import task_family
@@ -113,7 +124,7 @@ def run_fly(options: FlyOptions) -> None:
     _check_writers(files)
     try:
         task = find_task(options.task)
-        name = options.agent or _best_agent(options, task)
+        name = options.agent or best_agent(options, task)
         agent, env = prepare(name, options, task)
     except (ValueError, TypeError, FileNotFoundError) as error:
         raise Misuse(str(error)) from error
@@ -157,6 +168,25 @@ def prepare(name: str, options: EpisodeOptions, task: str) -> tuple[Agent, Swarm
     return agent, make(task, **{**given, **agent.requires})
 
 
+def check_flies(
+    name: str, agent: Agent, env: SwarmParallelEnv, options: EpisodeOptions, seed: int
+) -> None:
+    """Refuse an agent that ships, or a policy, for which this task or team is none of its own.
+
+    What a user's own file refuses is said of its flight.
+
+    Raises:
+        Misuse: it refuses the episode of a seed; the message names another agent, if there is one.
+    """
+    if ":" in name:
+        return
+    env.reset(seed=seed)
+    try:
+        agent.reset(env, seed)
+    except ValueError as error:
+        raise Misuse(_refusal(name, error, options, env.core.task.name)) from error
+
+
 def find_task(name: str) -> str:
     """The versioned name of a task; of the newest version if the name has none.
 
@@ -170,7 +200,7 @@ def find_task(name: str) -> str:
     return versions[-1] if versions else check_name("task", name, TASKS)
 
 
-def _best_agent(options: EpisodeOptions, task: str) -> str:
+def best_agent(options: EpisodeOptions, task: str) -> str:
     """The best agent for a task, as it was asked for.
 
     Raises:
@@ -205,8 +235,7 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
         if ":" in name:  # its author needs to see where it failed
             traceback.print_exc()
         elif not bars and isinstance(error, ValueError):
-            other = _other_agent(options, env.core.task.name, name)
-            raise Misuse(f"agent {name!r} cannot fly this: {error}{other}") from error
+            raise Misuse(_refusal(name, error, options, env.core.task.name)) from error
         what = f"{type(error).__name__}: {error}"
         raise ValueError(f"agent {name!r} failed in flight: {what}") from error
     finally:
@@ -214,13 +243,14 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
             bar.close()
 
 
-def _other_agent(options: FlyOptions, task: str, name: str) -> str:
-    """A clause that names an agent for what another refused, if the benchmark has one."""
+def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
+    """Why an agent cannot fly, and who can, if the benchmark has one."""
+    said = f"agent {name!r} cannot fly this: {error}"
     try:
-        best = _best_agent(options, task)
+        best = best_agent(options, task)
     except ValueError:
-        return ""
-    return f"; try --agent {best}" if best != name else ""
+        return said
+    return f"{said}; try --agent {best}" if best != name else said
 
 
 def _print_summary(recording: Recording, agent: Agent) -> None:

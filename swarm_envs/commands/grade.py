@@ -78,6 +78,7 @@ def run_grade(options: GradeOptions) -> int:
     if options.data is not None:
         _check_rows(options.data)
     assignment, works = ASSIGNMENTS[options.assignment], _expanded(options.agent)
+    _check_works(works)
     grades: list[Grade] = []
     try:
         for work in tqdm(works, desc="grading", unit="file"):
@@ -138,6 +139,21 @@ def _expanded(works: list[str]) -> list[str]:
             raise Misuse(f"--agent is {work!r}, but no file's name matches that pattern")
         found += [f"{file}{colon}{name}" for file in files]
     return found
+
+
+def _check_works(works: list[str]) -> None:
+    """A file that is not there is the mistake of who typed its name.
+
+    Raises:
+        Misuse: naming the files.
+    """
+    from swarm_envs.agents.registry import FILTER, SHIPPED
+    from swarm_envs.commands.grading.remote import path_of
+
+    named = [work for work in works if work.removesuffix(FILTER) not in SHIPPED]
+    missing = [str(path_of(work)) for work in named if not path_of(work).exists()]
+    if missing:
+        raise Misuse(f"--agent names what is not there: {', '.join(missing)}; nothing was graded")
 
 
 def _check_rows(path: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from swarm_envs.arguments import POSITIVE_S, Count, Range, Seed
-from swarm_envs.commands.checks import Misuse, command_options, output_files
+from swarm_envs.commands.checks import Misuse, command_options, need_file, output_files
 
 if TYPE_CHECKING:
     from swarm_envs.baselines.rth3d import GridInstance, GridPlan
@@ -129,6 +129,8 @@ def _instance(options: PlanOptions) -> GridInstance:
 
     try:
         if options.map is not None and options.scen is not None:
+            need_file("--map", options.map, "the grid with its obstacles")
+            need_file("--scen", options.scen, "the robots' starts and goals on the map")
             return read_benchmark(options.map, options.scen, options.robots)
         shape = check_shape(options.shape())
         count = options.robots

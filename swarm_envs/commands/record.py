@@ -20,7 +20,7 @@ import numpy as np
 
 from swarm_envs.arguments import Count, Seed
 from swarm_envs.commands.checks import Misuse, check_folder, command_options
-from swarm_envs.commands.fly import EpisodeOptions, find_task, prepare
+from swarm_envs.commands.fly import EpisodeOptions, check_flies, find_task, prepare
 
 if TYPE_CHECKING:
     from minari.data_collector import EpisodeBuffer
@@ -80,6 +80,7 @@ def run_record(options: RecordOptions) -> None:
         raise ImportError("a dataset needs Minari; install it by: pip install 'swarm-envs[minari]'")
     from minari.dataset.minari_dataset import parse_dataset_id
 
+    from swarm_envs.agents.evaluation import frozen_seeds
     from swarm_envs.files import claimed
 
     try:
@@ -87,6 +88,7 @@ def run_record(options: RecordOptions) -> None:
         agent, env = prepare(options.agent, options, task)
         name = options.name or f"{task.partition('_')[0]}-{Path(options.agent).stem}-v0"
         parse_dataset_id(name := name.replace("+", "-"))
+        check_flies(options.agent, agent, env, options, frozen_seeds(options.seed, 1)[0])
     except (ValueError, TypeError, FileNotFoundError) as error:
         raise Misuse(str(error)) from error
     root = options.out or Path(os.environ.get(_ROOT, Path.home() / ".minari" / "datasets"))

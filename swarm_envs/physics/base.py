@@ -43,8 +43,8 @@ from swarm_envs.physics.step import (
     TOUCH,
     begin_flight,
     fly,
-    new_work,
 )
+from swarm_envs.physics.tile import new_work
 from swarm_envs.physics.workers import Call, Workers
 from swarm_envs.state import (
     BoolArray,

@@ -311,17 +311,23 @@ class BulletPhysics(Physics):
             for e in where.tolist():
                 if k and bounces:
                     self.settle(e)
-                self._move_bodies(e, settles and k == steps - 1)
+                self._move_bodies(e, settles and k == steps - 1, ends_team)
         kernel(0, self.num_envs, TOUCH, *given)
         if not ends_team:  # who bounced, or has ended, is not where its body is
             for e in where.tolist():
                 self.settle(e)
 
-    def _move_bodies(self, e: int, settles: bool) -> None:
+    def _move_bodies(self, e: int, settles: bool, ends_team: bool) -> None:
         """Let Bullet advance the bodies of environment `e`, and write where they are now.
 
+        Who tumbles stays where it was, and its team too if its episode ends with that.
         Numbers are packed into the memory of the drones: to make an array of them takes longer.
         """
+        drones = self.world.drones[e]
+        tumbles = (drones["tumbling"] > 0.0).tolist()
+        if ends_team and any(tumbles):
+            self.settle(e)
+            return
         bullet, client, bodies = self._bullet, self.clients[e], self.bodies[e]
         push, turn, link = bullet.applyExternalForce, bullet.applyExternalTorque, bullet.LINK_FRAME
         for body, (force, torque) in zip(bodies, self._wrenches[e].tolist(), strict=True):
@@ -332,9 +338,9 @@ class BulletPhysics(Physics):
         put, set_off = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
         write, memory, size = _BODY.pack_into, self._memory, self.world.drones.itemsize
         place = e * len(bodies) * size
-        for body, flies in zip(bodies, self.world.drones["active"][e].tolist(), strict=True):
+        for body, active, stays in zip(bodies, drones["active"].tolist(), tumbles, strict=True):
             (position, quaternion), (velocity, rate) = pose(body, client), twist(body, client)
-            if flies:
+            if active and not stays:
                 write(memory, place, *position, *quaternion, *velocity, *rate)
             place += size
             if settles:

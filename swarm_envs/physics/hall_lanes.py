@@ -71,15 +71,22 @@ def load_hall(
 
 
 @part
-def store_hall(columns: FloatArray, members: IntArray, count: int, tile: FloatArray) -> None:
-    """Copy what has changed back from the blocks."""
-    drones, slot = columns.shape[1], 0
-    for place in range(count):
-        for i in range(drones):
-            row = columns[members[place], i]
-            for c in range(ADAPTATION_END, HALL_ENDS[0]):
-                row[c] = tile[slot // LANES, c, slot % LANES]
-            slot += 1
+def store_hall(
+    columns: FloatArray, members: IntArray, count: int, tile: FloatArray, stopped: BoolArray
+) -> None:
+    """Copy what has changed back from the blocks, but of drones that have stopped."""
+    for slot in range(count * columns.shape[1]):
+        if not stopped[slot]:
+            store_estimate(columns, members, slot, tile)
+
+
+@part
+def store_estimate(columns: FloatArray, members: IntArray, slot: int, tile: FloatArray) -> None:
+    """The same of one drone."""
+    drones = columns.shape[1]
+    row = columns[members[slot // drones], slot % drones]
+    for c in range(ADAPTATION_END, HALL_ENDS[0]):
+        row[c] = tile[slot // LANES, c, slot % LANES]
 
 
 @part

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -20,18 +20,10 @@ from swarm_envs.control.adaptation import adapt
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
 from swarm_envs.interactions.forces import felt_forces, swarm_forces
-from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
+from swarm_envs.interactions.packed import PackedField, Scratch
 from swarm_envs.motors import drain, limit_rotors
-from swarm_envs.neighbors import FEW
 from swarm_envs.physics.bounce import bounce
-from swarm_envs.physics.contact import (
-    PLACES,
-    SPOT_TYPE,
-    meet,
-    meet_many,
-    touch,
-    touch_obstacles,
-)
+from swarm_envs.physics.contact import meet, meet_many, touch, touch_obstacles
 from swarm_envs.physics.hall_lanes import (
     disturb,
     estimate,
@@ -48,22 +40,9 @@ from swarm_envs.physics.rigid_body import (
     rotor_wrench,
     spin_rotors,
 )
+from swarm_envs.physics.tile import Work, any_tumbles, load_tile, stop_tumbling, store_tile
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.tables import (
-    ACTIVE,
-    ADAPTATION_END,
-    BLOCK_TYPE,
-    BODY_END,
-    CONTACT_COLUMNS,
-    CONTACT_VALUES,
-    CONTROLLER_END,
-    LANES,
-    RESET_COLUMNS,
-    RESET_VALUES,
-    VEHICLE_END,
-    Records,
-    aligned,
-)
+from swarm_envs.tables import LANES, RESET_COLUMNS, RESET_VALUES, Records
 
 __all__ = ["RATES", "ROTORS", "SETPOINTS"]
 
@@ -71,95 +50,6 @@ SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
 BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
 """Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
-FAR = 1e6
-"""Where drones whose episode has ended are taken to be, and how far from each other, m."""
-
-
-class Work(NamedTuple):
-    """Working memory of one thread, nothing to keep."""
-
-    blocks: Records
-    """Records of `LANES` drones: all drones of a tile, one environment after the other."""
-    tile: FloatArray
-    """(blocks, rows, LANES) the same memory as plain numbers."""
-    members: IntArray
-    """(C,) the environments of the tile."""
-    due: IntArray
-    """(C,) places of those whose force is due."""
-    spots: Records
-    """(N,) for `meet`."""
-    position: FloatArray
-    """(N, 3) for `meet_many`."""
-
-
-def new_work(num_drones: int) -> Work:
-    """Working memory for environments of so many drones."""
-    places = max(1, min(PLACES, CHUNK // num_drones))
-    blocks = aligned(-(-places * num_drones // LANES), BLOCK_TYPE)
-    return Work(
-        blocks=blocks,
-        tile=blocks.view(np.float64).reshape(len(blocks), -1, LANES),
-        members=np.zeros(places, np.int64),
-        due=np.zeros(places, np.int64),
-        spots=aligned(num_drones if num_drones <= FEW else 0, SPOT_TYPE),
-        position=np.zeros((num_drones, 3)),
-    )
-
-
-@part
-def load_tile(
-    columns: FloatArray, count: int, controlled: bool, adaptive: bool, begins: bool, work: Work
-) -> None:
-    """Copy what a step knows of the drones of the first `count` members into the blocks.
-
-    The columns of the tracking loop, and of its adaptation, are left out if there is none. Where a
-    decision begins, what was touched in the last one is forgotten. Lanes that are left over in the
-    last block repeat the last drone, so that numbers there are sound; they are not written back.
-    Drones whose episode has ended come far away from all others, and are not written back either:
-    so they neither touch nor push anybody, and stay as they were at their end.
-    """
-    drones, slot = columns.shape[1], 0
-    skipped = BODY_END if controlled else CONTROLLER_END
-    end = ADAPTATION_END if adaptive else VEHICLE_END
-    for place in range(count):
-        for i in range(drones):
-            row, lane = columns[work.members[place], i], slot % LANES
-            block = work.tile[slot // LANES]
-            for c in range(BODY_END):
-                block[c, lane] = row[c]
-            for c in range(skipped, end):
-                block[c, lane] = row[c]
-            if begins:
-                for k in range(len(CONTACT_COLUMNS)):
-                    block[CONTACT_COLUMNS[k], lane] = CONTACT_VALUES[k]
-            if row[ACTIVE] == 0.0:
-                block[0, lane] = FAR * (i + 1)
-            slot += 1
-    last, block = (slot - 1) % LANES, work.tile[(slot - 1) // LANES]
-    for lane in range(last + 1, LANES):
-        for c in range(end):
-            block[c, lane] = block[c, last]
-
-
-@part
-def store_tile(
-    columns: FloatArray, count: int, controlled: bool, adaptive: bool, work: Work
-) -> None:
-    """Copy what a step has changed back from the blocks."""
-    drones, slot = columns.shape[1], 0
-    end = CONTROLLER_END if controlled else BODY_END
-    learned = ADAPTATION_END if adaptive else VEHICLE_END
-    for place in range(count):
-        for i in range(drones):
-            row, lane = columns[work.members[place], i], slot % LANES
-            block = work.tile[slot // LANES]
-            slot += 1
-            if row[ACTIVE] == 0.0:
-                continue
-            for c in range(end):
-                row[c] = block[c, lane]
-            for c in range(VEHICLE_END, learned):
-                row[c] = block[c, lane]
 
 
 @part
@@ -247,6 +137,8 @@ def fly(  # noqa: C901  # one step, on one screen
         last: one past the last.
         phases: which phases each step has. Without MOVE, TOUCH comes first: Bullet has moved the
             bodies since the last call.
+
+    Who tumbles stops at that step: alone, or with its team where `ends_team` says so.
         steps: number of steps.
         flown: (E,) environments to fly; the others are not touched.
         drones: (E, N) their records.
@@ -270,7 +162,7 @@ def fly(  # noqa: C901  # one step, on one screen
     """
     s, size, members = settings[0], drones.shape[1], work.members
     controlled, moves = s.level != ROTORS, phases & MOVE != 0
-    adapts = adaptive is not None and controlled
+    adapts, team = adaptive is not None and controlled, s.ends_team
     e = first
     while e < last:
         count = 0
@@ -287,6 +179,8 @@ def fly(  # noqa: C901  # one step, on one screen
             load_hall(columns, environments, members, count, work.blocks, work.tile)
         elif twisting is not None:
             load_hall(columns, environments, members, count, work.blocks, work.tile)
+        if phases & TOUCH and phases & BEGIN == 0 and any_tumbles(work.blocks, full):
+            stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
         for k in range(steps + 1):
             if phases & TOUCH and (k > 0) == moves:
                 if hall is not None:
@@ -302,6 +196,8 @@ def fly(  # noqa: C901  # one step, on one screen
                 if bounces is not None:
                     for place in range(count):
                         bounce(work.blocks, place * size, size, settings, obstacles)
+                if any_tumbles(work.blocks, full):
+                    stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
             if k == steps:
                 break
             if hall is not None and phases & CONTROL and controlled:
@@ -352,9 +248,9 @@ def fly(  # noqa: C901  # one step, on one screen
                 write_wrenches(count, drones, work, twisting)
         store_tile(columns, count, controlled, adapts, work)
         if hall is not None:  # noqa: SIM114  # likewise
-            store_hall(columns, members, count, work.tile)
+            store_hall(columns, members, count, work.tile, work.stopped)
         elif twisting is not None:
-            store_hall(columns, members, count, work.tile)
+            store_hall(columns, members, count, work.tile, work.stopped)
 
 
 @part

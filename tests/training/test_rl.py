@@ -98,8 +98,8 @@ def test_a_run_is_written_and_its_policy_flies(algo, whole, capsys):
     assert agent.policy.provenance["config"] == report["config"]
     assert main(["evaluate", "--agent", str(whole[algo]), *SHORT]) == 0
     for count in ("3", "1"):
-        assert main(["evaluate", "--agent", str(whole[algo]), *SHORT, "--drones", count]) == 1
-        said = capsys.readouterr().out
+        assert main(["evaluate", "--agent", str(whole[algo]), *SHORT, "--drones", count]) == 2
+        said = capsys.readouterr().err
         assert f"trained for teams of 2 drones, but the environment has {count}" in said
 
 
@@ -220,10 +220,11 @@ def test_an_unfinished_run_takes_no_other_options_and_damage_is_named(whole, tmp
         ("--start-kl 1", "--start-kl was given, but no --start"),
         ("--algo dagger --crash 2", "--crash was given (2.0), but --algo dagger has no such"),
         ("--algo sac --sac.batch-size 0", "--sac.batch-size"),
+        ("--task crowd", "trains swap, formation, ring, but not 'crowd'; train it by Stable-Base"),
         ("--drones 4 4", "--drones is (4, 4) and --team (); name teams, each once"),
         ("--drones 2 4 --environments 3", "multiple of the 2 teams"),
         ("--drones 4 0", "--drones is (4, 0)"),
-        ("--set-hidden 0", "--set-hidden is (0,), but must be a sequence, each an integer"),
+        ("--set-hidden 0", "--set-hidden is '0', but must be a sequence, each an integer"),
         ("--drones 2 4 --algo mappo", "--algo mappo trains one team"),
         ("--activation relu --algo sac", "--algo sac has no such option"),
     ],

@@ -289,7 +289,14 @@ def recipe_of(task: str) -> Recipe:
     Raises:
         ValueError: the task has none; the message lists those that have one.
     """
-    return RECIPES[check_name("task with a recipe", task_family(task), RECIPES)]
+    family = task_family(task)
+    if family not in RECIPES:
+        raise ValueError(
+            f"`swarm-envs train` trains {', '.join(RECIPES)}, but not {family!r}; train it by "
+            "Stable-Baselines3 with swarm_envs.training.SharedPolicyVecEnv, which takes every task "
+            "(docs/interfaces.md)"
+        )
+    return RECIPES[family]
 
 
 def with_recipe(config: RlConfig, task: str) -> RlConfig:

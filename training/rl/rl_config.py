@@ -90,7 +90,8 @@ class RunOptions:
     out: Path
     """folder of the run: policy.safetensors, curve.csv, report.json, checkpoint, event files"""
     task: str = "swap"
-    """the task: `swap`, or with its version, `swap_v1`"""
+    """the task: `swap`, `ring` or `formation`, or with its version, `swap_v1`; others are trained
+    by libraries"""
     layout: str | None = None
     """of the task; that of its recipe if not given: `random` for swap (half of the episodes are
     crowded, a quarter on the circle; or `circle`), `shuffle` for formation (or `cube`, `tour`)"""
@@ -227,6 +228,12 @@ class RlConfig(AirOptions, RunOptions):
         self._check_sizes()
 
     def _check_teams(self) -> None:
+        given = self.drones if isinstance(self.drones, tuple) else (self.drones,)
+        if self.team and given != (RunOptions.drones,) and {*given} != {*self.team_sizes}:
+            raise ValueError(
+                f"--drones is {self.drones}, but --team {' '.join(self.team)} has "
+                f"{', '.join(map(str, self.team_sizes))}; give one of them"
+            )
         named = [str(team) for team in self.teams]
         if not named or len(set(named)) < len(named):
             raise ValueError(

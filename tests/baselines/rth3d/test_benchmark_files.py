@@ -99,7 +99,15 @@ def test_malformed_files_are_refused_by_line(tmp_path, capsys, old, new, said):
         (["--map", "small.map"], "--map and --scen belong together"),
         (["--map", "small.map", "--scen", "small.scen", "--density", "0.1"], "take the place of"),
         (["--map", "small.map", "--scen", "small.scen", "--robots", "4"], "is 4, but"),
-        (["--map", "none.map", "--scen", "small.scen"], "none.map"),
+        (
+            ["--map", "none.map", "--scen", "small.scen"],
+            "--map is 'none.map', the grid with its obstacles, but there is no such file",
+        ),
+        (
+            ["--map", "small.map", "--scen", "none.scen"],
+            "--scen is 'none.scen', the robots' starts and goals on the map, but there is no such",
+        ),
+        (["--map", ".", "--scen", "small.scen"], "but that is a folder; name a file"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(tmp_path, monkeypatch, capsys, asked, said):
