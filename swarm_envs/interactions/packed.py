@@ -81,11 +81,7 @@ class PackedField(NamedTuple):
 
 
 def packed(field: ForceField) -> PackedField:
-    """Pack a force model.
-
-    Raises:
-        ValueError: it has more types than kernels have room for.
-    """
+    """Pack a force model."""
     types = len(field.drag)
     if types > MOST_TYPES:
         raise ValueError(

@@ -428,15 +428,7 @@ _NOMINAL = ("mass", "inertia", "motor_rate", "max_rotor_thrust")
 
 
 def check_state(state: SwarmState, like: SwarmState) -> None:
-    """Refuse a state that physics could not start from.
-
-    Args:
-        state: what was given.
-        like: a state of the right shapes.
-
-    Raises:
-        ValueError: naming the field and what is wrong with it.
-    """
+    """Refuse a state that physics could not start from."""
     for name, array, model in zip(state._fields, state, like, strict=True):
         check_array(f"state.{name}", array, model.shape)
     norm = np.linalg.norm(state.quaternion, axis=-1)

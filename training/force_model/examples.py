@@ -47,9 +47,6 @@ def targets(rows: InteractionRows, torque: bool = False, horizontal: bool = Fals
     """Labels of the rows: (R,) the force in gram-force, or (R, 4) with the torque, gram-force cm.
 
     With the horizontal force (R, 3): the vertical first, then x and y.
-
-    Raises:
-        ValueError: the torque is wanted of rows that carry none.
     """
     force = torch.from_numpy(rows.force_g[:, 2]).float()
     if horizontal:
@@ -193,9 +190,6 @@ def inner_split(
 
     Returns:
         (R,) masks of the rows to train on and of those held out.
-
-    Raises:
-        ValueError: the share is out of range, or one of the parts would be empty.
     """
     if not 0.0 < share <= 0.5:
         raise ValueError(f"share is {share}, but must be above 0 and at most 0.5")

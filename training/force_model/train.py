@@ -72,11 +72,7 @@ def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
 
 
 def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
-    """Continue `run`, freshly started, where the checkpoint stands.
-
-    Raises:
-        ValueError: the checkpoint was written with another configuration.
-    """
+    """Continue `run`, freshly started, where the checkpoint stands."""
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

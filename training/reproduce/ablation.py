@@ -113,12 +113,7 @@ def ablation_fit(options: Any, cell: str, seed: int) -> FitConfig:
 
 
 def _grid(options: Any) -> Cells:
-    """What fits each run, or reads it if it has ended; the table is rewritten after each.
-
-    Raises:
-        FileNotFoundError: there is no data.
-        ValueError: a run in the folder was made with other data or settings.
-    """
+    """What fits each run, or reads it if it has ended; the table is rewritten after each."""
     from swarm_envs.training.flight_logs.fit_data import data_sha256
 
     if not options.data.exists():

@@ -77,12 +77,7 @@ class _ForceBin:
 
 
 def read_bins(path: str | os.PathLike[str]) -> list[_ForceBin]:
-    """Read a table of bins.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: a column is missing, a case is unknown, or an entry is no number.
-    """
+    """Read a table of bins."""
     if not Path(path).is_file():
         raise FileNotFoundError(f"no table of measured bins at {os.fspath(path)!r}; give its path")
     with Path(path).open(newline="", encoding="utf-8") as file:

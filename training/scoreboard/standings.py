@@ -305,11 +305,7 @@ def results_text(content: Mapping[str, Any]) -> str:
 
 
 def put_into(page: str, text: str) -> str:
-    """A page with a text between its marks `<!-- results -->` and `<!-- end -->`.
-
-    Raises:
-        ValueError: it has no such marks.
-    """
+    """A page with a text between its marks `<!-- results -->` and `<!-- end -->`."""
     new, count = _MARKED.subn(lambda found: f"{found[1]}\n{text}\n{found[3]}", page)
     if count != 1:
         raise ValueError(
