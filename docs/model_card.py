@@ -1,6 +1,6 @@
-"""The model card of the weights that ship: `model_card.md` with the numbers of their reports.
+"""The model card of the weights that ship: `model_card.txt` with the numbers of their reports.
 
-`python -m swarm_envs.training.force_model.card --weights DIR` reads the JSON reports there and
+`python docs/model_card.py --weights DIR` reads the JSON reports there and
 writes `MODEL_CARD.md` beside them, so that no number is copied by hand.
 """
 
@@ -147,7 +147,7 @@ def write_card(config: CardConfig) -> Path:
     found, measured = learned["findings"], reports["deep-set"]["findings"]["lipschitz_measured"]
     drag = [[name, *(f"{value:.4f}" for value in c)] for name, c in learned["drag"].items()]
     offsets = learned["vehicle_offsets_g"].items()
-    text = Path(__file__).with_name("model_card.md").read_text(encoding="utf-8")
+    text = Path(__file__).with_name("model_card.txt").read_text(encoding="utf-8")
     card = text.format(
         **{**learned, "rows": found["rows"], "validation_rows": found["validation_rows"]},
         commands=[reports[name]["command"] for name in ("learned", "deep-set", "learned-v0")],
