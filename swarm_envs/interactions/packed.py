@@ -24,7 +24,7 @@ from swarm_envs.neighbors import FEW
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tables import Records, aligned
 
-__all__ = ["CHUNK", "PackedField", "Scratch", "scratch_for"]
+__all__ = ["PackedField", "Scratch", "scratch_for"]
 
 MOST_TYPES = 8
 """Largest number of interaction types that a model may have."""

@@ -59,7 +59,7 @@ from swarm_envs.state import (
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, clear_environments, new_world
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Team, Vehicle, parse_team
 
-__all__ = ["FORCE_BOUNDS_G", "MOST_ENVIRONMENTS", "BatchPhysics"]
+__all__ = ["BatchPhysics"]
 
 MOST_ENVIRONMENTS = 1_000_000
 """Of `num_envs`: memory ends before."""

@@ -65,8 +65,6 @@ from swarm_envs.tables import (
     aligned,
 )
 
-__all__ = ["RATES", "ROTORS", "SETPOINTS"]
-
 SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
 BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
