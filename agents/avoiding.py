@@ -11,7 +11,7 @@ most the cruise speed, and fly behind a `swarm_envs.agents.SafetyFilter`:
   Where there is more than one it steers to the right, slows down, and takes a height that follows
   from its heading, so that ways that cross in one point become a roundabout on several floors.
 
-The numbers are tuned on seeds apart: `python -m swarm_envs.training.tune_agents`.
+The numbers are tuned on seeds apart: `python -m examples.tune_agents`.
 """
 
 from __future__ import annotations

@@ -143,11 +143,7 @@ def goal_features(rows: Float32Array, num_neighbors: int, typed: bool = False) -
 
 
 def check_width(rows: Float32Array, num_neighbors: int) -> None:
-    """Refuse rows that are not those of K neighbours and no obstacle.
-
-    Raises:
-        ValueError: they have another width.
-    """
+    """Refuse rows that are not those of K neighbours and no obstacle."""
     wanted = observation_width(num_neighbors)
     if rows.shape[-1] != wanted:
         raise ValueError(

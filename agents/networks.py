@@ -158,12 +158,7 @@ def to_tensors(networks: Mapping[str, Network]) -> dict[str, Float32Array]:
 
 
 def layers_from_tensors(tensors: Mapping[str, Float32Array], name: str, width: int) -> Layers:
-    """The layers `<name>.0.weight`, `<name>.0.bias` and so on, which take in so many numbers.
-
-    Raises:
-        ValueError: they do not fit each other, or take in another width.
-        KeyError: a tensor is missing.
-    """
+    """The layers `<name>.0.weight`, `<name>.0.bias` and so on, which take in so many numbers."""
     weight_of_layer = re.compile(rf"{re.escape(name)}\.[^.]*\.weight")
     count = sum(weight_of_layer.fullmatch(key) is not None for key in tensors)
     if not count:

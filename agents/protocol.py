@@ -49,13 +49,7 @@ class Agent(Protocol):
 
 
 def check_requirements(env: SwarmParallelEnv, agent: Agent) -> None:
-    """Refuse an environment in which an agent would fly as something else.
-
-    Raises:
-        TypeError: it is no agent, but perhaps an agent's class.
-        ValueError: an option that the agent requires has another value, or does not exist; the
-            message names it.
-    """
+    """Refuse an environment in which an agent would fly as something else."""
     if isinstance(agent, type) or not isinstance(agent, Agent):
         raise TypeError(
             f"agent is {agent!r:.80}, but must be an object with `requires`, `privileged`, "

@@ -1,7 +1,7 @@
 """The best shipped agent for a task, by what the benchmark measured.
 
 `recommended.json` holds a line for each task of the benchmark: what was flown, and the agents that
-succeeded, the best first. `python -m swarm_envs.training.scoreboard.recommend DIR` writes it from
+succeeded, the best first. `python docs/recommend.py DIR` writes it from
 the folder of a benchmark.
 """
 

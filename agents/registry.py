@@ -188,11 +188,7 @@ def _make(name: str, module: ModuleType, path: str, environment: str | None = No
 
 
 def check_agent(name: str, agent: Any) -> Agent:
-    """Return what has everything that an agent needs.
-
-    Raises:
-        ValueError: something is missing or of a wrong kind; the message says what.
-    """
+    """Return what has everything that an agent needs."""
     rules = (
         ("requires", "a mapping of environment options, {} for none", Mapping),
         ("privileged", "True or False: whether it needs the true state", bool),

@@ -243,9 +243,6 @@ def _check_crossing(view: View) -> None:
     All of them contract together, each pressed on by those behind it, and from some radius on no
     acceleration satisfies every inequality (0.74 m for 16 drones); to watch all others does not
     help.
-
-    Raises:
-        ValueError: more than `MOST_AT_ONCE` meet.
     """
     half = 0.5 * (view.state.position + view.goals)
     apart = np.linalg.norm(half[:, None] - half, axis=-1)

@@ -56,11 +56,7 @@ class RandomAgent:
         self._width = 0
 
     def reset(self, env: SwarmParallelEnv, seed: int) -> None:
-        """Begin the draws that the seed stands for.
-
-        Raises:
-            ValueError: actions have no bounds, as set-points in SI.
-        """
+        """Begin the draws that the seed stands for."""
         space = env.action_space(env.possible_agents[0])
         if not space.is_bounded():
             raise ValueError(

@@ -30,15 +30,7 @@ import numpy as np
 from numba.extending import register_jitable
 from tqdm import tqdm
 
-__all__ = [
-    "announce_compilation",
-    "compilation",
-    "entry_point",
-    "equation",
-    "kernel",
-    "kernel_folder",
-    "part",
-]
+__all__ = ["announce_compilation", "compilation", "equation", "kernel", "kernel_folder", "part"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 

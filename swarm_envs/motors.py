@@ -26,14 +26,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import Record
 from swarm_envs.vehicles import GRAM_FORCE, SMALL, Vehicle
 
-__all__ = [
-    "FULL_VOLTAGE",
-    "BatteryModel",
-    "drain",
-    "limit_rotors",
-    "pwm_for_force",
-    "rotor_force_g",
-]
+__all__ = ["FULL_VOLTAGE", "BatteryModel", "pwm_for_force", "rotor_force_g"]
 
 FULL_VOLTAGE = 4.2
 """The voltage of a full cell, by which Table I normalises, V."""

@@ -15,8 +15,6 @@ from swarm_envs.compiled import part
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tables import Records
 
-__all__ = ["FEW", "nearest", "nearest_sorted", "sort_along_x", "within_box"]
-
 FEW = 24
 """Up to so many drones, every pair is looked at."""
 

@@ -12,8 +12,6 @@ import numpy as np
 
 from swarm_envs.compiled import equation, part
 
-__all__ = ["even_number", "moved", "normal", "pair_of_normals", "stream_of"]
-
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _FIRST = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND = np.uint64(0x94D049BB133111EB)

@@ -17,31 +17,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "ACTIVE",
-    "ADAPTATION_END",
-    "BLOCK_TYPE",
-    "BODY_END",
-    "CONTACT_COLUMNS",
-    "CONTACT_VALUES",
-    "CONTROLLER_END",
-    "HALL_ENDS",
-    "LANES",
-    "RESET_COLUMNS",
-    "RESET_VALUES",
-    "SENSED_TYPE",
-    "SETTINGS_TYPE",
-    "VEHICLE_END",
-    "Field",
-    "Record",
-    "Records",
-    "World",
-    "aligned",
-    "as_columns",
-    "clear_environments",
-    "new_world",
-    "record_type",
-]
+__all__ = ["SENSED_TYPE", "Field", "World", "clear_environments"]
 
 Records = npt.NDArray[np.void]
 """An array of records, whose fields are read by name."""

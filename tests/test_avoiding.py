@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from examples import tune_agents
+from examples.tune_agents import TuneOptions, neighbor_of, numbers_of, tune_agent
 from swarm_envs import crowd_v0, swap_v1
 from swarm_envs.agents import SafetyFilter, fly_episode, load
 from swarm_envs.agents.avoiding import TUNED, CruiseAgent, RoundaboutAgent
 from swarm_envs.agents.evaluation import evaluate_agent, frozen_seeds
-from swarm_envs.training import tune_agents
-from swarm_envs.training.tune_agents import TuneOptions, neighbor_of, numbers_of, tune_agent
 
 NAMES = ("fast-line", "orca", "roundabout")
 

@@ -7,11 +7,11 @@ import json
 import pytest
 
 import swarm_envs
+from docs.recommend import recommendations, replaced
 from swarm_envs.agents import fly_episode, load, recommended
 from swarm_envs.agents.policy import PolicyAgent
 from swarm_envs.cli import main
 from swarm_envs.training.scoreboard.board import Board
-from swarm_envs.training.scoreboard.recommend import recommendations, replaced
 from swarm_envs.training.scoreboard.tasks import TASKS
 from tests.helpers.scoreboards import scores
 

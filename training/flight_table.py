@@ -113,11 +113,7 @@ def from_columns(columns: Columns) -> FlightTable:
 
 
 def check_columns(names: Sequence[str]) -> None:
-    """Check that every column is there once.
-
-    Raises:
-        ValueError: one is missing or twice there.
-    """
+    """Check that every column is there once."""
     twice = [name for name, count in Counter(names).items() if count > 1]
     if twice:
         raise ValueError(f"column {twice[0]!r} is there more than once; keep one")

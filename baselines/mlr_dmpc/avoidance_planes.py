@@ -163,9 +163,6 @@ def obstacle_planes(
         rows: (M, 7) obstacles, by `swarm_envs.tasks.obstacles.obstacle_rows`.
         margin_m: least distance of the drone's centre to any obstacle, m; not scaled by Theta.
         config: times.
-
-    Raises:
-        ValueError: what the drone flies enters an obstacle, so no plane is between them.
     """
     since = config.round_s * (start_round - own.identity.start_round)
     positions = own.positions(since + condensed(config).collision_times)

@@ -17,11 +17,7 @@ _MOST_UNITS = 254
 def checked_points(
     what: str, points: FloatArray, config: MlrDmpcConfig, count: int | None = None
 ) -> FloatArray:
-    """Points (N, 3) that drones can hover at together.
-
-    Raises:
-        ValueError: wrong shape, not finite, outside the box, or closer than (20) allows.
-    """
+    """Points (N, 3) that drones can hover at together."""
     array = np.array(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] != 3 or not len(array):
         raise ValueError(f"{what} have shape {array.shape}, but must be (N, 3) in metres")
@@ -62,11 +58,7 @@ def checked_options(
     measure: str,
     seed: int,
 ) -> None:
-    """Refuse options that are none.
-
-    Raises:
-        ValueError: an option is none.
-    """
+    """Refuse options that are none."""
     check_integer("compute_units", compute_units, 1)
     check_integer("seed", seed, 0)
     if not 1 <= compute_units <= min(num_drones, _MOST_UNITS):
@@ -86,11 +78,7 @@ def checked_options(
 def checked_indices(
     what: str, given: Mapping[int, int], count: int, noun: str = "drone"
 ) -> dict[int, int]:
-    """Rounds by index of a drone or a unit.
-
-    Raises:
-        ValueError: there is none of that index, or a round is no integer or negative.
-    """
+    """Rounds by index of a drone or a unit."""
     for index, round_ in given.items():
         check_integer(f"{what}[{index!r}]", round_, 0)
         if check_integer(f"an index of {what}", index, 0) >= count:

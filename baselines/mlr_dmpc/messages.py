@@ -216,9 +216,6 @@ class Codec:
 
         What messages cannot do without: the selection, three donated slots and a relayed
         trajectory, such as one that hovers; the selection and a view.
-
-        Raises:
-            ValueError: that does not fit into a slot.
         """
         units, view = self._num_units, MembershipView(ViewId(0, 0), (), frozenset())
         fullest = UnitMessage(
@@ -286,11 +283,7 @@ class Codec:
         )
 
     def filled(self, message: UnitMessage, order: list[tuple[int, int]]) -> UnitMessage:
-        """The message with as many priorities as fit; what others can do without goes first.
-
-        Raises:
-            ValueError: even without them it does not fit.
-        """
+        """The message with as many priorities as fit; what others can do without goes first."""
         empty = message.kind is MessageKind.EMPTY
         limit = REQUEST_BYTES if empty else self._slot_bytes
         if len(self.pack(message)) > limit:

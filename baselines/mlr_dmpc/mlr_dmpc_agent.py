@@ -163,11 +163,7 @@ def _obstacles(task: Task, config: MlrDmpcConfig) -> Obstacles | None:
 
 
 def _scaling(config: MlrDmpcConfig, places: FloatArray) -> tuple[float, float, float]:
-    """The largest scaling of heights, up to the configured, that (20) allows at places (S, N, 3).
-
-    Raises:
-        ValueError: two drones are too close to each other even with heights not scaled.
-    """
+    """The largest scaling of heights, up to the configured, that (20) allows for (S, N, 3) m."""
     wanted = config.scaling
     largest = wanted[2]
     first, second = np.triu_indices(places.shape[1], 1)

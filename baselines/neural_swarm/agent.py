@@ -154,11 +154,7 @@ class PlanAgent(PlannedAgent[SwarmPlan]):
         super().__init__(tracking.requires)
 
     def check(self, task: Task) -> None:
-        """Refuse a task to which there is no plan.
-
-        Raises:
-            ValueError: more than six drones, goals that circle, or obstacles.
-        """
+        """Refuse a task to which there is no plan."""
         super().check(task)
         if len(task.team) > MAX_DRONES:
             raise ValueError(

@@ -22,11 +22,6 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import Range, typed
-from swarm_envs.baselines.neural_swarm.numpy_controller import (
-    UP,
-    NumpyTrackingController,
-    TrackingTarget,
-)
 from swarm_envs.control.config import ControllerConfig, PositionGains
 from swarm_envs.state import FloatArray
 from swarm_envs.vehicles import GRAVITY, Vehicle
@@ -181,14 +176,22 @@ def fly_point_mass(
     Returns:
         (T + 1, 3) position errors, m, from the start on.
     """
-    controller = NumpyTrackingController(vehicle, config, dt)
-    target, nothing = TrackingTarget(np.zeros(3)), np.zeros(3)
+    gains, mass, limit = config.gains, vehicle.mass, config.integral_limit
+    gravity, integral = np.array([0.0, 0.0, -GRAVITY]), np.zeros(3)
     position, velocity = (np.array(x, dtype=np.float64) for x in (position_error, velocity_error))
     errors = np.empty((len(force_error) + 1, 3))
     errors[0] = position
     for k, push in enumerate(force_error):
-        desired = controller.desired_force(position, velocity, target, nothing)
-        acceleration = (desired + push) / vehicle.mass - GRAVITY * UP
+        composite = velocity + gains.position * position
+        integral = np.clip(integral + composite * dt, -limit, limit)
+        desired = -mass * (
+            gravity
+            + gains.position * velocity
+            + (gains.velocity + gains.integral) * composite
+            + gains.velocity * gains.integral * integral
+        )
+        desired[2] = max(desired[2], config.min_vertical_thrust_fraction * mass * GRAVITY)
+        acceleration = (desired + push) / mass + gravity
         position = position + dt * velocity + 0.5 * dt**2 * acceleration
         velocity = velocity + dt * acceleration
         errors[k + 1] = position

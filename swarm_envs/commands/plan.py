@@ -65,11 +65,7 @@ class PlanOptions:
         self.shape()
 
     def shape(self) -> tuple[int, ...]:
-        """Sides of the grid.
-
-        Raises:
-            ValueError: the text is not integers with an x between.
-        """
+        """Sides of the grid."""
         try:
             return tuple(int(side) for side in self.grid.split("x"))
         except ValueError as error:

@@ -107,11 +107,7 @@ def run_record(options: RecordOptions) -> None:
 def _fly_parts(
     env: SwarmParallelEnv, agent: Agent, options: RecordOptions, folder: Path
 ) -> list[Path]:
-    """Fly what is not kept yet, with a progress bar; the files of all parts in order.
-
-    Raises:
-        ValueError: flights of other options are kept there.
-    """
+    """Fly what is not kept yet, with a progress bar; the files of all parts in order."""
     from tqdm import tqdm
 
     from swarm_envs import __version__

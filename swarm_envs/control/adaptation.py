@@ -24,8 +24,6 @@ from swarm_envs.control.loop import four, seen_state
 from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
-__all__ = ["adapt"]
-
 
 @part
 def adapt(blocks: Records, count: int, settings: Records, hall: bool | None = None) -> None:

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 __all__ = [
     "GAINS",
-    "INTEGRAL_LIMIT",
     "MID",
     "ControllerConfig",
     "Indi",

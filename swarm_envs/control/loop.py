@@ -16,8 +16,6 @@ from swarm_envs.compiled import equation, part
 from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
-__all__ = ["four", "hold_rates", "mix_rotors", "three", "track"]
-
 Vector = tuple[float, float, float]
 """x, y, z."""
 Quaternion = tuple[float, float, float, float]

@@ -289,10 +289,6 @@ def fit_flight(
         tolerance: largest distance from its path, m.
         most: pieces that each drone may take.
         progress: show a bar.
-
-    Raises:
-        ValueError: a tolerance or number that cannot be, or a path that so many pieces do not
-            follow; the message names the drone.
     """
     fitted = []
     for i, name in enumerate(tqdm(flight.names, "fit", unit="drone", disable=not progress)):

@@ -232,9 +232,6 @@ def fit_pieces(
         tolerance: largest distance from the curve, m; yaw keeps to `YAW_TOLERANCE`.
         most: pieces that may be used.
         rests: whether velocity and acceleration are held at zero at the start and the end.
-
-    Raises:
-        ValueError: so many pieces do not reach the tolerance; the message says how close they come.
     """
     effort = _effort(time, rows, tolerance)
     best, closest = np.inf, None

@@ -186,11 +186,7 @@ def apply_actions(
 def as_actions(
     mode: ActionMode, actions: npt.ArrayLike, shape: tuple[int, int, int], clip: bool = False
 ) -> FloatArray:
-    """Actions (E, N, width) as contiguous float64, clipped to a bounded mode's Box if wanted.
-
-    Raises:
-        ValueError: a wrong shape, or no numbers.
-    """
+    """Actions (E, N, width) as contiguous float64, clipped to a bounded mode's Box if wanted."""
     try:
         array: FloatArray = np.ascontiguousarray(actions, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -207,12 +203,7 @@ def as_actions(
 
 
 def check_actions(mode: ActionMode, actions: FloatArray) -> None:
-    """Refuse actions (E, N, width) that the mode's Box excludes.
-
-    Raises:
-        ValueError: an entry is not finite or outside the bounds; the message names the drone, the
-            value, the rule and the fix.
-    """
+    """Refuse actions (E, N, width) that the mode's Box excludes."""
     limit = mode.limit
     wrong = ~np.isfinite(actions)
     rule, fix = "every number must be finite", "look for what made it so"

@@ -194,11 +194,7 @@ def check_num_envs(num_envs: object) -> int:
 
 
 def check_mask(mask: npt.ArrayLike, num_envs: int) -> BoolArray:
-    """The (E,) mask of environments.
-
-    Raises:
-        ValueError: it is not one boolean an environment.
-    """
+    """The (E,) mask of environments."""
     array = np.array(mask)
     if array.dtype != np.bool_ or array.shape != (num_envs,):
         raise ValueError(
@@ -209,11 +205,7 @@ def check_mask(mask: npt.ArrayLike, num_envs: int) -> BoolArray:
 
 
 def check_seeds(seeds: Sequence[int | None] | None, num_envs: int) -> None:
-    """Refuse seeds that are not one an environment.
-
-    Raises:
-        ValueError: their number is another.
-    """
+    """Refuse seeds that are not one an environment."""
     if seeds is not None and len(seeds) != num_envs:
         raise ValueError(f"seeds has {len(seeds)} entries, but must have {num_envs}")
 

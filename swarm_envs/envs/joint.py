@@ -101,11 +101,7 @@ class SwarmJointEnv(_SwarmEnv):
 
 
 def check_flat(config: EnvConfig) -> None:
-    """Refuse observations that do not fit into one Box.
-
-    Raises:
-        ValueError: they are dictionaries.
-    """
+    """Refuse observations that do not fit into one Box."""
     if config.observation != "flat":
         raise ValueError(
             f"observation is {config.observation!r}, but a team in one Box has 'flat' rows; "

@@ -24,8 +24,6 @@ from swarm_envs.interactions.weights_file import load_weights
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.vehicles import VEHICLES, Vehicle, parse_team
 
-__all__ = ["PRECISIONS"]
-
 MODELS = ("none", "wake", "learned", "learned-v0", "deep-set")
 """The models that ship, by name."""
 PRECISIONS = ("float64", "float32")

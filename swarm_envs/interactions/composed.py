@@ -48,11 +48,6 @@ def describe_turned(field: PackedField, total: int, scratch: Scratch) -> None:
 
     Which forces are extrapolations is marked already. Also written are the pairs' weights, now over
     the distance beside in place of that in x and y, and the way towards the wakes' axes.
-
-    Args:
-        field: the model.
-        total: drones.
-        scratch: knows drones and pairs.
     """
     model = field.constants[0]
     own, measured, window = model["environment_range"], model["pair_range"], model["window"]
@@ -95,13 +90,7 @@ def describe_turned(field: PackedField, total: int, scratch: Scratch) -> None:
 
 @equation
 def add_pushes(q: float, rows: Records, scratch: Scratch) -> None:
-    """Add the outputs of a network of pairs to their drones, and clear the counters.
-
-    Args:
-        q: exponent of the norm that joins the pushes.
-        rows: the outputs lie there.
-        scratch: working memory.
-    """
+    """Add the outputs of a network of pairs to their drones, and clear the counters."""
     counters = scratch.counters[0]
     for s in range(counters["used"]):
         pair, output = scratch.pairs[counters["pair"][s]], rows[s // 2]["v"]

@@ -19,7 +19,6 @@ __all__ = [
     "LATERAL_REACH",
     "LEARNED",
     "LOWEST_HEIGHT",
-    "NONE",
     "ONSET",
     "UNITS_OF_OWN",
     "UNITS_OF_PAIR",

@@ -23,7 +23,7 @@ from swarm_envs.interactions.wake import wake_forces
 from swarm_envs.neighbors import sort_along_x, within_box
 from swarm_envs.state import FloatArray, IntArray
 
-__all__ = ["all_forces", "felt_forces", "swarm_forces", "types_array"]
+__all__ = ["all_forces", "swarm_forces", "types_array"]
 
 
 @equation

@@ -146,14 +146,7 @@ def put_drone(field: PackedField, n: int, slot: int, scratch: Scratch) -> None:
 
 @equation
 def add_outputs(field: PackedField, n: int, rows: Records, scratch: Scratch) -> None:
-    """Add the outputs of network `n` to codes or forces, and clear the counters.
-
-    Args:
-        field: the model.
-        n: which of its networks.
-        rows: they lie there.
-        scratch: working memory.
-    """
+    """Add the outputs of network `n` to codes or forces, and clear the counters."""
     counters, hidden = scratch.counters[0], field.constants[0]["hidden"]
     if field.layout[n, TARGET] == TO_PUSHES:
         add_pushes(field.constants[0]["wake_combine"], rows, scratch)

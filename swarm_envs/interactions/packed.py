@@ -24,7 +24,7 @@ from swarm_envs.neighbors import FEW
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tables import Records, aligned
 
-__all__ = ["CHUNK", "PackedField", "Scratch", "scratch_for"]
+__all__ = ["PackedField", "Scratch", "scratch_for"]
 
 MOST_TYPES = 8
 """Largest number of interaction types that a model may have."""
@@ -81,11 +81,7 @@ class PackedField(NamedTuple):
 
 
 def packed(field: ForceField) -> PackedField:
-    """Pack a force model.
-
-    Raises:
-        ValueError: it has more types than kernels have room for.
-    """
+    """Pack a force model."""
     types = len(field.drag)
     if types > MOST_TYPES:
         raise ValueError(

@@ -83,12 +83,7 @@ class TorqueModel:
 
 
 def load_torque(path: str | Path) -> TorqueModel:
-    """Load the torque of a deep set fitted by `swarm-envs fit --torque`.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or was fitted without a torque head.
-    """
+    """Load the torque of a deep set fitted by `swarm-envs fit --torque`."""
     types, field, _ = load_weights(Path(path))
     tensors, _ = read_tensors(Path(path))
     missing = [n for n in types for k in ("weight", "bias") if f"torque.{n}.{k}" not in tensors]

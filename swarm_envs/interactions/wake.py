@@ -53,12 +53,7 @@ def wake_field(parameters: dict[str, Any]) -> ForceField:
 
 
 def load_wake(path: Path | None = None) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
-    """Types, field and notes of a closed form: the shipped one, or a file of `swarm-envs fit`.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or no closed form that can be evaluated.
-    """
+    """Types, field and notes of a closed form: the shipped one, or a file of `swarm-envs fit`."""
     if path is None:
         file = resources.files("swarm_envs.interactions").joinpath("weights/wake.json")
         parameters = json.loads(file.read_text())

@@ -49,12 +49,7 @@ LARGEST = 1e6
 
 
 def load_weights(path: Path) -> tuple[tuple[str, ...], ForceField, dict[str, Any]]:
-    """Read a weights file: interaction types, the compiled field, and the file's own notes.
-
-    Raises:
-        FileNotFoundError: there is no such file.
-        ValueError: the file is damaged, or of no format that is known.
-    """
+    """Read a weights file: interaction types, the compiled field, and the file's own notes."""
     if not path.is_file():
         raise FileNotFoundError(
             f"weights file {str(path)!r} does not exist; give the path of a file made by "
@@ -172,12 +167,7 @@ def _deep_set_names(types: tuple[str, ...]) -> list[str]:
 
 
 def network_layers(name: str, tensors: dict[str, FloatArray]) -> Layers:
-    """Weight (outputs, inputs) and bias (outputs,) of each layer of a network, in order.
-
-    Raises:
-        KeyError: there is no such network.
-        ValueError: its shapes do not fit each other.
-    """
+    """Weight (outputs, inputs) and bias (outputs,) of each layer of a network, in order."""
     layers: Layers = []
     while f"{name}.{len(layers)}.weight" in tensors:
         prefix = f"{name}.{len(layers)}"

@@ -59,7 +59,7 @@ from swarm_envs.state import (
 from swarm_envs.tables import SETTINGS_TYPE, Records, World, clear_environments, new_world
 from swarm_envs.vehicles import GRAM_FORCE, VEHICLES, Team, Vehicle, parse_team
 
-__all__ = ["FORCE_BOUNDS_G", "MOST_ENVIRONMENTS", "BatchPhysics"]
+__all__ = ["BatchPhysics"]
 
 MOST_ENVIRONMENTS = 1_000_000
 """Of `num_envs`: memory ends before."""
@@ -428,15 +428,7 @@ _NOMINAL = ("mass", "inertia", "motor_rate", "max_rotor_thrust")
 
 
 def check_state(state: SwarmState, like: SwarmState) -> None:
-    """Refuse a state that physics could not start from.
-
-    Args:
-        state: what was given.
-        like: a state of the right shapes.
-
-    Raises:
-        ValueError: naming the field and what is wrong with it.
-    """
+    """Refuse a state that physics could not start from."""
     for name, array, model in zip(state._fields, state, like, strict=True):
         check_array(f"state.{name}", array, model.shape)
     norm = np.linalg.norm(state.quaternion, axis=-1)

@@ -20,7 +20,7 @@ from swarm_envs.noise import normal
 from swarm_envs.tables import LANES, Record, Records
 from swarm_envs.vehicles import GRAVITY
 
-__all__ = ["PHYSICS_RATE", "TIME_STEP", "rotation_entries"]
+__all__ = ["PHYSICS_RATE", "TIME_STEP"]
 
 PHYSICS_RATE = 240
 """Physics steps per second."""

@@ -44,8 +44,6 @@ from swarm_envs.physics.tile import Work, any_tumbles, load_tile, stop_tumbling,
 from swarm_envs.state import BoolArray, FloatArray, IntArray
 from swarm_envs.tables import LANES, RESET_COLUMNS, RESET_VALUES, Records
 
-__all__ = ["RATES", "ROTORS", "SETPOINTS"]
-
 SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
 BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16

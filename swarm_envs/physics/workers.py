@@ -43,11 +43,7 @@ class Workers:
             self._pool.shutdown()
 
     def share(self, call: Call) -> None:
-        """Call `call(first, last + 1, thread)` until every environment had its turn.
-
-        Args:
-            call: calls kernels, which let other threads run.
-        """
+        """Call `call(first, last + 1, thread)` until every environment had its turn."""
         if self._pool is None:
             for first, last in self._parts:
                 call(first, last, 0)

@@ -16,7 +16,7 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.trajectories import Reference
 
-__all__ = ["LINES", "ORBITS", "REST", "Motion", "reference_of", "stage_at"]
+__all__ = ["LINES", "ORBITS", "REST", "Motion", "reference_of"]
 
 REST, LINES, ORBITS, OWN_GOALS, PURSUIT = 0, 1, 2, 3, 4
 """Kinds of motion."""

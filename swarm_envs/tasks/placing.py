@@ -48,9 +48,6 @@ def check_points(
         radius: (N,) collision radii, m.
         arena: (2, 3) corners, m.
         obstacles: (M, 7) rows of `swarm_envs.physics.contact`.
-
-    Raises:
-        ValueError: naming the drones, their distance and the rule.
     """
     plain = points.flags.c_contiguous and points.dtype == np.float64
     fits = plain and points.shape == (len(radius), 3)

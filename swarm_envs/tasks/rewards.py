@@ -16,7 +16,7 @@ from swarm_envs.state import BoolArray, FloatArray
 from swarm_envs.tables import Records
 from swarm_envs.tasks.base import SPEED_LIMIT
 
-__all__ = ["REWARD_NAMES", "check_reward_weights", "weigh", "write_terms", "write_terms_v0"]
+__all__ = ["REWARD_NAMES", "weigh", "write_terms"]
 
 REWARD_NAMES = ("progress", "at_goal", "tracking", "effort", "proximity", "crash", "success")
 """The reward terms of every task; see `write_terms`."""

@@ -161,11 +161,7 @@ def _check_apart(orbit: Orbit, least: float) -> None:
 
 
 def check_speed(orbit: Orbit, team: Team) -> None:
-    """Refuse rings that ask for more than half of the thrust that a drone has beyond its weight.
-
-    Raises:
-        ValueError: naming the drone, its acceleration and the limit.
-    """
+    """Refuse rings that ask for more than half of the thrust that a drone has beyond its weight."""
     reach = np.maximum(np.linalg.norm(orbit.first, axis=1), np.linalg.norm(orbit.second, axis=1))
     for i, (asked, vehicle) in enumerate(zip(reach * orbit.rate**2, team, strict=True)):
         limit = 0.5 * GRAVITY * (vehicle.thrust_to_weight - 1.0)
@@ -177,11 +173,7 @@ def check_speed(orbit: Orbit, team: Team) -> None:
 
 
 def group_centers(groups: int, layout: RingLayout, arena: FloatArray) -> FloatArray:
-    """Middles (groups, 3) of the rings of each group, m: side by side, then one above another.
-
-    Raises:
-        ValueError: the arena has no room for so many.
-    """
+    """Middles (groups, 3) of the rings of each group, m: side by side, then one above another."""
     (a, b), r = layout.horizontal_m, layout.vertical_m
     size = np.array([2.0 * (a + r), 2.0 * b, 2.0 * r])
     lowest = layout.height_m - r

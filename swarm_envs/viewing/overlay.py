@@ -85,16 +85,7 @@ def draw_behind(picture: Picture, lens: Lens, overlay: Overlay) -> Picture:
 def draw_arrow(
     canvas: ImageDraw, foot: FloatArray, tip: FloatArray, ink: str | Color, width: int, head: float
 ) -> None:
-    """Draw an arrow between two pixels (2,), unless it is shorter than its head: too weak to point.
-
-    Args:
-        canvas: drawn on.
-        foot: where it begins.
-        tip: where it ends.
-        ink: its colour.
-        width: of its line, pixels.
-        head: length of its head, pixels.
-    """
+    """Draw an arrow between two pixels (2,), unless it is shorter than its head."""
     length = float(np.linalg.norm(tip - foot))
     if length < head:
         return

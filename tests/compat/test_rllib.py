@@ -21,8 +21,8 @@ import ray
 import torch
 from ray.tune.registry import register_env
 
-from swarm_envs.training import rllib_ppo
-from swarm_envs.training.rllib_ppo import RllibConfig
+from examples import rllib_ppo
+from examples.rllib_ppo import RllibConfig
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
 

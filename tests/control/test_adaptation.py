@@ -8,10 +8,6 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.neural_swarm.flights import FlightTest, fly, swap_test
-from swarm_envs.baselines.neural_swarm.numpy_controller import (
-    NumpyTrackingController,
-    TrackingTarget,
-)
 from swarm_envs.control.config import (
     ControllerConfig,
     Indi,
@@ -27,6 +23,10 @@ from swarm_envs.state import Setpoint, hover_state
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 from tests.helpers.linear_loop import Loop, height_margin
+from tests.helpers.numpy_controller import (
+    NumpyTrackingController,
+    TrackingTarget,
+)
 from tests.helpers.plain_adaptation import PlainAdaptation
 from tests.helpers.random_flights import RandomFlight
 

@@ -5,10 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.neural_swarm.numpy_controller import (
-    NumpyTrackingController,
-    TrackingTarget,
-)
 from swarm_envs.control.config import (
     MID,
     STIFF,
@@ -19,6 +15,10 @@ from swarm_envs.control.config import (
 from swarm_envs.control.tracking import TrackingController
 from swarm_envs.state import FloatArray, Setpoint, hover_state
 from swarm_envs.vehicles import GRAVITY, LARGE, SMALL, parse_team
+from tests.helpers.numpy_controller import (
+    NumpyTrackingController,
+    TrackingTarget,
+)
 from tests.helpers.random_flights import RandomFlight
 
 TEAM = parse_team("SLS*L")

@@ -11,7 +11,6 @@ import pytest
 import torch
 
 from swarm_envs.training.force_model import train as module
-from swarm_envs.training.force_model.examples import inner_split
 from swarm_envs.training.force_model.force_fit_config import FitConfig, TrainConfig
 from swarm_envs.training.force_model.network import EVERYWHERE, DeepSet, DeepSetSpec
 from swarm_envs.training.force_model.pipeline import fit
@@ -105,23 +104,11 @@ def test_the_network_learns_what_teachers_say() -> None:
     assert "taught by 1 network" in taught.chosen
 
 
-def test_labels_alone_are_learned_where_their_share_is_one() -> None:
-    rows = rows_of()
-    config = dataclasses.replace(TAUGHT, epochs=60.0, label_share=1.0)
-    answer = predict(train_taught(rows, SPEC, config, progress=False).network, to_batch(rows))
-    assert np.mean((answer.numpy() - rows.force_g[:, 2]) ** 2) < 0.1
-
-
 def test_held_out_rows_teach_nobody() -> None:
     rows = rows_of()
     first = train_taught(rows, SPEC, TAUGHT, progress=False)
     again = train_taught(other_labels(rows, rows.validation), SPEC, TAUGHT, progress=False)
     assert torch.equal(vector(first), vector(again))
-    early = dataclasses.replace(TAUGHT, early_validation=0.2, checkpoint_every=1000)
-    training, _ = inner_split(rows, 0.2, early.seed)
-    one = train_taught(rows, SPEC, early, progress=False)
-    two = train_taught(other_labels(rows, ~training), SPEC, early, progress=False)
-    assert torch.equal(vector(one), vector(two))
 
 
 @pytest.mark.parametrize(("killed_at", "left"), [(5, 78), (40, 42), (65, 16)])

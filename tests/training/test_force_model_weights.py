@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from swarm_envs.training.force_model.card import REPORTS, CardConfig, write_card
+from docs.model_card import REPORTS, CardConfig, write_card
 from swarm_envs.training.force_model.evaluate import (
     mean_squared_errors,
     predict_rows,

@@ -30,7 +30,6 @@ from swarm_envs.training.reproduce.planned_swaps import (
     track_plan,
 )
 from swarm_envs.training.reproduce.planned_trials_figure import (
-    check_scenarios,
     format_scenarios,
     scenario_rows,
 )
@@ -108,13 +107,15 @@ def test_figure_6_keeps_the_small_ones_out_of_the_downwash(tmp_path):
 
 @pytest.mark.slow
 def test_figure_7_holds_in_every_scenario_and_trial(tmp_path):
-    summary, said = run_quietly("neural-swarm2", figure=7, engine=ENGINE, out=tmp_path)
-    checked = summary["verdicts"]
-    assert checked["aware_within_bound"]
-    assert checked["aware_error_smaller"]
-    assert checked["unaware_violates"] == dict.fromkeys(("SL", "SSL", "LL"), True)
+    summary, _ = run_quietly("neural-swarm2", figure=7, engine=ENGINE, out=tmp_path)
+    rows = {(row["scenario"], row["planner"]): row for row in summary["rows"]["model_plant"]}
+    for scenario in SCENARIOS:
+        aware, unaware = rows[scenario, "aware"], rows[scenario, "unaware"]
+        assert aware["worst_over_bound"] <= 1.1, scenario
+        assert aware["worst_error_cm"] < unaware["worst_error_cm"], scenario
+        if scenario in ("SL", "SSL", "LL"):
+            assert unaware["worst_over_bound"] > 1.0, scenario
     assert len(summary["cells"]) == 2 * 5 * len(SCENARIOS)
-    assert "in every trial: yes" in said
 
 
 DT = 0.1
@@ -258,16 +259,12 @@ def test_trials_by_hand_tell_the_planners_apart():
     assert [(row["scenario"], row["planner"]) for row in rows] == [
         ("SL", "unaware"), ("SL", "aware"), ("LL", "unaware"), ("LL", "aware")
     ]  # fmt: skip
-    said = check_scenarios(rows)
-    assert said["unaware_violates"] == {"SL": True, "LL": True}
-    assert said["aware_error_smaller"]
+    for unaware, aware in (rows[:2], rows[2:]):
+        assert unaware["worst_over_bound"] > max(1.0, aware["worst_over_bound"])
+        assert unaware["worst_error_cm"] > aware["worst_error_cm"]
     unaware = rows[2]
     assert unaware["worst_force_S_g"] is None
     worst = max(max(c["model_plant"]["force_g"]) for c in cells[6:] if c["planner"] == "unaware")
     assert unaware["worst_force_L_g"] == pytest.approx(worst, abs=1e-3)
     assert unaware["worst_over_bound"] == pytest.approx(worst / 10.0, abs=1e-3)
     assert f"{unaware['worst_error_cm']:.2f}" in format_scenarios(rows, "by hand")
-    other = {"aware": "unaware", "unaware": "aware"}
-    swapped = check_scenarios([{**row, "planner": other[row["planner"]]} for row in rows])
-    assert not swapped["aware_error_smaller"]
-    assert not swapped["aware_within_bound"]

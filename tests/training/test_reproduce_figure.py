@@ -1,8 +1,7 @@
-"""Fig. 5: maps, superposition gap, calibration and larger swarms against closed forms."""
+"""Fig. 5: maps, superposition gap and larger swarms against closed forms."""
 
 from __future__ import annotations
 
-import csv
 import math
 
 import numpy as np
@@ -10,13 +9,6 @@ import pytest
 from PIL import Image
 
 from swarm_envs.interactions import InteractionModel, load
-from swarm_envs.training.reproduce.force_bins import (
-    COLUMNS,
-    KINDS,
-    bin_errors,
-    predict_bins,
-    read_bins,
-)
 from swarm_envs.training.reproduce.force_map_figure import (
     examine_formation,
     ring_places,
@@ -94,71 +86,6 @@ def test_where_a_drone_fits():
         force_map(load("wake"), CASE["b"], 0.5)
 
 
-def write_table(path, means, drop=()):
-    ground, pair, _ = KINDS
-    lines = [(ground, "Ge2S", low, low + 0.01, "") for low in (0.08, 0.12, 0.4)]
-    lines += [(pair, "L2S", low, low + 0.1, "lat[0,0.05)") for low in (-0.4, 0.2, 0.3)]
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for line, mean in zip(lines, means, strict=True):
-            if line[2] not in drop:
-                writer.writerow([*line[:4], 100, mean, 0.5, line[4]])
-    return path
-
-
-def table(path, offset_g=0.0, add_g=0.0, drop=()):
-    """Bins as `wake` itself would measure them, but for an offset, and an error in the last."""
-    found = predict_bins(load("wake"), read_bins(write_table(path, [0.0] * 6)))
-    means = [b.predicted_g + offset_g for b in found]
-    means[-1] += add_g
-    return write_table(path, means, drop)
-
-
-def test_calibration_forgives_offsets_and_nothing_else(tmp_path):
-    model = load("wake")
-    errors = bin_errors(predict_bins(model, read_bins(table(tmp_path / "a.csv", offset_g=2.0))))
-    assert errors["all"]["root_mean_square_error_g"] == 0.0
-    assert errors["all"]["variance_explained"] == 1.0
-    errors = bin_errors(predict_bins(model, read_bins(table(tmp_path / "b.csv", 2.0, add_g=1.5))))
-    assert errors["ground Ge2S"]["largest_error_g"] == 0.0
-    assert errors["vertical L2S"]["largest_error_g"] == -1.5
-    assert errors["vertical L2S"]["mean_error_g"] == -0.5
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("fa_delay_mean", "mean", r"lacks the columns .*fa_delay_mean"),
-        ("ground: f", "round: f", "unknown case 'round: f vs z"),
-        ("Ge2S", "G2S", "unknown scenario 'G2S'; did you mean 'Ge2S'"),
-        (",100,", ",many,", "holds what is no number"),
-        ("lat[0,0.05)", "near", "needs a range like"),
-    ],
-)
-def test_bad_tables_are_explained(old, new, said, tmp_path):
-    path = table(tmp_path / "bins.csv")
-    path.write_text(path.read_text().replace(old, new, 1))
-    with pytest.raises(ValueError, match=said):
-        read_bins(path)
-
-
-def test_a_scenario_without_a_baseline_is_refused(tmp_path):
-    bins = read_bins(table(tmp_path / "bins.csv", drop=(-0.4,)))
-    with pytest.raises(ValueError, match="scenario 'L2S' has no bin far from every effect"):
-        predict_bins(load("wake"), bins)
-    with pytest.raises(FileNotFoundError, match="no table of measured bins"):
-        read_bins(tmp_path / "none.csv")
-
-
-def test_the_shipped_model_is_calibrated(shared_data):
-    bins = read_bins(shared_data / "reference" / "measured_force_bins.csv")
-    assert len(bins) == 287
-    errors = bin_errors(predict_bins(load("learned"), bins))
-    assert errors["all"]["variance_explained"] > 0.97
-    assert all(group["root_mean_square_error_g"] < 1.0 for group in errors.values())
-
-
 def test_larger_swarms_count_their_neighbours():
     swarm = examine_formation(wake_that_adds(1.0), "stack", "S" * 16)
     assert swarm.neighbours.tolist() == [4, 5, 6, 7, *[8] * 8, 7, 6, 5, 4]
@@ -182,9 +109,9 @@ def test_colours_are_as_strong_either_way():
 
 
 def test_pictures_and_numbers_are_written_and_the_paper_stands_beside_ours(tmp_path):
-    asked = {"figure": 5, "model": "wake", "truth": "wake", "bins": table(tmp_path / "bins.csv")}
+    asked = {"figure": 5, "model": "wake", "truth": "wake"}
     summary, said = run_quietly("neural-swarm2", out=tmp_path / "out", **asked)
-    assert len(summary["files"]) == 5
+    assert len(summary["files"]) == 3
     for name in summary["files"].values():
         with Image.open(tmp_path / "out" / name) as image:
             assert min(image.size) > 600

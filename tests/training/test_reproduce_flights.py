@@ -16,8 +16,6 @@ from swarm_envs.tasks.swap import SwapTask
 from swarm_envs.training.reproduce.claims import Extent
 from swarm_envs.training.reproduce.paired_flight_figures import (
     FIGURE_8,
-    check_rings,
-    check_swaps,
 )
 from swarm_envs.training.reproduce.paired_flights import (
     PLAIN_SWAPS,
@@ -89,31 +87,6 @@ def test_the_cases_are_those_of_the_paper():
         assert [v.token for v, axis in zip(task.team, task.orbit.first) if axis[2]] == upright * [
             "S*"
         ]
-
-
-def row(name, before, after, paper=None):
-    return {
-        "case": name,
-        "without": {"median": before},
-        "compensated": {"median": after},
-        "ratio": after / before,
-        "paper_cm": paper,
-    }
-
-
-def test_claims_are_counted_and_a_miss_is_named():
-    good = [row(name, 9.0, 4.0, (17.0, 7.0) if name == "L2S" else None) for name in PLAIN_SWAPS]
-    assert [claim["reached"] for claim in check_swaps(good)] == [True, True, True, False]
-    assert "9.0 to 4.0 cm, a factor of 2.2" in check_swaps(good)[-1]["found"]
-    bad = [row(name, 8.0 if k < 5 else 9.0, 4.0) for k, name in enumerate(PLAIN_SWAPS)]
-    bad[0], bad[9] = row("S2S", 3.0, 3.5), row("LL2L", 20.0, 11.0)
-    claims = check_swaps(bad)
-    assert [claim["reached"] for claim in claims] == [False, False, False]
-    assert "not in S2S" in claims[0]["found"] and "not in LL2L" in claims[1]["found"]
-    assert claims[2]["found"] == "5 do"
-    assert len(check_swaps(good[:3])) == 3  # the ten are not there to be counted
-    rings = check_rings([row("ring of 16", 15.0, 8.0, (15.0, 10.0))])
-    assert [claim["reached"] for claim in rings] == [False, True]
 
 
 def test_an_oracle_predicts_everything_and_the_middle_flight_is_shown():
@@ -214,9 +187,12 @@ def test_the_claims_hold_for_both_forces(figure, tmp_path):
     report, _ = run_quietly("neural-swarm2", out=tmp_path, world="ideal", **asked)
     assert [air["truth"]["name"] for air in report["truths"]] == ["learned", "wake"]
     for air in report["truths"]:
-        missed = [claim for claim in air["claims"] if not claim["reached"]]
-        assert not missed, (air["truth"]["name"], missed)
         assert len(air["cases"]) == {8: len(SWAPS), 9: 1, 1: 2}[figure]
         for row in air["cases"]:
             assert not any(row["crashed"].values()), row["case"]
             assert row["explained"] > 0.8, row["case"]
+            assert row["ratio"] < (1.0 if figure == 8 else 0.5), row["case"]
+            if row["paper_cm"]:  # the factor is larger than the paper's
+                assert row["ratio"] < row["paper_cm"][1] / row["paper_cm"][0], row["case"]
+            if row["without"]["median"] > 8.0:
+                assert row["ratio"] <= 0.5, row["case"]

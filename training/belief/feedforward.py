@@ -246,60 +246,6 @@ def fly_swaps(
     return fly(test, controller, range(first_seed, first_seed + trial.episodes))
 
 
-_CARD = """\
-# `{name}.safetensors`: the deep set that the compensated controller believes
-
-**Fitted to simulated flights, not to measured ones.** Drones were flown inside the environment
-with the force model `{interactions}` (fingerprint `{interactions_sha256}`), and the force was
-computed from what they logged, as for real ones. The controller that believes this network never
-reads the environment's own model; how well it does says nothing about real air beyond what the
-environment's model says about it. When `{interactions}` changes, make this again.
-
-    {command}
-
-{wall_time_s:.0f} s on one core: flights, fit, judgement. The same seed gives the same flights.
-
-## Flights
-{flights} flights, {flown_s:.0f} s, teams {teams}: per team {walks} random walks aloft and
-{low_walks} near the ground, and in company {swaps} stacked swaps aloft and {low_swaps} near the
-ground, {duration_s:g} s each unless the team touches something: the log ends before. Every fifth
-flight of a team and kind is held out. The pilot does not compensate.
-
-The log, at 120 Hz, has position, velocity, attitude and rotor *commands*; white noise of
-{position_mm:g} mm, {velocity_cm:g} cm/s and {attitude_mrad:g} mrad is added to what sensors see.
-f_a = m a + m g k - R T k, with a by five-point differentiation of the logged velocity and T by the
-motor lag (eq. 1c) of the logged commands, averaged over 0.1 s. {rows} rows at {row_rate} Hz: all of
-lone drones; of others those with a neighbour in the interaction volume.
-
-## Network
-The paper's shapes and spectral clip, fading window, inputs clamped to the flown range, anchored: a
-drone at or above 0.6 m that has no neighbour in its interaction volume feels exactly nothing but
-linear drag. {steps} steps of Adam.
-
-## Validation
-Mean squared error of the vertical force on the held-out flights, labels as noisy as those of the
-training, g^2:
-
-| scenario | this | zero | scenario mean |
-|---|---|---|---|
-{errors}
-
-## In flight
-Stacked swaps on the compiled engine, worst height error of the lowest drone, medians; the same
-seeds, gains and references with and without. "Worse": episodes in which compensation made it
-larger. "Upper": the largest growth of any other drone's worst height error, cm.
-
-| team | radius, m | time, s | episodes | without, cm | with | largest ratio | worse | upper |
-|---|---|---|---|---|---|---|---|---|
-{judgements}
-
-## Where not to trust it
-Outside the flown range, where inputs are clamped, so that the force stays what it is at the edge:
-sideways beyond {own_speed:g} m/s, or {pair_speed:g} m/s relative to a neighbour; heights below
-{lowest:g} m. And with more than two neighbours in one interaction volume: nobody flew that.
-"""
-
-
 def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits: InputRange) -> str:
     noise = collection.noise
     given = {
@@ -318,7 +264,7 @@ def _model_card(report: FeedforwardReport, collection: CollectionConfig, limits:
         "own_speed": limits.environment[1][1],
         "lowest": -limits.environment[1][0],
     }
-    return _CARD.format(**given)
+    return Path(__file__).with_name("model_card.md").read_text("utf-8").format(**given)
 
 
 def _error_rows(report: FeedforwardReport) -> str:

@@ -152,11 +152,7 @@ def to_table(log: FlightLog, team: Team, rate_hz: float, accelerometer: bool = T
 
 
 def from_table(table: FlightTable, team: Team) -> FlightLog:
-    """The log that `to_table` made a table of; without its set-points, and NaN for no acceleration.
-
-    Raises:
-        ValueError: the table's lines are not those of the team.
-    """
+    """The log that `to_table` made a table of; no set-points, and NaN for no acceleration."""
     drones, names = len(team), vehicle_names(team)
     if tuple(table.drone[:drones]) != names or len(table) % drones:
         raise ValueError(

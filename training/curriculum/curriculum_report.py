@@ -18,7 +18,6 @@ from swarm_envs.state import FloatArray
 from swarm_envs.tasks.swap import StackedLayout
 from swarm_envs.training.belief.feedforward import SwapTrial, fly_swaps
 from swarm_envs.training.force_model.explained import explained_variance
-from swarm_envs.training.reproduce.force_bins import SCENARIO_COLORS
 from swarm_envs.vehicles import GRAM_FORCE, parse_team
 from swarm_envs.viewing.style import GREY, INK, picture
 
@@ -147,14 +146,17 @@ def draw_curriculum(report: CurriculumReport, path: Path) -> None:
             axis.grid(axis="y")
 
 
+_BLUE, _ORANGE, _GREEN = "#0072B2", "#D55E00", "#009E73"
+
+
 def _closeness(axis: Axes, report: CurriculumReport) -> None:
     number = [r["number"] for r in report["rounds"]]
     planned = [100 * r["clearance_m"] for r in report["rounds"]]
     flown = [100 * r["closeness"].least_clearance_m for r in report["rounds"]]
     error = [100 * r["closeness"].gap_error_m for r in report["rounds"]]
     axis.plot(number, planned, "o-", color=INK, label="least planned")
-    axis.plot(number, flown, "s--", color=SCENARIO_COLORS["S2S"], label="least flown")
-    axis.plot(number, error, "^:", color=SCENARIO_COLORS["L2S"], label="error of the gap (95 %)")
+    axis.plot(number, flown, "s--", color=_BLUE, label="least flown")
+    axis.plot(number, error, "^:", color=_ORANGE, label="error of the gap (95 %)")
     axis.axhline(0.0, color=GREY, linewidth=0.8)
     axis.set_ylabel("vertical clearance of two spheres, cm")
     axis.set_title("How close drones flew")
@@ -166,7 +168,7 @@ def _errors(axis: Axes, report: CurriculumReport) -> None:
     zero = [r["zero_mse"] for r in report["rounds"]]
     model = [r["validation_mse"] for r in report["rounds"]]
     axis.bar(number - 0.2, zero, 0.38, color="#C9CDD2", label="no model")
-    axis.bar(number + 0.2, model, 0.38, color=SCENARIO_COLORS["S2S"], label="model of the round")
+    axis.bar(number + 0.2, model, 0.38, color=_BLUE, label="model of the round")
     for x, value in zip(number + 0.2, model, strict=True):
         axis.annotate(f"{value:.2f}", (x, value), ha="center", va="bottom", fontsize=9)
     axis.set_ylabel("MSE of $f_{a,z}$ on held-out flights, g²")
@@ -176,11 +178,10 @@ def _errors(axis: Axes, report: CurriculumReport) -> None:
 
 def _explained(axis: Axes, report: CurriculumReport) -> None:
     number = [r["number"] for r in report["rounds"]]
-    for size, name in zip(GOALS, ("S2S", "S2L", "L2S"), strict=True):
+    for size, color in zip(GOALS, (_BLUE, _GREEN, _ORANGE), strict=True):
         shares = np.array([u["explained"] for u in report["unseen"] if u["drones"] == size])
         if not len(shares):
             continue
-        color = SCENARIO_COLORS[name]
         axis.plot(number, 100 * shares.mean(axis=0), "o-", color=color, label=f"{size} drones")
         low, high = 100 * shares.min(axis=0), 100 * shares.max(axis=0)
         axis.fill_between(number, low, high, color=color, alpha=0.15, linewidth=0)

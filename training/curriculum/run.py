@@ -83,12 +83,7 @@ CurriculumRound = dict[str, Any]
 
 
 def measure_closeness(flights: Sequence[CollectedFlight], duration_s: float) -> Closeness:
-    """Measure closeness in flights of teams, from positions and set-points as logged.
-
-    Args:
-        flights: of one round.
-        duration_s: how long each was to last.
-    """
+    """Measure closeness in flights of teams, from positions and set-points as logged."""
     errors, clearances, ratios = [], [], []
     for flight in flights:
         worst = 0.0

@@ -62,11 +62,7 @@ _NEAR = 1.25
 
 
 def check_height(drone: DroneLog) -> None:
-    """Refuse heights below the ground.
-
-    Raises:
-        ValueError: the drone is usually below z = 0 while its motors run.
-    """
+    """Refuse heights below the ground."""
     flown = drone.pwm.mean(axis=1) > 0.0
     height = float(np.median(drone.position[flown, 2])) if flown.any() else 0.0
     if height < 0.0:
@@ -78,12 +74,7 @@ def check_height(drone: DroneLog) -> None:
 
 
 def check_acceleration(drone: DroneLog) -> None:
-    """Refuse logged accelerations that are no m/s^2 with gravity, z up, or oppose the velocity.
-
-    Raises:
-        ValueError: their usual size or direction is wrong, or they have the opposite sign of the
-            velocity's derivative along some axis.
-    """
+    """Refuse logged accelerations that are no m/s^2 with gravity, z up, or oppose the velocity."""
     if drone.acceleration is None:
         return
     size = float(np.median(np.linalg.norm(drone.acceleration, axis=1)))
@@ -160,11 +151,7 @@ PACE = (0.7, 1.4)
 
 
 def checked_drones(table: FlightTable) -> tuple[DroneLog, ...]:
-    """Return the drones of a flight, sorted by name, attitudes of exactly unit length.
-
-    Raises:
-        ValueError: a rule is broken; the message names the value, the rule and the fix.
-    """
+    """Return the drones of a flight, sorted by name, attitudes of exactly unit length."""
     _check_finite(table)
     names = np.unique(table.drone)
     if "" in names:

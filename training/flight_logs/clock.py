@@ -62,9 +62,6 @@ def common_clock(drones: Sequence[DroneLog], options: LogOptions) -> ClockedFlig
 
     Motion and attitude by cubic splines, motor signals and voltage linearly; nothing is carried
     across a gap.
-
-    Raises:
-        ValueError: the drones have no second in common.
     """
     begin = max(float(drone.time[0]) for drone in drones)
     end = min(float(drone.time[-1]) for drone in drones)

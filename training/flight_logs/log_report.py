@@ -204,9 +204,6 @@ def without_scarce_data(
         joined: rows of the sound files, marked as held out or not.
         refused: files that are not among them.
         options: how many rows are enough.
-
-    Raises:
-        ValueError: no row is left.
     """
     numbers = np.unique(joined.rows.vehicle).tolist()
     vehicles = {vehicle_name(joined.rows, number): number for number in numbers}

@@ -76,9 +76,6 @@ def find_data(path: Path) -> Found:
     """Return the tables and logs at a path: itself, or those right in the folder.
 
     Endings count in capitals too.
-
-    Raises:
-        FileNotFoundError: there is nothing at `path`.
     """
     if not path.exists():
         raise FileNotFoundError(
@@ -125,11 +122,7 @@ def table_key(rows: InteractionRows) -> str:
 
 
 def refuse_copy(known: dict[str, str], key: str, name: str) -> None:
-    """Remember a sound file by its key; refuse one whose key an earlier file has.
-
-    Raises:
-        ValueError: naming both files.
-    """
+    """Remember a sound file by its key; refuse one whose key an earlier file has."""
     first = known.setdefault(key, name)
     if first != name:
         raise ValueError(
@@ -165,12 +158,7 @@ def is_collection(path: Path) -> bool:
 
 
 def read_collected(path: Path) -> tuple[InteractionRows, LogReport]:
-    """Read the flights of a finished collection; labels, filter and split are the collection's.
-
-    Raises:
-        FileNotFoundError: a flight of the manifest is missing.
-        ValueError: the collection is not finished, or gives no row.
-    """
+    """Read the flights of a finished collection; labels, filter and split are the collection's."""
     manifest = json.loads((path / MANIFEST).read_text())
     if "flights" not in manifest:
         raise ValueError(

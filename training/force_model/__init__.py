@@ -4,7 +4,7 @@ Order of reading: `force_fit_config` (options), `flight_logs.fit_data` (files of
 flights), `labels` (what is taken out of the labels), `network` (the heterogeneous deep set,
 Neural-Swarm2 eq. 10, and a sum over pairs), `examples`, `optimisers`, `train`, `export`,
 `evaluate`, `lipschitz`, and `pipeline` (all of it: `fit`). `wake_fit` fits the closed form to the
-same rows; `wake_fit` and `card` also make the parameters and the model card that ship.
+same rows, and also makes the parameters that ship.
 
 Command: `swarm-envs fit --data FILE --out DIR --seed 0`; the pages are docs/fit.md and
 docs/training.md.

@@ -126,11 +126,7 @@ class ModelComparison:
 
 
 def flight_folds(rows: InteractionRows, folds: int, seed: int) -> IntArray:
-    """Which fold each row's flight is in, (R,); flights of the same scenarios are spread evenly.
-
-    Raises:
-        ValueError: there are fewer flights than folds.
-    """
+    """Which fold each row's flight is in, (R,); flights of the same scenarios are spread evenly."""
     flights, index = np.unique(rows.flight, return_inverse=True)
     if len(flights) < folds:
         raise ValueError(

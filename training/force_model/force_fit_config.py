@@ -46,18 +46,11 @@ class TrainConfig:
     None: the mode's own"""
     teacher_epochs: Annotated[float, POSITIVE] = 16.0
     """passes over the training rows of each teacher"""
-    label_share: Share = 0.0
-    """share of the measured label in what a network with teachers learns, the rest being theirs"""
     schedule: Literal["cosine", "constant"] | None = None
     """schedule of the rate: a cosine to zero at the last step, or constant; None: the mode's own"""
     average_share: Share | None = None
     """the result is a running average of the weights over about this share of the run; 0 takes the
     weights of the last step; None: the mode's own"""
-    early_validation: Annotated[float, Range(0.0, 0.5)] = 0.0
-    """share of the training rows held out, to choose among the checkpoints the weights with the
-    least error there; 0 takes those of the end"""
-    early_held: Literal["pieces", "flights"] = "pieces"
-    """what is held out so: contiguous pieces with a guard gap, or whole flights"""
     spectral: Literal["clip", "exact", "none"] = "clip"
     """what holds after each step for every weight matrix: `clip`, its spectral norm is at most
     `max_spectral_norm`; `exact`, it is exactly this (eq. 12); `none`, nothing"""

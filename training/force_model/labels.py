@@ -100,11 +100,7 @@ def flown(rows: InteractionRows) -> InteractionRows:
 
 
 def check_rows(rows: InteractionRows) -> None:
-    """Check that something is there to fit and to validate.
-
-    Raises:
-        ValueError: there is no training row, or no row that is held out.
-    """
+    """Check that something is there to fit and to validate."""
     if rows.validation.all():
         raise ValueError(f"all {len(rows)} rows are held out, so there is nothing to fit")
     if not rows.validation.any():

@@ -74,11 +74,6 @@ def input_gradient(
 ) -> tuple[Tensor, Tensor]:
     """Gradient of the network's force against its inputs.
 
-    Args:
-        network: what to differentiate.
-        batch: R inputs.
-        keep_graph: let the result be differentiated by the weights.
-
     Returns:
         (R, 4) against the environment's inputs and (R, K, 6) against the neighbours', in g per m
         and g per m/s.

@@ -67,9 +67,6 @@ class FlatWeights:
             step: the optimiser's step that left them, from 1.
             loss: before that step.
             learning_rate: which the user may lower.
-
-        Raises:
-            ValueError: a weight is not finite.
         """
         if not bool(self.values.isfinite().all()):
             raise ValueError(
@@ -99,9 +96,6 @@ def hold_spectral_norms(weights: Iterable[Tensor], norm: float, kind: Spectral =
         kind: `clip` scales a matrix whose norm is above `norm` down to it and never up, as the
             published code does; `exact` scales every matrix to exactly this norm, as eq. (12) is
             written; `none` does nothing.
-
-    Raises:
-        ValueError: a matrix is zero and cannot be scaled to the norm.
     """
     if kind == "none":
         return
@@ -161,11 +155,7 @@ class Soap(torch.optim.Optimizer):
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float] | None = None) -> None:  # type: ignore[override]
-        """Move the weights by one step.
-
-        Raises:
-            ValueError: a closure is given; the gradient is taken as it is.
-        """
+        """Move the weights by one step."""
         if closure is not None:
             raise ValueError("SOAP takes the gradient as it is; call step() without a closure")
         values = self.param_groups[0]["params"][0]

@@ -56,11 +56,7 @@ _Fitted = tuple[Findings, dict[str, Any]]
 
 
 def check_finished(path: Path, config: FitConfig, data_sha256: str) -> None:
-    """Check that a report, if there is one, is of the same fit, which may then run again.
-
-    Raises:
-        ValueError: the report is of other data or options, or it cannot be read.
-    """
+    """Check that a report, if there is one, is of the same fit, which may then run again."""
     if not path.is_file():
         return
     try:

@@ -32,7 +32,6 @@ from swarm_envs.training.force_model.composed import build
 from swarm_envs.training.force_model.examples import (
     Examples,
     batches_per_epoch,
-    inner_split,
     shuffled,
     targets,
     transform,
@@ -60,11 +59,10 @@ def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
     """
     weights = run.weights
     tensors = {"weights": weights.values.detach()}
-    tensors |= {"averaged": run.averaged, "best": run.best}
+    tensors |= {"averaged": run.averaged}
     tensors |= {_OPTIMISER + k: v for k, v in run.optimiser.state[weights.values].items()}
     metadata = {
         "step": str(run.step),
-        "best_step": str(run.best_step),
         "history": json.dumps(run.history),
         "configuration": configuration,
     }
@@ -72,11 +70,7 @@ def save_checkpoint(path: Path, run: Training, configuration: str) -> None:
 
 
 def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
-    """Continue `run`, freshly started, where the checkpoint stands.
-
-    Raises:
-        ValueError: the checkpoint was written with another configuration.
-    """
+    """Continue `run`, freshly started, where the checkpoint stands."""
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
@@ -87,10 +81,10 @@ def load_checkpoint(path: Path, run: Training, configuration: str) -> None:
             "delete the file or choose another output folder"
         )
     run.weights.set(tensors["weights"])
-    run.averaged, run.best = tensors["averaged"], tensors["best"]
+    run.averaged = tensors["averaged"]
     state = {k.removeprefix(_OPTIMISER): v for k, v in tensors.items() if k.startswith(_OPTIMISER)}
     run.optimiser.state[run.weights.values] = state
-    run.step, run.best_step = int(metadata["step"]), int(metadata["best_step"])
+    run.step = int(metadata["step"])
     run.history = json.loads(metadata["history"])
 
 
@@ -120,21 +114,12 @@ class Training:
     """What changes them."""
     averaged: Tensor
     """(P,) running average of the weights."""
-    best: Tensor
-    """(P,) weights with the least error of early validation so far."""
-    best_step: int = 0
-    """The step whose weights erred least, where one is chosen."""
     step: int = 0
     """Steps that were taken."""
     history: list[Entry] = field(default_factory=list)
     """Errors along the way."""
     chosen: str = "last step"
     """Which weights are the result, once training has ended."""
-
-    @property
-    def best_error(self) -> float:
-        """Least error of early validation so far, g^2."""
-        return min((entry["early_validation"] for entry in self.history), default=math.inf)
 
 
 def to_batch(rows: InteractionRows, dtype: torch.dtype = torch.float32) -> Batch:
@@ -172,7 +157,7 @@ def start(spec: DeepSetSpec, config: TrainConfig) -> Training:
     if config.optimiser == "soap":
         optimiser = Soap(weights, rate)
     first = weights.values.detach()
-    return Training(network, weights, optimiser, first.clone(), first.clone())
+    return Training(network, weights, optimiser, first.clone())
 
 
 def train(
@@ -189,8 +174,7 @@ def train(
 
     The rows' validation blocks are held out; their error is recorded at every checkpoint and
     chooses nothing. The result has the weights of the last step, or their running average
-    (`average_share`), or of these the ones with the least error on pieces of the training rows
-    (`early_validation`). Teachers are trained by `distil.train_taught`, not here.
+    (`average_share`). Teachers are trained by `distil.train_taught`, not here.
 
     Args:
         rows: labels in `force_g[:, 2]`, already free of whatever should not be learned.
@@ -213,11 +197,11 @@ def train(
     if lesson is not None:
         taught = lesson.taught
         run.weights.set(lesson.first)
-        run.averaged, run.best = lesson.first.clone(), lesson.first.clone()
+        run.averaged = lesson.first.clone()
     configuration = _configuration(rows, spec, config, taught)
     if checkpoint is not None and checkpoint.exists():
         load_checkpoint(checkpoint, run, configuration)
-    examples, checks = _split(rows, config, spec, taught)
+    examples, check = _split(rows, config, spec, taught)
     total = total_steps(config, len(examples.label))
     batches = batches_per_epoch(len(examples.label), config.batch_size)
     loss_sum, order = 0.0, None
@@ -231,7 +215,7 @@ def train(
         bar.update()
         if run.step % config.checkpoint_every == 0 or run.step == total:
             count = run.step % config.checkpoint_every or config.checkpoint_every
-            entry = _judge(run, {"step": run.step, "loss": loss_sum / count}, checks, config)
+            entry = _judge(run, {"step": run.step, "loss": loss_sum / count}, check, config)
             bar.set_postfix({name: f"{value:.2f}" for name, value in entry.items()})
             loss_sum = 0.0
             if watch is not None:
@@ -239,7 +223,7 @@ def train(
             if checkpoint is not None:
                 save_checkpoint(checkpoint, run, configuration)
     bar.close()
-    run.weights.set(run.best if config.early_validation else _candidate(run, config))
+    run.weights.set(_candidate(run, config))
     run.chosen = _chosen(run, config)
     run.weights.release()
     return run
@@ -270,20 +254,15 @@ def _configuration(
 
 def _split(
     rows: InteractionRows, config: TrainConfig, spec: DeepSetSpec, taught: FloatArray | None
-) -> tuple[Examples, dict[str, tuple[Batch, Tensor]]]:
-    """What is trained on, and what is held out: the validation blocks, and early validation."""
+) -> tuple[Examples, tuple[Batch, Tensor]]:
+    """What is trained on, and the validation blocks, which are held out."""
     torque, horizontal = spec.torque, spec.kind == "composed"
-    chosen, held_out = ~rows.validation, {"validation": rows.validation}
-    if config.early_validation:
-        chosen, early = inner_split(rows, config.early_validation, config.seed, config.early_held)
-        held_out["early_validation"] = early
-    training = rows.select(chosen)
+    training, held_out = rows.select(~rows.validation), rows.select(rows.validation)
     weight = type_weights(training, config.balance)
     if taught is not None:
-        training = training.with_vertical_force(taught[chosen])
+        training = training.with_vertical_force(taught[~rows.validation])
     examples = Examples(to_batch(training), targets(training, torque, horizontal), weight)
-    parts = {name: rows.select(mask) for name, mask in held_out.items()}
-    return examples, {name: (to_batch(part), targets(part)) for name, part in parts.items()}
+    return examples, (to_batch(held_out), targets(held_out))
 
 
 def type_weights(rows: InteractionRows, balance: float) -> Tensor:
@@ -338,17 +317,12 @@ def _candidate(run: Training, config: TrainConfig) -> Tensor:
     return averaged
 
 
-def _judge(
-    run: Training, entry: Entry, checks: dict[str, tuple[Batch, Tensor]], config: TrainConfig
-) -> Entry:
-    """Add the errors of the candidate weights to an entry, and the entry to the history."""
-    kept, candidate = run.weights.values.detach().clone(), _candidate(run, config)
-    run.weights.set(candidate)
-    for name, (batch, label) in checks.items():
-        entry[name] = float(torch.mean((predict(run.network, batch) - label) ** 2))
+def _judge(run: Training, entry: Entry, check: tuple[Batch, Tensor], config: TrainConfig) -> Entry:
+    """Add the error of the candidate weights to an entry, and the entry to the history."""
+    kept, (batch, label) = run.weights.values.detach().clone(), check
+    run.weights.set(_candidate(run, config))
+    entry["validation"] = float(torch.mean((predict(run.network, batch) - label) ** 2))
     run.weights.set(kept)
-    if "early_validation" in checks and entry["early_validation"] < run.best_error:
-        run.best, run.best_step = candidate, run.step
     run.history.append(entry)
     return entry
 
@@ -358,8 +332,6 @@ def _chosen(run: Training, config: TrainConfig) -> str:
     what = "running average of the weights" if config.average_share else "weights"
     if config.teachers:
         what = f"taught by {config.teachers} networks, {what}"
-    if config.early_validation:
-        return f"{what} at step {run.best_step}, the best on held-out {config.early_held}"
     return f"{what} at the last step; validation chose nothing"
 
 
@@ -395,12 +367,11 @@ def train_taught(
         path = None if checkpoint is None else teacher_checkpoint(checkpoint, number)
         name = f"teacher {number} of {config.teachers}"
         own = teacher_config(config, number)
-        run = train(_for_teachers(rows, config), spec, own, path, progress, name=name)
+        run = train(rows, spec, own, path, progress, name=name)
         answer = predict if config.symmetry == "none" else symmetric_mean
         answers += answer(run.network, to_batch(rows)).double().numpy() / config.teachers
-    taught = config.label_share * rows.force_g[:, 2] + (1.0 - config.label_share) * answers
     first = torch.nn.utils.parameters_to_vector(run.network.parameters()).detach()
-    lesson = Lesson(taught, first)
+    lesson = Lesson(answers, first)
     return train(rows, spec, config, checkpoint, progress, watch, lesson, "the network")
 
 
@@ -418,7 +389,6 @@ def teacher_config(config: TrainConfig, number: int) -> TrainConfig:
         epochs=config.teacher_epochs,
         seed=seed,
         teachers=0,
-        early_validation=0.0,
     )
 
 
@@ -429,11 +399,3 @@ def symmetric_mean(network: ForceNetwork, batch: Batch) -> Tensor:
         mirror_x, mirror_y = torch.full((count,), sign_x), torch.full((count,), sign_y)
         total += predict(network, transform(batch, mirror_x, mirror_y, torch.full((count,), swap)))
     return total / 8.0
-
-
-def _for_teachers(rows: InteractionRows, config: TrainConfig) -> InteractionRows:
-    """The rows with those of early validation held out from the teachers, too."""
-    if not config.early_validation:
-        return rows
-    training, _ = inner_split(rows, config.early_validation, config.seed, config.early_held)
-    return dataclasses.replace(rows, validation=~training)

@@ -46,7 +46,6 @@ _BEFORE: Mapping[str, Any] = {
     "optimiser": "adam",
     "teachers": 0,
     "teacher_epochs": 16.0,
-    "label_share": 0.0,
 }
 _TRAINING = tuple(entry.name for entry in fields(TrainConfig) if entry.name != "seed")
 
@@ -113,12 +112,7 @@ def ablation_fit(options: Any, cell: str, seed: int) -> FitConfig:
 
 
 def _grid(options: Any) -> Cells:
-    """What fits each run, or reads it if it has ended; the table is rewritten after each.
-
-    Raises:
-        FileNotFoundError: there is no data.
-        ValueError: a run in the folder was made with other data or settings.
-    """
+    """What fits each run, or reads it if it has ended; the table is rewritten after each."""
     from swarm_envs.training.flight_logs.fit_data import data_sha256
 
     if not options.data.exists():
@@ -164,7 +158,7 @@ def _finished(config: FitConfig, digest: str) -> Mapping[str, Any] | None:
     report = _read(config)
     wanted = json.loads(json.dumps(json_ready(replace(config, progress=True))))
     made = {**_BEFORE, **report["config"], "progress": True}
-    differing = sorted(k for k in wanted.keys() | made.keys() if wanted.get(k) != made.get(k))
+    differing = sorted(k for k in wanted if wanted[k] != made.get(k))  # old options are gone
     if report["data_sha256"] != digest:
         differing.append("the data")
     if differing:

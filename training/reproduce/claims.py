@@ -88,11 +88,7 @@ class Claim:
     """What of: `quartiles`, `least and largest`, `standard deviation`; nothing without spread."""
 
     def __post_init__(self) -> None:
-        """Refuse a spread that nobody can read.
-
-        Raises:
-            ValueError: a spread without a name, or turned round.
-        """
+        """Refuse a spread that nobody can read."""
         if self.spread is None:
             object.__setattr__(self, "spread_is", "")
         elif not self.spread_is or self.spread[0] > self.spread[1]:

@@ -13,13 +13,7 @@ from swarm_envs.training.reproduce.study import Study
 
 
 def collection(folder: Path, flights: int, seed: int) -> tuple[list[str], CollectOptions]:
-    """Flights for a study, `flights` and `flights.json` in its folder: words and options.
-
-    Args:
-        folder: of the study.
-        flights: of each team and motion.
-        seed: of all of them.
-    """
+    """Flights for a study, `flights` and `flights.json` in its folder: words and options."""
     out, numbers = folder / "flights", folder / "flights.json"
     motions = ("walks", "low_walks", "swaps", "low_swaps")
     words = ["collect", "--out", str(out), "--json", str(numbers)]

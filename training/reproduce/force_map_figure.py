@@ -1,8 +1,7 @@
-"""Fig. 5 of Neural-Swarm2 and what belongs to it: heat maps, larger swarms, calibration."""
+"""Fig. 5 of Neural-Swarm2 and what belongs to it: heat maps and larger swarms."""
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,13 +18,6 @@ from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.training.force_model.explained import generalisation
 from swarm_envs.training.reproduce.charts import label_axis
 from swarm_envs.training.reproduce.claims import Between, Claim, Extent, Reason, about
-from swarm_envs.training.reproduce.force_bins import (
-    bin_errors,
-    plot_calibration,
-    plot_force_curves,
-    predict_bins,
-    read_bins,
-)
 from swarm_envs.training.reproduce.heat_maps import (
     all_maps,
     force_on_ego_g,
@@ -194,37 +186,24 @@ def _growth(axis: Axes, model: InteractionModel, formation: str) -> None:
 
 
 def _report(options: Any, cells: Mapping[str, Any]) -> Report:
-    """Fig. 5, its superposition gaps, larger swarms, and the calibration if bins are given."""
+    """Fig. 5, its superposition gaps, and larger swarms."""
     model, truth = options.model, options.truth
     forces = load(model)
-    table = None if options.bins is None else read_bins(options.bins)
     true_forces = None if truth is None else load(truth)
     name = Path(forces.name).name
-    with tqdm(total=3, unit="step", desc="Fig. 5") as bar:
+    with tqdm(total=2, unit="step", desc="Fig. 5") as bar:
         maps = all_maps(forces, 0.01)
         bar.update()
         swarms = all_swarms(forces)
-        bar.update()
-        predicted = predict_bins(forces, table) if table else []
         bar.update()
     pictures: dict[str, tuple[str, Callable[[Path], None]]] = {
         "heat_maps": ("figure_5.png", partial(plot_heat_maps, maps=maps, model=name)),
         "superposition_gaps": ("superposition_gaps.png", partial(plot_gaps, maps=maps, model=name)),
         "larger_swarms": ("larger_swarms.png", partial(plot_swarms, swarms=swarms, model=forces)),
     }
-    if table:
-        calibration = partial(plot_calibration, bins=predicted, model=name)
-        pictures["calibration"] = ("calibration.png", calibration)
-        curves = partial(plot_force_curves, bins=predicted, model=name)
-        pictures["curves"] = ("force_curves.png", curves)
     summary = summarise_maps(maps, name) | {
         "larger_swarms": [_numbers_of(swarm) for swarm in swarms]
     }
-    if table:
-        summary["calibration"] = {
-            "errors": bin_errors(predicted),
-            "bins": [dataclasses.asdict(b) for b in predicted],
-        }
     if true_forces is not None:
         explained = generalisation(forces, true_forces, seed=options.seed)
         summary["generalisation"] = [team._asdict() for team in explained]
@@ -256,12 +235,6 @@ def format_summary(summary: dict[str, Any]) -> str:
         lines.append(
             f"{team['team']}: {100 * team['explained']:.1f} % of the true force explained, "
             f"{team['mean_neighbours']:.1f} neighbours on average"
-        )
-    if "calibration" in summary:
-        whole = summary["calibration"]["errors"]["all"]
-        lines.append(
-            f"measured bins: off by {whole['root_mean_square_error_g']:.2f} g root mean square "
-            f"over {whole['bins']} bins"
         )
     return "\n".join(lines)
 
@@ -295,7 +268,7 @@ FIGURE_5 = Study(
     name="figure-5",
     label="Fig. 5",
     shows="heat maps of the force on a small drone, eight surroundings",
-    takes=("model", "bins", "truth"),
+    takes=("model", "truth"),
     report=_report,
     claims=_claims,
     pictures=("figure_5.png", "superposition_gaps.png"),

@@ -187,16 +187,7 @@ class _ForceMap:
 
 
 def force_map(model: InteractionModel, case: _MapCase, step_m: float = 0.01) -> _ForceMap:
-    """Evaluate one case on a grid.
-
-    Args:
-        model: whose forces.
-        case: who stands where.
-        step_m: spacing of the grid.
-
-    Raises:
-        ValueError: the grid is coarser than a map, or the model does not know a vehicle.
-    """
+    """Evaluate one case on a grid."""
     if not 0.001 <= step_m <= 0.25:
         raise ValueError(f"step_m is {step_m}, but must be from 0.001 to 0.25")
     y = np.linspace(-_HALF_WIDTH_M, _HALF_WIDTH_M, round(2 * _HALF_WIDTH_M / step_m) + 1)

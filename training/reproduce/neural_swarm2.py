@@ -32,8 +32,8 @@ class NeuralSwarmOptions(StudyOptions):
     """Remake a figure or a table of Neural-Swarm2, with the paper's values beside ours.
 
     `--table 1` identifies both vehicles again.
-    `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model,
-    with `--bins` its calibration too. `--figure 8` flies stacked swaps with and without
+    `--figure 5` draws the heat maps, the superposition gaps and larger swarms of any force model.
+    `--figure 8` flies stacked swaps with and without
     compensation, `--figure 9` the rings of 5, `--figure 1` those of 16, in environments whose force
     the controllers do not know. `--figure 6` and `--figure 7` plan swaps with and without knowing
     the forces. `--table 3` fits the ablations. `--study` looks at what the
@@ -78,8 +78,6 @@ class NeuralSwarmOptions(StudyOptions):
     """figure 7: random swaps of each team; figure 6: seeds with which its swap is planned"""
     model: str = "learned"
     """figure 5: `learned`, `wake`, or the path of a weights file"""
-    bins: Path | None = None
-    """figure 5: CSV of measured force bins to hold the model against"""
     data: Path | None = None
     """table: rows of measured force, a file or a folder, as `swarm-envs fit` reads them"""
     seeds: Count = 3

@@ -30,13 +30,6 @@ def _compensation(
     """Errors without and with compensation, and their ratio.
 
     The paper flew in a hall: what is flown in the ideal world is not held against it.
-
-    Args:
-        air: what was flown in it.
-        case: of that air.
-        where: how it is named.
-        compensated: why the error with compensation may be another.
-        ratio: why their ratio may be.
     """
     flown, (before, after) = air["world"] == "hall", case["paper_cm"]
     none: tuple[Reason, ...] = ()

@@ -245,9 +245,6 @@ def compare_paired(without: FloatArray, compensated: FloatArray) -> dict[str, An
         Ready for JSON: `without` and `compensated`, median and quartiles; `ratio` of the medians,
         compensated over uncompensated; `made_worse`, episodes in which compensation made the error
         larger; `p_value` of `signed_rank_p`, and whether it is `significant`.
-
-    Raises:
-        ValueError: they are not as many, or there are none.
     """
     if without.shape != compensated.shape or without.ndim != 1 or not len(without):
         raise ValueError(

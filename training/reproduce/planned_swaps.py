@@ -64,9 +64,6 @@ def draw_swap(team: str, seed: int) -> _PlannedSwap:
     Args:
         team: tokens, such as `"SSL"`; at least two.
         seed: of the trial.
-
-    Raises:
-        ValueError: a single robot, with no one to change places with.
     """
     count = len(parse_team(team))
     if count < 2:
@@ -175,9 +172,6 @@ def track_plan(
         model: the true forces; the plan may have been made with another, or with none.
         gains: of the PID.
         dt: length of a step, s.
-
-    Raises:
-        ValueError: the plan is of another number of robots, or empty.
     """
     if plan.states.shape[1] != len(team) or plan.steps < 1:
         raise ValueError(
@@ -307,11 +301,7 @@ class TrialSettings:
 def kept_plan(
     path: Path, settings: TrialSettings, swap: _PlannedSwap, planner: str, seed: int
 ) -> SwarmPlan:
-    """The plan that the file keeps, or one that is made now and kept there.
-
-    Raises:
-        ValueError: the file keeps a plan of another swap, model, seed or bounds.
-    """
+    """The plan that the file keeps, or one that is made now and kept there."""
     if not path.is_file():
         plan = settings.plan(swap, planner, seed)
         plan.save(path)
@@ -336,15 +326,7 @@ def kept_plan(
 def fly_trial(
     settings: TrialSettings, swap: _PlannedSwap, plan: SwarmPlan, planner: str, seed: int
 ) -> Cell:
-    """Track a plan on the planner's own model, and fly it in the unknown air.
-
-    Args:
-        settings: what all trials share.
-        swap: who goes where.
-        plan: for this swap.
-        planner: who made it.
-        seed: of the trial.
-    """
+    """Track a plan on the planner's own model, and fly it in the unknown air."""
     track = track_plan(plan.trajectories, plan.team, settings.model)
     cell: Cell = {
         "scenario": swap.team,

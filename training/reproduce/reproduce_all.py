@@ -176,13 +176,7 @@ def steps_of(options: ReproduceAllOptions, study: Study) -> list[_Step]:
 
 
 def asking(kind: type[StudyOptions], study: Study, **given: Any) -> StudyOptions:
-    """Options that ask for a study: `figure=8` for `figure-8`.
-
-    Args:
-        kind: of the paper.
-        study: of that paper.
-        **given: further options.
-    """
+    """Options that ask for a study: `figure=8` for `figure-8`."""
     name, _, value = study.name.partition("-")
     hint = get_type_hints(kind)[name]  # such as Literal[1, 3] | None
     choices = [choice for part in (hint, *get_args(hint)) for choice in get_args(part)]

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
-from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 from swarm_envs.arguments import Count, typed
 from swarm_envs.baselines.neural_swarm.flights import format_columns
 from swarm_envs.baselines.rth3d import METHODS
 from swarm_envs.errors import check_name
-from swarm_envs.files import written_whole
 from swarm_envs.training.reproduce import rth3d_runs
 from swarm_envs.training.reproduce.rth3d_claims import (
     building_claims,
@@ -26,13 +23,10 @@ from swarm_envs.training.reproduce.rth3d_letters import letter_claims, letter_re
 from swarm_envs.training.reproduce.rth3d_plots import plot_curve_figure
 from swarm_envs.training.reproduce.rth3d_runs import (
     FIGURES,
-    FIT_FROM,
-    GUARANTEED,
     CurveFigure,
     CurvePoint,
     Curves,
     GridSetting,
-    RatioTarget,
     Spread,
     gather_runs,
     growth,
@@ -41,7 +35,6 @@ from swarm_envs.training.reproduce.rth3d_runs import (
 from swarm_envs.training.reproduce.study import Cell, Cells, Report, Study, StudyOptions, drawing
 
 _PAPER = "rth3d"  # as `swarm-envs reproduce` names the paper
-_SLACK = 30  # what the makespan before compaction may be above m1 + 2 m2 + 2 m3, at most
 
 
 @partial(typed, owner="--")
@@ -133,101 +126,15 @@ def _curves(options: Rth3dOptions, cells: Mapping[str, Cell]) -> Curves:
 
 def _report(options: Rth3dOptions, cells: Mapping[str, Cell]) -> Report:
     figure, curves, name = options.curves, _curves(options, cells), options.chosen.file
-    checks, rows = check_curves(figure, curves), _rows(curves)
+    rows = _rows(curves)
     laws = {f"{name}, {method}": growth(row) for (name, method), row in curves.items()}
     summary = {
         "points": rows,
         "growth": {name: law._asdict() for name, law in laws.items() if law is not None},
         "peers": [peer._asdict() for peer in figure.peers],
-        "claims": checks,
     }
-    files = {
-        f"{name}.png": partial(plot_curve_figure, figure=figure, curves=curves),
-        f"{name}.md": partial(_write_page, text=_page(name, figure, curves, checks)),
-    }
-    return Report(summary, _text(curves, checks), rows, files)
-
-
-def _write_page(path: Path, text: str) -> None:
-    with written_whole(path) as partial_file:
-        partial_file.write_text(text, encoding="utf-8")
-
-
-def check_curves(figure: CurveFigure, curves: Curves) -> list[dict[str, Any]]:
-    """What the curves of a figure should show, what was measured, and whether it holds.
-
-    Args:
-        figure: what was varied, with its targets.
-        curves: of what was run; what was not is not checked.
-    """
-    checks = (*_targets(figure, curves), *_bounds(curves), *_falls(figure, curves))
-    found = [*checks, *_orders(figure, curves)]
-    return [{"text": text, "measured": said, "holds": holds} for text, said, holds in found]
-
-
-_Check = tuple[str, str, bool]
-
-
-def _targets(figure: CurveFigure, curves: Curves) -> Iterator[_Check]:
-    for target in figure.targets:
-        points = [
-            point
-            for point in curves.get((target.series, target.method), ())
-            if point.setting in target.settings and point.ratio is not None
-        ]
-        if points:
-            yield _reached(target, points)
-
-
-def _reached(target: RatioTarget, points: Sequence[CurvePoint]) -> _Check:
-    spreads = [point.ratio if target.compacted else point.before for point in points]
-    worst = max(spread.mean for spread in spreads if spread is not None)
-    first, last = points[0].setting, points[-1].setting
-    where = first.grid if first.grid == last.grid else f"{first.grid} to {last.grid}"
-    where += f", up to {points[-1].robots:,} robots" if first.robots else ""
-    kind = "" if target.compacted else " before compaction"
-    source = " (the paper's)" if target.of_paper else ""
-    said = f"{target.series}, {where}: `{target.method}`{kind} at most {target.most:g}{source}"
-    return said, f"{worst:.3f}", worst <= target.most
-
-
-def _bounds(curves: Curves) -> Iterator[_Check]:
-    for method in GUARANTEED:
-        points = [p for (_, own), row in curves.items() if own == method for p in row]
-        known = [(p.constant, p.setting.grid) for p in points if p.constant is not None]
-        if known:
-            constant, grid = max(known)
-            said = f"`{method}` before compaction: at most m1 + 2 m2 + 2 m3 + {_SLACK}"
-            yield said, f"{constant:+d} ({grid})", constant <= _SLACK
-
-
-def _falls(figure: CurveFigure, curves: Curves) -> Iterator[_Check]:
-    if figure.axis == "density":
-        return
-    for (name, method), row in curves.items():
-        ratios = [p.ratio.mean for p in row if p.ratio is not None]
-        if method not in GUARANTEED or len(ratios) < 2:
-            continue
-        rises = sum(later > earlier for earlier, later in pairwise(ratios))
-        yield (
-            f"{name}: ratio of `{method}` falls as the grid grows",
-            f"{ratios[0]:.3f} to {ratios[-1]:.3f}, {rises} of {len(ratios) - 1} steps up",
-            ratios[-1] < ratios[0],
-        )
-
-
-def _orders(figure: CurveFigure, curves: Curves) -> Iterator[_Check]:
-    """Growth of RTH3D's time; the theory says nothing of PIBT's, and so nothing of `auto`'s."""
-    if figure.order is None:
-        return
-    for (name, method), row in curves.items():
-        law = growth(row) if method in GUARANTEED else None
-        if law is not None:
-            yield (
-                f"{name}: time of `{method}` grows no faster than vertices^{figure.order:.2f}",
-                f"{law.exponent:.2f} ± {law.error:.2f}",
-                law.exponent <= figure.order,
-            )
+    draw = partial(plot_curve_figure, figure=figure, curves=curves)
+    return Report(summary, _text(curves), rows, {f"{name}.png": draw})
 
 
 def _rows(curves: Curves) -> list[dict[str, Any]]:
@@ -260,76 +167,19 @@ def _columns(name: str, spread: Spread | None) -> dict[str, float | None]:
     return dict(zip(columns, values, strict=True))
 
 
-def _page(name: str, figure: CurveFigure, curves: Curves, checks: Sequence[Cell]) -> str:
-    """A figure's numbers in Markdown."""
-    legend = (
-        "Means; ratio is makespan over the largest Manhattan distance; the last column is the "
-        "largest excess of the makespan before compaction over m1 + 2 m2 + 2 m3."
-    )
-    lines = [f"# {figure.headline}", "", f"![{figure.headline}]({name}.png)", "", legend, ""]
-    head = ("grid", "robots", "method", "runs", "CPU s", "ratio", "before compaction")
-    for series in figure.series:
-        own = [(method, row) for (of, method), row in curves.items() if of == series]
-        body = [_line(method, point) for method, row in own for point in row]
-        if body:
-            lines += [f"## {series}", "", *_markdown((*head, "over the sum"), body), ""]
-    lines += [*_laws(figure, curves), "## Checked", ""]
-    said = [(c["text"], c["measured"], "yes" if c["holds"] else "**no**") for c in checks]
-    return "\n".join([*lines, *_markdown(("", "measured", "holds"), said), ""])
-
-
-def _markdown(head: Sequence[str], lines: Iterable[Sequence[str]]) -> list[str]:
-    rows = [f"| {' | '.join(line)} |" for line in (head, *lines)]
-    return [rows[0], f"|{'---|' * len(head)}", *rows[1:]]
-
-
-def _line(method: str, point: CurvePoint) -> tuple[str, ...]:
-    return (
-        point.setting.grid.replace("x", " x "),
-        f"{point.robots:,}",
-        f"`{method}`",
-        str(point.runs) if point.solved == point.runs else f"{point.solved} of {point.runs}",
-        f"{point.cpu_s.mean:.3g}",
-        _mean(point.ratio),
-        _mean(point.before),
-        "" if point.constant is None else f"{point.constant:+d}",
-    )
-
-
 def _mean(spread: Spread | None) -> str:
     return "" if spread is None else f"{spread.mean:.3f}"
 
 
-def _laws(figure: CurveFigure, curves: Curves) -> list[str]:
-    lines = []
-    for (name, method), row in curves.items():
-        law = growth(row)
-        if law is not None:
-            known = figure.order is not None and method in GUARANTEED
-            theory = f"{figure.order:.2f}" if known else ""
-            fitted = f"{law.exponent:.2f} ± {law.error:.2f}"
-            lines.append((name, f"`{method}`", fitted, theory, str(law.settings)))
-    if not lines:
-        return []
-    head = ("", "method", "exponent", "theory", "sizes")
-    text = (
-        f"CPU time over vertices from {FIT_FROM} on, least squares of the logarithms of the means, "
-        "with the standard error:"
-    )
-    return ["## Growth", "", text, "", *_markdown(head, lines), ""]
-
-
-def _text(curves: Curves, checks: Sequence[Cell]) -> str:
-    """The largest setting of each curve and the checks."""
+def _text(curves: Curves) -> str:
+    """The largest setting of each curve."""
     rows = [("", "grid", "robots", "method", "runs", "CPU s", "ratio")]
     for (name, method), row in curves.items():
         point = row[-1]
         numbers = (f"{point.cpu_s.mean:.3g}", _mean(point.ratio) or "-")
         where = (name, point.setting.grid, f"{point.robots:,}")
         rows.append((*where, method, str(point.runs), *numbers))
-    lines = format_columns(rows)
-    lines += [f"{'ok ' if c['holds'] else 'NO '} {c['text']}: {c['measured']}" for c in checks]
-    return "\n".join(lines)
+    return "\n".join(format_columns(rows))
 
 
 def _planned(number: str, shows: str, largest: int, claims: Any) -> Study:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -50,23 +50,6 @@ class GridSetting:
         return f"{self.family} {self.grid}" + (f" {self.robots}" if self.robots else "")
 
 
-class RatioTarget(NamedTuple):
-    """A number that a curve should reach."""
-
-    series: str
-    """The curve that should reach it."""
-    method: str
-    """The method of that curve."""
-    most: float
-    """Mean ratio of makespan to lower bound, at most."""
-    settings: tuple[GridSetting, ...]
-    """Where."""
-    compacted: bool = True
-    """Or before compaction, as the paper's."""
-    of_paper: bool = False
-    """Whether the paper reports the number; otherwise it is what we set ourselves."""
-
-
 class Peer(NamedTuple):
     """A public implementation, measured once on instances of the same kind, on one core."""
 
@@ -107,13 +90,8 @@ class CurveFigure:
     """Ratio that the theory approaches on random instances (Cor. IV.1, IV.2)."""
     order: float | None = None
     """The theory's exponent of the run time in the number of vertices."""
-    targets: tuple[RatioTarget, ...] = ()
-    """Numbers that its curves should reach."""
     peers: tuple[Peer, ...] = ()
     """What others reach."""
-
-
-_Series = Mapping[str, tuple[GridSetting, ...]]  # curves by name
 
 
 def _curve(family: str, *shapes: Shape) -> tuple[GridSetting, ...]:
@@ -151,20 +129,6 @@ _PATTERNS = {
 }
 
 
-def _largest(series: _Series, method: str, most: float) -> Iterable[RatioTarget]:
-    """The same target for each curve's largest setting."""
-    return (RatioTarget(name, method, most, settings[-1:]) for name, settings in series.items())
-
-
-def _paper_says(series: _Series, most: Mapping[str, float]) -> Iterable[RatioTarget]:
-    """What the paper's text says of the largest uniform setting, by method."""
-    where = series["uniform"][-1:]
-    return (
-        RatioTarget("uniform", method, ratio, where, compacted=False, of_paper=True)
-        for method, ratio in most.items()
-    )
-
-
 FIGURES: dict[str, CurveFigure] = {
     "5": CurveFigure(
         "Fig. 5: 4:2:1 grids, a third of the vertices taken",
@@ -173,11 +137,6 @@ FIGURES: dict[str, CurveFigure] = {
         paper={"rth3d": 1.7, "rth3d-lba": 1.5},
         limit=1 + 3 / 7,
         order=5 / 3,
-        targets=(
-            *_paper_says(_RANDOM, {"rth3d": 1.7, "rth3d-lba": 1.5}),
-            *_largest(_RANDOM, "rth3d-lba", 1.30),
-            *_largest(_RANDOM, "auto", 1.05),
-        ),
         peers=_PEERS,
     ),
     "6": CurveFigure(
@@ -187,7 +146,6 @@ FIGURES: dict[str, CurveFigure] = {
         paper={"rth3d": 1.5, "rth3d-lba": 1.5},
         limit=1.5,
         order=2.0,
-        targets=(*_paper_says(_FLATS, {"rth3d": 1.5, "rth3d-lba": 1.5}),),
     ),
     "7": CurveFigure(
         "Fig. 7: 4:2:1 grids between tall buildings, density 2/9",
@@ -195,25 +153,16 @@ FIGURES: dict[str, CurveFigure] = {
         _BUILDINGS,
         limit=1 + 3 / 7,
         order=5 / 3,
-        targets=(*_largest(_BUILDINGS, "rth3d-lba", 1.30), *_largest(_BUILDINGS, "auto", 1.10)),
     ),
     "8": CurveFigure(
         "Fig. 8: 120 x 60 x 6, from a few robots to a third of the vertices",
         "density",
         {"uniform": _DENSITY},
-        targets=(RatioTarget("uniform", "auto", 1.02, _DENSITY[:4]),),
     ),
     "9": CurveFigure(
         "Fig. 9: rings and blocks",
         "m",
         _PATTERNS,
-        targets=(
-            RatioTarget(_RINGS, "rth3d-lba", 1.15, _PATTERNS[_RINGS][3:4]),
-            *(
-                RatioTarget(name, "auto", 1.10, _PATTERNS[name])
-                for name in ("27 blocks, m x m x m", "3 x 3 x 3 blocks, 2m x 2m x m")
-            ),
-        ),
     ),
 }
 """Every figure by its number. Orders: matchings of all heights, O(m3 m1^2 m2^2) (Sec. IV)."""

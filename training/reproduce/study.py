@@ -88,11 +88,7 @@ class Study:
     """Flights of each team and motion that are collected first, in full and quick."""
 
     def __post_init__(self) -> None:
-        """Refuse a study that is half declared.
-
-        Raises:
-            ValueError: it is neither remade nor says why not, or both; or it makes no claim.
-        """
+        """Refuse a study that is half declared."""
         remade = self.report is not None or self.collects is not None
         if remade == bool(self.missing):
             raise ValueError(f"{self.key}: say how it is remade, or why it is not, and not both")
@@ -127,11 +123,7 @@ class StudyOptions:
     """the first of the seeds"""
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be done.
-
-        Raises:
-            ValueError: not exactly one study, or an option that has no meaning for it.
-        """
+        """Refuse what cannot be done."""
         study = self.chosen
         for name in _foreign(self, study):
             homes = [s for s in _studies_of(self.paper).values() if name in (s.takes or ())]
@@ -184,11 +176,6 @@ def _foreign(options: StudyOptions, study: Study) -> list[str]:
 
 def run_study(study: Study, options: Any, progress: bool = True) -> tuple[dict[str, Any], str]:
     """Compute the cells of a study that are not there yet, and write what it found.
-
-    Args:
-        study: what is run.
-        options: what was asked for.
-        progress: show a progress bar.
 
     Returns:
         The numbers, ready for JSON, and what to print.

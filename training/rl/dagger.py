@@ -193,11 +193,7 @@ class DaggerLearner(Learner):
 
 
 def teacher_of(teachers: tuple[str, ...], part: str, drones: int) -> str:
-    """The name of the teacher of a part of the curriculum and a size of teams: the last that fits.
-
-    Raises:
-        ValueError: none does.
-    """
+    """The teacher's name for a part of the curriculum and a size of teams: the last that fits."""
     here, found = {part, str(drones)}, None
     for given in teachers:
         place, _, name = given.rpartition("=")

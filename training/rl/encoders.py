@@ -169,11 +169,7 @@ def plain_networks(trunks: Trunks, head: nn.Linear) -> dict[str, Network]:
 
 @torch.no_grad()
 def fill(trunks: Trunks, head: nn.Linear, networks: Mapping[str, Network]) -> None:
-    """Let trunks and the layer behind them, of one policy for all types, be these networks.
-
-    Raises:
-        ValueError: they are of another kind or other widths.
-    """
+    """Let trunks and the layer behind them, of one policy for all types, be these networks."""
     kinds = [
         {owner: (n.pooling, n.activation, _shapes(n)) for owner, n in found.items()}
         for found in (networks, plain_networks(trunks, head))

@@ -79,11 +79,7 @@ class Learner(ABC):
         return SharedPolicyVecEnv(blueprints, share, self.config.seed, features=self.features)
 
     def start_from(self, trunks: Trunks, head: nn.Linear) -> Actor | None:
-        """Fill an actor with the policy to start from, and return that frozen; None without one.
-
-        Raises:
-            ValueError: there is no such policy, or its networks are of another kind.
-        """
+        """Fill an actor with the policy to start from, and return that frozen; None without one."""
         if self.config.start is None:
             return None
         agent = load_agent(self.config.start)

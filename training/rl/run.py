@@ -227,11 +227,7 @@ def _save_checkpoint(path: Path, learner: Learner, progress: _Progress) -> None:
 
 
 def _load_checkpoint(path: Path, learner: Learner, config: Mapping[str, Any]) -> dict[str, Any]:
-    """Put a fresh learner where the checkpoint stands, and return its progress.
-
-    Raises:
-        ValueError: it is damaged, or of a run with another configuration.
-    """
+    """Put a fresh learner where the checkpoint stands, and return its progress."""
     try:
         with safe_open(path, framework="pt") as file:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118

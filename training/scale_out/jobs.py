@@ -123,9 +123,6 @@ class WorkerPool(ABC):
 
         The queue may be changed between outcomes: what is added is done too, what is removed is
         not. A job that fails stops no other.
-
-        Args:
-            jobs: emptied.
         """
         running: dict[Future[str], Job] = {}
         while jobs or running:

@@ -111,11 +111,7 @@ class RayWorkers(WorkerPool):
 
 
 def check_address(address: str) -> None:
-    """Refuse what is no address of a cluster.
-
-    Raises:
-        ValueError: it is none; the message says what is.
-    """
+    """Refuse what is no address of a cluster."""
     if address not in (LOCAL, AUTO) and not _ADDRESS.fullmatch(address):
         raise ValueError(
             f"--ray is {address!r}, but must be {AUTO!r}, {LOCAL!r}, or host:port such as "

@@ -38,12 +38,7 @@ _CLOSE = 1e-6
 
 
 def read_results(path: Path) -> Content:
-    """A results file, or that of a benchmark's folder.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it is no results file.
-    """
+    """A results file, or that of a benchmark's folder."""
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
         raise FileNotFoundError(f"there is no results file {str(file)!r}")

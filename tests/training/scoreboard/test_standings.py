@@ -9,17 +9,13 @@ import numpy as np
 import pytest
 from scipy.stats import trim_mean
 
+from docs.benchmark_tables import BEGIN, END, put_into, success_rates, update_page
 from swarm_envs.training.scoreboard.standings import (
-    BEGIN,
-    END,
     THRESHOLDS,
     aggregate,
     align_columns,
     performance_profile,
-    put_into,
     standings,
-    success_rates,
-    update_page,
     weighted_interquartile_mean,
 )
 from tests.helpers.pages import DOCS

@@ -1,6 +1,6 @@
 """Tune the scripted agents that avoid each other, on seeds that no benchmark flies.
 
-    python -m swarm_envs.training.tune_agents --agent roundabout --trials 60 --out tune.jsonl
+    python -m examples.tune_agents --agent roundabout --trials 60 --out tune.jsonl
 
 Each trial changes some numbers of the best candidate so far and flies it through random and
 circular swaps of 4 to 32 drones, every candidate on the same seeds; the better one stays. A trial

@@ -1,6 +1,6 @@
 """Write who is recommended for which task, from the folders of benchmarks.
 
-    python -m swarm_envs.training.scoreboard.recommend DIR ...
+    python docs/recommend.py DIR ...
 
 What an agent did on a task replaces what the file says of it; the rest stays.
 

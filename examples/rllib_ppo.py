@@ -1,7 +1,7 @@
 """Train swap by RLlib: PPO of its new API stack, one policy for all drones, on any Ray cluster.
 
     pip install 'swarm-envs[train]' 'ray[rllib]'
-    python -m swarm_envs.training.rllib_ppo --out runs/rllib --steps 1000000 --runners 8
+    python examples/rllib_ppo.py --out runs/rllib --steps 1000000 --runners 8
     swarm-envs evaluate --agent runs/rllib
 
 An example to start from, read top to bottom. `swarm-envs train` learns faster on one machine: it
@@ -226,7 +226,7 @@ def _learn(config: RllibConfig, algorithm: Any) -> Policy:
 def _main() -> None:
     import tyro
 
-    config = tyro.cli(RllibConfig, prog="python -m swarm_envs.training.rllib_ppo")
+    config = tyro.cli(RllibConfig, prog="python examples/rllib_ppo.py")
     try:
         report = train_with_rllib(config)
     except (ImportError, OSError) as error:
