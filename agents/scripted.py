@@ -335,7 +335,7 @@ class DetourAgent:
         """Forget the last episode; the seed draws the order in which drones choose.
 
         Raises:
-            ValueError: goals at rest that change one by one, while others are under way.
+            ValueError: goals at rest that change one at a time, while others are under way.
         """
         task = env.core.task
         if isinstance(task.success, ByScore) and task.motion.rests:
