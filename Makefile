@@ -20,12 +20,13 @@ PEERS_rllib := 'ray[rllib]' torch
 TESTS_torchrl := test_torchrl.py test_benchmarl.py test_skrl.py test_docs.py test_examples.py
 TESTS_rllib := test_rllib.py test_docs.py
 
-.PHONY: help demo test quick stale test-all test-compat coverage mutation matrix lint format bench \
+.PHONY: help demo test test-order quick stale test-all test-compat coverage mutation matrix lint format bench \
 	bench-against docs films clean
 
 help:
 	@echo 'make demo      two drones swap places through each other'"'"'s downwash; results in demo/'
 	@echo 'make test      the tests, without those marked slow'
+	@echo 'make test-order  the same in reversed and in random order'
 	@echo 'make quick     lint what changed, and the tests nearest to it; about a minute'
 	@echo 'make stale     what was computed from force models that have changed since'
 	@echo 'make test-all  every test, test-compat among them'
@@ -61,6 +62,11 @@ demo: $(VENV)/.base
 # As many processes as there are cores; each test file stays in one.
 test: $(VENV)/.dev
 	$(BIN)/python -m pytest -n auto --dist loadfile
+
+# Tests that pass only after others, or before them, fail in one of these orders.
+test-order: $(VENV)/.dev
+	$(BIN)/python -m pytest -n auto --dist loadfile --order reversed
+	$(BIN)/python -m pytest -n auto --dist loadfile --order $(shell date +%s)
 
 # What changed since the last commit, or in it.
 quick: $(VENV)/.dev

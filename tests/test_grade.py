@@ -188,7 +188,12 @@ def points_of(tmp_path: Path, assignment: str, episodes: int, *works: str) -> li
     table = tmp_path / "grades.csv"
     arguments = ["--assignment", assignment, "--episodes", str(episodes), "--out", str(table)]
     if assignment == "force-model":
-        assert main(["collect", "--out", str(tmp_path / "flights"), "--teams", "SS"]) == 0
+        assert (
+            main(
+                ["collect", "--out", str(tmp_path / "flights"), "--teams", "SS", "--world", "hall"]
+            )
+            == 0
+        )
         arguments += ["--data", str(tmp_path / "flights" / "rows.npz")]
     assert main(["grade", *arguments, "--agent", *works]) == 0
     with table.open(newline="") as file:

@@ -25,6 +25,7 @@ from swarm_envs.interactions import InteractionModel, load
 from swarm_envs.interactions.packed import scratch_for
 from swarm_envs.motors import BatteryModel
 from swarm_envs.neighbors import FEW
+from swarm_envs.physics.begin import begin_flight
 from swarm_envs.physics.contact import (
     NO_WALLS,
     ON_CONTACT,
@@ -41,10 +42,9 @@ from swarm_envs.physics.step import (
     ROTORS,
     SPIN,
     TOUCH,
-    begin_flight,
     fly,
+    new_work,
 )
-from swarm_envs.physics.tile import new_work
 from swarm_envs.physics.workers import Call, Workers
 from swarm_envs.state import (
     BoolArray,

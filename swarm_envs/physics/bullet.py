@@ -250,6 +250,7 @@ class BulletPhysics(Physics):
             self.bodies.append(self._populate(e))
         self._built, self._built_teams = list(map(self._inertias, every)), list(self.teams)
         self._memory = self._columns.data.cast("B")
+        self._active, self._tumbling = self.world.drones["active"], self.world.drones["tumbling"]
         wrenches = self.world.drones["wrench"]
         self._wrenches = wrenches.reshape(*wrenches.shape[:2], 2, 3)  # a view: force and torque
 
@@ -323,8 +324,7 @@ class BulletPhysics(Physics):
         Who tumbles stays where it was, and its team too if its episode ends with that.
         Numbers are packed into the memory of the drones: to make an array of them takes longer.
         """
-        drones = self.world.drones[e]
-        tumbles = (drones["tumbling"] > 0.0).tolist()
+        tumbles = self._tumbling[e].tolist()
         if ends_team and any(tumbles):
             self.settle(e)
             return
@@ -338,7 +338,7 @@ class BulletPhysics(Physics):
         put, set_off = bullet.resetBasePositionAndOrientation, bullet.resetBaseVelocity
         write, memory, size = _BODY.pack_into, self._memory, self.world.drones.itemsize
         place = e * len(bodies) * size
-        for body, active, stays in zip(bodies, drones["active"].tolist(), tumbles, strict=True):
+        for body, active, stays in zip(bodies, self._active[e].tolist(), tumbles, strict=True):
             (position, quaternion), (velocity, rate) = pose(body, client), twist(body, client)
             if active and not stays:
                 write(memory, place, *position, *quaternion, *velocity, *rate)

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,16 +20,18 @@ from swarm_envs.control.adaptation import adapt
 from swarm_envs.control.loop import four, hold_rates, three, track
 from swarm_envs.interactions.field import NONE
 from swarm_envs.interactions.forces import felt_forces, swarm_forces
-from swarm_envs.interactions.packed import PackedField, Scratch
-from swarm_envs.motors import drain, limit_rotors
+from swarm_envs.interactions.packed import CHUNK, PackedField, Scratch
+from swarm_envs.motors import drain
+from swarm_envs.neighbors import FEW
 from swarm_envs.physics.bounce import bounce
-from swarm_envs.physics.contact import meet, meet_many, touch, touch_obstacles
+from swarm_envs.physics.contact import PLACES, SPOT_TYPE, meet, meet_many, touch, touch_obstacles
 from swarm_envs.physics.hall_lanes import (
     disturb,
     estimate,
     find_company,
     load_hall,
     see,
+    store_estimate,
     store_hall,
 )
 from swarm_envs.physics.rigid_body import (
@@ -40,14 +42,159 @@ from swarm_envs.physics.rigid_body import (
     rotor_wrench,
     spin_rotors,
 )
-from swarm_envs.physics.tile import Work, any_tumbles, load_tile, stop_tumbling, store_tile
 from swarm_envs.state import BoolArray, FloatArray, IntArray
-from swarm_envs.tables import LANES, RESET_COLUMNS, RESET_VALUES, Records
+from swarm_envs.tables import (
+    ACTIVE,
+    ADAPTATION_END,
+    BLOCK_TYPE,
+    BODY_END,
+    CONTACT_COLUMNS,
+    CONTACT_VALUES,
+    CONTROLLER_END,
+    LANES,
+    VEHICLE_END,
+    Records,
+    aligned,
+)
 
 SETPOINTS, RATES, ROTORS = 0, 1, 2
 """Where actions enter: set-points of the tracking loop, thrust and body rates, or the rotors."""
 BEGIN, CONTROL, SPIN, MOVE, TOUCH = 1, 2, 4, 8, 16
 """Phases of a step, as flags; `BEGIN` forgets the contacts of the last decision before it."""
+FAR = 1e6
+"""Where drones whose episode has ended are taken to be, and how far from each other, m."""
+
+
+class Work(NamedTuple):
+    """Working memory of one thread, nothing to keep."""
+
+    blocks: Records
+    """Records of `LANES` drones: all drones of a tile, one environment after the other."""
+    tile: FloatArray
+    """(blocks, rows, LANES) the same memory as plain numbers."""
+    members: IntArray
+    """(C,) the environments of the tile."""
+    due: IntArray
+    """(C,) places of those whose force is due."""
+    spots: Records
+    """(N,) for `meet`."""
+    position: FloatArray
+    """(N, 3) for `meet_many`."""
+    stopped: BoolArray
+    """(drones of the tile,) who tumbled in this decision, or ended with its team by that."""
+
+
+def new_work(num_drones: int) -> Work:
+    """Working memory for environments of so many drones."""
+    places = max(1, min(PLACES, CHUNK // num_drones))
+    blocks = aligned(-(-places * num_drones // LANES), BLOCK_TYPE)
+    return Work(
+        blocks=blocks,
+        tile=blocks.view(np.float64).reshape(len(blocks), -1, LANES),
+        members=np.zeros(places, np.int64),
+        due=np.zeros(places, np.int64),
+        spots=aligned(num_drones if num_drones <= FEW else 0, SPOT_TYPE),
+        position=np.zeros((num_drones, 3)),
+        stopped=np.zeros(places * num_drones, np.bool_),
+    )
+
+
+@part
+def load_tile(
+    columns: FloatArray, count: int, controlled: bool, adaptive: bool, begins: bool, work: Work
+) -> None:
+    """Copy what a step knows of the drones of the first `count` members into the blocks.
+
+    The columns of the tracking loop, and of its adaptation, are left out if there is none. Where a
+    decision begins, what was touched in the last one is forgotten. Lanes that are left over in the
+    last block repeat the last drone, so that numbers there are sound; they are not written back.
+    Drones whose episode has ended come far away from all others, and are not written back either:
+    so they neither touch nor push anybody, and stay as they were at their end.
+    """
+    drones, slot = columns.shape[1], 0
+    skipped = BODY_END if controlled else CONTROLLER_END
+    end = ADAPTATION_END if adaptive else VEHICLE_END
+    for place in range(count):
+        for i in range(drones):
+            row, lane = columns[work.members[place], i], slot % LANES
+            block = work.tile[slot // LANES]
+            for c in range(BODY_END):
+                block[c, lane] = row[c]
+            for c in range(skipped, end):
+                block[c, lane] = row[c]
+            if begins:
+                for k in range(len(CONTACT_COLUMNS)):
+                    block[CONTACT_COLUMNS[k], lane] = CONTACT_VALUES[k]
+            if row[ACTIVE] == 0.0:
+                block[0, lane] = FAR * (i + 1)
+            work.stopped[slot] = False
+            slot += 1
+    last, block = (slot - 1) % LANES, work.tile[(slot - 1) // LANES]
+    for lane in range(last + 1, LANES):
+        for c in range(end):
+            block[c, lane] = block[c, last]
+
+
+@part
+def store_tile(
+    columns: FloatArray, first: int, last: int, controlled: bool, adaptive: bool, work: Work
+) -> None:
+    """Copy what a step has changed back from the blocks, of the slots first to last - 1."""
+    drones = columns.shape[1]
+    end = CONTROLLER_END if controlled else BODY_END
+    learned = ADAPTATION_END if adaptive else VEHICLE_END
+    for slot in range(first, last):
+        row, lane = columns[work.members[slot // drones], slot % drones], slot % LANES
+        block = work.tile[slot // LANES]
+        if row[ACTIVE] == 0.0 or work.stopped[slot]:
+            continue
+        for c in range(end):
+            row[c] = block[c, lane]
+        for c in range(VEHICLE_END, learned):
+            row[c] = block[c, lane]
+
+
+@part
+def stop_tumbling(
+    columns: FloatArray,
+    count: int,
+    controlled: bool,
+    adaptive: bool,
+    team: bool,
+    hall: bool | None,
+    twisting: bool | None,
+    work: Work,
+) -> None:
+    """End the flight of drones that tumble, or of their teams, at this physics step.
+
+    They are written back as they are now, and no more in this decision. They come far away, as in
+    `load_tile`: the others fly on.
+
+    Args:
+        columns: (E, N, columns) of the drones, written.
+        count: members of the tile.
+        controlled: whether the tracking loop flies.
+        adaptive: whether it adapts.
+        team: whether the episode of the team ends with that of one drone.
+        hall: True in the world "hall", else None.
+        twisting: True if the air has a torque on bodies, else None.
+        work: whose blocks are read.
+    """
+    drones = columns.shape[1]
+    for slot in range(count * drones):
+        if work.blocks[slot // LANES].tumbling[slot % LANES] == 0.0:
+            continue
+        place = slot - slot % drones
+        for other in range(place, place + drones):
+            if (team or other == slot) and not work.stopped[other]:
+                store_tile(columns, other, other + 1, controlled, adaptive, work)
+                if hall is not None:  # noqa: SIM114  # what is None is left out
+                    store_estimate(columns, work.members, other, work.tile)
+                elif twisting is not None:
+                    store_estimate(columns, work.members, other, work.tile)
+                work.stopped[other] = True
+                b = work.blocks[other // LANES]
+                b.position[0, other % LANES] = FAR * (other - place + 1)
 
 
 @part
@@ -177,7 +324,7 @@ def fly(  # noqa: C901  # one step, on one screen
             load_hall(columns, environments, members, count, work.blocks, work.tile)
         elif twisting is not None:
             load_hall(columns, environments, members, count, work.blocks, work.tile)
-        if phases & TOUCH and phases & BEGIN == 0 and any_tumbles(work.blocks, full):
+        if phases & TOUCH and phases & BEGIN == 0:  # it may have tumbled since the decision began
             stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
         for k in range(steps + 1):
             if phases & TOUCH and (k > 0) == moves:
@@ -194,8 +341,7 @@ def fly(  # noqa: C901  # one step, on one screen
                 if bounces is not None:
                     for place in range(count):
                         bounce(work.blocks, place * size, size, settings, obstacles)
-                if any_tumbles(work.blocks, full):
-                    stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
+                stop_tumbling(columns, count, controlled, adapts, team, hall, twisting, work)
             if k == steps:
                 break
             if hall is not None and phases & CONTROL and controlled:
@@ -244,7 +390,7 @@ def fly(  # noqa: C901  # one step, on one screen
                 integrate(work.blocks, full, twisting)
             elif phases & SPIN:
                 write_wrenches(count, drones, work, twisting)
-        store_tile(columns, count, controlled, adapts, work)
+        store_tile(columns, 0, count * size, controlled, adapts, work)
         if hall is not None:  # noqa: SIM114  # likewise
             store_hall(columns, members, count, work.tile, work.stopped)
         elif twisting is not None:
@@ -331,55 +477,3 @@ def write_wrenches(count: int, drones: Records, work: Work, twisting: bool | Non
         out[0] = r[0] * x + r[3] * y + r[6] * z
         out[1] = r[1] * x + r[4] * y + r[7] * z
         out[2] = r[2] * x + r[5] * y + r[8] * z + thrust
-
-
-@kernel
-def begin_flight(
-    where: IntArray,
-    at_rest: bool,
-    drones: Records,
-    columns: FloatArray,
-    settings: Records,
-    open_circuit: FloatArray | None,
-) -> None:
-    """Let the drones of these environments (M,) begin, as if nothing had been flown.
-
-    Args:
-        where: environments.
-        at_rest: whether they begin an episode: at rest at their `start`, rotors at hover, charged
-            as `charge` says; who starts at the goal has arrived. Else their state has been set.
-        drones: (E, N) records.
-        columns: (E, N, columns) the same memory.
-        settings: (1,) record.
-        open_circuit: (K,) of the batteries; None if they never empty.
-    """
-    for e in where:
-        for i in range(drones.shape[1]):
-            d = drones[e, i]
-            for k in range(len(RESET_COLUMNS)):
-                columns[e, i, RESET_COLUMNS[k]] = RESET_VALUES[k]
-            if at_rest:
-                for k in range(3):
-                    d.position[k] = d.start[k]
-                    d.velocity[k] = d.angular_velocity[k] = d.quaternion[k] = 0.0
-                for k in range(4):
-                    d.rotor_thrust[k] = d.hover_thrust
-                d.quaternion[3], d.battery = 1.0, d.charge
-                x, y, z = d.goal[0] - d.start[0], d.goal[1] - d.start[1], d.goal[2] - d.start[2]
-                d.distance = np.sqrt(x * x + y * y + z * z)
-                if d.distance < settings[0].success_radius:
-                    d.arrival = 0.0
-            square = total = 0.0
-            for k in range(4):
-                square += d.quaternion[k] * d.quaternion[k]
-                total += d.rotor_thrust[k]
-            for k in range(4):  # Bullet keeps quaternions of exactly unit length: so does its twin
-                d.quaternion[k] /= np.sqrt(square)
-                d.commands[k] = d.rotor_thrust[k]
-                d.asked[k] = 0.0
-            for k in range(3):
-                d.setpoint_position[k] = d.position[k]
-            d.asked[0], d.rotor_limit = total, d.max_rotor_thrust
-            d.motor_decay = np.exp(-d.motor_rate * TIME_STEP)
-            if open_circuit is not None and d.battery < 1.0:
-                d.rotor_limit = limit_rotors(d.battery, total, d, settings[0], open_circuit)

@@ -1,0 +1,63 @@
+"""The beginning of a flight, compiled: what a reset sets of drones, on both engines."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarm_envs.compiled import kernel
+from swarm_envs.motors import limit_rotors
+from swarm_envs.physics.rigid_body import TIME_STEP
+from swarm_envs.state import FloatArray, IntArray
+from swarm_envs.tables import RESET_COLUMNS, RESET_VALUES, Records
+
+
+@kernel
+def begin_flight(
+    where: IntArray,
+    at_rest: bool,
+    drones: Records,
+    columns: FloatArray,
+    settings: Records,
+    open_circuit: FloatArray | None,
+) -> None:
+    """Let the drones of these environments (M,) begin, as if nothing had been flown.
+
+    Args:
+        where: environments.
+        at_rest: whether they begin an episode: at rest at their `start`, rotors at hover, charged
+            as `charge` says; who starts at the goal has arrived. Else their state has been set.
+        drones: (E, N) records.
+        columns: (E, N, columns) the same memory.
+        settings: (1,) record.
+        open_circuit: (K,) of the batteries; None if they never empty.
+    """
+    for e in where:
+        for i in range(drones.shape[1]):
+            d = drones[e, i]
+            for k in range(len(RESET_COLUMNS)):
+                columns[e, i, RESET_COLUMNS[k]] = RESET_VALUES[k]
+            if at_rest:
+                for k in range(3):
+                    d.position[k] = d.start[k]
+                    d.velocity[k] = d.angular_velocity[k] = d.quaternion[k] = 0.0
+                for k in range(4):
+                    d.rotor_thrust[k] = d.hover_thrust
+                d.quaternion[3], d.battery = 1.0, d.charge
+                x, y, z = d.goal[0] - d.start[0], d.goal[1] - d.start[1], d.goal[2] - d.start[2]
+                d.distance = np.sqrt(x * x + y * y + z * z)
+                if d.distance < settings[0].success_radius:
+                    d.arrival = 0.0
+            square = total = 0.0
+            for k in range(4):
+                square += d.quaternion[k] * d.quaternion[k]
+                total += d.rotor_thrust[k]
+            for k in range(4):  # Bullet keeps quaternions of exactly unit length: so does its twin
+                d.quaternion[k] /= np.sqrt(square)
+                d.commands[k] = d.rotor_thrust[k]
+                d.asked[k] = 0.0
+            for k in range(3):
+                d.setpoint_position[k] = d.position[k]
+            d.asked[0], d.rotor_limit = total, d.max_rotor_thrust
+            d.motor_decay = np.exp(-d.motor_rate * TIME_STEP)
+            if open_circuit is not None and d.battery < 1.0:
+                d.rotor_limit = limit_rotors(d.battery, total, d, settings[0], open_circuit)
