@@ -20,15 +20,20 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, TypeVar, overload
+from typing import IO, Any, TypeVar, overload
 
 import numba
 import numpy as np
 from numba.extending import register_jitable
 from tqdm import tqdm
+
+try:
+    import fcntl
+except ImportError:  # not on Windows
+    fcntl = None  # type: ignore[assignment]
 
 __all__ = ["announce_compilation", "compilation", "equation", "kernel", "kernel_folder", "part"]
 
@@ -46,6 +51,9 @@ _KERNELS = "*/*.nb[ci]"  # numba's files of machine code, and their indexes
 _DIGESTS = "digests.json"
 _EMPTY = hashlib.sha256().hexdigest()
 _DAY = 86400.0  # s
+_PATIENCE_S = 120.0
+_folders: set[Path] = set()
+"""Folders of the kernels of this process's modules."""
 
 
 def kernel(function: F) -> F:
@@ -217,7 +225,7 @@ def _prepared(base: Path, module: str, file: Path) -> Path | None:
             _empty(other)
     else:
         _check(folder)
-    atexit.register(_record, folder)
+    _folders.add(folder)
     return folder
 
 
@@ -306,6 +314,13 @@ def _record(folder: Path) -> None:
             written.replace(target)
 
 
+@atexit.register
+def _record_all() -> None:
+    """Write the digests of what this process may have compiled."""
+    for folder in _folders:
+        _record(folder)
+
+
 def _digest(file: Path) -> str:
     status = file.stat()
     return _digest_of(file, status.st_size, status.st_mtime_ns)
@@ -329,13 +344,51 @@ def entry_point(compiled: F, *arguments: object) -> F:
     if numba.config.DISABLE_JIT:
         return compiled
     dispatcher: Any = compiled
-    collects = gc.isenabled()
-    gc.disable()  # compilation makes little garbage, and to look for it takes an eighth of the time
-    try:
-        entry: F = dispatcher.compile(tuple(numba.typeof(argument) for argument in arguments))
-    finally:
-        if collects:
-            gc.enable()
+    signature = tuple(numba.typeof(argument) for argument in arguments)
+    if signature in dispatcher.signatures:
+        entry: F = dispatcher.compile(signature)  # which only looks it up
+    else:
+        with _alone_in(_folder(dispatcher.py_func)), _without_collection():
+            entry = dispatcher.compile(signature)
     if _bar is not None:
         _bar.update()
     return entry
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """Compilation makes little garbage, and to look for it takes an eighth of the time."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
+
+
+@contextmanager
+def _alone_in(folder: Path | None) -> Iterator[None]:
+    """Compile while no other process compiles a kernel of the same module, and record the result.
+
+    Of two at once numba may write one's machine code under the other's signature. The second finds
+    what the first has compiled. Whoever waits too long, or cannot lock, compiles all the same.
+    """
+    with ExitStack() as stack:
+        if folder is not None and fcntl is not None:
+            with suppress(OSError):
+                file = stack.enter_context((folder / "lock").open("a"))
+                until = time.monotonic() + _PATIENCE_S
+                while time.monotonic() < until and not _locked(file):
+                    time.sleep(0.02)
+        yield
+        # Now, as a process that begins before this one ends would take the new index for damaged.
+        _record_all()
+
+
+def _locked(file: IO[str]) -> bool:
+    """Whether this process has the lock of a file, or has got it now; it ends with the file."""
+    with suppress(BlockingIOError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return True
+    return False

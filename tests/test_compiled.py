@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -216,25 +217,36 @@ def test_without_any_folder_for_a_cache_the_message_says_what_to_set(
     assert run(package, **user) == ("8 8 1", "")
 
 
-@pytest.mark.parametrize("suffix", ["nbc", "nbi"])
-@pytest.mark.parametrize("kept", [0, 100, None])
-def test_a_damaged_cache_is_compiled_again_and_overwritten(
-    package: Path, suffix: str, kept: int | None
-) -> None:
+def test_a_damaged_cache_is_compiled_again_and_overwritten(package: Path) -> None:
     """A flipped byte (None), or a file that is cut short."""
     run(package)
-    files = kernels(package, suffix)
-    assert files
-    for file in files:
-        if kept is None:
-            flip(file)
-        else:
-            file.write_bytes(file.read_bytes()[:kept])
-    result, said = run(package)
-    assert result == "8 8 0"
-    assert said.count(MESSAGE) == 1
-    assert said.count("\n") == 1
-    assert run(package) == ("8 8 1", "")
+    for suffix, kept in product(("nbc", "nbi"), (0, 100, None)):
+        files = kernels(package, suffix)
+        assert files
+        for file in files:
+            if kept is None:
+                flip(file)
+            else:
+                file.write_bytes(file.read_bytes()[:kept])
+        result, said = run(package)
+        assert result == "8 8 0", (suffix, kept)
+        assert said.count(MESSAGE) == said.count("\n") == 1
+        assert run(package) == ("8 8 1", "")
+
+
+COMPILE = """
+from swarm_envs.compiled import entry_point
+from swarm_envs.physics.step import outer
+entry_point(outer, 3.5)
+"""
+LOOK = "entry_point(outer, 3)\nprint(sum(outer.stats.cache_hits.values()))"
+
+
+def test_who_begins_while_another_has_compiled_finds_all_kernels(package: Path) -> None:
+    """Its index has changed since the last process ended, and is not damaged."""
+    run(package)
+    begin = f"import subprocess, sys\nsubprocess.run([sys.executable, '-c', {COMPILE + LOOK!r}])"
+    assert run(package, script=COMPILE + begin)[0] == "2"
 
 
 def test_kernels_of_a_process_that_was_killed_are_kept(package: Path) -> None:

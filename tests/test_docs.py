@@ -23,7 +23,7 @@ from swarm_envs import TASKS, make, task_family
 from swarm_envs.agents.registry import SHIPPED
 from swarm_envs.cli import COMMANDS, main
 from swarm_envs.errors import unknown_name
-from tests.helpers.imports import ROOT, SOURCES
+from tests.helpers.imports import OUTER, ROOT, SOURCES, files_below
 from tests.helpers.pages import DOCS, PAGES, anchors, links, listed
 from tests.helpers.vocabulary import EVERYWHERE, PAGES_ONLY, found_in, prose_of
 
@@ -76,7 +76,7 @@ def test_every_shipped_agent_has_its_row():
 
 
 PAGES_OF_TASKS = [
-    name for f in (DOCS / "tasks").glob("*.md") for name in MARK.findall(f.read_text())
+    name for f in sorted((DOCS / "tasks").glob("*.md")) for name in MARK.findall(f.read_text())
 ]
 GYMNASIUM_ORDER = (
     *("Description", "Action space", "Observation space", "Rewards", "Starting state"),
@@ -111,10 +111,12 @@ def words(page: Path) -> list[str]:
 def test_every_name_among_the_equations_exists():
     simple = {name.rpartition(".")[2] for name in public_names()}
     private = {w for f in SOURCES.values() for w in re.findall(r"\b_?[a-z]\w+\b", f.read_text())}
+    folders = [ROOT / name for name in ("swarm_envs", *OUTER, "tests")]
+    files = [file for folder in folders for file in files_below(folder)]
     for word in words(DOCS / "equations.md"):
         if "/" in word or word.endswith(".py"):
-            files = [ROOT / word, *ROOT.glob(f"*/**/{word}")]
-            assert any(file.exists() for file in files), f"there is no file {word}"
+            there = (ROOT / word).exists() or any(f"/{file}".endswith(f"/{word}") for file in files)
+            assert there, f"there is no file {word}"
         elif word.startswith("swarm-envs"):
             assert word.split()[1] in COMMANDS
         elif re.fullmatch(r"[\w.]+", word):

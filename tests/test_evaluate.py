@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import subprocess
 import sys
 import time
@@ -174,12 +173,13 @@ def test_killed_it_goes_on_and_ends_as_if_it_had_not_been(tmp_path, capsys):
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 600
     while sum(f.read_text().count("\n") for f in out.glob("episodes/*")) < 3:
-        assert time.monotonic() < deadline
-        assert process.poll() is None
+        if process.poll() is not None or time.monotonic() > deadline:
+            break  # whoever is held up so long finds it finished
         time.sleep(0.01)
-    process.send_signal(signal.SIGKILL)
+    process.kill()
     process.wait()
     (file,) = out.glob("episodes/*")
+    assert file.read_text().count("\n") >= 3
     with file.open("a") as torn:
         torn.write('{"seed": 12')
     assert main([*arguments, "--out", str(out)]) == 0

@@ -120,11 +120,11 @@ def test_a_file_that_hangs_is_ended_and_the_next_goes_on(work, capsys):
         assert beats.stat().st_size == count
 
 
-def interrupt_once_there(table: Path) -> None:
-    while not table.exists():
-        time.sleep(0.1)
-    time.sleep(0.5)
-    os.kill(os.getpid(), signal.SIGINT)
+def interrupt_once_there(table: Path, ended: threading.Event) -> None:
+    while not table.exists() and not ended.wait(0.1):
+        pass
+    if not ended.wait(0.5):
+        os.kill(os.getpid(), signal.SIGINT)
 
 
 def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
@@ -132,13 +132,15 @@ def test_interrupted_the_table_has_who_was_graded(work, tmp_path, capsys):
     names = [f"{work}:Sees", f"{work}:Sleeps", f"{work}:Fine"]
     arguments = ["--episodes", "1", "--limit-s", "60", "--out", str(table), "--agent", *names]
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # which xdist has put aside
-    watch = threading.Thread(target=interrupt_once_there, args=(table,))
+    ended = threading.Event()
+    watch = threading.Thread(target=interrupt_once_there, args=(table, ended))
     watch.start()
     try:
         assert main(["grade", "--assignment", "swap", *arguments]) == 130
     finally:
-        signal.signal(signal.SIGINT, before)
+        ended.set()
         watch.join()
+        signal.signal(signal.SIGINT, before)
     shown = capsys.readouterr()
     assert "interrupted: 1 of 3 are graded" in shown.err
     assert "* sees the true state" in shown.out

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.helpers.imports import ROOT, files_below
 from tests.packaging.rows import EVERY_OPTIONAL
 from tests.packaging.steps import INSIDE
 
-ROOT = Path(__file__).parent.parent
 SOURCES = ("swarm_envs", "agents", "baselines", "training")
 FILES = ("pyproject.toml", "MANIFEST.in", "README.md", "LICENSE")
 STRAYS = ("tests/test_stray.py", "demo/summary.json", "swarm_envs/notes.txt", "agents/log.csv")
@@ -78,9 +78,8 @@ def checkout_files() -> set[str]:
     found = set()
     for folder in SOURCES:
         home = ROOT if folder == "swarm_envs" else ROOT / "swarm_envs"
-        for file in (home / folder).rglob("*"):
-            if file.is_file() and published(file.name) and "__pycache__" not in file.parts:
-                found.add(file.relative_to(ROOT).as_posix())
+        files = files_below(home / folder)
+        found |= {f.relative_to(ROOT).as_posix() for f in files if published(f.name)}
     return found
 
 

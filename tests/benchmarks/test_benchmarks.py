@@ -93,20 +93,6 @@ def test_more_agent_steps_are_faster_and_more_seconds_slower(fast, expected):
     assert (old["value"], new["value"], ratio["value"]) == (1.5, 3.0, expected)
 
 
-@pytest.mark.parametrize(("threads", "unit"), [(1, "CPU s"), (2, "s")])
-def test_parts_are_shares_of_a_training(threads, unit):
-    pytest.importorskip("stable_baselines3")
-    from tests.benchmarks.training import PARTS, measure
-
-    small = {"environments": 4, "batch_size": 64, "n_steps": 16, "drones": (2, 4), "hidden": (8,)}
-    small |= {"interactions": "none", "threads": threads}
-    speed, *parts = measure(small, repetitions=1, rollouts=1)
-    assert speed["value"] > 0.0 and speed["unit"] == f"agent-steps per {unit}"
-    assert [row["what"].strip() for row in parts] == list(PARTS)
-    whole, features, flown = (row["value"] for row in parts)
-    assert 0.0 < features + flown < whole < 100.0
-
-
 @pytest.mark.parametrize(
     ("far", "limits", "least"),
     [

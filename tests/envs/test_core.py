@@ -42,7 +42,8 @@ def cores(
 def check_same(one: SwarmCore, many: SwarmCore, e: int) -> None:
     batch = living(many)
     for name, single in living(one).items():
-        np.testing.assert_array_equal(single[0], batch[name][e], name)
+        if single[0].tobytes() != batch[name][e].tobytes():  # equal bytes are found sooner
+            np.testing.assert_array_equal(single[0], batch[name][e], name)
 
 
 def check_results(one: StepResult, many: StepResult, e: int) -> None:

@@ -13,6 +13,8 @@ import pytest
 
 OVERFLOW = "document.documentElement.scrollWidth - window.innerWidth"
 """By how much a page is wider than its window."""
+PATIENCE_MS = 120_000
+"""A browser that takes longer for anything hangs."""
 _NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _OPTIONS = [
     "--no-sandbox",
@@ -69,7 +71,9 @@ def chromium() -> Iterator[Any]:
     with sync_api.sync_playwright() as playwright:
         if program is None and not Path(playwright.chromium.executable_path).exists():
             pytest.skip("there is no Chromium here")
-        opened = playwright.chromium.launch(executable_path=program, args=_OPTIONS)
+        opened = playwright.chromium.launch(
+            executable_path=program, args=_OPTIONS, timeout=PATIENCE_MS
+        )
         yield opened
         opened.close()
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import os
 from collections.abc import Iterator
+from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 
@@ -25,12 +27,20 @@ OUTER_LEVELS = {"agents": 5, "baselines": 6, "training": 7}
 CLI = 8
 
 
+def files_below(folder: Path, pattern: str = "*") -> list[Path]:
+    """Files of a folder in order, but for caches: another process may empty those meanwhile."""
+    found = []
+    for home, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if name != "__pycache__"]
+        found += [Path(home, name) for name in names if fnmatch(name, pattern)]
+    return sorted(found)
+
+
 def sources() -> dict[str, Path]:
     """Every module of the package by its import name."""
-    files = [f for f in PACKAGE.rglob("*.py") if not set(OUTER) & set(f.relative_to(PACKAGE).parts)]
-    found = {f.relative_to(PACKAGE): f for f in files}
+    found = {f.relative_to(PACKAGE): f for f in files_below(PACKAGE, "*.py")}
     for folder in OUTER:
-        found |= {f.relative_to(ROOT): f for f in (ROOT / folder).rglob("*.py")}
+        found |= {f.relative_to(ROOT): f for f in files_below(ROOT / folder, "*.py")}
     starters = Path("assignments")  # for students: only its __init__ is the package's
     found = {path: f for path, f in found.items() if starters not in [*path.parents][1:]}
     names = {".".join(("swarm_envs", *p.with_suffix("").parts)): f for p, f in found.items()}

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.imports import ROOT, SOURCES, imported_modules, imports, parsed
+from tests.helpers.imports import ROOT, SOURCES, files_below, imported_modules, imports, parsed
 
 BUDGET_S = 60.0
 """After this time no further test begins."""
@@ -36,7 +36,7 @@ def changed_files() -> list[str]:
 def test_files() -> dict[str, frozenset[str]]:
     """Every file of tests by its module's name, and the modules that it imports."""
     found = {}
-    for file in sorted((ROOT / "tests").rglob("*.py")):
+    for file in files_below(ROOT / "tests", "*.py"):
         name = ".".join(file.relative_to(ROOT).with_suffix("").parts)
         tree = ast.parse(file.read_text(encoding="utf-8"))
         helpers = {full for _, full in imports(tree, name) if full.startswith("tests.")}

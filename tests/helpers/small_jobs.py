@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +48,25 @@ def slow(folder: str, name: str, seconds: float) -> str:
     return name
 
 
-def node() -> str:
-    """The Ray node that did it."""
-    import ray
+def waits(folder: str, name: str, gate: str) -> str:
+    """Leaves such a note, and is done once there is a file `gate`."""
+    slow(folder, name, 0.0)
+    wait_for(Path(gate).exists)
+    return name
 
-    return str(ray.get_runtime_context().get_node_id())
+
+def wait_for(condition: Callable[[], object]) -> None:
+    """Wait until it holds, for ten minutes at most."""
+    deadline = time.monotonic() + 600
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def alive(note: Path) -> bool:
+    """Whether the process that left a note lives still."""
+    status = Path("/proc") / note.name.rpartition("-")[2] / "stat"
+    try:
+        return status.read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False

@@ -125,8 +125,8 @@ class TestBulletResources:
     def test_resets_and_open_close_cycles_do_not_leak(self) -> None:
         physics, state = BulletPhysics(TEAM), hover_state(TEAM, STACK)
         for limit, warm_up, count, repeat in (
-            (5.0, 500, 10_000, lambda: physics.reset(state)),
-            (20.0, 20, 200, lambda: BulletPhysics(TEAM).close()),
+            (2.0, 500, 4_000, lambda: physics.reset(state)),
+            (8.0, 20, 80, lambda: BulletPhysics(TEAM).close()),
         ):
             for _ in range(warm_up):
                 repeat()

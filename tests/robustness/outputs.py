@@ -21,6 +21,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import FrameType
 from typing import NamedTuple
 
 from tqdm import tqdm
@@ -165,9 +166,7 @@ def interrupted(name: str, folder: Path) -> Ended:
         time.sleep(0.02)
         os.kill(child, signal.SIGINT)
 
-    found = run(
-        name, folder, lambda: signal.signal(signal.SIGINT, signal.default_int_handler), press
-    )
+    found = run(name, folder, lambda: signal.signal(signal.SIGINT, _interrupt), press)
     if found.code == 0:  # it was done by then
         return found
     if before.read_bytes() == BEFORE:
@@ -176,6 +175,14 @@ def interrupted(name: str, folder: Path) -> Ended:
         size, full_size = before.stat().st_size, (whole / before.name).stat().st_size
         assert abs(size - full_size) <= 8, f"{before.name} has {size} bytes of {full_size}"
     return refused(found, "interrupted", code=130)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Interrupt the command; before it begins, and after it has ended, there is nothing to do."""
+    while frame is not None:
+        if frame.f_code is command_line.__code__:
+            raise KeyboardInterrupt
+        frame = frame.f_back
 
 
 def reader_gone(name: str, folder: Path) -> Ended:

@@ -10,14 +10,15 @@ import pytest
 from tests.robustness import surface
 from tests.robustness.hostile import hostile_values, judge
 
-LIMIT_BYTES = 16 * 2**30
+LIMIT_BYTES = 8 * 2**30
 
 
 @pytest.fixture(scope="module")
 def values(tmp_path_factory):
-    """Hostile values; and no more memory than a laptop has, for numbers that would fill it."""
+    """Hostile values; and little more memory than is used, for numbers that would fill it."""
     before = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (LIMIT_BYTES, before[1]))
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + LIMIT_BYTES, before[1]))
     yield hostile_values(tmp_path_factory.mktemp("hostile"))
     resource.setrlimit(resource.RLIMIT_AS, before)
 

@@ -6,7 +6,7 @@ import pytest
 
 from swarm_envs.training.reproduce.papers import PAPERS, Paper
 from swarm_envs.training.reproduce.reproduce_page import html_page, markdown_page
-from tests.helpers.browsers import OVERFLOW, PageReader, chromium, requests
+from tests.helpers.browsers import OVERFLOW, PATIENCE_MS, PageReader, chromium, requests
 from tests.helpers.papers import outcomes
 
 ABOUT = ("By `swarm-envs reproduce all` & <more>.",)
@@ -66,6 +66,7 @@ def test_results_are_json(tmp_path):
 def test_the_page_fits_a_telephone_and_a_screen(written, width):
     with chromium() as browser:
         shown = browser.new_page(viewport={"width": width, "height": 900})
+        shown.set_default_timeout(PATIENCE_MS)
         asked = requests(shown)
         shown.goto(written.as_uri())
         assert shown.evaluate(OVERFLOW) <= 0

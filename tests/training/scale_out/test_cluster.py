@@ -5,10 +5,8 @@ from __future__ import annotations
 import json
 import os
 import socket
-import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import pytest
 
@@ -21,6 +19,7 @@ from swarm_envs.cli import main
 from swarm_envs.training.scale_out.jobs import Job, Serial
 from swarm_envs.training.scale_out.options import RayWorkers
 from tests.helpers import small_jobs
+from tests.helpers.small_jobs import alive, wait_for
 from tests.training.scale_out.test_sweep import SWEEP
 
 # Nothing is told to anybody; and nodes have time to begin where others use the processors.
@@ -42,40 +41,39 @@ def cluster():
         made.shutdown()
 
 
-def slow_jobs(folder: Path) -> list[Job]:
-    given = {"folder": str(folder), "seconds": 4.0}
-    return [Job(f"{HERE}:slow", {**given, "name": name}, name) for name in "ab"]
-
-
 def test_a_node_dies_and_every_result_is_there_once(cluster, tmp_path):
-    """Both nodes are at a slow job when the second is killed; the first does all that is left."""
-    victim = cluster.add_node(**NODE)
+    """Both nodes are at a long job when the second is killed; the first does all that is left."""
+    victim, notes, gate = cluster.add_node(**NODE), tmp_path / "notes", tmp_path / "gate"
+    notes.mkdir()
+    given = {"folder": str(notes), "gate": str(gate)}
+    long = [Job(f"{HERE}:waits", {**given, "name": name}, name) for name in "ab"]
     jobs = [Job(f"{HERE}:square", {"value": 0.1 * k}, f"{k}") for k in range(30)]
     jobs += [Job(f"{HERE}:fails", {"value": 1.0}, "bad")]
     expected = {o.job.label: (o.result, o.error) for o in Serial().run(deque(jobs))}
     expected |= {"a": ("a", None), "b": ("b", None)}
 
     def kill_when_both_are_busy() -> None:
-        while len(list(tmp_path.iterdir())) < 2:
-            time.sleep(0.05)
+        wait_for(lambda: len(list(notes.iterdir())) == 2)
         cluster.remove_node(victim, allow_graceful=False)
+        wait_for(lambda: not all(map(alive, notes.iterdir())))
+        gate.touch()
 
     with RayWorkers(cluster.address) as workers, ThreadPoolExecutor(1) as other:
         killed = other.submit(kill_when_both_are_busy)
-        outcomes = list(workers.run(deque([*slow_jobs(tmp_path), *jobs])))
+        outcomes = list(workers.run(deque([*long, *jobs])))
         killed.result()
     assert len(outcomes) == len(expected)
     assert {o.job.label: (o.result, o.error) for o in outcomes} == expected
-    names = [note.name[0] for note in tmp_path.iterdir()]
+    names = [note.name[0] for note in notes.iterdir()]
     assert sorted(names) in (["a", "a", "b"], ["a", "b", "b"])  # the dead node's was begun anew
 
 
 def test_where_nobody_listens_is_said_at_once():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        address = f"127.0.0.1:{free.getsockname()[1]}"
-    with pytest.raises(ConnectionError, match="no Ray cluster was found at '127"):
-        RayWorkers(address)
+        address = f"127.0.0.1:{free.getsockname()[1]}"  # bound, so that nobody else listens there
+        with pytest.raises(ConnectionError, match="no Ray cluster was found at '127"):
+            RayWorkers(address)
 
 
 @pytest.mark.slow
@@ -87,8 +85,7 @@ def test_a_sweep_on_a_cluster_that_loses_a_node(cluster, tmp_path):
     victim, out = cluster.add_node(**NODE), tmp_path / "many"
 
     def kill_in_the_middle() -> None:
-        while len(list(out.glob("runs/*/checkpoint.safetensors"))) < 2:
-            time.sleep(0.05)
+        wait_for(lambda: len(list(out.glob("runs/*/checkpoint.safetensors"))) == 2)
         cluster.remove_node(victim, allow_graceful=False)
 
     with ThreadPoolExecutor(1) as other:

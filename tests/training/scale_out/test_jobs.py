@@ -6,9 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections import deque
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,6 +21,7 @@ from swarm_envs.training.scale_out.jobs import (
     answer,
 )
 from swarm_envs.training.scale_out.options import ScaleOptions
+from tests.helpers.small_jobs import alive, wait_for
 
 HERE = "tests.helpers.small_jobs"
 
@@ -122,22 +121,6 @@ def test_processes_end_with_their_driver(how, tmp_path):
     driver.send_signal(how)
     driver.wait(120)
     wait_for(lambda: not any(alive(file) for file in tmp_path.iterdir()))
-
-
-def wait_for(condition) -> None:
-    deadline = time.monotonic() + 600
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-def alive(note: Path) -> bool:
-    """Whether the process that left a note lives still."""
-    status = Path("/proc") / note.name.rpartition("-")[2] / "stat"
-    try:
-        return status.read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 def test_another_version_is_refused():
