@@ -158,8 +158,8 @@ def _commands(text: str) -> Iterator[tuple[str, FloatArray]]:
         k, begun = k + 1, False
         size = _LENGTH[command.upper()]
         while not begun or (size and k < len(tokens) and tokens[k][0] is None):
-            values = [tokens[k + i][1] for i in range(size)]
-            if None in values:
+            values = [number for _, number in tokens[k : k + size]]
+            if len(values) < size or None in values:
                 raise ValueError(f"command {command!r} of a path lacks numbers")
             yield command, np.array([float(x) for x in values])
             k, begun = k + size, True

@@ -12,13 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, gaussian_filter1d, maximum_filter1d
 
 from swarm_envs.state import FloatArray
 
 WIDTH, HEIGHT, FPS = 960, 540, 24
 """Size of a picture, pixels, and pictures per second."""
-_FIELD = math.radians(40.0)
+_FOCAL = WIDTH / 2 / math.tan(math.radians(20.0))
+_HORIZON = round(0.68 * HEIGHT)
+_FOLLOW_S = 3.0
 _SWAY, _SWAY_S = math.radians(14.0), 24.0
 _TRAIL_S = 0.22
 _CORE, _WIDTH_PX, _REACH, _WHITE = 2.2, 1.15, 3, 0.35
@@ -36,52 +38,47 @@ _STARS = 260
 class Audience:
     """A camera that sways slowly about the middle of a show, low over the water."""
 
-    middle: FloatArray
-    """(3,) what it looks at, m."""
+    height: float
+    """What it looks at, above the origin, m."""
     distance: float
-    """From it, m."""
+    """From there, m."""
+    angle: float
+    """By which it has swayed, rad."""
 
-    @classmethod
-    def of(cls, points: FloatArray) -> Audience:
-        """A camera that sees all points (M, 3), m, from wherever it sways to."""
-        low, high = points.min(axis=0), points.max(axis=0)
-        middle = (low + high) / 2
-        reach = float(np.hypot(*np.abs(points[:, :2] - middle[:2]).T).max())
-        half = math.tan(_FIELD / 2)
-        wide = reach / half
-        tall = 0.5 * float(high[2]) * 1.35 * WIDTH / HEIGHT / half
-        return cls(np.array([*middle[:2], 0.46 * high[2]]), max(wide, tall) * 1.08 + 0.5 * reach)
-
-    def project(self, points: FloatArray, time: float) -> tuple[FloatArray, FloatArray]:
+    def project(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pixels (N, 2), x to the right and y down, and depths (N,), m, of points (N, 3)."""
-        angle = _SWAY * math.sin(2 * math.pi * time / _SWAY_S)
-        c, s = math.cos(angle), math.sin(angle)
-        x, y, z = (points - self.middle).T
+        c, s = math.cos(self.angle), math.sin(self.angle)
+        x, y, z = points.T
         depth = np.maximum(self.distance + c * y - s * x, 0.1)
-        focal = WIDTH / 2 / math.tan(_FIELD / 2)
-        across, up = c * x + s * y, z
-        pixels = [WIDTH / 2 + focal * across / depth, HEIGHT / 2 - focal * up / depth]
+        across, up = c * x + s * y, z - self.height
+        pixels = [WIDTH / 2 + _FOCAL * across / depth, HEIGHT / 2 - _FOCAL * up / depth]
         return np.stack(pixels, axis=-1), depth
 
-    @property
-    def horizon(self) -> float:
-        """Row of pixels where the water begins."""
-        focal = WIDTH / 2 / math.tan(_FIELD / 2)
-        return HEIGHT / 2 + focal * float(self.middle[2]) / (1.6 * self.distance)
+
+def _audiences(times: FloatArray, positions: FloatArray) -> FloatArray:
+    """(T, 2) height, m, and distance, m, of a camera that follows the drones (T, N, 3) slowly."""
+    reach = np.hypot(positions[..., 0], positions[..., 1]).max(axis=1)
+    high = positions[..., 2].max(axis=1)
+    size = max(round(_FOLLOW_S / float(times[1] - times[0])), 1)
+    reach, high = (
+        gaussian_filter1d(maximum_filter1d(x, 2 * size, mode="nearest"), size / 2, mode="nearest")
+        for x in (reach, high)
+    )
+    wide = (2 * _FOCAL / WIDTH) * reach
+    tall = (2 * _FOCAL / HEIGHT) * 0.62 * high
+    return np.column_stack([0.44 * high, 1.06 * np.maximum(wide, tall) + 0.6 * reach])
 
 
-def _background(audience: Audience) -> npt.NDArray[np.float32]:
+def _background() -> npt.NDArray[np.float32]:
     """Sky with stars, and water, (H, W, 3)."""
     row = np.arange(HEIGHT)[:, None]
-    share = np.clip(row / audience.horizon, 0.0, 1.0) ** 2
+    share = np.clip(row / _HORIZON, 0.0, 1.0) ** 2
     image = (_SKY[0] + share * (_SKY[1] - _SKY[0]))[:, None] * np.ones((1, WIDTH, 1))
     rng = np.random.default_rng(7)
-    top = int(0.85 * min(max(audience.horizon, 8), HEIGHT))
-    at = rng.integers(0, top, _STARS), rng.integers(0, WIDTH, _STARS)
+    at = rng.integers(0, int(0.85 * _HORIZON), _STARS), rng.integers(0, WIDTH, _STARS)
     image[at] += (rng.random(_STARS) ** 3 * 0.5)[:, None]
-    water = row[:, 0] > audience.horizon
-    depth = (row[water, 0] - audience.horizon) / max(HEIGHT - audience.horizon, 1.0)
-    image[water] = (_SKY[1] * 0.55 * (1.0 - 0.75 * depth[:, None]))[:, None]
+    depth = (row[_HORIZON:] - _HORIZON) / (HEIGHT - _HORIZON)
+    image[_HORIZON:] = (_SKY[1] * 0.55 * (1.0 - 0.75 * depth))[:, None]
     return image.astype(np.float32)
 
 
@@ -135,17 +132,18 @@ def film_lights(
         positions: (T, N, 3) where the lights are, m.
         colors: (T, N, 3) red, green and blue in [0, 1].
     """
-    audience = Audience.of(positions.reshape(-1, 3))
-    sky = _background(audience)
+    sky, views = _background(), _audiences(times, positions)
     faded = np.zeros_like(sky)
     for k in range(count_show_frames(float(times[-1]))):
         now = k / FPS
         place, light = (_between(times, array, now) for array in (positions, colors))
-        pixels, depth = audience.project(place, now)
+        sway = _SWAY * math.sin(2 * math.pi * now / _SWAY_S)
+        audience = Audience(*_between(times, views, now).tolist(), sway)
+        pixels, depth = audience.project(place)
         light = light * np.clip(audience.distance / depth, 0.3, 2.0)[:, None] ** 1.5
         faded *= math.exp(-1.0 / (FPS * _TRAIL_S))
         _stamp(faded, pixels, light)
-        mirrored, _ = audience.project(place * [1.0, 1.0, -1.0], now)
+        mirrored, _ = audience.project(place * [1.0, 1.0, -1.0])
         soft = _HALO * _glow(pixels, light, (2.5, 2.5))
         soft += _WATER * _HALO * _glow(mirrored, light, (3.5, 0.9))
         yield _developed(sky + faded + _enlarged(soft))
