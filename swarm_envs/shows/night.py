@@ -138,7 +138,8 @@ def film_lights(
         now = k / FPS
         place, light = (_between(times, array, now) for array in (positions, colors))
         sway = _SWAY * math.sin(2 * math.pi * now / _SWAY_S)
-        audience = Audience(*_between(times, views, now).tolist(), sway)
+        height, distance = _between(times, views, now)
+        audience = Audience(float(height), float(distance), sway)
         pixels, depth = audience.project(place)
         light = light * np.clip(audience.distance / depth, 0.3, 2.0)[:, None] ** 1.5
         faded *= math.exp(-1.0 / (FPS * _TRAIL_S))

@@ -7,13 +7,14 @@ jerk by piece, within limits of speed, acceleration and jerk.
 
 Labelled: drone i flies to place i. Straight ways meet then, so cubic B-splines about them are
 moved apart by minimising what pairs lack of the spacing, and what speeds and accelerations have too
-much; the shortest of a row of durations at which nothing is lacking is taken.
+much, for a row of durations; what remains too fast is slowed, and the shortest is taken.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import product
 from typing import Annotated
 
 import numpy as np
@@ -29,7 +30,7 @@ from swarm_envs.state import FloatArray
 
 _BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
-_LADDER = (1.25, 1.35, 1.45, 1.6, 1.8, 2.1, 2.5, 3.0, 4.0)
+_LADDER = (1.1, 1.2, 1.3, 1.45, 1.6, 1.8, 2.1, 2.5, 3.0, 4.0)
 """Durations over that of the slowest drone alone that labelled transitions try, in order."""
 _LONGER = np.array([0.01, 0.05, 0.1, 0.15, 0.2, 0.3])
 """By how much the longest assigned way may be longer than the shortest possible, tried in order."""
@@ -138,18 +139,28 @@ def labelled(start: FloatArray, goal: FloatArray, room: Room, pace: Pace, seed: 
     """
     alone = pace.alone_s(float(np.linalg.norm(goal - start, axis=1).max()))
     rng = np.random.default_rng(seed)
-    for ratio in _LADDER:
-        for spread in _SPREADS:
-            paths = _moved_apart(start, goal, ratio * alone, room, pace, rng, spread)
-            least = least_distance(paths, room.scaling)
-            speed, acceleration = paths.largest()
-            slow = speed <= 1.02 * pace.speed and acceleration <= 1.02 * pace.acceleration
-            if least >= room.spacing and slow:
-                return Transition(paths, alone, least)
+    best: Transition | None = None
+    for ratio, spread in product(_LADDER, _SPREADS):
+        if best is not None and best.paths.duration_s <= ratio * alone:
+            break
+        paths = _slowed(_moved_apart(start, goal, ratio * alone, room, pace, rng, spread), pace)
+        least = least_distance(paths, room.scaling)
+        faster = best is None or paths.duration_s < best.paths.duration_s
+        if least >= room.spacing and faster:
+            best = Transition(paths, alone, least)
+    if best is not None:
+        return best
     raise ValueError(
         f"found no labelled ways of {len(start)} drones that keep {room.spacing} m within "
         f"{_LADDER[-1]} times the time of one alone; use a smaller spacing, or --no-labels"
     )
+
+
+def _slowed(paths: Choreography, pace: Pace) -> Choreography:
+    """The same ways, as slow as the limits ask for."""
+    speed, acceleration = paths.largest()
+    factor = max(1.0, speed / pace.speed, math.sqrt(acceleration / pace.acceleration))
+    return Choreography(factor * paths.knots, paths.points)
 
 
 def _moved_apart(
@@ -161,13 +172,14 @@ def _moved_apart(
     steps = free + 3
     h, n = seconds / steps, len(start)
     samples = np.linspace(0.0, steps, _SAMPLES * steps + 1)
-    rows = np.zeros((3, len(samples), steps + 3))
+    place = np.zeros((len(samples), steps + 3))
     for k, t in enumerate(samples):
         step = min(int(t), steps - 1)
         powers = np.vander([t - step], 4, increasing=True)[0]
-        rows[0, k, step : step + 4] = powers @ _BASIS
-    rows[1, :-1] = np.diff(rows[0], axis=0) * _SAMPLES / h
-    rows[2, 1:-1] = np.diff(rows[0], n=2, axis=0) * (_SAMPLES / h) ** 2
+        place[k, step : step + 4] = powers @ _BASIS
+    # Of cubic splines accelerations are largest at knots: second differences of control points.
+    stiff = np.diff(np.eye(steps + 3), n=2, axis=0)
+    rows = (place, np.diff(place, axis=0) * _SAMPLES / h, stiff / h**2)
     shape = (steps + 3, n, 3)
     control = np.empty(shape)
     share = np.clip((np.arange(steps + 3) - 2) / (steps - 2), 0.0, 1.0)
@@ -177,16 +189,15 @@ def _moved_apart(
     control[inner] += bow * rng.normal(size=(n, 3)) * room.spacing * np.array([1.0, 1.0, 0.5])
     control[inner] += spread * bow * (control[inner] - control[inner].mean(axis=1, keepdims=True))
     floor = 0.9 * float(min(start[:, 2].min(), goal[:, 2].min()))
-    stiff = np.diff(np.eye(steps + 3), n=2, axis=0)
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
         control[inner] = x.reshape(-1, n, 3)
         position, speed, pull = (np.tensordot(row, control, axes=1) for row in rows)
         total, slope = 0.0, np.zeros(shape)
-        grads = np.zeros((3, *position.shape))
-        lacking = _lacking(position, room.scaling, room.spacing + _MARGIN, floor, grads[0])
-        total += lacking + _excess(speed, 0.98 * pace.speed, 0.3, grads[1])
-        total += _excess(pull, 0.97 * pace.acceleration, 0.1, grads[2])
+        grads = [np.zeros_like(x) for x in (position, speed, pull)]
+        total += _lacking(position, room.scaling, room.spacing + _MARGIN, floor, grads[0])
+        total += _excess(speed, 0.98 * pace.speed, 0.3, grads[1])
+        total += _excess(pull, 0.98 * pace.acceleration, 0.1, grads[2])
         for row, grad in zip(rows, grads):
             slope += np.tensordot(row.T, grad, axes=1)
         bend = np.tensordot(stiff, control, axes=1)
