@@ -16,7 +16,7 @@ from swarm_envs.cli import main
 from swarm_envs.shows.choreography import Choreography, least_distance
 from swarm_envs.shows.drawing import path_lines, read_drawing
 from swarm_envs.shows.flying import fly_show
-from swarm_envs.shows.formations import Formation, Room, formation, formations_of
+from swarm_envs.shows.formations import Formation, Room, formation_of, formations_of
 from swarm_envs.shows.night import film_lights
 from swarm_envs.shows.outlines import NAMES, spelled
 from swarm_envs.shows.planning import Show, plan_show
@@ -54,7 +54,7 @@ def show() -> Show:
 
 @pytest.mark.parametrize("name", [*NAMES, "text:HI", "letter:A"])
 def test_every_shape_has_places_as_far_apart_as_asked_and_no_farther(name: str) -> None:
-    places = formation(name, 40, "gold", ROOM).places
+    places = formation_of(name, 40, "gold", ROOM).places
     assert places.shape == (40, 3)
     assert scaled_distances(places).min() == pytest.approx(ROOM.apart)
     assert places[:, 2].min() == pytest.approx(ROOM.floor)
@@ -62,12 +62,14 @@ def test_every_shape_has_places_as_far_apart_as_asked_and_no_farther(name: str) 
 
 def test_letters_are_spelled_and_a_word_is_one_shape() -> None:
     assert spelled(("heart", "letters:ab")) == ("heart", "letter:A", "letter:B")
-    one, two = (np.ptp(formation(f"text:{w}", 40, None, ROOM).places, axis=0) for w in ("I", "III"))
+    one, two = (
+        np.ptp(formation_of(f"text:{w}", 40, None, ROOM).places, axis=0) for w in ("I", "III")
+    )
     assert two[0] / two[2] > 2 * one[0] / one[2]
 
 
 def test_flat_shapes_lean_back() -> None:
-    places = formation("star", 30, None, ROOM).places
+    places = formation_of("star", 30, None, ROOM).places
     slope = np.polyfit(places[:, 2], places[:, 1], 1)[0]
     assert math.degrees(math.atan(slope)) == pytest.approx(ROOM.lean_deg)
 
@@ -116,12 +118,12 @@ def test_drawings_that_cannot_be_shown_are_refused(tmp_path: Path, text: str, wh
 def test_a_cloud_keeps_its_order_and_colours_and_nothing_is_unpickled(tmp_path: Path) -> None:
     cloud = np.array([[0, 0, 0, 255, 0, 0], [1, 0, 0, 0, 255, 0], [0, 2, 0, 0, 0, 255.0]])
     np.savetxt(tmp_path / "c.csv", cloud, delimiter=",", header="x,y,z,r,g,b", comments="")
-    found = formation(str(tmp_path / "c.csv"), 3, None, ROOM)
+    found = formation_of(str(tmp_path / "c.csv"), 3, None, ROOM)
     assert (found.places - found.places[0])[1:, :2] / ROOM.apart == pytest.approx(cloud[1:, :2])
     assert found.colors.tolist() == np.eye(3).tolist()
     np.save(tmp_path / "p.npy", np.array([{}], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match="no table of numbers"):
-        formation(str(tmp_path / "p.npy"), 1, None, ROOM)
+        formation_of(str(tmp_path / "p.npy"), 1, None, ROOM)
 
 
 def test_the_checked_distance_is_a_tight_bound_of_the_true_one() -> None:
@@ -137,7 +139,7 @@ def test_assigned_paths_keep_spacing_and_limits_and_are_hardly_slower_than_one_d
     drones: int,
 ) -> None:
     names = ("cube", "heart", "helix")
-    formations = [formation(name, drones, None, ROOM) for name in names]
+    formations = [formation_of(name, drones, None, ROOM) for name in names]
     for first, second in pairwise(formations):
         way = assigned(first.places, second.places, ROOM, PACE)
         times, places = densely(way.paths)
@@ -153,7 +155,7 @@ def test_assigned_paths_keep_spacing_and_limits_and_are_hardly_slower_than_one_d
 
 
 def test_labelled_paths_take_each_drone_to_its_own_place() -> None:
-    places, heart = (formation(name, 30, None, ROOM).places for name in ("sphere", "heart"))
+    places, heart = (formation_of(name, 30, None, ROOM).places for name in ("sphere", "heart"))
     goal = heart[np.random.default_rng(1).permutation(30)]
     way = labelled(places, goal, ROOM, PACE, seed=0)
     assert way.paths.points[0, 0].tolist() == places.tolist()
@@ -262,16 +264,16 @@ def test_shows_that_cannot_be_are_refused_with_a_fix(
 def test_a_cloud_with_too_few_points_is_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "c.npy", np.eye(3))
     with pytest.raises(ValueError, match="use at most 3 drones"):
-        formation(str(tmp_path / "c.npy"), 4, None, ROOM)
+        formation_of(str(tmp_path / "c.npy"), 4, None, ROOM)
     np.save(tmp_path / "d.npy", np.zeros((3, 3)))
     with pytest.raises(ValueError, match="two points in one place"):
-        formation(str(tmp_path / "d.npy"), 3, None, ROOM)
+        formation_of(str(tmp_path / "d.npy"), 3, None, ROOM)
 
 
 def test_starts_that_are_too_close_are_refused() -> None:
     near = Formation("near", np.array([[0, 0, 1.0], [0.2, 0, 1.0]]), np.ones((2, 3)))
     with pytest.raises(ValueError, match=r"within 0\.2"):
-        plan_show([near, formation("star", 2, None, ROOM)], ROOM, PACE)
+        plan_show([near, formation_of("star", 2, None, ROOM)], ROOM, PACE)
 
 
 def test_the_command_writes_everything(tmp_path: Path) -> None:

@@ -23,6 +23,8 @@ from swarm_envs.tasks.swap import REWARD_WEIGHTS
 from swarm_envs.vehicles import Team, parse_team
 from swarm_envs.viewing.record import Recording
 
+__all__ = ["fly_show"]
+
 _MARGIN_M = 2.0
 
 

@@ -20,6 +20,8 @@ from swarm_envs.shows.outlines import Outline, outline
 from swarm_envs.state import FloatArray, IntArray
 from swarm_envs.tasks.shapes import plane
 
+__all__ = ["Room", "formations_of"]
+
 _SWEEPS = 12
 _ROUNDING = 1e-9
 _CLEAR = 1.003  # so that checks with rounding find the spacing
@@ -69,7 +71,7 @@ class Formation:
 
 
 @typed
-def formation(name: str, drones: Count, colors: str | None, room: Room) -> Formation:
+def formation_of(name: str, drones: Count, colors: str | None, room: Room) -> Formation:
     """The formation of a shape: places spread evenly over it, no larger than the spacing asks for.
 
     Args:
@@ -125,7 +127,7 @@ def _evened(points: FloatArray, count: int) -> IntArray:
     for k in range(1, count):
         chosen[k] = np.argmax(distance)
         distance = np.minimum(distance, np.linalg.norm(points - points[chosen[k]], axis=1))
-    best, least = chosen, nearest(points[chosen])
+    best, least = chosen, _nearest(points[chosen])
     for _ in range(_SWEEPS):
         owner = cKDTree(points[chosen]).query(points)[1]
         size = np.bincount(owner, minlength=count)
@@ -133,12 +135,12 @@ def _evened(points: FloatArray, count: int) -> IntArray:
         chosen = cKDTree(points).query(np.stack(sums, axis=1) / size[:, None])[1]
         if len(np.unique(chosen)) < count:
             break
-        if nearest(points[chosen]) > least:
-            best, least = chosen, nearest(points[chosen])
+        if _nearest(points[chosen]) > least:
+            best, least = chosen, _nearest(points[chosen])
     return best
 
 
-def nearest(points: FloatArray) -> float:
+def _nearest(points: FloatArray) -> float:
     """Smallest distance between two points; infinite if there is only one."""
     if len(points) < 2:
         return math.inf
@@ -147,7 +149,7 @@ def nearest(points: FloatArray) -> float:
 
 def _enlargement(name: str, points: FloatArray, room: Room) -> float:
     """What points are multiplied by so that the nearest two are as far apart as places must be."""
-    least = nearest(points / room.scaling)
+    least = _nearest(points / room.scaling)
     if least <= _ROUNDING * max(float(np.ptp(points)), 1e-300):
         raise ValueError(f"shape {name!r} has two points in one place; remove one of them")
     return 1.0 if math.isinf(least) else room.apart / least
@@ -191,13 +193,13 @@ def formations_of(
     """The ground, each shape, and the ground again; colours are repeated where there are fewer.
 
     Raises:
-        ValueError: as `formation` does.
+        ValueError: as `formation_of` does.
         OSError: there is no such file.
     """
     own = [name.endswith((".svg", ".csv", ".npy")) and not colors for name in shapes]
     given = colors or PALETTE
     found = [
-        formation(name, drones, None if own[k] else given[k % len(given)], room)
+        formation_of(name, drones, None if own[k] else given[k % len(given)], room)
         for k, name in enumerate(shapes)
     ]
     end = ground(drones, room)

@@ -16,6 +16,8 @@ from scipy.ndimage import gaussian_filter, gaussian_filter1d, maximum_filter1d
 
 from swarm_envs.state import FloatArray
 
+__all__ = ["FPS", "count_show_frames", "film_lights"]
+
 WIDTH, HEIGHT, FPS = 960, 540, 24
 """Size of a picture, pixels, and pictures per second."""
 _FOCAL = WIDTH / 2 / math.tan(math.radians(20.0))

@@ -18,6 +18,8 @@ from swarm_envs.shows.drawing import read_drawing
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.shapes import CHARACTERS, LETTER, SHAPES, THIN_UP_TO, strokes
 
+__all__ = ["spelled"]
+
 TEXT, WORDS = "text:", "letters:"
 """What names of a word in one formation, and of one letter after another, begin with."""
 _GRID = 150

@@ -14,6 +14,8 @@ from swarm_envs.shows.formations import Formation, Room
 from swarm_envs.shows.transitions import Pace, Transition, assigned, labelled
 from swarm_envs.state import FloatArray
 
+__all__ = ["plan_show"]
+
 
 @dataclass(frozen=True, eq=False)
 class Show:

@@ -19,6 +19,8 @@ from swarm_envs.files import written_whole
 from swarm_envs.shows.planning import Show
 from swarm_envs.state import FloatArray
 
+__all__ = ["write_skyc"]
+
 _END, _SET_COLOR, _FADE_TO_COLOR = 0x00, 0x04, 0x08
 _TICKS = 50
 TAKEOFF_S = 2.0

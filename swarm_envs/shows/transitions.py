@@ -28,6 +28,8 @@ from swarm_envs.shows.choreography import Choreography, least_distance
 from swarm_envs.shows.formations import Room
 from swarm_envs.state import FloatArray
 
+__all__ = ["Pace"]
+
 _BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
 _BASIS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6.0
 _LADDER = (1.1, 1.2, 1.3, 1.45, 1.6, 1.8, 2.1, 2.5, 3.0, 4.0)
