@@ -16,7 +16,7 @@ import numpy as np
 from swarm_envs.errors import check_name
 from swarm_envs.state import FloatArray, IntArray
 
-__all__ = ["shape_points"]
+__all__ = ["CHARACTERS", "LETTER", "SHAPES", "THIN_UP_TO", "plane", "shape_points", "strokes"]
 
 _ROUND = "10-01-05-16-36-45-41-30-10"
 _BOW = "00-06-36-45-44-33-03"

@@ -24,6 +24,7 @@ LEVELS |= dict.fromkeys(_BASE_MODULES, BASE)
 LEVELS |= dict.fromkeys(("trajectories", "noise", ""), BASE)
 FACE = 4  # swap_v0 and the like: what users import
 OUTER_LEVELS = {"agents": 5, "baselines": 6, "training": 7}
+LEVELS |= {"shows": 6}
 CLI = 8
 
 
