@@ -145,7 +145,7 @@ def test_who_cannot_fly_is_refused_before_anybody_flies(name, why, tmp_path, min
     said = capsys.readouterr()
     assert why in said.err
     assert "episode" not in said.err  # no bar
-    assert {file.name for file in tmp_path.iterdir()} == {"mine.py"}
+    assert not report.exists()
 
 
 def test_without_an_agent_the_best_for_the_task_flies(tmp_path):
