@@ -47,7 +47,7 @@ class Feedforward:
 class Observer(Feedforward):
     """With what the drone's velocity says of the force on it."""
 
-    rate = 6.0
+    stiffness, damping, rate = 18.0, 8.0, 15.0
 
 
 class Stiff(Observer):
