@@ -170,49 +170,59 @@ def _moved_apart(
     rng: np.random.Generator, spread: float,
 ) -> Choreography:  # fmt: skip
     """The splines of one duration with the least of what is lacking."""
-    free = _FREE + round(2 * seconds)
-    steps = free + 3
-    h, n = seconds / steps, len(start)
-    samples = np.linspace(0.0, steps, _SAMPLES * steps + 1)
-    place = np.zeros((len(samples), steps + 3))
-    for k, t in enumerate(samples):
-        step = min(int(t), steps - 1)
-        powers = np.vander([t - step], 4, increasing=True)[0]
-        place[k, step : step + 4] = powers @ _BASIS
-    # Of cubic splines accelerations are largest at knots: second differences of control points.
-    stiff = np.diff(np.eye(steps + 3), n=2, axis=0)
-    rows = (place, np.diff(place, axis=0) * _SAMPLES / h, stiff / h**2)
-    shape = (steps + 3, n, 3)
-    control = np.empty(shape)
-    share = np.clip((np.arange(steps + 3) - 2) / (steps - 2), 0.0, 1.0)
-    control[:] = start + share[:, None, None] * (goal - start)
-    inner = slice(3, steps)
-    bow = np.sin(np.pi * share[inner])[:, None, None]
-    control[inner] += bow * rng.normal(size=(n, 3)) * room.spacing * np.array([1.0, 1.0, 0.5])
-    control[inner] += spread * bow * (control[inner] - control[inner].mean(axis=1, keepdims=True))
+    steps = _FREE + round(2 * seconds) + 3
+    rows = _samplers(steps, seconds / steps)
+    control, inner = _first_guess(start, goal, steps, room, rng, spread), slice(3, steps)
     floor = 0.9 * float(min(start[:, 2].min(), goal[:, 2].min()))
 
     def cost(x: FloatArray) -> tuple[float, FloatArray]:
-        control[inner] = x.reshape(-1, n, 3)
+        control[inner] = x.reshape(control[inner].shape)
         position, speed, pull = (np.tensordot(row, control, axes=1) for row in rows)
-        total, slope = 0.0, np.zeros(shape)
         grads = [np.zeros_like(x) for x in (position, speed, pull)]
-        total += _lacking(position, room.scaling, room.spacing + _MARGIN, floor, grads[0])
+        total = _lacking(position, room.scaling, room.spacing + _MARGIN, floor, grads[0])
         total += _excess(speed, 0.98 * pace.speed, 0.3, grads[1])
         total += _excess(pull, 0.98 * pace.acceleration, 0.1, grads[2])
+        bend = pull * (seconds / steps) ** 2
+        grads[2] += 2e-4 * bend * (seconds / steps) ** 2
+        slope = np.zeros_like(control)
         for row, grad in zip(rows, grads):
             slope += np.tensordot(row.T, grad, axes=1)
-        bend = np.tensordot(stiff, control, axes=1)
-        slope += 2e-4 * np.tensordot(stiff.T, bend, axes=1)
         return total + 1e-4 * float((bend * bend).sum()), slope[inner].ravel()
 
     options = {"maxiter": 500, "maxcor": 20, "maxfun": 700}
     found = minimize(cost, control[inner].ravel(), jac=True, method="L-BFGS-B", options=options)
-    control[inner] = found.x.reshape(-1, n, 3)
+    control[inner] = found.x.reshape(control[inner].shape)
     windows = np.stack([control[k : k + steps] for k in range(4)], axis=1)
     points: FloatArray = np.einsum("bk,sknx->sbnx", _BEZIER, windows)
     points[0, 0], points[-1, -1] = start, goal
-    return Choreography(h * np.arange(steps + 1.0), points)
+    return Choreography(np.linspace(0.0, seconds, steps + 1), points)
+
+
+def _samplers(steps: int, h: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What makes positions, velocities and accelerations at samples of the control points."""
+    samples = np.linspace(0.0, steps, _SAMPLES * steps + 1)
+    place = np.zeros((len(samples), steps + 3))
+    for k, t in enumerate(samples):
+        step = min(int(t), steps - 1)
+        place[k, step : step + 4] = np.vander([t - step], 4, increasing=True)[0] @ _BASIS
+    # Of cubic splines accelerations are largest at knots: second differences of control points.
+    stiff = np.diff(np.eye(steps + 3), n=2, axis=0)
+    return place, np.diff(place, axis=0) * _SAMPLES / h, stiff / h**2
+
+
+def _first_guess(
+    start: FloatArray, goal: FloatArray, steps: int, room: Room, rng: np.random.Generator,
+    spread: float,
+) -> FloatArray:  # fmt: skip
+    """Control points (steps + 3, N, 3) of straight lines with random bows, m."""
+    share = np.clip((np.arange(steps + 3) - 2) / (steps - 2), 0.0, 1.0)[:, None, None]
+    control: FloatArray = start + share * (goal - start)
+    inner = slice(3, steps)
+    bow = np.sin(np.pi * share[inner])
+    bows = rng.normal(size=start.shape) * room.spacing * np.array([1.0, 1.0, 0.5])
+    control[inner] += bow * bows
+    control[inner] += spread * bow * (control[inner] - control[inner].mean(axis=1, keepdims=True))
+    return control
 
 
 @kernel
