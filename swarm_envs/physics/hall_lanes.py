@@ -72,21 +72,21 @@ def load_hall(
 
 @part
 def store_hall(
-    columns: FloatArray, members: IntArray, count: int, tile: FloatArray, stopped: BoolArray
+    columns: FloatArray,
+    members: IntArray,
+    first: int,
+    last: int,
+    tile: FloatArray,
+    stopped: BoolArray,
 ) -> None:
-    """Copy what has changed back from the blocks, but of drones that have stopped."""
-    for slot in range(count * columns.shape[1]):
-        if not stopped[slot]:
-            store_estimate(columns, members, slot, tile)
-
-
-@part
-def store_estimate(columns: FloatArray, members: IntArray, slot: int, tile: FloatArray) -> None:
-    """The same of one drone."""
+    """Copy back what has changed of slots first to last - 1, but of drones that have stopped."""
     drones = columns.shape[1]
-    row = columns[members[slot // drones], slot % drones]
-    for c in range(ADAPTATION_END, HALL_ENDS[0]):
-        row[c] = tile[slot // LANES, c, slot % LANES]
+    for slot in range(first, last):
+        if stopped[slot]:
+            continue
+        row, lane = columns[members[slot // drones], slot % drones], slot % LANES
+        for c in range(ADAPTATION_END, HALL_ENDS[0]):
+            row[c] = tile[slot // LANES, c, lane]
 
 
 @part

@@ -31,7 +31,6 @@ from swarm_envs.physics.hall_lanes import (
     find_company,
     load_hall,
     see,
-    store_estimate,
     store_hall,
 )
 from swarm_envs.physics.rigid_body import (
@@ -189,9 +188,9 @@ def stop_tumbling(
             if (team or other == slot) and not work.stopped[other]:
                 store_tile(columns, other, other + 1, controlled, adaptive, work)
                 if hall is not None:  # noqa: SIM114  # what is None is left out
-                    store_estimate(columns, work.members, other, work.tile)
+                    store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
                 elif twisting is not None:
-                    store_estimate(columns, work.members, other, work.tile)
+                    store_hall(columns, work.members, other, other + 1, work.tile, work.stopped)
                 work.stopped[other] = True
                 b = work.blocks[other // LANES]
                 b.position[0, other % LANES] = FAR * (other - place + 1)
@@ -392,9 +391,9 @@ def fly(  # noqa: C901  # one step, on one screen
                 write_wrenches(count, drones, work, twisting)
         store_tile(columns, 0, count * size, controlled, adapts, work)
         if hall is not None:  # noqa: SIM114  # likewise
-            store_hall(columns, members, count, work.tile, work.stopped)
+            store_hall(columns, members, 0, count * size, work.tile, work.stopped)
         elif twisting is not None:
-            store_hall(columns, members, count, work.tile, work.stopped)
+            store_hall(columns, members, 0, count * size, work.tile, work.stopped)
 
 
 @part
