@@ -372,7 +372,7 @@ def _alone_in(folder: Path | None) -> Iterator[None]:
     """Compile while no other process compiles a kernel of the same module, and record the result.
 
     Of two at once numba may write one's machine code under the other's signature. The second finds
-    what the first has compiled. Whoever waits too long, or cannot lock, compiles all the same.
+    what the first has compiled. One that waits too long, or cannot lock, compiles all the same.
     """
     with ExitStack() as stack:
         if folder is not None and fcntl is not None:

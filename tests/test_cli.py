@@ -114,10 +114,10 @@ def test_a_value_that_an_option_cannot_take_is_named_with_the_rule_and_the_neare
     line, said, capsys
 ):
     assert main(line.split()) == 2
-    told = capsys.readouterr().err
-    assert said in told
-    assert "Annotated" not in told
-    assert f"see `{PROGRAM} {line.split()[0]}" in told
+    error = capsys.readouterr().err
+    assert said in error
+    assert "Annotated" not in error
+    assert f"see `{PROGRAM} {line.split()[0]}" in error
 
 
 def test_what_an_option_can_take_is_no_mistake():

@@ -174,7 +174,7 @@ def test_killed_it_goes_on_and_ends_as_if_it_had_not_been(tmp_path, capsys):
     deadline = time.monotonic() + 600
     while sum(f.read_text().count("\n") for f in out.glob("episodes/*")) < 3:
         if process.poll() is not None or time.monotonic() > deadline:
-            break  # whoever is held up so long finds it finished
+            break  # after so long it may have finished
         time.sleep(0.01)
     process.kill()
     process.wait()

@@ -101,9 +101,9 @@ def test_a_file_that_is_not_there_is_the_teacher_s_mistake(tmp_path, work, capsy
     table, missing = tmp_path / "grades.csv", tmp_path / "none.py"
     names = [f"{work}:Fine", f"{missing}:Agent"]
     assert main(["grade", "--assignment", "swap", "--out", str(table), "--agent", *names]) == 2
-    told = capsys.readouterr().err
-    assert f"--agent names what is not there: {missing}; nothing was graded" in told
-    assert str(work) not in told
+    error = capsys.readouterr().err
+    assert f"--agent names what is not there: {missing}; nothing was graded" in error
+    assert str(work) not in error
     assert not table.exists()
 
 
@@ -234,9 +234,9 @@ def test_what_is_learned_in_a_minute_counts(tmp_path):
 LEARNER = """
 import numpy as np
 class Learner:
-    requires, privileged, told = {'action': 'acceleration', 'decision_rate': 10}, False, 0.0
-    def train(self, seconds): self.told = seconds
-    def reset(self, env, seed): assert self.told == 60.0
+    requires, privileged, trained_s = {'action': 'acceleration', 'decision_rate': 10}, False, 0.0
+    def train(self, seconds): self.trained_s = seconds
+    def reset(self, env, seed): assert self.trained_s == 60.0
     def act(self, observations, view): return {n: np.zeros(3, np.float32) for n in observations}
 class Silent(Learner):
     train = None

@@ -94,8 +94,8 @@ def test_a_team_and_another_number_of_drones_contradict_each_other(command, tmp_
     with pytest.raises(SystemExit) as end:
         main(words)
     assert end.value.code == 2
-    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "--drones is 5, but --team SSL has 3; give one of them" in told
+    error = " ".join(capsys.readouterr().err.replace("│", " ").split())
+    assert "--drones is 5, but --team SSL has 3; give one of them" in error
     assert not [*tmp_path.iterdir()]
     assert FlyOptions(team="SSL", drones=3).setting()["team"] == "SSL"
 

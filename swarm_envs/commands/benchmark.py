@@ -29,7 +29,7 @@ class CellOptions:
     join: list[Path] = field(default_factory=list)
     """put these results files into one, and its report, in the folder --out; nothing is flown"""
     agent: list[str] = field(default_factory=lambda: ["*"])
-    """who flies: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
+    """agents: names of those that ship or patterns of them, such as `swap-*` (in quotes), and
     agents of your own, as of `evaluate`: path/to/file.py:Class"""
     task: list[str] = field(default_factory=lambda: ["*-v2"])
     """ids of tasks, such as `swap-circle-4-v2`, or patterns of them, in quotes; `*-v1` are those of

@@ -36,9 +36,9 @@ class EvaluateOptions(EpisodeOptions):
     """
 
     agent: list[str] = field(default_factory=list)
-    """who flies, one or more, by default the best for the task by the benchmark: names as of `fly`,
-    folders of trained policies, or path/to/file.py:Class; each with +filter at its end behind a
-    safety filter"""
+    """agents to evaluate: names as of `fly`, folders of trained policies, or path/to/file.py:Class;
+    NAME+filter flies behind a safety filter (by default the agent that the benchmark recommends for
+    the task)"""
     episodes: Count = 256
     """episodes of each agent"""
     seed: Seed = 0
