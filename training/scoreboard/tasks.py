@@ -288,6 +288,7 @@ _SCORES: Mapping[str, tuple[Score, float, tuple[str, float] | None]] = MappingPr
 
 _CLASSIC = {task.id: task for task in map(_classic, _TABLE)}
 _HALL = "Force that no model knows, and a state that is estimated."
+_RANGING = "Mass, thrust and motors differ; observed as by radio ranging."
 _NOISE = {
     "mass": (0.95, 1.05),
     "thrust": (0.9, 1.1),
@@ -326,12 +327,11 @@ _NEW = (
     _new("crowd-random-64", _RANDOM, "swap-random-16", _ROUND, 32, num_drones=64),
     _new("crowd-circle-32", _CIRCLE, "swap-circle-16", _DETOUR, 32, num_drones=32, horizon_s=16.0),
     _new("robust-random-8-hall", _HALL, "swap-random-8", _ROUND, 128, world="hall"),
-    _new("robust-circle-8-hall", _HALL, "swap-circle-8", _ROUND, 128, world="hall"),
     _new("robust-ring-5-hall", _HALL, "ring-5", _ADAPTIVE, 64, world="hall"),
     _new("robust-ring-16-hall", _HALL, "ring-16", _ADAPTIVE, 64, world="hall"),
     _new("robust-shuffle-8-hall", _HALL, "formation-shuffle-8", _ROUND, 64, world="hall"),
-    _new("robust-random-8-noise", "Mass, thrust and motors differ; observed as by radio ranging.",
-         "swap-random-8", _DETOUR, 128, randomization=_NOISE),
+    _new("robust-random-8-noise", _RANGING, "swap-random-8", _DETOUR, 128, randomization=_NOISE),
+    _new("robust-circle-8-noise", _RANGING, "swap-circle-8", _DETOUR, 128, randomization=_NOISE),
     _new("robust-random-LLLLSSSS", "Four large drones and four small ones.",
          "swap-random-8", _ROUND, 128, team="LLLLSSSS"),
     _new("robust-random-4-bullet", "On Bullet, where drones push each other.",

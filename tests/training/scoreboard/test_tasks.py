@@ -72,11 +72,11 @@ DIGESTS = {
     "crowd-random-64-v2": "bcd7a113dfb7b872",
     "crowd-circle-32-v2": "2d8e3002ec28c289",
     "robust-random-8-hall-v2": "13b19e5a9a684fae",
-    "robust-circle-8-hall-v2": "01c9f8c72b0b8c58",
     "robust-ring-5-hall-v2": "0325196ded80d578",
     "robust-ring-16-hall-v2": "3fd43760ae523fe3",
     "robust-shuffle-8-hall-v2": "19d863558878c78b",
     "robust-random-8-noise-v2": "ec78160219feb158",
+    "robust-circle-8-noise-v2": "48bade76fd308fbe",
     "robust-random-LLLLSSSS-v2": "1fbd43cb8c9876ed",
     "robust-random-4-bullet-v2": "4bd3bec5ba680b39",
     "transfer-random-8-none-v2": "3fa12f8e6b8a2177",
@@ -86,7 +86,7 @@ DIGESTS = {
 }
 """What each id has stood for since it was first used. A line here is never changed: what is flown
 otherwise gets a row with the next version, and the old id goes into `RETIRED`."""
-RETIRED: set[str] = set()
+RETIRED = {"robust-circle-8-hall-v2"}
 V1_FAMILIES = {"swap", "ring", "formation", "classic"}
 SEEDS = [2727543821, 2207150826, 508070823]
 
