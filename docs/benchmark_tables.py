@@ -32,12 +32,18 @@ def success_rates(content: Mapping[str, Any], family: str) -> list[list[str]]:
     """
     tasks = [task for task in content["tasks"] if task["task"] == family]
     cells = {(cell["task"], cell["agent"]): cell for cell in content["cells"]}
-    rows = [["agent", *(" ".join(task["id"].split("-")[1:-1]) for task in tasks)]]
+    rows = [["agent", *(_short(task["id"], family) for task in tasks)]]
     for agent in content["agents"]:
         row = [_rate(cells[task["id"], agent["name"]]) for task in tasks]
         if set(row) != {_NOT_FLOWN["unsupported"]}:
             rows.append([f"{agent['name']}{'*' if agent['privileged'] else ''}", *row])
     return rows
+
+
+def _short(task_id: str, family: str) -> str:
+    """A task's id without version, and without what the table's title or the other words say."""
+    first, *words, _ = task_id.split("-")
+    return " ".join(words if first in {family, "swap", "formation"} else [first, *words])
 
 
 def _markdown(rows: Sequence[Sequence[str]]) -> list[str]:
