@@ -6,6 +6,7 @@ import ast
 import importlib
 import inspect
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,15 +15,14 @@ import numpy as np
 
 from swarm_envs.agents import load
 from swarm_envs.agents.policy import PolicyAgent, read_policy
-from swarm_envs.agents.registry import SHIPPED
+from swarm_envs.agents.registry import FILTER, SHIPPED
 from swarm_envs.commands.grading.messages import Array
 from swarm_envs.commands.grading.remote import path_of
-from swarm_envs.envs.observation import Float32Array, observation_layout
+from swarm_envs.envs.observation import Float32Array, ObservationField, observation_layout
 from swarm_envs.envs.parallel import SwarmParallelEnv
 
 ALIKE = 0.1
-"""Root mean square difference of actions that are the same but for a disguise, over their own root
-mean square."""
+"""Difference of actions that are the same but for a disguise, over their size."""
 _NOBODYS = ("hover", "random")  # whoever does nothing has not copied it
 _LARGEST = 1 << 26  # bytes of a file that is looked at
 
@@ -41,51 +41,57 @@ def copied_files(name: str) -> str:
 
 
 def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]]) -> str:
-    """Name of the shipped agent that acts alike on the same rows; "" for none.
+    """Name of the shipped agent, perhaps behind a safety filter, that acts alike; "" for none.
 
     Args:
         env: in which the work flew.
-        kept: its decisions: rows (..., N, row width), and actions (..., N, width).
+        kept: its decisions: rows (N, row width), and actions (N, width).
     """
     if not kept:
         return ""
-    rows = np.concatenate([each.reshape(-1, each.shape[-1]) for each, _ in kept])
-    acts = np.concatenate([each.reshape(-1, each.shape[-1]) for _, each in kept])
-    for name in SHIPPED:
-        if name not in _NOBODYS and _alike(name, env, rows, acts):
-            return name
-    return ""
+    rows, acts = (np.stack(part) for part in zip(*kept, strict=True))
+    names = [name for name in SHIPPED if name not in _NOBODYS]
+    filtered = [name + FILTER for name in names]
+    return next((name for name in (*names, *filtered) if _alike(name, env, rows, acts)), "")
 
 
 def _alike(name: str, env: SwarmParallelEnv, rows: Float32Array, acts: Array) -> bool:
-    """Whether a shipped agent that acts by rows alone gives the same actions (R, width)."""
-    agent: Any = _shipped(name)
-    mode = env.core.mode.name
-    if not hasattr(agent, "act_batch") or agent.requires.get("action", mode) != mode:
-        return False
-    if isinstance(agent, PolicyAgent):
-        rows = _for_neighbors(rows, env, agent.policy.note.num_neighbors)
-    else:
-        try:
-            agent.reset(env, 0)
-        except ValueError:  # it flies no such episodes, hence is nobody's source
+    """Whether half of the actions are those of a shipped agent, or nine tenths but for a factor."""
+    try:
+        agent: Any = _shipped(name)
+        if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
             return False
-    own = np.asarray(agent.act_batch(rows), np.float64)
-    size = float(np.sqrt(np.mean(np.square(own))))
-    return float(np.sqrt(np.mean(np.square(own - acts)))) <= ALIKE * size
+        if isinstance(agent, PolicyAgent):
+            layout = observation_layout(agent.policy.note.num_neighbors)
+        else:
+            options = {**agent.requires, "num_obstacles": 0}
+            twin = SwarmParallelEnv(env.core.task, replace(env.core.config, **options))
+            layout = twin.observation_layout
+            agent.reset(twin, 0)
+        own = np.asarray(agent.act_batch(_observed(rows, env, layout)), np.float64)
+    except (ValueError, AttributeError):  # it flies no such episodes, or not by rows
+        return False
+    size = np.maximum(np.linalg.norm(own, axis=-1), 1e-6)
+    factor = np.median(np.sum(own * acts, axis=-1) / size**2)
+    for scale, most in ((1.0, 0.5), (factor, 0.9)):
+        apart = np.linalg.norm(scale * own - acts, axis=-1)
+        if np.mean(apart <= ALIKE * abs(scale) * size) > most:
+            return True
+    return False
 
 
-def _for_neighbors(rows: Float32Array, env: SwarmParallelEnv, count: int) -> Float32Array:
-    """Rows (R, width) as they are where so many neighbours are observed, and no obstacles.
+def _observed(
+    rows: Float32Array, env: SwarmParallelEnv, layout: Sequence[ObservationField]
+) -> Float32Array:
+    """Rows (..., width) as another layout has them.
 
-    Farther ones are left out; those that nobody observed are not there.
+    Of more neighbors the farther are left out; those that nobody observed are not there.
     """
     places = {field.name: field.where for field in env.observation_layout}
-    layout = observation_layout(count)
-    found = np.zeros((len(rows), layout[-1].where.stop), np.float32)
+    found = np.zeros((*rows.shape[:-1], layout[-1].where.stop), np.float32)
     for field in layout:
         if field.name in places:
-            found[:, field.where] = rows[:, places[field.name]]
+            found[..., field.where] = rows[..., places[field.name]]
     return found
 
 

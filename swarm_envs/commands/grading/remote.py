@@ -284,7 +284,7 @@ class RemoteAgent:
         self.asked = self.privileged
         """Whether it has asked for the truth."""
         self.kept: list[tuple[Float32Array, Array]] = []
-        """Some of its decisions: rows (..., N, row width), and actions (..., N, width)."""
+        """Some of its decisions: rows (N, row width), and actions (N, width)."""
         self._work = work
         self._resets = self._decisions = 0
         self._rng = np.random.default_rng(0)
@@ -307,7 +307,7 @@ class RemoteAgent:
         rows = env.core.rows[0].copy()
         shape = (1, len(observations), env.core.mode.width)
         actions = self._ask("act", {}, [rows], 8 * math.prod(shape), shape)
-        self._keep(rows, actions[0])
+        self._keep(rows[None], actions)
         return dict(zip(observations, actions[0], strict=True))
 
     def _ask(
@@ -343,13 +343,14 @@ class RemoteAgent:
         return {"kind": "reference"}, list(self._env.view.reference(when))
 
     def _keep(self, rows: Float32Array, actions: Array) -> None:
-        """Keep decisions of all flights evenly: which, no work can foresee."""
+        """Keep decisions of all flights evenly, of one team each: which, no work can foresee."""
         self._decisions += 1
-        place = int(self._rng.integers(self._decisions))
+        place, team = self._rng.integers((self._decisions, len(rows)))
+        kept = rows[team].copy(), actions[team].copy()
         if len(self.kept) < KEPT:
-            self.kept.append((rows, actions.copy()))
+            self.kept.append(kept)
         elif place < KEPT:
-            self.kept[place] = rows, actions.copy()
+            self.kept[place] = kept
 
 
 class RemoteBatchAgent(RemoteAgent):
