@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 
 import swarm_envs
+from swarm_envs.agents import load
 from swarm_envs.assignments import ASSIGNMENTS
 from swarm_envs.cli import main
 from swarm_envs.commands import grade
@@ -29,6 +30,7 @@ if sys.platform == "linux":
     from swarm_envs.commands.grade_force import grade_model
     from swarm_envs.commands.grading import confinement, remote
     from swarm_envs.commands.grading.confinement import Protections
+    from swarm_envs.commands.grading.copies import copied_acts
     from swarm_envs.commands.grading.messages import BadMessage, Channel
     from swarm_envs.commands.grading.remote import opened
     from swarm_envs.commands.grading.text import cell, printable
@@ -523,6 +525,42 @@ def test_what_ships_and_who_looks_at_the_truth_is_starred(monkeypatch, tmp_path,
     assert [row["copied"] for row in rows] == ["swap-ppo", "", "swap-ppo", "straight-line", ""]
     assert [row["privileged"] for row in rows] == ["False", "True", "False", "False", "False"]
     assert "flies as swap-ppo" in capsys.readouterr().out
+
+
+def _decisions(law, agent="swap-ppo", seeds=(0, 1)):
+    """Rows and actions of flights of four by a law of rows (N, width) and the observed fields."""
+    requires = {**load(agent).requires, "physics": "batch"}
+    env = swarm_envs.swap_v1.parallel_env(num_drones=4, layout="random", **requires)
+    where, kept = {field.name: field.where for field in env.observation_layout}, []
+    for seed in seeds:
+        observations, _ = env.reset(seed=seed)
+        while env.agents:
+            rows = np.stack([*observations.values()])
+            kept.append((rows, np.clip(law(rows, where), -1.0, 1.0)))
+            acts = kept[-1][1].astype(np.float32)
+            observations, *_ = env.step(dict(zip(env.agents, acts)))
+    return env, kept
+
+
+@pytest.mark.parametrize("name", ["swap-ppo", "swap-ppo+filter"])
+@pytest.mark.parametrize("factor", [1.0, 0.8])
+def test_what_ships_is_known_by_its_acts(name, factor):
+    agent = load(name)
+    agent.reset(swarm_envs.swap_v1.parallel_env(num_drones=4, **agent.requires), 0)
+    env, kept = _decisions(lambda rows, _: factor * agent.act_batch(rows[None])[0], name)
+    assert copied_acts(env, kept).removesuffix("+filter") == "swap-ppo"
+
+
+@pytest.mark.parametrize(("stiffness", "damping"), [(2.0, 2.0), (4.0, 3.0), (8.0, 5.0)])
+def test_a_law_of_one_s_own_is_nobody_s_copy(stiffness, damping):
+    def law(rows, where):
+        return (
+            stiffness * rows[:, where["self.setpoint_offset"]]
+            - damping * rows[:, where["self.velocity"]]
+        ) / 5.0
+
+    env, kept = _decisions(law)
+    assert copied_acts(env, kept) == ""
 
 
 @pytest.mark.parametrize(
