@@ -38,9 +38,17 @@ from swarm_envs.baselines.rth3d.lacam import (
     most_configurations,
     stride,
 )
+from swarm_envs.baselines.rth3d.matching import assign_levels
+from swarm_envs.baselines.rth3d.paper_lba import assign_levels_in_turn, balance_by_distance
 from swarm_envs.baselines.rth3d.parts import check_order, connected_parts
 from swarm_envs.baselines.rth3d.pibt import Pibt
-from swarm_envs.baselines.rth3d.rubik import Highways, balance_both, choose_highways, shuffle
+from swarm_envs.baselines.rth3d.rubik import (
+    Highways,
+    Matching,
+    balance_both,
+    choose_highways,
+    shuffle,
+)
 from swarm_envs.baselines.rth3d.unlabelled import assign, occupied, unlabelled_bound
 from swarm_envs.baselines.rth3d.ways import neighbor_table
 from swarm_envs.compiled import announce_compilation
@@ -169,13 +177,20 @@ def _renumber(paths: Paths, highways: Highways) -> Paths:
     return paths
 
 
-def _rth3d(instance: GridInstance, seed: int, clock: PlanningClock, bounded: bool) -> _Solution:
-    """RTH3D with any matchings or those whose shifts are small; nothing in it is random."""
+def _rth3d(
+    instance: GridInstance,
+    seed: int,
+    clock: PlanningClock,
+    name: str,
+    match: Matching,
+    balance: Callable[..., Paths] = balance,
+) -> _Solution:
+    """RTH3D by a way to match and one to balance; nothing in it is random."""
     highways = choose_highways(instance)
     axes = list(highways.axes)
     starts, goals = (numbers(p[:, axes], highways.shape) for p in (instance.starts, instance.goals))
-    balanced = balance_both(highways, starts, goals, clock)
-    paths = shuffle(highways, balanced, bounded, clock)
+    balanced = balance_both(highways, starts, goals, balance, clock)
+    paths = shuffle(highways, balanced, match, clock)
     before = len(paths) - 1
     balancing = len(balanced.first) + len(balanced.last) - 2
     with clock.phase("compaction") as record:
@@ -183,13 +198,13 @@ def _rth3d(instance: GridInstance, seed: int, clock: PlanningClock, bounded: boo
         record(len(paths) - 1)
     return _Solution(
         paths=_renumber(paths, highways),
-        method="rth3d-lba" if bounded else "rth3d",
+        method=name,
         bound=highways.length + SIDE_STEPS + balancing,
         before_compaction=before,
     )
 
 
-_solve_rth3d_lba = partial(_rth3d, bounded=True)
+_solve_rth3d_lba = partial(_rth3d, name="rth3d-lba", match=partial(assign_levels, bounded=True))
 
 
 def _search(
@@ -347,8 +362,11 @@ def _without_labels(
 
 
 METHODS: Mapping[str, Solver] = {
-    "rth3d": partial(_rth3d, bounded=False),
+    "rth3d": partial(_rth3d, name="rth3d", match=partial(assign_levels, bounded=False)),
     "rth3d-lba": _solve_rth3d_lba,
+    "rth3d-lba-paper": partial(
+        _rth3d, name="rth3d-lba-paper", match=assign_levels_in_turn, balance=balance_by_distance
+    ),
     "pibt": _solve_pibt,
     "lacam": _solve_lacam,
     "auto": _solve_auto,
@@ -378,10 +396,11 @@ def plan(
         obstacles: booleans of that shape, True anywhere, or for `"rth3d"` and `"rth3d-lba"` on
             whole columns at x = 3i + 1, y = 3j + 1; or None.
         method: `"rth3d"` (any matchings) and `"rth3d-lba"` (small shifts) always succeed up to
-            `max_density(shape, obstacles)`; `"pibt"` takes any density and promises nothing;
-            `"lacam"` takes any, too, and given enough configurations finds the shortest plan, or
-            shows that none exists; `"auto"` is the best of `"rth3d-lba"` and `"pibt"`, or where the
-            former does not fit, of `"lacam"` and `"pibt"`.
+            `max_density(shape, obstacles)`; `"rth3d-lba-paper"` matches and balances as published;
+            `"pibt"` takes any density and promises nothing; `"lacam"` takes any, too, and given
+            enough configurations finds the shortest plan, or shows that none exists; `"auto"` is
+            the best of `"rth3d-lba"` and `"pibt"`, or where the former does not fit, of `"lacam"`
+            and `"pibt"`.
         seed: of the choices of PIBT and LaCAM*; the others make none. The same seed gives the same
             plan, unless a time limit cuts it short.
         time_limit: seconds after which no further phase begins.

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import Array, GridInstance, breaks_pattern, numbers
-from swarm_envs.baselines.rth3d.ways import Neighbors, neighbor_table, ways_to
+from swarm_envs.baselines.rth3d.ways import STAY, Neighbors, neighbor_table, ways_to
 from swarm_envs.compiled import kernel
 from swarm_envs.state import BoolArray
 
@@ -30,8 +30,10 @@ class Terrain(NamedTuple):
     sides: _Ints  # (3,) the shape
     strides: _Ints  # (3,) differences of the numbers of neighbours along each axis
     walls: BoolArray  # (V,) whether an obstacle stands there; of shape (0,) if there is none
-    # (n, V) length of the shortest way to each robot's goal; (0, 0) where a formula says it
+    # (n, F) length of the shortest way from free vertices to each robot's goal; (0, 0) where a
+    # formula says it
     ways: _Ints
+    column: _Ints  # (V,) the column of `ways` of each free vertex, or (0,)
     along_x: _Ints  # (m1, m2) obstacles at smaller or equal x in the same row
     along_y: _Ints  # (m1, m2) obstacles at smaller or equal y in the same column
     table: Neighbors  # (V, 7) neighbours, or (0, 7) where all vertices have three and more
@@ -47,33 +49,37 @@ def survey(instance: GridInstance) -> Terrain:
     walls, (_, m2, m3) = instance.obstacles, instance.shape
     columns = np.asarray(walls.any(axis=2), dtype=np.int32)
     table = neighbor_table(instance.shape, walls)
-    narrow = bool(((table[:, :6] >= 0).sum(axis=1)[table[:, 6] >= 0] < 3).any())
+    narrow = bool(((table[:, :6] >= 0).sum(axis=1)[table[:, STAY] >= 0] < 3).any())
     return Terrain(
         np.ascontiguousarray(np.indices(instance.shape, dtype=np.int32).reshape(3, -1).T),
         np.array(instance.shape, dtype=np.int32),
         np.array([m2 * m3, m3, 1], dtype=np.int32),
         walls.ravel() if walls.any() else np.zeros(0, dtype=bool),
-        _ways_to_goals(instance, table),
+        *_ways_to_goals(instance, table),
         np.cumsum(columns, axis=0, dtype=np.int32),
         np.cumsum(columns, axis=1, dtype=np.int32),
         table if narrow else table[:0],
     )
 
 
-def _ways_to_goals(instance: GridInstance, table: Neighbors) -> _Ints:
-    """(n, V) length of the shortest way from each vertex to each goal.
+def _ways_to_goals(instance: GridInstance, table: Neighbors) -> tuple[_Ints, _Ints]:
+    """(n, F) length of the shortest way from each free vertex to each goal, and (V,) its column.
 
-    None, (0, 0), where obstacles follow the pattern.
+    None, (0, 0) and (0,), where obstacles follow the pattern.
     """
     if not breaks_pattern(instance.obstacles):
-        return np.zeros((0, 0), dtype=np.int32)
-    count, total = len(instance.goals), len(table)
-    if count * total > _MOST_WAYS:
+        return np.zeros((0, 0), dtype=np.int32), np.zeros(0, dtype=np.int32)
+    free = np.flatnonzero(table[:, STAY] >= 0)
+    count = len(instance.goals)
+    if count * len(free) > _MOST_WAYS:
         raise ValueError(
-            f"obstacles off the pattern need the ways of {count} robots on {total} vertices, "
+            f"obstacles off the pattern need the ways of {count} robots on {len(free)} vertices, "
             f"but at most {_MOST_WAYS} numbers are kept; take fewer robots or a smaller grid"
         )
-    return ways_to(table, numbers(instance.goals, instance.shape))
+    column = np.full(len(table) + 1, -1, dtype=np.int32)  # -1 stands for no neighbour
+    column[free] = np.arange(len(free))
+    goals = column[numbers(instance.goals, instance.shape)]
+    return ways_to(column[table[free]], goals), column[:-1]
 
 
 class Robots(NamedTuple):
@@ -113,7 +119,7 @@ def distance(terrain: Terrain, x: int, y: int, z: int, where: Array) -> int:
     """Length of a shortest path; two more than the Manhattan distance where a column is between."""
     if terrain.ways.shape[0] > 0:
         vertex = x * terrain.strides[0] + y * terrain.strides[1] + z * terrain.strides[2]
-        return int(terrain.ways[where[6], vertex])
+        return int(terrain.ways[where[6], terrain.column[vertex]])
     found = int(abs(x - where[3]) + abs(y - where[4]) + abs(z - where[5]))
     if terrain.walls.shape[0] > 0:
         if x == where[3]:

@@ -17,7 +17,7 @@ each the other's image: columns then belong into columns as a whole, and two shu
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -27,7 +27,6 @@ import numpy as np
 import numpy.typing as npt
 
 from swarm_envs.arguments import typed
-from swarm_envs.baselines.rth3d.balancing import balance
 from swarm_envs.baselines.rth3d.compaction import Paths
 from swarm_envs.baselines.rth3d.grid import (
     GridInstance,
@@ -40,7 +39,7 @@ from swarm_envs.baselines.rth3d.grid import (
     numbers,
 )
 from swarm_envs.baselines.rth3d.grid_plan import PlanningClock
-from swarm_envs.baselines.rth3d.matching import assign_levels
+from swarm_envs.baselines.rth3d.matching import Items
 from swarm_envs.baselines.rth3d.shuffles import (
     STEPS,
     LongShift,
@@ -191,6 +190,8 @@ def reflected(paths: Paths, image: Image, goals: Vertices) -> Paths:
 
 
 _Ints = npt.NDArray[np.int32]
+Matching = Callable[[_Ints, npt.NDArray[np.bool_]], Items]
+"""Levels (G, K, D) from where items belong, and which of them are robots."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,14 +228,14 @@ def _fill_up(first: _Ints, last: _Ints, wish: _Ints) -> tuple[_Ints, npt.NDArray
     return goal, real
 
 
-def _split_heights(table: _Table, bounded: bool) -> _Ints:
+def _split_heights(table: _Table, match: Matching) -> _Ints:
     """The height at which each item crosses the plane (Algorithm 2)."""
     shape = (1, table.cells * table.rows, table.heights)
     aims = table.goal.reshape(shape) // table.heights
-    return assign_levels(aims, table.real.reshape(shape), bounded).reshape(-1)
+    return match(aims, table.real.reshape(shape)).reshape(-1)
 
 
-def _split_rows(table: _Table, height: _Ints, bounded: bool) -> _Ints:
+def _split_rows(table: _Table, height: _Ints, match: Matching) -> _Ints:
     """The row in which each item crosses its plane along the long axis (Algorithm 3)."""
     items = np.arange(len(height))
     shape = (table.heights, table.cells, table.rows)
@@ -243,7 +244,7 @@ def _split_rows(table: _Table, height: _Ints, bounded: bool) -> _Ints:
     at[height, cell, row] = items
     aims = table.goal[at] // (table.heights * table.rows)
     found = np.empty(len(items), dtype=np.int32)
-    found[at] = assign_levels(aims, table.real[at], bounded)
+    found[at] = match(aims, table.real[at])
     return found
 
 
@@ -294,7 +295,11 @@ class _Balanced:
 
 
 def balance_both(
-    highways: Highways, starts: Vertices, goals: Vertices, clock: PlanningClock
+    highways: Highways,
+    starts: Vertices,
+    goals: Vertices,
+    balance: Callable[..., Paths],
+    clock: PlanningClock,
 ) -> _Balanced:
     """Balance the starts and the goals (Algorithm 1, line 2), alike where they are reflections."""
     table = neighbor_table(highways.shape, highways.obstacles)
@@ -313,10 +318,12 @@ def balance_both(
     return _Balanced(first, last, np.arange(len(table), dtype=np.int32) if image is None else image)
 
 
-def shuffle(highways: Highways, balanced: _Balanced, bounded: bool, clock: PlanningClock) -> Paths:
+def shuffle(
+    highways: Highways, balanced: _Balanced, match: Matching, clock: PlanningClock
+) -> Paths:
     """The whole plan (T + 1, n) before compaction, phase after phase.
 
-    `bounded`: choose matchings with small shifts (RTH3D-LBA).
+    `match` puts items into levels, as `assign_levels` does.
     """
     slot = np.full(int(np.prod(highways.shape)), -1, dtype=np.int32)
     slot[highways.slots.reshape(-1)] = np.arange(highways.capacity, dtype=np.int32)
@@ -324,10 +331,10 @@ def shuffle(highways: Highways, balanced: _Balanced, bounded: bool, clock: Plann
     wish = slot[balanced.image[highways.slots.reshape(-1)]]
     table = _Table(highways, *_fill_up(first, last, wish))
     with clock.phase("match heights") as record:
-        height = _split_heights(table, bounded)
+        height = _split_heights(table, match)
         record(0)
     with clock.phase("match rows") as record:
-        row = _split_rows(table, height, bounded)
+        row = _split_rows(table, height, match)
         record(0)
     with clock.phase("change of lanes") as record:
         after, long = _cross(table, height, row)

@@ -37,7 +37,7 @@ class PlanOptions:
     scen: Path | None = None
     """the .scen with starts and goals on that map: of the first --robots, or of all"""
     method: str = "auto"
-    """rth3d, rth3d-lba, pibt, lacam, or auto, the best of those that fit"""
+    """rth3d, rth3d-lba, rth3d-lba-paper, pibt, lacam, or auto, the best of those that fit"""
     labels: bool = True
     """whether each robot has a goal of its own; if not, any may take any, in the fewest steps"""
     seed: Seed = 0

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarm_envs.baselines.rth3d import GridPlan, make_instance, validate
+from swarm_envs.baselines.rth3d import GridPlan, make_instance, pibt, plan, validate
 from swarm_envs.baselines.rth3d.benchmark_files import read_benchmark, write_benchmark
 from swarm_envs.cli import main
 from tests.baselines.rth3d.cases import between, maze
@@ -65,6 +65,21 @@ def test_the_command_plans_a_benchmark(tmp_path, more):
     facts = (given.starts, given.goals, given.shape, given.obstacles)
     assert validate(found.paths, *facts, labels="--no-labels" not in more)
     assert json.loads((tmp_path / "plan.json").read_text())["shape"] == [5, 3, 1]
+
+
+@pytest.mark.parametrize("method", ["pibt", "lacam"])
+def test_only_free_vertices_of_a_map_take_memory(tmp_path, monkeypatch, method):
+    """As in published maps of large buildings, of which most is wall."""
+    rows = ["@" * 60] * 40 + ["@" * 20 + "." * 20 + "@" * 20] * 6
+    text = f"type octile\nheight {len(rows)}\nwidth 60\nmap\n" + "\n".join(rows)
+    lines = [f"0\tsmall.map\t60\t46\t{20 + k}\t40\t{39 - k}\t45\t9.0" for k in range(12)]
+    given = read_benchmark(*files(tmp_path, text, "\n".join(["version 1", *lines])))
+    facts = (given.starts, given.goals, given.shape, given.obstacles)
+    monkeypatch.setattr(pibt, "_MOST_WAYS", 12 * 120)
+    assert validate(plan(*facts, method=method).paths, *facts)
+    monkeypatch.setattr(pibt, "_MOST_WAYS", 12 * 120 - 1)
+    with pytest.raises(ValueError, match="of 12 robots on 120 vertices, but at most 1439 numbers"):
+        plan(*facts, method=method)
 
 
 @pytest.mark.parametrize(
