@@ -545,7 +545,7 @@ def _decisions(law, agent="swap-ppo", seeds=(0, 1)):
 @pytest.mark.parametrize("name", ["swap-ppo", "swap-ppo+filter"])
 @pytest.mark.parametrize("factor", [1.0, 0.8])
 def test_what_ships_is_known_by_its_acts(name, factor):
-    agent = load(name)
+    agent: Any = load(name)
     agent.reset(swarm_envs.swap_v1.parallel_env(num_drones=4, **agent.requires), 0)
     env, kept = _decisions(lambda rows, _: factor * agent.act_batch(rows[None])[0], name)
     assert copied_acts(env, kept).removesuffix("+filter") == "swap-ppo"
