@@ -25,7 +25,14 @@ from swarm_envs.tables import Record, Records
 from swarm_envs.tasks.base import ACCELERATION_LIMIT, SPEED_LIMIT
 from swarm_envs.vehicles import GRAVITY, SMALL, VEHICLES
 
-__all__ = ["Float32Array", "observation_layout", "observation_space", "observation_width", "shaper"]
+__all__ = [
+    "Float32Array",
+    "ObservationField",
+    "observation_layout",
+    "observation_space",
+    "observation_width",
+    "shaper",
+]
 
 Float32Array = npt.NDArray[np.float32]
 """An array of observed numbers."""
