@@ -306,7 +306,12 @@ def test_division_by_zero_follows_ieee() -> None:
 
 
 @compiled_only
-def test_an_equation_becomes_part_of_the_loop_that_calls_it() -> None:
+def test_an_equation_becomes_part_of_the_loop_that_calls_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    # What a cache holds cannot be inspected, so this kernel is always compiled.
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+
     @equation
     def norm(x: float, y: float) -> tuple[float, float]:
         return np.sqrt(x * x + y * y), x / y
