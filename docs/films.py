@@ -43,6 +43,7 @@ class Take(NamedTuple):
     seed: int = 1
 
 
+HALL = {"team": "L2S", "layout": "stacked", "world": "hall"}
 FILMS = {
     "swap": Take("swap_v1", "swap-ppo-8", {"num_drones": 8, "layout": "circle"}),
     "ring": Take("ring_v1", "ring-ppo", {"num_drones": 5}),
@@ -63,6 +64,18 @@ FILMS = {
     "neural-swarm-planner": Take("swap_v1", "neural-swarm-planner", {"num_drones": 3}),
     "mlr-dmpc": Take("swap_v1", "mlr-dmpc", {"num_drones": 8, "layout": "circle"}),
     "rth3d-compensated": Take("formation_v1", "rth3d-compensated", {"num_drones": 10}),
+    "hover": Take("columns_v0", "hover", {}),
+    "random": Take("swap_v1", "random", {"num_drones": 4}),
+    "straight-line": Take("swap_v1", "straight-line+filter", {"num_drones": 4}),
+    "fast-line": Take("swap_v1", "fast-line", {"num_drones": 8, "layout": "random"}),
+    "swap-ppo": Take("swap_v1", "swap-ppo", {"num_drones": 4}),
+    "tracking-adaptive": Take("swap_v1", "tracking-adaptive", HALL),
+    "tracking-compensated-adaptive": Take("swap_v1", "tracking-compensated-adaptive", HALL),
+    "air-blind": Take("delivery_v0", "air-blind", {}),
+    "air-blind-adaptive": Take("delivery_v0", "air-blind-adaptive", {}),
+    "detour": Take("swap_v1", "detour", {"num_drones": 8, "layout": "circle"}),
+    "mlr-dmpc-compensated": Take("swap_v1", "mlr-dmpc-compensated", {"team": "SSLL"}),
+    "rth3d": Take("formation_v1", "rth3d", {"num_drones": 10, "interactions": "none"}),
 }
 """By name: the task's family, or an agent."""
 

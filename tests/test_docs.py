@@ -52,6 +52,14 @@ def test_every_task_has_a_film_and_all_are_small():
     assert sum(sizes.values()) < 8_000_000
 
 
+def test_every_agent_is_in_the_gallery():
+    gallery = (DOCS / "gallery.md").read_text("utf-8")
+    assert {name for name in SHIPPED if f"`{name}" not in gallery} == set()
+    assert {
+        f.name for f in (DOCS / "films").iterdir() if f"(films/{f.name})" not in gallery
+    } == set()
+
+
 def test_every_page_is_in_a_table_of_contents():
     found, queue = {DOCS / "index.md"}, [DOCS / "index.md"]
     while queue:
