@@ -276,13 +276,13 @@ def fly(  # noqa: C901  # one step, on one screen
 ) -> None:
     """Fly the environments first to last - 1 that are in the mask, a tile of them at a time.
 
+    A drone that tumbles stops at that step: alone, or with its team where `ends_team` is set.
+
     Args:
         first: the first environment.
         last: one past the last.
         phases: which phases each step has. Without MOVE, TOUCH comes first: Bullet has moved the
             bodies since the last call.
-
-    Who tumbles stops at that step: alone, or with its team where `ends_team` says so.
         steps: number of steps.
         flown: (E,) environments to fly; the others are not touched.
         drones: (E, N) their records.
