@@ -320,7 +320,7 @@ def point(grid: str, method: str, before: float, robots: int = 100) -> dict[str,
 def test_ratios_of_makespans(preset, largest, verdict):
     points = [
         point(grid, method, value)
-        for method in ("rth3d", "rth3d-lba", "auto")
+        for method in ("rth3d", "rth3d-lba", "rth3d-lba-paper", "auto")
         for grid, value in (("12x6x3", 2.5), ("48x24x12", largest))
     ]
     rows = claims_of("rth3d/figure-5", {"points": points}, preset == "quick")

@@ -43,7 +43,7 @@ _TRUTHS = ("learned", "wake")
 """The forces that are flown in if none is named: those for which a belief ships."""
 _WORST = "worst of each flight"  # name of the row of rings that is judged
 _MOST_EPISODES = 1000
-_EPISODES = 20
+_EPISODES = 40
 
 
 def _airs(options: Any) -> tuple[Air, ...]:

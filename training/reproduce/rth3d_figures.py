@@ -52,7 +52,7 @@ class Rth3dOptions(StudyOptions):
 
     figure: Literal["5", "6", "7", "8", "9", "11"]
     """number of the figure"""
-    methods: tuple[str, ...] = ("rth3d", "rth3d-lba", "auto")
+    methods: tuple[str, ...] = ("rth3d", "rth3d-lba", "rth3d-lba-paper", "auto")
     """rth3d, rth3d-lba, rth3d-lba-paper, auto, pibt"""
     runs: Count = 20
     """of each method on each grid where grids are small"""

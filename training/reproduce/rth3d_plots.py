@@ -12,8 +12,8 @@ from swarm_envs.baselines.rth3d import GridInstance, make_instance
 from swarm_envs.baselines.rth3d.grid import Coordinates
 from swarm_envs.state import FloatArray
 from swarm_envs.training.reproduce.rth3d_runs import (
-    COMPACTED,
     FIT_FROM,
+    GUARANTEED,
     CurveFigure,
     CurvePoint,
     Curves,
@@ -151,10 +151,10 @@ def _draw_ratios(axis: Axes, figure: CurveFigure, name: str, curves: Curves, fir
         place = [_place(figure, p) for p in solved]
         spreads = [p.ratio for p in solved if p.ratio is not None]
         _draw_curve(axis, place, spreads, method, "-", method)
-        if method in COMPACTED:
+        if method in GUARANTEED:
             before = [p.before.mean for p in solved if p.before is not None]
             axis.plot(place, before, color=_COLORS[method], linestyle=(0, (4, 2)), linewidth=0.9)
-    if any(method in COMPACTED for _, method in curves):
+    if any(method in GUARANTEED for _, method in curves):
         axis.plot([], [], color=GREY, linestyle=(0, (4, 2)), linewidth=0.9, label="not compacted")
     _draw_known(axis, figure, name)
     axis.set(xlabel=_AXES[figure.axis], title=name)
