@@ -81,7 +81,7 @@ def step_row(team: str, plane: str, seeds: int) -> Row:
 def flight_rows(task: str, layout: str, drones: int, seeds: int) -> list[Row]:
     """Flights of the planning agent."""
     agent, rows = PlanAgent(), []
-    which = {"layout": layout} if task == "swap_v0" else {"labels": layout}
+    which = {"layout": layout} if task == "swap_v1" else {"labels": layout}
     env = make(task, num_drones=drones, physics="batch", **which, **agent.requires)
     for seed in tqdm(range(seeds), unit="flight"):
         metrics = fly_episode(env, agent, seed=seed)
@@ -134,7 +134,7 @@ def main(arguments: list[str] | None = None) -> None:
     if options.seeds < 1:
         parser.error(f"--seeds is {options.seeds}, but must be at least 1")
     if options.task:
-        rows = flight_rows(f"{options.task}_v0", options.layout, options.drones, options.seeds)
+        rows = flight_rows(f"{options.task}_v1", options.layout, options.drones, options.seeds)
     else:
         plan_row(0)  # compiles
         rows = [plan_row(seed) for seed in tqdm(range(options.seeds), unit="plan")]
