@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
-import inspect
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import cache
@@ -13,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+import swarm_envs
 from swarm_envs.agents import load
 from swarm_envs.agents.policy import PolicyAgent, read_policy
 from swarm_envs.agents.registry import FILTER, SHIPPED
@@ -25,6 +24,8 @@ ALIKE = 0.1
 """Difference of actions that are the same but for a disguise, over their size."""
 _NOBODYS = ("hover", "random")  # whoever does nothing has not copied it
 _LARGEST = 1 << 26  # bytes of a file that is looked at
+Twins = dict[str, SwarmParallelEnv]
+"""Environments that shipped agents are made for, by their options: many share one."""
 
 
 def copied_files(name: str) -> str:
@@ -50,27 +51,42 @@ def copied_acts(env: SwarmParallelEnv, kept: Sequence[tuple[Float32Array, Array]
     if not kept:
         return ""
     rows, acts = (np.stack(part) for part in zip(*kept, strict=True))
-    names = [name for name in SHIPPED if name not in _NOBODYS]
-    filtered = [name + FILTER for name in names]
-    return next((name for name in (*names, *filtered) if _alike(name, env, rows, acts)), "")
+    # Those of `swarm_envs.baselines` plan from the true state, and take half of a second to import.
+    acting = (name for name, place in SHIPPED.items() if place.startswith("swarm_envs.agents."))
+    names = [name for name in acting if name not in _NOBODYS]
+    names += [name + FILTER for name in names]
+    twins: Twins = {}
+    for name in names:
+        try:
+            own = _shipped_acts(name, env, rows, twins)
+        except (ValueError, AttributeError):  # it flies no such episodes, or not by rows
+            continue
+        if own is not None and _alike(own, acts):
+            return name
+    return ""
 
 
-def _alike(name: str, env: SwarmParallelEnv, rows: Float32Array, acts: Array) -> bool:
-    """Whether half of the actions are those of a shipped agent, or nine tenths but for a factor."""
-    try:
-        agent: Any = _shipped(name)
-        if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
-            return False
-        if isinstance(agent, PolicyAgent):
-            layout = observation_layout(agent.policy.note.num_neighbors)
-        else:
-            options = {**agent.requires, "num_obstacles": 0}
-            twin = SwarmParallelEnv(env.core.task, replace(env.core.config, **options))
-            layout = twin.observation_layout
-            agent.reset(twin, 0)
-        own = np.asarray(agent.act_batch(_observed(rows, env, layout)), np.float64)
-    except (ValueError, AttributeError):  # it flies no such episodes, or not by rows
-        return False
+def _shipped_acts(
+    name: str, env: SwarmParallelEnv, rows: Float32Array, twins: Twins
+) -> Array | None:
+    """Actions of a shipped agent; None if it is privileged, or has others than the work."""
+    agent: Any = _shipped(name)
+    if agent.privileged or agent.requires.get("action", "") != env.core.mode.name:
+        return None
+    if isinstance(agent, PolicyAgent):
+        layout = observation_layout(agent.policy.note.num_neighbors)
+    else:
+        config = replace(env.core.config, **{**agent.requires, "num_obstacles": 0})
+        twin = twins.get(repr(config))
+        if twin is None:
+            twin = twins[repr(config)] = SwarmParallelEnv(env.core.task, config)
+        layout = twin.observation_layout
+        agent.reset(twin, 0)
+    return np.asarray(agent.act_batch(_observed(rows, env, layout)), np.float64)
+
+
+def _alike(own: Array, acts: Array) -> bool:
+    """Whether half of the actions are another agent's own, or nine tenths but for a factor."""
     size = np.maximum(np.linalg.norm(own, axis=-1), 1e-6)
     factor = np.median(np.sum(own * acts, axis=-1) / size**2)
     for scale, most in ((1.0, 0.5), (factor, 0.9)):
@@ -120,11 +136,19 @@ def _shipped_sources() -> dict[str, str]:
     found: dict[str, str] = {}
     for name, place in SHIPPED.items():
         module, _, path = place.partition(":")
-        kind = getattr(importlib.import_module(module), path.partition(".")[0])
-        if inspect.isclass(kind) and name not in _NOBODYS:
-            for said in _classes(ast.parse(inspect.getsource(kind))):
-                found.setdefault(said, name)
+        source = "" if name in _NOBODYS else _source_of(module, path.partition(".")[0])
+        for said in _classes(ast.parse(source)):
+            found.setdefault(said, name)
     return found
+
+
+def _source_of(module: str, kind: str) -> str:
+    """The file that defines a class; "" for a function. Planners are slow to import: it is read."""
+    path = Path(swarm_envs.__file__).parent.joinpath(*module.split(".")[1:])
+    for file in sorted(path.glob("*.py")) if path.is_dir() else [path.with_suffix(".py")]:
+        if f"\nclass {kind}" in (text := file.read_text("utf-8")):
+            return text
+    return ""
 
 
 def _copied_source(file: Path) -> str:

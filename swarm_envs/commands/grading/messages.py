@@ -26,7 +26,7 @@ MOST_HEADER = 1 << 16
 MOST_NUMBERS = 1 << 31
 """Bytes of the numbers of a message to the work, which the grader alone sends."""
 _TYPES = {"f4": np.float32, "f8": np.float64, "i8": np.int64, "b1": np.bool_}
-_CHUNK = 1 << 20
+_CHUNK = 1 << 16  # bytes that a pipe holds
 
 Array = npt.NDArray[Any]
 """Numbers of one of four types: float32, float64, int64, truth values."""
@@ -50,6 +50,7 @@ class Channel:
 
     def __init__(self, source: int, sink: int) -> None:
         self._source, self._sink = source, sink
+        self._held = bytearray()  # what was read beyond the last message
         os.set_blocking(source, False)
         os.set_blocking(sink, False)
 
@@ -73,8 +74,10 @@ class Channel:
         numbers = b"".join(array.tobytes() for array in arrays)
         left = memoryview(_PREFIX.pack(_MAGIC, len(head), len(numbers)) + head + numbers)
         while left:
-            _wait(self._sink, select.POLLOUT, until)
-            left = left[os.write(self._sink, left[:_CHUNK]) :]
+            try:
+                left = left[os.write(self._sink, left) :]
+            except BlockingIOError:  # the pipe is full
+                _wait(self._sink, select.POLLOUT, until)
 
     def receive(
         self, most: int = MOST_NUMBERS, until: float = math.inf
@@ -97,15 +100,18 @@ class Channel:
         return header, _arrays(header.get("arrays"), self._read(size, until))
 
     def _read(self, count: int, until: float) -> bytes:
-        parts: list[bytes] = []
-        while count:
-            _wait(self._source, select.POLLIN, until)
-            part = os.read(self._source, min(count, _CHUNK))
+        while len(self._held) < count:
+            try:
+                part = os.read(self._source, _CHUNK)
+            except BlockingIOError:  # nothing is there yet
+                _wait(self._source, select.POLLIN, until)
+                continue
             if not part:
                 raise EOFError("the other side has ended")
-            parts.append(part)
-            count -= len(part)
-        return b"".join(parts)
+            self._held += part
+        read = bytes(self._held[:count])
+        del self._held[:count]
+        return read
 
 
 def _wait(descriptor: int, event: int, until: float) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import importlib
 import math
 import sys
 import tempfile
@@ -39,6 +40,7 @@ KEPT = 256
 _MODULE = "swarm_envs.commands.grading.child"
 _SETUP_S = 60.0  # for imports and compilation, before a work trains
 _DECISIONS = ("act", "batch", "plan")
+_NEEDED_LATER = ("scipy.stats", "swarm_envs.agents.evaluation")
 _SPARE = 1 << 20  # bytes by which an answer may be too long and still be understood
 
 
@@ -184,6 +186,8 @@ def opened(
                     "kernels": None if kernels is None else str(kernels),
                 }
             )
+            for module in _NEEDED_LATER:  # while the process starts
+                importlib.import_module(module)
             try:
                 made, _ = work.ask("")
             except WorkRefused as error:
