@@ -49,10 +49,15 @@ def run_assignment(options: AssignmentOptions) -> None:
     folder = options.out or Path(name)
     if folder.exists():
         raise Misuse(f"{str(folder)!r} exists; name a new folder, so that nothing is overwritten")
-    source = Path(assignments.__file__).parent / name
-    shutil.copytree(source, folder, ignore=shutil.ignore_patterns("__pycache__"))
-    work = ASSIGNMENTS[name].work
-    _write_notebook(folder, name, work)
+    source, work = Path(assignments.__file__).parent / name, ASSIGNMENTS[name].work
+    partial = folder.with_name(f".{folder.name}.partial")  # what a killed one left is removed
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        shutil.copytree(source, partial, ignore=shutil.ignore_patterns("__pycache__"))
+        _write_notebook(partial, name, work)
+        partial.rename(folder)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
     print(f"wrote {folder}: read {folder / 'README.md'}, and change {folder / work.split(':')[0]}")
 
 

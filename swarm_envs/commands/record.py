@@ -95,7 +95,7 @@ def run_record(options: RecordOptions) -> None:
     check_folder("--out", root)
     if (root / name).exists():
         raise Misuse(f"there is a dataset {name!r} in {str(root)!r}; choose another --name")
-    with claimed(kept := root / f"{name}.partial"):
+    with claimed(kept := root / f"{name}.flights"):
         parts = _fly_parts(env, agent, options, kept)
         _assemble(kept, name, parts, {**options.setting(), **agent.requires}, options)
         (kept / "whole" / name).rename(root / name)

@@ -47,6 +47,8 @@ DAGGER += ["--dagger.teacher", "fast-line", "circle=roundabout"]
 SWEEP = ["drones=2", "environments=8", "n_steps=8", "batch_size=64", "hidden=8,8", "steps=2000"]
 SWEEP += ["judge_episodes=4", "num_neighbors=1", "interactions=none", "n_epochs=1"]
 SWEEP += ["tensorboard=false", "checkpoint_rollouts=3"]
+FLY = ["fly", "--agent", "hover", "--drones", "2", "--horizon-s", "0.5", "--physics", "batch"]
+SHOW = ["show", "--shapes", "sphere", "star", "--drones", "6", "--hold-s", "0.5"]
 FIT = ["--steps", "200", "--batch-size", "64", "--checkpoint-every", "10", "--no-progress"]
 QUIET = re.compile(
     r"(^|_)(s|ms|us|seconds|time|times|wall|rate|per_s|command|act_ms|cpu_s|p50|p99|manifest)(_least|_most)?$"
@@ -71,6 +73,22 @@ def _fit(out: Path) -> int:
     return command_line(["fit", "--data", str(data), *FIT, "--out", str(out)])
 
 
+def _grade(out: Path) -> int:
+    work = out.parent / "work"
+    if not work.exists():
+        command_line(["assignment", "start", "controller", str(work)])
+    agent, table = f"{work / 'controller.py'}:MyController", str(out / "grades.csv")
+    grade = ["grade", "--assignment", "controller", "--agent", agent, "--episodes", "4"]
+    return command_line([*grade, "--out", table])
+
+
+def _replay(out: Path) -> int:
+    flight = out.parent / "flight.npz"
+    if not flight.exists():
+        command_line([*FLY, "--trajectory", str(flight)])
+    return command_line(["replay", str(flight), "--out", str(out / "flight.html")])
+
+
 def _curriculum(out: Path) -> int:
     from swarm_envs.training.curriculum.run import run_curriculum
     from tests.training.test_curriculum import TINY
@@ -83,10 +101,10 @@ COMMANDS: Mapping[str, Run] = {
     "collect": run("collect", "--teams", "S", "SL", "--duration-s", "4", "--no-progress"),
     "curriculum": _curriculum,
     "fit": _fit,
-    "ppo": run("train", *ON_POLICY),
-    "mappo": run("train", "--algo", "mappo", *ON_POLICY),
-    "sac": run("train", "--algo", "sac", *OFF_POLICY),
-    "dagger": run("train", "--algo", "dagger", *DAGGER),
+    "train ppo": run("train", *ON_POLICY),
+    "train mappo": run("train", "--algo", "mappo", *ON_POLICY),
+    "train sac": run("train", "--algo", "sac", *OFF_POLICY),
+    "train dagger": run("train", "--algo", "dagger", *DAGGER),
     "train-sweep": run("train-sweep", "--seeds", "0", "1", "--set", *SWEEP, "--episodes", "6"),
     "evaluate": run(
         *("evaluate", "--drones", "2", "--horizon-s", "1", "--agent", "hover", "tracking"),
@@ -97,6 +115,14 @@ COMMANDS: Mapping[str, Run] = {
         *("--episodes", "24", "--table", "csv", "--no-replays"),
     ),
     "plan": run("plan", "--grid", "24x24x12", "--density", "0.3"),
+    "grade": _grade,
+    "assignment": lambda out: command_line(["assignment", "start", "controller", str(out / "kit")]),
+    "export": lambda out: command_line(["export", "force", "--out", str(out / "learned.h")]),
+    "fly": lambda out: command_line([*FLY, "--trajectory", str(out / "flight.npz")]),
+    "replay": _replay,
+    "record": run("record", "--drones", "2", "--horizon-s", "1", "--flights", "4"),
+    "show": lambda out: command_line([*SHOW, "--skyc", str(out / "show.skyc")]),
+    "demo": run("demo", "--swaps", "1", "--no-video"),
     "reproduce": run("reproduce", "rth3d", "--figure", "5", "--runs", "2", "--largest", "2000"),
 }
 """Commands to kill, as small as they can be. To add one is a line."""
