@@ -28,7 +28,7 @@ from swarm_envs.envs.view import View
 from swarm_envs.interactions import InteractionModel
 from swarm_envs.state import FloatArray
 from swarm_envs.tasks.base import Task
-from swarm_envs.tasks.motion import ORBITS
+from swarm_envs.tasks.motion import LINES, REST
 from swarm_envs.tasks.obstacles import obstacle_rows
 
 _TRACKING_M = 0.05  # what is kept free between a reference and walls beside the drone's radius, m
@@ -90,26 +90,27 @@ class MlrDmpcAgent:
         """Begin with all drones hovering; the seed draws which messages are lost.
 
         Raises:
-            ValueError: goals that circle, or starts or goals too close to each other for any
-                scaling.
+            ValueError: goals that move, or starts or goals too close to each other for any scaling.
         """
         task, start = env.core.task, env.view.state.position
-        if task.motion.kind == ORBITS:
+        if not task.motion.rests and task.motion.kind != LINES:
             raise ValueError(
-                f"MlrDmpcAgent flies to goals at rest, but those of {task.name} circle; use swap, "
+                f"MlrDmpcAgent flies to goals at rest, but those of {task.name} move; use swap, "
                 "formation, or the agent 'tracking-compensated'"
             )
         goals = env.core.world.goals[0]
+        if task.motion.kind == REST and not task.motion.stage_s:
+            goals = goals.reshape(1, -1, 3)  # sites, any of which drones may have at once
         self._agents, self.faults = list(env.agents), {}
         self.config = replace(
             self._given,
             box=_box(task, start, goals),
-            scaling=_scaling(self._given, np.concatenate([start[None], goals])),
+            scaling=_scaling(self._given, start[None], goals),
         )
         units = min(3, len(start)) if self._compute_units is None else self._compute_units
         self.swarm = MlrDmpcSwarm(
             np.array(start),
-            np.array(goals[0]),
+            np.array(env.view.goals),
             config=self.config,
             compute_units=units,
             trigger=self._trigger,
@@ -162,20 +163,25 @@ def _obstacles(task: Task, config: MlrDmpcConfig) -> Obstacles | None:
     return lambda own, start_round: obstacle_planes(own, start_round, rows, margin, config)
 
 
-def _scaling(config: MlrDmpcConfig, places: FloatArray) -> tuple[float, float, float]:
+def _scaling(config: MlrDmpcConfig, *places: FloatArray) -> tuple[float, float, float]:
     """The largest scaling of heights, up to the configured, that (20) allows for (S, N, 3) m."""
     wanted = config.scaling
     largest = wanted[2]
-    first, second = np.triu_indices(places.shape[1], 1)
-    apart = np.abs(places[:, first] - places[:, second])
-    level = np.hypot(apart[..., 0] / wanted[0], apart[..., 1] / wanted[1])
+    apart = np.concatenate([_pairs(one) for one in places])
+    level = np.hypot(apart[:, 0] / wanted[0], apart[:, 1] / wanted[1])
     needed = np.sqrt(np.maximum((_ROOM * config.distance_m) ** 2 - level**2, 0.0))
     close = needed > 0.0
     if close.any():
-        largest = min(largest, float((apart[..., 2][close] / needed[close]).min()))
+        largest = min(largest, float((apart[close, 2] / needed[close]).min()))
     if largest < 1.0:
         raise ValueError(
             f"two starts or goals of this episode are closer than {_ROOM * config.distance_m:.3g} "
             "m, what drones need; spread them, or give a config with a smaller distance_m"
         )
     return (wanted[0], wanted[1], largest)
+
+
+def _pairs(places: FloatArray) -> FloatArray:
+    """(P, 3) how far any two of places (S, N, 3) of one stage are apart, by axis, m."""
+    first, second = np.triu_indices(places.shape[1], 1)
+    return np.abs(places[:, first] - places[:, second]).reshape(-1, 3)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarm_envs import formation_v0, ring_v0, swap_v0
+from swarm_envs import crowd_v0, formation_v0, pursuit_v0, ring_v0, swap_v0
 from swarm_envs.agents import load
 from swarm_envs.agents.protocol import fly_episode
 from swarm_envs.baselines.mlr_dmpc.formations import scaled_distances
@@ -90,6 +90,19 @@ def test_heights_are_scaled_as_starts_and_goals_allow():
     assert np.linalg.norm(scaled) == pytest.approx(1.2 * DISTANCE)
 
 
+def test_goals_of_a_crowd_may_be_any_of_its_sites_at_once():
+    """Scaled for the first goals alone, later ones came too near, and the agent raised."""
+    agent = MlrDmpcAgent()
+    env = crowd_v0.parallel_env(num_drones=8, layout="open", physics="batch", **agent.requires)
+    given: set[tuple[float, ...]] = set()
+    metrics = fly_episode(env, agent, 0, lambda env: given.update(map(tuple, env.view.goals)))
+    assert metrics["success"], metrics
+    assert metrics["near_misses"] == 0
+    sites = np.array(sorted(given))
+    assert len(sites) > 16
+    assert scaled_distances(sites, agent.config).min() > 1.19 * DISTANCE
+
+
 def test_obstacles_are_flown_around():
     agent, city = MlrDmpcAgent(), (Column((0.0, 0.1), 0.2),)
     env = swap(2, "batch", obstacles=city)
@@ -100,10 +113,12 @@ def test_obstacles_are_flown_around():
 
 
 def test_what_it_cannot_fly_is_refused():
-    ring = ring_v0.parallel_env(physics="batch", **MlrDmpcAgent().requires)
-    ring.reset(seed=0)
-    with pytest.raises(ValueError, match="circle"):
-        MlrDmpcAgent().reset(ring, 0)
+    options: dict[str, Any] = {"physics": "batch", **MlrDmpcAgent().requires}
+    chase = pursuit_v0.parallel_env(layout="chase", **options)
+    for moving in (ring_v0.parallel_env(**options), chase):
+        moving.reset(seed=0)
+        with pytest.raises(ValueError, match=r"goals at rest, but those of (ring|pursuit)_v0 move"):
+            MlrDmpcAgent().reset(moving, 0)
     env = swap(2, "batch")
     starts, goals = np.array([[0.0, 0, 1], [0.15, 0, 1]]), np.array([[1.0, 0, 1], [-1, 0, 1]])
     env.reset(seed=0, options={"start": starts, "goal": goals})
