@@ -42,7 +42,7 @@ class MlrDmpcAgent:
 
     Args:
         compute_units: how many plan; None for three, or one for each drone where there are fewer.
-        trigger: who is planned next: `"HT"`, `"RR"` or `"DT"` (Appendix A).
+        trigger: who is planned next: `"WT"`, or the published `"HT"`, `"RR"` or `"DT"`.
         loss: of messages: a rate or a model.
         recovery: as for `simulate`.
         controller: configuration of the tracking loop; None for its default, which assumes no
@@ -58,7 +58,7 @@ class MlrDmpcAgent:
     def __init__(
         self,
         compute_units: int | None = None,
-        trigger: Literal["HT", "RR", "DT"] = "HT",
+        trigger: Literal["WT", "HT", "RR", "DT"] = "WT",
         loss: float | LossModel = 0.0,
         recovery: bool | Literal["paper"] = True,
         controller: ControllerConfig | None = None,

@@ -1,7 +1,8 @@
 """What MLR-DMPC is tuned by: times, bounds, distances and weights.
 
 Values are those published, unless a field says otherwise: with `planes="fixed", path_weight=0.0,
-soft_m=0.3, soft_near_m=0.8, turn_rad=0.0, collision_sampling_s=0.1` all are.
+soft_m=0.3, soft_near_m=0.8, turn_rad=0.0, collision_sampling_s=0.1` all are. The published
+trigger is `"HT"`.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def simulate(
     starts: FloatArray,
     targets: Targets,
     compute_units: int = 3,
-    trigger: str = "HT",
+    trigger: str = "WT",
     loss: float | str | LossModel = 0.0,
     recovery: bool | str = True,
     seed: int = 0,
@@ -102,7 +102,7 @@ def simulate(
         starts: (N, 3) where the drones hover, m.
         targets: (N, 3) where they are to go, m, or a function of time in s that gives that.
         compute_units: M, at most N.
-        trigger: which drones are replanned: `HT`, `RR` or `DT`.
+        trigger: which drones are replanned: `WT`, or the published `HT`, `RR` or `DT`.
         loss: share of messages lost, a preset's name or a model.
         recovery: True: ours; "paper": Algorithms 1 and 2; False: none, drones then collide.
         seed: of losses and detours: the same seed gives the same flight.

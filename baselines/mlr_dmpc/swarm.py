@@ -69,7 +69,7 @@ class MlrDmpcSwarm:
         targets: (N, 3) where they are to go, m.
         config: parameters.
         compute_units: M, at most as many as drones.
-        trigger: `HT`, `RR` or `DT` (Appendix A).
+        trigger: who is planned next: `WT`, or the published `HT`, `RR` or `DT` (Appendix A).
         loss: share of messages lost, a preset's name or a model.
         recovery: True: ours; "paper": Algorithms 1 and 2 to the letter; False: loss is ignored, and
             drones collide.
@@ -94,7 +94,7 @@ class MlrDmpcSwarm:
         *,
         config: MlrDmpcConfig | None = None,
         compute_units: int = 3,
-        trigger: str = "HT",
+        trigger: str = "WT",
         loss: float | str | LossModel = 0.0,
         recovery: bool | str = True,
         seed: int = 0,

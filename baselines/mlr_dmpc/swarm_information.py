@@ -225,6 +225,8 @@ class SwarmInformation:
         """What each unit lacked in the last round, as far as heard."""
         self.reported: dict[int, UnitMessage] = {}
         """The last round's messages of units."""
+        self.planned: list[Missing] = []
+        """The last round's plans, as far as heard, the unit's own first: others may lack them."""
         self._selections: dict[int, tuple[ViewId, tuple[int, ...]]] = {}
         self._complete: dict[int, list[tuple[int, frozenset[int]]]] = {}
         self._gave_up = np.full(len(targets), -(10**6))
@@ -290,6 +292,12 @@ class SwarmInformation:
         for unit in self.view.units:
             said = own if unit == self.unit and own is not None else inbox.slots.get(unit)
             self._account(unit, said, last, given)
+        sent = [*([own] if own is not None else []), *inbox.slots.values()]
+        self.planned = [
+            Missing(message.drone, message.trajectory.identity)
+            for message in sent
+            if message.kind is MessageKind.PLAN and message.trajectory is not None
+        ]
         self.reported = {
             unit: message
             for unit, message in inbox.slots.items()
@@ -409,12 +417,13 @@ def assign_to_units(info: SwarmInformation, chosen: list[int], round_: int) -> t
 
 
 def with_relay(info: SwarmInformation, message: UnitMessage) -> UnitMessage:
-    """The message, with a trajectory that another unit lacks if this one has it."""
-    for unit in sorted(info.requests, key=lambda unit: (unit - info.unit) % 256):
-        for request in info.requests[unit]:
-            contents = info.trackers.contents(*request)
-            if contents is not None:
-                return message._replace(
-                    kind=MessageKind.RELAY, drone=request.drone, trajectory=contents
-                )
+    """The message, with a trajectory that another unit lacks if this one has it, or may lack."""
+    order = sorted(info.requests, key=lambda unit: (unit - info.unit) % 256)
+    asked = [request for unit in order for request in info.requests[unit]]
+    for request in [*asked, *info.planned]:
+        contents = info.trackers.contents(*request)
+        if contents is not None:
+            return message._replace(
+                kind=MessageKind.RELAY, drone=request.drone, trajectory=contents
+            )
     return message

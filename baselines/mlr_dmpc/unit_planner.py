@@ -189,15 +189,17 @@ def next_detours(
     """Who makes room from now on: some stop, some begin. A pure function of its arguments.
 
     Drone i makes room for the nearest drone j that is stuck, no nearer to its target than i, within
-    range, and that i is in the way of or moves towards. It flies sideways of j's way. A stuck drone
-    that finds nobody steps aside itself. Who rests at its target stays there. The generator draws
-    alike for every drone, whoever needs it.
+    range, and that i is in the way of or moves towards. It flies sideways of j's way until j's plan
+    ends at its target, but no longer than `detour_rounds`. A stuck drone that finds nobody steps
+    aside itself. Who rests at its target stays there. The generator draws alike for every drone,
+    whoever needs it.
     """
     noise = rng.normal(size=(len(swarm.positions), 3))
     speeds = np.linalg.norm(swarm.velocities, axis=1)
     stuck = deadlocked(swarm.ends, speeds, swarm.targets, config)
     age = round_index - detours.since
-    keep = (detours.for_whom != NOBODY) & (age < config.detour_rounds)
+    away = np.linalg.norm(swarm.targets - swarm.ends, axis=1) > config.deadlock_m
+    keep = (detours.for_whom != NOBODY) & (age < config.detour_rounds) & away[detours.for_whom]
     free = ~keep & (age >= config.detour_rounds + config.detour_pause_rounds)
     for_whom = _whom(swarm, stuck & ~keep, config)
     served = np.isin(np.arange(len(stuck)), for_whom[free]) | np.isin(
@@ -256,8 +258,8 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return vectors / np.maximum(length, 1e-9)
 
 
-TRIGGERS = ("HT", "RR", "DT")
-"""The paper's rules of who is planned next: hybrid, round robin, distance."""
+TRIGGERS = ("WT", "HT", "RR", "DT")
+"""Rules of who is planned next: ours, weighted; the paper's: hybrid, round robin, distance."""
 MEASURES = ("end", "next")
 """From where distances to the target count: the plan's end, or the next round's position."""
 
@@ -269,6 +271,7 @@ _LEAST, _MOST = 2, 254
 REINITIALISED = 255
 """Priority of a drone whose trajectory restarts."""
 _FINEST, _COARSEST = 1e-4, 30.0
+_AGE_ROUNDS = 4  # added to ages by `WT`
 
 Levels = npt.NDArray[np.int64]
 """(N,) priorities as messages carry them, 8 bit."""
@@ -279,12 +282,15 @@ def _urgency(
 ) -> FloatArray:
     """(N,) what priorities are made of, (A1)-(A3): `RR` age, `DT` distance, `HT` their product.
 
-    Distances (N,) from the target, m, count as a share of the box's diagonal; ages (N,), rounds
-    since a drone was last planned, as a share of N / M.
+    `WT` is between `HT` and `DT`: ages count four rounds more, so that a drone whose plan still
+    ends far from its target is planned again before all others had their turn. Distances (N,) from
+    the target, m, count as a share of the box's diagonal; ages (N,), rounds since a drone was last
+    planned, as a share of N / M.
     """
     share = distances / float(np.linalg.norm(np.subtract(*config.box)))
     turns = ages * num_units / len(ages)
-    return {"RR": turns, "DT": share, "HT": share * turns}[trigger]
+    weighted = share * (turns + _AGE_ROUNDS * num_units / len(ages))
+    return {"WT": weighted, "RR": turns, "DT": share, "HT": share * turns}[trigger]
 
 
 def _levels(urgencies: FloatArray) -> Levels:
@@ -327,8 +333,8 @@ class PlanningOptions:
     """N."""
     num_units: int
     """M."""
-    trigger: str = "HT"
-    """`HT`, `RR` or `DT`."""
+    trigger: str = "WT"
+    """`WT`, `HT`, `RR` or `DT`."""
     measure: str = "end"
     """Distances are from the `end` of the newest trajectory, or the `next` round's position."""
     solver: str = "daqp"

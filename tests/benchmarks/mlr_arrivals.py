@@ -1,4 +1,4 @@
-"""When sixteen drones have arrived under MLR-DMPC, with fixed planes and with relinearised ones.
+"""When drones have arrived under MLR-DMPC, with fixed planes and `HT`, and by default.
 
     python -m tests.benchmarks.mlr_arrivals [--flights 6] [--scenes swap formations circle ...]
 
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import itertools
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,7 @@ SCENES: dict[str, dict[str, Any]] = {
     "circle, 10 % loss": {"loss": 0.1},
     "swap": {},
     "formations": {},
+    "circle of 64": {"compute_units": 8},
 }
 """Options of `simulate` by scene."""
 PLANES = (MlrDmpcConfig(planes="fixed"), MlrDmpcConfig())
@@ -37,6 +39,8 @@ PLANES = (MlrDmpcConfig(planes="fixed"), MlrDmpcConfig())
 
 def places(scene: str, seed: int) -> tuple[FloatArray, FloatArray]:
     """Starts and targets (N, 3) of a flight, m."""
+    if scene == "circle of 64":
+        return circle_swap(64, 3.5, 1.0)
     if scene.startswith("circle"):
         return circle_swap(DRONES, 1.5, 1.0)
     if scene == "formations":
@@ -60,9 +64,11 @@ def alone_s(starts: FloatArray, targets: FloatArray, config: MlrDmpcConfig) -> f
 def flown(scene: str, seed: int, config: MlrDmpcConfig) -> tuple[float, float]:
     """Time of a flight and its excess, s; infinite if it does not end."""
     starts, targets = places(scene, seed)
-    flight = simulate(
-        starts, targets, seed=seed, duration_s=LIMIT_S, config=config, **SCENES[scene]
-    )
+    trigger = "HT" if config.planes == "fixed" else "WT"
+    if scene == "circle of 64":
+        config = replace(config, box=((-3.7, -3.7, 0.3), (3.7, 3.7, 3.0)))
+    options = {"duration_s": LIMIT_S, "config": config, "trigger": trigger, **SCENES[scene]}
+    flight = simulate(starts, targets, seed=seed, **options)
     assert not flight.violations
     time = np.inf if flight.arrival_time_s is None else flight.arrival_time_s
     return time, time - alone_s(starts, targets, config)

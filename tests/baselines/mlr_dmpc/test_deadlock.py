@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from swarm_envs.baselines.mlr_dmpc.mlr_dmpc_config import MlrDmpcConfig
+from swarm_envs.baselines.mlr_dmpc.trajectory import Identity, hover
 from swarm_envs.baselines.mlr_dmpc.unit_planner import (
     NOBODY,
+    Planner,
+    PlanningOptions,
     SwarmSnapshot,
     deadlocked,
     next_detours,
     no_detours,
+    rank_by_priority,
     unbalanced,
 )
 
@@ -86,6 +90,39 @@ def test_detours_last_their_rounds_then_pause():
         detours = next_detours(detours, swarm, k, CONFIG, rng)
         busy.append(bool((detours.for_whom != NOBODY).any()) and detours.since.max() == began)
     assert sum(busy) == CONFIG.detour_rounds - 1 and busy[0]
+
+
+def test_a_detour_ends_when_the_plan_that_it_was_for_ends_at_its_target():
+    swarm, rng = snapshot(*HEAD_ON), np.random.default_rng(0)
+    detours = next_detours(no_detours(2), swarm, 20, CONFIG, rng)
+    stuck = int(detours.for_whom.max())
+    ends = swarm.ends.copy()
+    ends[stuck] = swarm.targets[stuck]
+    assert (next_detours(detours, swarm, 21, CONFIG, rng).for_whom == stuck).any()
+    free = next_detours(detours, swarm._replace(ends=ends), 21, CONFIG, rng)
+    assert (free.for_whom == NOBODY).all()
+
+
+@pytest.mark.parametrize(
+    ("trigger", "ages", "first"),
+    [
+        ("DT", (1, 20), 0),
+        ("HT", (1, 4), 1),
+        ("WT", (1, 4), 0),
+        ("WT", (1, 20), 1),
+        ("RR", (1, 4), 1),
+    ],
+)
+def test_who_is_planned_first_by_distance_and_rounds_since_the_last_plan(trigger, ages, first):
+    """Distances are 2 m and 0.7 m: 2 x 1 < 0.7 x 4, but 2 x 5 > 0.7 x 8 and 2 x 5 < 0.7 x 24."""
+    places, targets = np.array([[-1.5, 0.0, 1.0], [1.5, 0.0, 1.0]]), np.zeros((2, 3))
+    targets[:] = [[0.5, 0.0, 1.0], [1.5, 0.7, 1.0]]
+    flown = [
+        replace(hover(place, 15, 0.2), identity=Identity(21 - age, 0))
+        for place, age in zip(places, ages, strict=True)
+    ]
+    options = PlanningOptions(config=CONFIG, num_drones=2, num_units=1, trigger=trigger)
+    assert rank_by_priority(Planner(options).prioritise(flown, targets, 20), 20)[0] == first
 
 
 def test_places_are_in_the_box_and_depend_on_the_seed_alone():

@@ -42,7 +42,7 @@ class Instance:
     informed: bool = True
     rounds: int = 30
     recovery: bool | str = True
-    trigger: str = "HT"
+    trigger: str = "WT"
 
     @staticmethod
     def random(seed: int, **changes: object) -> Instance:
@@ -64,7 +64,7 @@ class Instance:
             "joins": ((drones - 1, int(rng.integers(0, 15))),) * int(rng.random() < 0.3),
             "leaves": ((0, int(rng.integers(5, 30))),) * int(rng.random() < 0.2),
             "informed": bool(rng.random() < 0.7),
-            "trigger": str(rng.choice(["HT", "RR", "DT"])),
+            "trigger": str(rng.choice(["WT", "HT", "RR", "DT"])),
         }
         return Instance(seed, drones, units, **{**fields, **changes})  # type: ignore[arg-type]
 
@@ -233,7 +233,7 @@ def instances(draw, recovery: bool | str = True) -> Instance:
         draw(st.booleans()),
         30,
         recovery,
-        draw(st.sampled_from(["HT", "RR", "DT"])),
+        draw(st.sampled_from(["WT", "HT", "RR", "DT"])),
     )
 
 

@@ -18,6 +18,7 @@ SIX, OPPOSITE = circle_swap(6, 1.2, 1.0)
     "trouble",
     [
         {},
+        {"trigger": "HT"},
         {"trigger": "RR"},
         {"trigger": "DT"},
         {"measure": "next"},
