@@ -190,16 +190,18 @@ def next_detours(
 
     Drone i makes room for the nearest drone j that is stuck, no nearer to its target than i, within
     range, and that i is in the way of or moves towards. It flies sideways of j's way until j's plan
-    ends at its target, but no longer than `detour_rounds`. A stuck drone that finds nobody steps
-    aside itself. Who rests at its target stays there. The generator draws alike for every drone,
-    whoever needs it.
+    ends at its target, but no longer than `detour_rounds`; with fixed planes, as published, for all
+    of these. A stuck drone that finds nobody steps aside itself. Who rests at its target stays
+    there. The generator draws alike for every drone, whoever needs it.
     """
     noise = rng.normal(size=(len(swarm.positions), 3))
     speeds = np.linalg.norm(swarm.velocities, axis=1)
     stuck = deadlocked(swarm.ends, speeds, swarm.targets, config)
     age = round_index - detours.since
-    away = np.linalg.norm(swarm.targets - swarm.ends, axis=1) > config.deadlock_m
-    keep = (detours.for_whom != NOBODY) & (age < config.detour_rounds) & away[detours.for_whom]
+    keep = (detours.for_whom != NOBODY) & (age < config.detour_rounds)
+    if config.planes == "relinearised":
+        left = np.linalg.norm(swarm.targets - swarm.ends, axis=1)
+        keep &= left[detours.for_whom] > config.deadlock_m
     free = ~keep & (age >= config.detour_rounds + config.detour_pause_rounds)
     for_whom = _whom(swarm, stuck & ~keep, config)
     served = np.isin(np.arange(len(stuck)), for_whom[free]) | np.isin(
