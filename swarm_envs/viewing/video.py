@@ -216,7 +216,8 @@ def find_ffmpeg() -> str:
     try:
         import imageio_ffmpeg
     except ImportError as error:
-        raise ImportError("an MP4 needs ffmpeg: pip install 'swarm-envs[film]'") from error
+        fix = "pip install 'swarm-envs[film]', or name the film .gif"
+        raise ImportError(f"an MP4 needs ffmpeg: {fix}") from error
     return str(imageio_ffmpeg.get_ffmpeg_exe())
 
 
