@@ -111,8 +111,23 @@ def test_out_leaves_out_what_needs_an_extra_and_says_which(capsys, tmp_path, mon
     arguments = ["--physics", "batch", "--horizon-s", "0.2", "--out", str(out)]
     assert main(["fly", *arguments]) == 0
     said = capsys.readouterr().out
-    assert "leaves out trajectory.parquet" in said and "swarm-envs[parquet]" in said
-    assert {"flight.json", "replay.html"} == {file.name for file in out.iterdir()}
+    assert "leaves out flight.mp4" in said
+    assert {"flight.json", "replay.html", "trajectory.npz"} == {file.name for file in out.iterdir()}
+
+
+@pytest.mark.parametrize(
+    ("agent", "team", "noted"),
+    [
+        ("swap-ppo", "SSSS", False),
+        ("swap-ppo", "LLLL", True),
+        ("swap-ppo+filter", "S*S*S*S*", True),
+        ("swap-dagger", "LLLL", False),
+        ("straight-line", "LLLL", False),
+    ],
+)
+def test_a_policy_on_vehicles_it_was_not_measured_on_says_so(agent, team, noted, capsys):
+    assert main(["fly", "--agent", agent, "--team", team, "--physics", "batch"]) == 0
+    assert ("was not trained with vehicles" in capsys.readouterr().out) is noted
 
 
 def test_a_recorded_flight_becomes_a_page_and_nothing_else_does(capsys, tmp_path):

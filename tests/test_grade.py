@@ -205,7 +205,7 @@ def points_of(tmp_path: Path, assignment: str, episodes: int, *works: str) -> li
 DRAFTS = {
     "controller": ("controller.py", "Observer", "Stiff", 16),
     "swap": ("swap.py", "Late", "Obstacles", 32),
-    "distributed-mpc": ("planner.py", "Swerving", "Constrained", 24),
+    "distributed-mpc": ("planner.py", "Swerving", "Constrained", 64),
     "force-model": ("force_model.py", "FewWakes", "Wakes", 1),
 }
 

@@ -103,7 +103,7 @@ def _make_all(options: EvaluateOptions, task: str, opened: ExitStack) -> dict[st
         try:
             agent, env = prepare(name, options, task)
         except (ValueError, TypeError, FileNotFoundError) as error:
-            raise Misuse(f"agent {name!r} cannot fly this: {error}") from error
+            raise Misuse(f"agent {name!r} cannot fly: {error}") from error
         except (Exception, SystemExit) as error:
             found[name] = error
             continue

@@ -192,7 +192,9 @@ def export_trajectory(options: TrajectoryOptions) -> None:
     """
     check_outputs(options.out, options.json)
     if not options.file.is_file():
-        raise Misuse(f"there is no file {str(options.file)!r}")
+        fix = "`swarm-envs fly --trajectory FILE` records a flight"
+        kind = "there is a folder, not a" if options.file.is_dir() else "there is no"
+        raise Misuse(f"{kind} file {str(options.file)!r}; {fix}")
     from swarm_envs.deploy import settled
     from swarm_envs.deploy.export import export_flight, report_content, report_lines
     from swarm_envs.files import write_json

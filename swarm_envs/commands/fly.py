@@ -95,8 +95,8 @@ class FlyOptions(EpisodeOptions):
     seed: Seed = 0
     """of the episode and the agent"""
     out: Path | None = None
-    """folder for flight.json, trajectory.parquet, replay.html and flight.mp4: all four, but for
-    what needs an extra that is not installed"""
+    """folder for flight.json, trajectory.parquet (without pyarrow .npz), replay.html and, where
+    ffmpeg is installed, flight.mp4"""
     video: Path | None = None
     """write a film, .mp4 or .gif"""
     replay: Path | None = None
@@ -120,7 +120,10 @@ def run_fly(options: FlyOptions) -> None:
         try:
             _check_writers({option: files[option]})
         except ImportError as error:
-            print(f"leaves out {files.pop(option).name}: {error}")
+            if option == "trajectory":  # which needs no extra as .npz
+                files[option] = files[option].with_suffix(".npz")
+            else:
+                print(f"leaves out {files.pop(option).name}: {error}")
     _check_writers(files)
     try:
         task = find_task(options.task)
@@ -245,7 +248,7 @@ def _fly(env: SwarmParallelEnv, agent: Agent, name: str, options: FlyOptions) ->
 
 def _refusal(name: str, error: ValueError, options: EpisodeOptions, task: str) -> str:
     """Why an agent cannot fly, and who can, if the benchmark has one."""
-    said = f"agent {name!r} cannot fly this: {error}"
+    said = f"agent {name!r} cannot fly: {error}"
     try:
         best = best_agent(options, task)
     except ValueError:
@@ -267,6 +270,24 @@ def _print_summary(recording: Recording, agent: Agent) -> None:
     print("\n".join(f"  {label.ljust(width)}  {value}" for label, value in rows), end="\n\n")
     if agent.privileged:
         print("note: this agent sees the true state")
+    if others := _unmeasured(recording, agent):
+        print(f"note: {recording.about.agent} was not trained with vehicles {', '.join(others)}")
+
+
+def _unmeasured(recording: Recording, agent: Agent) -> list[str]:
+    """Vehicles that a shipped policy, which refuses none, has not flown in its training."""
+    from swarm_envs import make
+    from swarm_envs.agents.policy import PolicyAgent
+    from swarm_envs.agents.registry import FILTER, SHIPPED
+
+    policy = getattr(agent, "agent", agent)  # behind a safety filter
+    name = recording.about.agent.removesuffix(FILTER)
+    if name not in SHIPPED or not isinstance(policy, PolicyAgent) or policy.policy.note.types:
+        return []
+    env = make(recording.about.task, num_drones=len(recording.team), physics="batch")
+    trained = {vehicle.token for vehicle in env.core.task.team}  # of the default team
+    env.close()
+    return sorted({vehicle.token for vehicle in recording.team} - trained)
 
 
 def _write_json(path: Path, recording: Recording) -> None:
@@ -352,7 +373,9 @@ def run_replay(options: ReplayOptions) -> None:
         files["video"] = options.video
     _check_writers(files)
     if not options.file.is_file():
-        raise Misuse(f"there is no file {str(options.file)!r}")
+        fix = "`swarm-envs fly --trajectory FILE` records a flight"
+        kind = "there is a folder, not a" if options.file.is_dir() else "there is no"
+        raise Misuse(f"{kind} file {str(options.file)!r}; {fix}")
     try:
         check_trajectory_path(options.file)
     except ValueError as error:
