@@ -43,10 +43,9 @@ def run_assignment(options: AssignmentOptions) -> None:
         for name, assignment in ASSIGNMENTS.items():
             print(f"{name.ljust(width)}  {assignment.summary}\n{' ' * width}  {assignment.rubric}")
         return
-    name = options.name
-    if name is None:
+    if options.name is None:
         raise Misuse(f"start needs the name of an assignment: {', '.join(ASSIGNMENTS)}")
-    if name not in ASSIGNMENTS:
+    if (name := options.name) not in ASSIGNMENTS:
         raise Misuse(unknown_name("assignment", name, ASSIGNMENTS))
     folder = options.out or Path(name)
     if folder.exists():
