@@ -10,8 +10,8 @@ from typing import Any
 
 FOLDER = Path(__file__).parents[1] / "rth3d"
 MARK = re.compile(r"^<!-- figure table: (\d+) -->$", re.MULTILINE)
-METHODS = ("rth3d", "rth3d-lba", "auto")
-_HEAD = "| instance | grid | robots | runs | `rth3d` | `rth3d-lba` | `auto` | CPU, s |"
+METHODS = ("rth3d", "rth3d-lba-paper", "rth3d-lba", "auto")
+_HEAD = f"| instance | grid | robots | runs | {' | '.join(f'`{m}`' for m in METHODS)} | CPU, s |"
 Runs = Mapping[str, str]
 
 
@@ -27,7 +27,7 @@ def figure_table(figure: str) -> str:
             key = (row["series"], row["grid"], row["robots"])
             cells.setdefault(key, {})[row["method"]] = row
     rows = [_row(*key, by) for key, by in cells.items()]
-    return "\n".join([_HEAD, "|---|---|---|---|---|---|---|---|", *rows])
+    return "\n".join([_HEAD, "|---" * 9 + "|", *rows])
 
 
 def _row(series: str, grid: str, robots: str, by: Mapping[str, Runs]) -> str:
@@ -36,7 +36,7 @@ def _row(series: str, grid: str, robots: str, by: Mapping[str, Runs]) -> str:
         f"{float(by[m]['ratio_before_compaction']):.2f}, {float(by[m]['ratio']):.3f}"
         if m in by
         else "-"
-        for m in METHODS[:2]
+        for m in METHODS[:-1]
     ]
     auto = f"{float(by['auto']['ratio']):.3f}" if "auto" in by else "-"
     spent = " / ".join(f"{float(by[m]['cpu_s']):.2g}" if m in by else "-" for m in METHODS)
