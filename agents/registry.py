@@ -114,6 +114,8 @@ def _unknown_agent(name: str) -> str:
     """Message for a name that no agent has: the nearest, and where all are listed."""
     if name.endswith(".py"):
         return f"agent {name!r} names no class; write {name + ':Class'!r}"
+    if "," in name:
+        return f"unknown agent {name!r}; separate names by spaces"
     near = difflib.get_close_matches(name, SHIPPED, n=1, cutoff=0.4)
     hint = f"did you mean {near[0]!r}? " if near else ""
     return (
