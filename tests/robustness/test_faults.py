@@ -31,7 +31,8 @@ QUICK = {
 
 def every_fault(job: Run, folder: Path, most: int) -> int:
     """Let every operation fail in turn (evenly chosen ones, if there are more than `most`)."""
-    whole, out = folder / "whole", folder / "out"
+    # The name of a folder may stand in what is written into it.
+    whole, out = (folder / part / "run" for part in ("whole", "out"))
     disk = FaultyDisk(whole)
     with disk.mounted():
         assert job(whole) == 0

@@ -88,6 +88,7 @@ def _begin(config: RlConfig, task: str, learner: Learner) -> _Progress:
     if not path.is_file():
         return _Progress(options, 0, [], [], None, 0.0, 0.0)
     progress = _Progress(**_load_checkpoint(path, learner, options))
+    write_table(config.out / CURVE, _curve(progress))  # its last rows may not have been written
     steps = progress.rollouts * config.rollout_steps
     tqdm.write(f"resuming from the checkpoint at {steps:,} steps in {config.out}")
     return progress
