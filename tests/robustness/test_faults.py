@@ -31,11 +31,11 @@ QUICK = {
 
 def every_fault(job: Run, folder: Path, most: int) -> int:
     """Let every operation fail in turn (evenly chosen ones, if there are more than `most`)."""
-    # The name of a folder may stand in what is written into it.
-    whole, out = (folder / part / "run" for part in ("whole", "out"))
-    disk = FaultyDisk(whole)
+    whole, out = folder / "whole", folder / "out"
+    disk = FaultyDisk(out)
     with disk.mounted():
-        assert job(whole) == 0
+        assert job(out) == 0
+    out.rename(whole)  # both are flown in one folder: its name may stand in what is written
     count = len(disk.done)
     for n in range(1, count + 1, -(-count // most)):
         shutil.rmtree(out, ignore_errors=True)
