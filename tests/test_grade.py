@@ -226,9 +226,10 @@ def test_points_are_spread_over_drafts(tmp_path, assignment):
 @pytest.mark.slow
 def test_what_is_learned_in_a_minute_counts(tmp_path):
     starter = str(STARTERS / "learning" / "learner.py:MyLearner")
-    better = f"{SOLUTIONS / 'learner.py'}:Searched"
-    first, second = points_of(tmp_path, "learning", 64, starter, better)
+    better, best = (f"{SOLUTIONS / 'learner.py'}:{name}" for name in ("Level", "Searched"))
+    first, second, third = points_of(tmp_path, "learning", 256, starter, better, best)
     assert 0.0 < first < second - 10.0
+    assert second < third - 5.0
 
 
 LEARNER = """
