@@ -87,6 +87,15 @@ class PlanningClock:
         self.phases.append(PhaseRecord(name, makespan, time.perf_counter() - begin))
 
     @property
+    def limited(self) -> bool:
+        """Whether the caller has limited the time or the configurations."""
+        return self.configurations is not None or self.deadline < float("inf")
+
+    def halved(self) -> PlanningClock:
+        """The same clock, for a part of planning that may take half the time that is left."""
+        return dataclasses.replace(self, deadline=self.deadline - max(self.remaining, 0.0) / 2)
+
+    @property
     def remaining(self) -> float:
         """Seconds until the time limit ends."""
         return self.deadline - time.monotonic()

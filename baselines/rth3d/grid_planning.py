@@ -265,7 +265,7 @@ def _search_part(part: GridInstance, seed: int, clock: PlanningClock) -> Paths:
             break
         first = lacam.steps is None
         lacam.run(min(most, lacam.made + stride(count)))
-        if first and lacam.steps is not None and clock.configurations is None:
+        if first and lacam.steps is not None and not clock.limited:
             most = after_a_plan(count, lacam.made)
     if lacam.steps is not None:
         return lacam.paths()
@@ -318,16 +318,17 @@ def _solve_off_highways(instance: GridInstance, seed: int, clock: PlanningClock)
     """LaCAM* if it finds a plan, and what PIBT finds that is shorter."""
     found, failed = None, None
     try:
-        found = _solve_lacam(instance, seed, clock)
+        found = _solve_lacam(instance, seed, clock.halved())
     except NoPlanExists:
         raise
-    except PlanNotFound as error:
+    except (PlanNotFound, PlanTimeout) as error:
         failed = error
     known = None if found is None else found.makespan
     if known is None or known > instance.lower_bound:
-        search = _search(instance, seed, clock, known)
-        if search.best is not None:
-            found = _Solution(search.best, "pibt", None)
+        with suppress(PlanTimeout):
+            search = _search(instance, seed, clock, known)
+            if search.best is not None:
+                found = _Solution(search.best, "pibt", None)
     if found is None:
         assert failed is not None
         raise failed
@@ -406,8 +407,8 @@ def plan(
         time_limit: seconds after which no further phase begins.
         watch: called with the name of each phase when it begins.
         configurations: how many LaCAM* makes at most in each connected part of the grid, with a
-            plan or without. None: up to 1,000,000 without a plan, or what fits into 0.8 GB; after
-            a plan as many again, and 1,000 at least (fewer for more than 1,000 robots).
+            plan or without. None: up to 1,000,000, or what fits into 0.8 GB; without a time limit,
+            after a plan as many again, and 1,000 at least (fewer for more than 1,000 robots).
         labels: False if any robot may take any goal. `"auto"` then finds the fewest steps by a flow
             over them, where it has at most 2^29 nodes (2 (T + 1) V); other methods, and `"auto"`
             beyond that, plan after goals have been assigned. In the plan `goals[i]` is the goal

@@ -14,6 +14,7 @@ from swarm_envs.baselines.rth3d import (
     PlanNotFound,
     PlanTimeout,
     balancing,
+    grid_planning,
     make_instance,
     plan,
     validate,
@@ -183,6 +184,22 @@ def test_what_was_not_found_in_time_may_exist():
     assert not isinstance(error.value, NoPlanExists)
     with pytest.raises(PlanTimeout):
         solve(instance, time_limit=1e-9)
+
+
+def test_a_plan_is_kept_when_the_time_ends_after_it(monkeypatch):
+    def late(*_):
+        raise PlanTimeout("the time limit ended")
+
+    monkeypatch.setattr(grid_planning, "_search", late)
+    instance = make_instance("uniform", (6, 6, 2), 60, seed=0)
+    assert solve(instance, "auto").winner == "lacam"
+
+
+def test_with_a_time_limit_the_search_goes_on_after_the_first_plans():
+    """The 1,000 configurations after the first plan bind only where nothing else does."""
+    instance = make_instance("uniform", (5, 5, 1), 20, seed=0)
+    short, long = (solve(instance, time_limit=limit) for limit in (None, 1.0))
+    assert long.lower_bound < long.makespan < short.makespan
 
 
 def test_auto_falls_back_where_balancing_is_too_large(monkeypatch):
